@@ -1,0 +1,173 @@
+"""The paper's control figure, as data.
+
+    load_trajectory ──────────┬──> optimization_layer ──> phase
+                              │             │               │
+                              │             └──> internal_force
+                              v                       │
+    load_feedback ──> wrench_controller ──> force_distribution ──> carrier_trajectory
+          ^                                                              │
+          │                                                      carrier_controller
+      load_plant <── cables <── carrier_dynamics <────────────────────────┘
+"""
+
+from collections.abc import Callable
+from dataclasses import is_dataclass
+from typing import TYPE_CHECKING, Any
+
+from pydrake.systems.framework import Diagram, LeafSystem
+
+from drake_nonstop import wiring
+from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase
+from drake_nonstop.blocks.cable_force_distribution import CableForceDistribution
+from drake_nonstop.blocks.cables import Cables
+from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics
+from drake_nonstop.blocks.carrier_pid import CarrierPid
+from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory
+from drake_nonstop.blocks.constant_parameters import ConstantParameters
+from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
+from drake_nonstop.blocks.ideal_feedback import IdealFeedback
+from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
+from drake_nonstop.blocks.load_plant import LoadPlant
+from drake_nonstop.blocks.load_trajectory import ConstantVelocityMove, RestToRest
+from drake_nonstop.blocks.no_disturbance import NoDisturbance
+from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer
+from drake_nonstop.blocks.printed_phase import PrintedPhase
+from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
+from drake_nonstop.blocks.wrench_controller import WrenchController
+from drake_nonstop.system import Model, overridden
+from drake_nonstop.validation import ScenarioError, require
+
+if TYPE_CHECKING:
+    from drake_nonstop.scenario import Scenario
+
+# The boxes of the figure, and the blocks that each can be, the default first.
+BLOCKS: dict[str, tuple[type[LeafSystem], ...]] = {
+    "load_trajectory": (RestToRest, ConstantVelocityMove),
+    "load_feedback": (IdealFeedback, DesiredStateFeedback),
+    "wrench_controller": (WrenchController,),
+    "optimization_layer": (NonstopOptimizer, ConstantParameters),
+    "phase": (AccumulatedPhase, PrintedPhase),
+    "internal_force": (InternalForceTrajectory,),
+    "force_distribution": (CableForceDistribution,),
+    "carrier_trajectory": (CarrierTrajectory,),
+    "carrier_controller": (CarrierPid,),
+    "carrier_dynamics": (CarrierDynamics,),
+    "cables": (Cables,),
+    "load_disturbance": (NoDisturbance,),
+    "load_plant": (LoadPlant,),
+}
+
+# What is simulated and not believed: these take the scenario's `simulated` system.
+PLANT = ("carrier_dynamics", "cables", "load_plant")
+
+# The figure's wires, to be read. They follow from the names of the ports, and building
+# the default diagram checks this list against what was built.
+WIRES = """
+load_trajectory.reference -> wrench_controller.reference
+load_trajectory.reference -> optimization_layer.reference
+load_trajectory.reference -> carrier_trajectory.reference
+
+load_plant.load_state -> load_feedback.load_state
+load_feedback.measured_load_state -> wrench_controller.measured_load_state
+load_feedback.measured_load_state -> optimization_layer.measured_load_state
+load_feedback.measured_load_state -> force_distribution.measured_load_state
+
+wrench_controller.wrench -> optimization_layer.wrench
+wrench_controller.wrench_rate -> optimization_layer.wrench_rate
+wrench_controller.wrench -> force_distribution.wrench
+wrench_controller.wrench_rate -> force_distribution.wrench_rate
+
+optimization_layer.parameters -> phase.parameters
+optimization_layer.parameters -> internal_force.parameters
+phase.phase -> optimization_layer.phase
+phase.phase -> internal_force.phase
+internal_force.internal_force -> force_distribution.internal_force
+
+force_distribution.desired_cable_forces -> carrier_trajectory.desired_cable_forces
+force_distribution.desired_cable_force_rates -> carrier_trajectory.desired_cable_force_rates
+carrier_trajectory.carrier_reference -> carrier_controller.carrier_reference
+carrier_controller.carrier_forces -> carrier_dynamics.carrier_forces
+carrier_dynamics.carrier_state -> carrier_controller.carrier_state
+
+carrier_dynamics.carrier_state -> cables.carrier_state
+load_plant.load_state -> cables.load_state
+cables.cable_forces -> load_plant.cable_forces
+load_disturbance.disturbance_wrench -> load_plant.disturbance_wrench
+"""
+
+
+def figure_wires() -> set[str]:
+    """`WIRES` as a set of "block.port -> block.port"."""
+    return {line for line in WIRES.splitlines() if line}
+
+
+def make_nonstop(
+    scenario: "Scenario", **replacements: Callable[[Model], LeafSystem] | Any
+) -> Diagram:
+    """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
+
+    Every signal is exported under its name: `diagram.GetOutputPort("load_state")`.
+
+    Args:
+        scenario: the system, the pattern and one config per box.
+        replacements: by the name of a box, what to put in its place: a block's config, or
+            a function (a block class, for instance) that takes the `Model` and returns a
+            LeafSystem with ports named after the signals it reads and makes.
+
+    Raises:
+        ScenarioError: the scenario or a replacement cannot be built; the message names the
+            field, the value and the remedy.
+    """
+    for name in replacements:
+        require(name in BLOCKS, "replacement", name, f"give one of {', '.join(BLOCKS)}")
+    believed = Model(scenario.system, scenario.pattern, scenario.control_period)
+    simulated = Model(
+        overridden(scenario.system, scenario.simulated),
+        scenario.pattern,
+        scenario.control_period,
+        field="simulated",
+    )
+    require(
+        simulated.n == believed.n,
+        "simulated.attachments",
+        simulated.n,
+        f"give as many attachment points as system.attachments has, {believed.n}",
+    )
+    blocks = {}
+    for name in BLOCKS:
+        entry = replacements.get(name, getattr(scenario, name))
+        make = _constructor(name, entry) if is_dataclass(entry) else entry
+        require(
+            callable(make),
+            f"replacement {name}",
+            entry,
+            "give a block's config, or a function that takes the model and returns a LeafSystem",
+        )
+        blocks[name] = make(simulated if name in PLANT else believed)
+    replaced_signals = {}
+    if scenario.control_period > 0:
+        blocks["sample_and_hold"] = SampleAndHold(believed)
+        replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
+    diagram = wiring.connect(blocks, name="nonstop", replaced_signals=replaced_signals)
+    is_the_figure = all(type(block) in BLOCKS.get(name, ())[:1] for name, block in blocks.items())
+    if is_the_figure and set(wiring.connections(diagram)) != figure_wires():
+        raise wiring.WiringError(
+            f"WIRES = {set(wiring.connections(diagram)) ^ figure_wires()}: these differ between "
+            "the list and the diagram that was built; mend the list or the ports"
+        )
+    return diagram
+
+
+def block_class(instance: str, config: Any) -> type[LeafSystem]:
+    """The block that a config is for: of class X for a config of class XConfig."""
+    name = type(config).__name__.removesuffix("Config")
+    for block in BLOCKS[instance]:
+        if block.__name__ == name:
+            return block
+    choices = ", ".join(block.__name__ for block in BLOCKS[instance])
+    raise ScenarioError(f"{instance} = {name}: give one of {choices}")
+
+
+def _constructor(instance: str, config: Any) -> Callable[[Model], LeafSystem]:
+    block = block_class(instance, config)
+    return lambda model: block(model, config)

@@ -1,0 +1,66 @@
+"""Box "Load Dynamics" of the figure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import BasicVector, Context, ContinuousState, LeafSystem
+
+from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.mechanics.rigid_load import load_state_rate
+from drake_nonstop.system import Model
+
+
+@dataclass(kw_only=True)
+class LoadPlantConfig:
+    """No parameters: mass, inertia, drag and attachments are the system's."""
+
+
+class LoadPlant(LeafSystem):
+    """The rigid load: Newton-Euler with linear drag (eqs. 5-6).
+
+    .. pydrake_system::
+
+        name: LoadPlant
+        input_ports:
+        - cable_forces
+        - disturbance_wrench
+        output_ports:
+        - load_state
+
+    `cable_forces` (3n) act at the attachments, `disturbance_wrench` (6) = [torque;
+    force] at the centre of mass, in W. `load_state` (13) = [quaternion w x y z, position,
+    angular velocity, velocity], in W, is the state, in the order of a free body in
+    MultibodyPlant.
+    """
+
+    def __init__(self, model: Model, config: LoadPlantConfig | None = None):
+        super().__init__()
+
+        def rate(state: NDArray, cable_forces: NDArray, disturbance: NDArray) -> NDArray:
+            return load_state_rate(
+                state,
+                cable_forces,
+                disturbance,
+                attachments=model.attachments,
+                mass=model.load_mass,
+                inertia=model.load_inertia,
+                inertia_inverse=model.load_inertia_inverse,
+                drag=model.load_drag,
+                gravity=model.gravity,
+            )
+
+        self._rate = CompiledFunction(rate, [13, 3 * model.n, 6], name=self.get_name)
+        self._cable_forces = self.DeclareVectorInputPort("cable_forces", 3 * model.n)
+        self._disturbance_wrench = self.DeclareVectorInputPort("disturbance_wrench", 6)
+        at_rest = BasicVector(np.array([1.0] + [0.0] * 12))
+        index = self.DeclareContinuousState(at_rest)
+        self._load_state = self.DeclareStateOutputPort("load_state", index)
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
+        (rate,) = self._rate(
+            self._load_state.Eval(context),
+            self._cable_forces.Eval(context),
+            self._disturbance_wrench.Eval(context),
+        )
+        derivatives.get_mutable_vector().SetFromVector(rate)

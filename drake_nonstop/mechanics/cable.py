@@ -1,0 +1,45 @@
+"""Cables: massless, tension-only spring-dampers between load and carriers."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
+
+
+def positive_part(a: NDArray) -> NDArray:
+    """max(a, 0), exact, for any scalar type and without a branch."""
+    return (a + np.abs(a)) / 2
+
+
+def cable_forces_and_tensions(
+    load_state: NDArray,
+    carrier_state: NDArray,
+    *,
+    attachments: NDArray,
+    rest_length: float,
+    stiffness: float,
+    damping: float,
+) -> tuple[NDArray, NDArray]:
+    """Cable forces on the load (n, 3), in W, and tensions (n,) (eq. 4).
+
+    `load_state` (13,) and `carrier_state` (6n,) = [p_1 … p_n, v_1 … v_n] are in W;
+    `attachments` (n, 3) in L. With s = max(ℓ − L₀, 0),
+
+        T = min( max(K_c s + B_c ℓ̇, 0), 2 K_c s ):
+
+    a linear spring-damper whose damper never outweighs its spring. The paper's model
+    wherever the cable is taut; as it goes slack the tension falls to zero without a
+    jump, which a damper that switches off at s = 0 would leave behind.
+    """
+    n = len(attachments)
+    carriers = carrier_state.reshape(2, n, 3)
+    levers = attachments @ rotation_matrix(load_state[:4]).T
+    stretch = carriers[0] - load_state[4:7] - levers
+    stretch_rate = carriers[1] - load_state[10:13] - cross(load_state[7:10], levers)
+    length = norm(stretch)
+    direction = stretch / length
+    length_rate = (direction * stretch_rate).sum(axis=1, keepdims=True)
+    spring = stiffness * positive_part(length - rest_length)
+    damped = positive_part(spring + damping * length_rate)
+    tension = damped - positive_part(damped - 2 * spring)
+    return tension * direction, tension[:, 0]

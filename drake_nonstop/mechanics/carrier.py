@@ -1,0 +1,66 @@
+"""The carriers: where the cables want them, how they are steered and how they move."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
+
+
+def carrier_motion(
+    load_state: NDArray,
+    forces: NDArray,
+    rates: NDArray,
+    *,
+    attachments: NDArray,
+    rest_length: float,
+    compliance: float,
+) -> tuple[NDArray, NDArray]:
+    """Positions and velocities (n, 3) each, in W, of carriers that pull with f_i (eqs. 1, 22).
+
+    `load_state` (13,) gives the load's pose and twist in W; any longer array that begins
+    in the same way will do, such as a reference. `forces` and `rates` are f and ḟ (n, 3)
+    in W, `attachments` (n, 3) in L, `compliance` is 1/K_c (m/N). With q = f/‖f‖,
+    T = ‖f‖, Π = I − q qᵀ and the stretched length ℓ = L₀ + T/K_c,
+
+        p = p_L + R b + ℓ q,   v = ṗ_L + ω × R b + (ℓ/T) Π ḟ + (qᵀḟ/K_c) q.
+
+    With compliance 0 these are the paper's; the last term is the own derivation that a
+    stretching cable asks for.
+    """
+    levers = attachments @ rotation_matrix(load_state[:4]).T
+    tension = norm(forces)
+    direction = forces / tension
+    length = rest_length + compliance * tension
+    tension_rate = (direction * rates).sum(axis=1, keepdims=True)
+    swing = length / tension * (rates - tension_rate * direction)
+    return (
+        load_state[4:7] + levers + length * direction,
+        load_state[10:13]
+        + cross(load_state[7:10], levers)
+        + swing
+        + compliance * tension_rate * direction,
+    )
+
+
+def pid_forces(
+    carrier_reference: NDArray,
+    carrier_state: NDArray,
+    integral: NDArray,
+    *,
+    position_gain: float,
+    velocity_gain: float,
+    integral_gain: float,
+) -> NDArray:
+    """Forces (3n,) on the carriers, in W, that pull them to their references.
+
+    `carrier_reference` and `carrier_state` are (6n,) [positions, velocities] in W,
+    `integral` (3n,) is that of the position error, reference minus state.
+    """
+    error = carrier_reference - carrier_state
+    half = len(error) // 2
+    return position_gain * error[:half] + velocity_gain * error[half:] + integral_gain * integral
+
+
+def double_integrator_rate(carrier_state: NDArray, forces: NDArray, *, mass: float) -> NDArray:
+    """The rate (6n,) of [positions, velocities] of free masses under forces (3n,), in W."""
+    return np.concatenate([carrier_state[len(carrier_state) // 2 :], forces / mass])

@@ -1,0 +1,63 @@
+"""The grasp matrix and the distribution of a load wrench over the cables (eqs. 7-9).
+
+The paper stacks a wrench as [force; torque]; Drake, and every array here, stacks it as
+[torque; force]. `grasp_matrix` is where the one order becomes the other.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.rotation import cross, rotation_matrix, skew
+
+
+def grasp_matrix(attachments: NDArray) -> NDArray:
+    """G₀ (6, 3n) in L: stacked cable forces (3n,) to the wrench [torque; force] (6,).
+
+    Eq. 8 with R = I and its two row blocks exchanged; `attachments` (n, 3) are the b_i
+    in L. In the load frame the matrix is constant, so that neither its pseudo-inverse
+    nor its null space has to be differentiated along the motion.
+    """
+    return np.concatenate(
+        [
+            np.concatenate([skew(b) for b in attachments], axis=1),
+            np.concatenate([np.eye(3)] * len(attachments), axis=1),
+        ]
+    )
+
+
+def cable_forces_and_rates(
+    load_state: NDArray,
+    wrench: NDArray,
+    wrench_rate: NDArray,
+    internal_force: NDArray,
+    *,
+    pseudo_inverse: NDArray,
+    basis: NDArray,
+    offset: NDArray,
+) -> tuple[NDArray, NDArray]:
+    """Desired cable forces f and their rates ḟ, each (n, 3) in W (eqs. 9, 16, 19, 20).
+
+    `load_state` (13,), `wrench` and `wrench_rate` (6,) are in W, `internal_force` (2m,)
+    is [λ; λ̇]; `pseudo_inverse` (3n, 6), `basis` N₀ (3n, m) and `offset` f̃⁰ (3n,) are
+    constants in L. With everything constant in the load frame,
+
+        ᴸf = G₀† [ᴸτ; Rᵀf] + f̃⁰ + N₀ λ,   f_i = R ᴸf_i,   ḟ_i = R (ᴸḟ_i + ω × ᴸf_i),
+
+    exact, with ω in L. Own derivation, equal to Ġ†w + G†ẇ + Ṅλ + Nλ̇ of the paper.
+    """
+    R_WL = rotation_matrix(load_state[:4])
+    R_LW = R_WL.T
+    angular_velocity = R_LW @ load_state[7:10]
+    torque, force = R_LW @ wrench[:3], R_LW @ wrench[3:]
+    wrench_L = np.concatenate([torque, force])
+    wrench_rate_L = np.concatenate(
+        [
+            R_LW @ wrench_rate[:3] - cross(angular_velocity, torque),
+            R_LW @ wrench_rate[3:] - cross(angular_velocity, force),
+        ]
+    )
+    m = basis.shape[1]
+    forces_L = pseudo_inverse @ wrench_L + offset + basis @ internal_force[:m]
+    rates_L = pseudo_inverse @ wrench_rate_L + basis @ internal_force[m:]
+    forces_L, rates_L = forces_L.reshape(-1, 3), rates_L.reshape(-1, 3)
+    return forces_L @ R_LW, (rates_L + cross(angular_velocity, forces_L)) @ R_LW

@@ -1,0 +1,55 @@
+"""Internal cable forces: patterns in the null space of the grasp matrix (eqs. 9, 23).
+
+A pattern is a constant matrix N₀ (3n, m), m phases φ and a constant offset f̃⁰ (3n,),
+all in L, with G₀ N₀ = 0 and G₀ f̃⁰ = 0. The internal cable forces are f̃⁰ + N₀ λ with
+λ_k = A cos(θ + φ_k).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def hamiltonian_cycle(attachments: NDArray) -> NDArray:
+    """N₀ (3n, n): pairs of opposite unit forces along the cycle 1 → 2 → … → n → 1.
+
+    Column k pushes attachments k and k + 1 apart along the edge between them,
+    u_k = (b_k − b_{k+1}) / ‖·‖ in L, so a positive λ spreads the carriers and every
+    cable feels two λ's only. The basis of the authors' companion papers.
+    """
+    n = len(attachments)
+    edges = attachments - np.roll(attachments, -1, axis=0)
+    units = edges / np.sqrt((edges * edges).sum(axis=1, keepdims=True))
+    basis = np.zeros((n, 3, n))
+    for k, unit in enumerate(units):
+        basis[k, :, k] = unit
+        basis[(k + 1) % n, :, k] = -unit
+    return basis.reshape(3 * n, n)
+
+
+def even_phases(count: int) -> NDArray:
+    """φ_k = 2π (k − 1) / count: constant carrier speed over a resting regular polygon."""
+    return 2 * np.pi * np.arange(count) / count
+
+
+def internal_force(
+    parameters: NDArray, phase: NDArray, *, phases: NDArray
+) -> tuple[NDArray, NDArray]:
+    """λ and λ̇ (m,) each, of `parameters` [ξ, A] (2,) at the phase θ (1,), rad (eq. 23).
+
+    λ_k = A cos(θ + φ_k) and λ̇_k = −A ξ sin(θ + φ_k), for constant ξ and A.
+    """
+    frequency, amplitude = parameters[:1], parameters[1:]
+    angles = phase + phases
+    return amplitude * np.cos(angles), -amplitude * frequency * np.sin(angles)
+
+
+def ellipse_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
+    """The conjugate axes (n, 3) each, in L, of the ellipses that the forces N₀ λ run on.
+
+    Cable i's internal force at A = 1 is a_i cos θ − b_i sin θ; where a_i and b_i are
+    parallel the ellipse is a line, and that carrier stops twice a turn.
+    """
+    return (
+        (basis @ np.cos(phases)).reshape(-1, 3),
+        (basis @ np.sin(phases)).reshape(-1, 3),
+    )

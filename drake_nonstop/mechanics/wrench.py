@@ -1,0 +1,127 @@
+"""The load wrench controller: PID on the pose error, feedforward, and its rate.
+
+Eqs. 10-13 (errors), 14-15 (PID). Two departures from the print: e_ω = ω − RᵀR_d ω_d has
+the opposite sign, since the printed one with −K_ω is anti-damping, and the feedforward
+of the desired motion is added with the weight `feedforward` (0: as printed).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.rigid_load import load_acceleration
+from drake_nonstop.mechanics.rotation import cross, rotation_matrix, vee
+
+
+def tracking_error(load_state: NDArray, reference: NDArray) -> NDArray:
+    """[e_R, e_p, e_ω, e_v] (12,): orientation and angular velocity in L, the rest in W.
+
+    `load_state` (13,) and `reference` (22,) = [quaternion, position, angular velocity,
+    velocity, angular acceleration, acceleration, jerk], all in W.
+    e_R = ½ (R_dᵀR − RᵀR_d)^∨ (rad for small angles), e_ω = ω − RᵀR_d ω_d.
+    """
+    R_WL = rotation_matrix(load_state[:4])
+    R_LD = R_WL.T @ rotation_matrix(reference[:4])
+    return np.concatenate(
+        [
+            vee(R_LD.T - R_LD) / 2,
+            load_state[4:7] - reference[4:7],
+            R_WL.T @ (load_state[7:10] - reference[7:10]),
+            load_state[10:13] - reference[10:13],
+        ]
+    )
+
+
+def wrench_and_rate(
+    load_state: NDArray,
+    reference: NDArray,
+    integrals: NDArray,
+    *,
+    position_gain: float,
+    velocity_gain: float,
+    position_integral_gain: float,
+    orientation_gain: float,
+    angular_velocity_gain: float,
+    orientation_integral_gain: float,
+    feedforward: float,
+    mass: float,
+    inertia: NDArray,
+    inertia_inverse: NDArray,
+    drag: float,
+    gravity: float,
+) -> tuple[NDArray, NDArray]:
+    """w_d and ẇ_d, each (6,) [torque; force] in W.
+
+    `integrals` (6,) is [∫e_R, ∫e_p]. With k = `feedforward`,
+
+        f_d  = m g e₃ − K_p e_p − K_v e_v − K_i ∫e_p + k (m p̈_d + B_L ṗ_d)
+        ᴸτ_d = ω × J ω − K_R e_R − K_ω e_ω − K_iR ∫e_R + k J d(RᵀR_d ω_d)/dt
+
+    The rates are exact where the load moves as the model does under w_d (no numerical
+    differentiation); only the reference's angular jerk is taken as zero. Own derivation:
+    ė_R = ½ (tr(RᵀR_d) I − RᵀR_d) e_ω, and the world torque's rate is R (ᴸτ̇ + ω × ᴸτ).
+    """
+    R_WL = rotation_matrix(load_state[:4])
+    R_LW = R_WL.T
+    R_LD = R_LW @ rotation_matrix(reference[:4])
+    omega = R_LW @ load_state[7:10]
+    desired_omega = R_LW @ reference[7:10]
+    velocity, desired_velocity = load_state[10:13], reference[10:13]
+    desired_alpha, acceleration, jerk = (
+        R_LW @ reference[13:16],
+        reference[16:19],
+        reference[19:22],
+    )
+    errors = tracking_error(load_state, reference)
+    e_R, e_p, e_omega, e_v = errors[:3], errors[3:6], errors[6:9], errors[9:]
+    momentum = inertia @ omega
+
+    # d(Rᵀω_d)/dt, with ω_d in W: the desired angular acceleration as the load sees it.
+    desired_omega_rate = desired_alpha - cross(omega, desired_omega)
+    force = (
+        np.array([0.0, 0.0, mass * gravity])
+        - position_gain * e_p
+        - velocity_gain * e_v
+        - position_integral_gain * integrals[3:]
+        + feedforward * (mass * acceleration + drag * desired_velocity)
+    )
+    torque = (
+        cross(omega, momentum)
+        - orientation_gain * e_R
+        - angular_velocity_gain * e_omega
+        - orientation_integral_gain * integrals[:3]
+        + feedforward * (inertia @ desired_omega_rate)
+    )
+    wrench = np.concatenate([R_WL @ torque, force])
+
+    angular, translational = load_acceleration(
+        load_state,
+        wrench,
+        mass=mass,
+        inertia=inertia,
+        inertia_inverse=inertia_inverse,
+        drag=drag,
+        gravity=gravity,
+    )
+    omega_rate = R_LW @ angular
+    trace = (R_LD * np.eye(3)).sum(keepdims=True).reshape(1)
+    e_R_rate = (trace * e_omega - R_LD @ e_omega) / 2
+    desired_omega_second_rate = (
+        -cross(omega, desired_alpha)
+        - cross(omega_rate, desired_omega)
+        - cross(omega, desired_omega_rate)
+    )
+    force_rate = (
+        -position_gain * e_v
+        - velocity_gain * (translational - acceleration)
+        - position_integral_gain * e_p
+        + feedforward * (mass * jerk + drag * acceleration)
+    )
+    torque_rate = (
+        cross(omega_rate, momentum)
+        + cross(omega, inertia @ omega_rate)
+        - orientation_gain * e_R_rate
+        - angular_velocity_gain * (omega_rate - desired_omega_rate)
+        - orientation_integral_gain * e_R
+        + feedforward * (inertia @ desired_omega_second_rate)
+    )
+    return wrench, np.concatenate([R_WL @ (torque_rate + cross(omega, torque)), force_rate])

@@ -1,0 +1,130 @@
+"""Internal-force patterns: the scenario entry that the blocks using λ share.
+
+A pattern config makes N₀, φ and f̃⁰ (see `mechanics.internal_force`) for given
+attachments; anything with such a `make` will do.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.grasp import grasp_matrix
+from drake_nonstop.mechanics.internal_force import (
+    ellipse_axes,
+    even_phases,
+    hamiltonian_cycle,
+)
+from drake_nonstop.validation import require, require_array
+
+_SMALLEST_SINE = 1e-3  # smallest sine of an angle that still counts as an angle
+
+
+@dataclass(frozen=True)
+class InternalForcePattern:
+    """N₀ (3n, m), φ (m,) in rad and f̃⁰ (3n,) in N, in the load frame."""
+
+    basis: NDArray
+    phases: NDArray
+    offset: NDArray
+
+
+@dataclass(kw_only=True)
+class HamiltonianCycleConfig:
+    """The paper's pattern: opposite forces along the edges of a closed cycle, m = n."""
+
+    phases: list[float] = field(default_factory=list)  # rad, n of them; none: 2π (k-1)/n
+
+    def make(self, attachments: NDArray) -> InternalForcePattern:
+        """The pattern for attachments (n, 3) in L.
+
+        Raises:
+            ScenarioError: neighbouring edges are collinear, or neighbouring phases
+                coincide modulo π; a carrier would then stop twice a turn.
+        """
+        n = len(attachments)
+        edges = attachments - np.roll(attachments, -1, axis=0)
+        lengths = np.linalg.norm(edges, axis=1)
+        require(
+            np.all(lengths > 1e-9 * np.max(lengths)),
+            "system.attachments",
+            attachments.tolist(),
+            "give neighbouring cables different attachment points",
+        )
+        units = edges / lengths[:, None]
+        for i in range(n):
+            require(
+                np.linalg.norm(np.cross(units[i - 1], units[i])) > _SMALLEST_SINE,
+                "system.attachments",
+                attachments.tolist(),
+                f"the edges of the cycle that meet at attachment {i + 1} are collinear, so "
+                "its carrier would stop; move it or reorder the attachments",
+            )
+        phases = even_phases(n)
+        if self.phases:
+            phases = require_array("pattern.phases", self.phases, [n], "one phase per cable")
+        for k in range(n):
+            require(
+                abs(np.sin(phases[k] - phases[k - 1])) > _SMALLEST_SINE,
+                "pattern.phases",
+                phases.tolist(),
+                f"neighbouring phases {(k - 1) % n + 1} and {k + 1} coincide modulo pi, so "
+                "a carrier would stop; set them apart",
+            )
+        return InternalForcePattern(hamiltonian_cycle(attachments), phases, np.zeros(3 * n))
+
+
+@dataclass(kw_only=True)
+class LinearPatternConfig:
+    """A pattern of the user's own: any matrix and offset in the null space, any phases."""
+
+    basis: list[list[float]] = field(default_factory=list)  # N₀, 3n rows of m numbers, in L
+    phases: list[float] = field(default_factory=list)  # φ, m numbers, rad
+    offset: list[float] = field(default_factory=list)  # f̃⁰, 3n numbers, N, in L; none: 0
+
+    def make(self, attachments: NDArray) -> InternalForcePattern:
+        """The pattern for attachments (n, 3) in L; raises ScenarioError for wrong shapes."""
+        rows = 3 * len(attachments)
+        phases = require_array("pattern.phases", self.phases, [None], "one phase per column")
+        basis = require_array(
+            "pattern.basis", self.basis, [rows, len(phases)], "3n rows, a column per phase"
+        )
+        offset = np.zeros(rows)
+        if self.offset:
+            offset = require_array("pattern.offset", self.offset, [rows], "3 per cable")
+        return InternalForcePattern(basis, phases, offset)
+
+
+def check_pattern(
+    pattern: InternalForcePattern, attachments: NDArray, gravity_forces: NDArray
+) -> None:
+    """Checks what every pattern must fulfil, whatever made it.
+
+    `gravity_forces` (n, 3) are the shares of a resting, level load's weight, in L.
+
+    Raises:
+        ScenarioError: the pattern has a net wrench, or some carrier would stop: the
+            force in its cable moves on a line, or in a plane through the attachment.
+    """
+    grasp = grasp_matrix(attachments)
+    for name, value in (("basis", pattern.basis), ("offset", pattern.offset)):
+        scale = np.max(np.abs(grasp)) * max(1.0, np.max(np.abs(value), initial=0.0))
+        require(
+            np.max(np.abs(grasp @ value), initial=0.0) < 1e-9 * scale,
+            f"pattern.{name}",
+            value.tolist(),
+            "its forces have a net wrench on the load; project it on the null space of "
+            "the grasp matrix",
+        )
+    constant = gravity_forces + pattern.offset.reshape(-1, 3)
+    cosines, sines = ellipse_axes(pattern.basis, pattern.phases)
+    for i, axes in enumerate(zip(cosines, sines, constant, strict=True)):
+        volume = abs(np.linalg.det(np.stack(axes)))
+        size = np.prod([np.linalg.norm(axis) for axis in axes])
+        require(
+            volume > _SMALLEST_SINE * size,
+            "pattern",
+            type(pattern).__name__,
+            f"cable {i + 1} swings in a plane or not at all, so its carrier would stop; "
+            "choose other phases or another basis",
+        )

@@ -1,0 +1,334 @@
+"""What one run is: a tree of dataclasses, read from and written to YAML.
+
+A scenario file has one key, the scenario's name, and below it the fields of `Scenario`.
+A box of the figure is chosen by its tag, `phase: !PrintedPhase {}`: block X is configured
+by the dataclass XConfig, whose fields stand below the tag. Fields left out take their
+defaults.
+"""
+
+import dataclasses
+import difflib
+import typing
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
+from pydrake.systems.analysis import SimulatorConfig
+
+from drake_nonstop.blocks.accumulated_phase import AccumulatedPhaseConfig
+from drake_nonstop.blocks.cable_force_distribution import CableForceDistributionConfig
+from drake_nonstop.blocks.cables import CablesConfig
+from drake_nonstop.blocks.carrier_dynamics import CarrierDynamicsConfig
+from drake_nonstop.blocks.carrier_pid import CarrierPidConfig
+from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectoryConfig
+from drake_nonstop.blocks.constant_parameters import ConstantParametersConfig
+from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedbackConfig
+from drake_nonstop.blocks.ideal_feedback import IdealFeedbackConfig
+from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectoryConfig
+from drake_nonstop.blocks.load_plant import LoadPlantConfig
+from drake_nonstop.blocks.load_trajectory import ConstantVelocityMoveConfig, RestToRestConfig
+from drake_nonstop.blocks.no_disturbance import NoDisturbanceConfig
+from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
+from drake_nonstop.blocks.printed_phase import PrintedPhaseConfig
+from drake_nonstop.blocks.wrench_controller import WrenchControllerConfig
+from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.system import System, SystemOverrides
+from drake_nonstop.validation import ScenarioError, require, require_positive
+
+SCENARIOS = Path(__file__).parent / "diagrams" / "scenarios"
+
+
+def _default_simulator() -> SimulatorConfig:
+    return SimulatorConfig(
+        integration_scheme="runge_kutta3", max_step_size=0.005, use_error_control=False
+    )
+
+
+@dataclass(kw_only=True)
+class Scenario:
+    """The system, a config per box of the figure, and how to simulate them."""
+
+    name: str = "unnamed"
+    description: str = ""
+    duration: float = 15.0  # s
+    control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
+    simulator: SimulatorConfig = field(default_factory=_default_simulator)
+    system: System = field(default_factory=System)
+    simulated: SystemOverrides = field(default_factory=SystemOverrides)
+    pattern: HamiltonianCycleConfig | LinearPatternConfig = field(
+        default_factory=HamiltonianCycleConfig
+    )
+    load_trajectory: RestToRestConfig | ConstantVelocityMoveConfig = field(
+        default_factory=RestToRestConfig
+    )
+    load_feedback: IdealFeedbackConfig | DesiredStateFeedbackConfig = field(
+        default_factory=IdealFeedbackConfig
+    )
+    wrench_controller: WrenchControllerConfig = field(default_factory=WrenchControllerConfig)
+    optimization_layer: NonstopOptimizerConfig | ConstantParametersConfig = field(
+        default_factory=NonstopOptimizerConfig
+    )
+    phase: AccumulatedPhaseConfig | PrintedPhaseConfig = field(
+        default_factory=AccumulatedPhaseConfig
+    )
+    internal_force: InternalForceTrajectoryConfig = field(
+        default_factory=InternalForceTrajectoryConfig
+    )
+    force_distribution: CableForceDistributionConfig = field(
+        default_factory=CableForceDistributionConfig
+    )
+    carrier_trajectory: CarrierTrajectoryConfig = field(
+        default_factory=CarrierTrajectoryConfig
+    )
+    carrier_controller: CarrierPidConfig = field(default_factory=CarrierPidConfig)
+    carrier_dynamics: CarrierDynamicsConfig = field(default_factory=CarrierDynamicsConfig)
+    cables: CablesConfig = field(default_factory=CablesConfig)
+    load_disturbance: NoDisturbanceConfig = field(default_factory=NoDisturbanceConfig)
+    load_plant: LoadPlantConfig = field(default_factory=LoadPlantConfig)
+
+
+def scenario_names() -> list[str]:
+    """The names of the scenarios that come with the package, sorted."""
+    return sorted(path.stem for path in SCENARIOS.glob("*.yaml"))
+
+
+def load_scenario(name_or_file: str | Path, settings: Iterable[str] = ()) -> Scenario:
+    """The scenario of that name, or the one in a YAML file.
+
+    Args:
+        name_or_file: one of `scenario_names()`, or the path of a `.yaml` file.
+        settings: changes "path=value", such as "system.load_mass=1.2". A path names a
+            field of the resolved scenario; a value is YAML, and a tagged one
+            ("phase=!PrintedPhase {}") replaces a whole box.
+
+    Raises:
+        ScenarioError: there is no such scenario or file, or its content cannot be used;
+            the message names the field, the value and the remedy.
+    """
+    path = Path(name_or_file)
+    if path.suffix not in (".yaml", ".yml"):
+        names = scenario_names()
+        require(
+            str(name_or_file) in names,
+            "scenario",
+            name_or_file,
+            f"give a .yaml file or one of {', '.join(names)}",
+        )
+        path = SCENARIOS / f"{name_or_file}.yaml"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"scenario = {path}: give a file that can be read ({error})") from None
+    scenario = parse_scenario(text, str(path))
+    tree = _tree(scenario)
+    for setting in settings:
+        _apply_setting(tree, setting)
+    return _from_tree(scenario.name, tree) if settings else scenario
+
+
+def parse_scenario(text: str, source: str = "scenario") -> Scenario:
+    """The scenario in YAML text; `source` is what error messages call the text.
+
+    Raises:
+        ScenarioError: see `load_scenario`.
+    """
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.YAMLError as error:
+        raise ScenarioError(f"{source} = {error}: give valid YAML") from None
+    require(
+        isinstance(node, yaml.MappingNode) and len(node.value) == 1,
+        source,
+        "a file without exactly one scenario",
+        "give one key, the scenario's name, with its fields below it",
+    )
+    tree = _plain(node, source)
+    ((name, content),) = tree.items()
+    content = {} if content is None else content
+    require(isinstance(content, dict), name, content, "give the scenario's fields below its name")
+    return _from_tree(name, content)
+
+
+def dump_scenario(scenario: Scenario) -> str:
+    """The scenario as YAML with every field and tag written out; `parse_scenario` reads it."""
+    return yaml_dump({scenario.name: _tree(scenario)})
+
+
+def _tree(scenario: Scenario) -> dict[str, Any]:
+    """Nested dicts with every field, each box with its block's name under "_tag"."""
+    tree = yaml_load(data=yaml_dump_typed(scenario, schema=Scenario), private=True)
+    for name, choices in _choices().items():
+        block = type(getattr(scenario, name)).__name__.removesuffix("Config")
+        require(
+            any(block == _tag(choice) for choice in choices),
+            name,
+            block,
+            f"give one of {', '.join(map(_tag, choices))}",
+        )
+        tree[name] = {**tree[name], "_tag": f"!{block}"}
+    del tree["name"]
+    return tree
+
+
+def _choices() -> dict[str, tuple[type, ...]]:
+    """The config classes that each tagged field of Scenario may hold."""
+    result = {}
+    for name, annotation in typing.get_type_hints(Scenario).items():
+        options = typing.get_args(annotation) or (annotation,)
+        if all(option.__name__.endswith("Config") for option in options):
+            if SimulatorConfig not in options:
+                result[name] = options
+    return result
+
+
+def _tag(config_class: type) -> str:
+    return config_class.__name__.removesuffix("Config")
+
+
+def _from_tree(name: str, tree: dict[str, Any]) -> Scenario:
+    """The scenario of nested dicts such as `_tree` makes, of which any may be left out."""
+    tree = dict(tree)
+    _check_fields(name, tree, Scenario)
+    require("name" not in tree, f"{name}.name", tree.get("name"), "leave it to the file's one key")
+    for field_name, options in _choices().items():
+        if field_name in tree:
+            tree[field_name] = _typed_entry(field_name, tree[field_name], options)
+    for field_name, schema in (
+        ("system", System),
+        ("simulated", System),
+        ("simulator", SimulatorConfig),
+    ):
+        if field_name in tree:
+            tree[field_name] = {} if tree[field_name] is None else tree[field_name]
+            _check_fields(field_name, tree[field_name], schema)
+    try:
+        scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(tree), defaults=Scenario())
+    except RuntimeError as error:
+        raise ScenarioError(f"{name} = {error}: give a value of the field's type") from None
+    scenario.name = name
+    require_positive(name, duration=scenario.duration)
+    require_positive("simulator", max_step_size=scenario.simulator.max_step_size)
+    return scenario
+
+
+def _typed_entry(name: str, entry: Any, options: tuple[type, ...]) -> dict[str, Any]:
+    """A box's entry with its tag turned into what `yaml_load_typed` expects."""
+    entry = {} if entry is None else entry
+    require(
+        isinstance(entry, dict),
+        name,
+        entry,
+        f"name a block by its tag, such as !{_tag(options[0])} {{}}",
+    )
+    entry = dict(entry)
+    tag = entry.pop("_tag", f"!{_tag(options[0])}").removeprefix("!")
+    matching = [option for option in options if _tag(option) == tag]
+    require(matching, name, f"!{tag}", f"give one of !{', !'.join(map(_tag, options))}")
+    _check_fields(name, entry, matching[0])
+    return ({"_tag": f"!{matching[0].__name__}"} if len(options) > 1 else {}) | entry
+
+
+def _check_fields(name: str, tree: Any, schema: Any) -> None:
+    """Raises ScenarioError for the first key that is no field of the schema."""
+    require(isinstance(tree, dict), name, tree, "give a mapping of fields to values")
+    if dataclasses.is_dataclass(schema):
+        valid = [f.name for f in dataclasses.fields(schema)]
+    else:
+        valid = [f.name for f in schema.__fields__]
+    for key in tree:
+        close = difflib.get_close_matches(str(key), valid, n=1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        fields = f"the fields are {', '.join(valid)}" if valid else "it has no fields"
+        require(key in valid, f"{name}.{key}", "unknown field", f"{hint}{fields}")
+
+
+def _plain(node: yaml.Node, path: str) -> Any:
+    """A YAML node as dicts, lists and scalars, refusing what YAML lets pass in silence."""
+    if isinstance(node, yaml.MappingNode):
+        result: dict[str, Any] = {}
+        if not node.tag.startswith("tag:"):
+            result["_tag"] = node.tag
+        for key_node, value_node in node.value:
+            key = str(key_node.value)
+            field_path = f"{path}.{key}"
+            require(
+                key not in result,
+                field_path,
+                f"given twice, again in line {key_node.start_mark.line + 1}",
+                "give it once",
+            )
+            result[key] = _plain(value_node, field_path)
+        return result
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(item, f"{path}[{i}]") for i, item in enumerate(node.value)]
+    if not node.tag.startswith("tag:"):
+        require(node.value == "", path, f"{node.tag} {node.value}", "give its fields in {}")
+        return {"_tag": node.tag}  # a tag without {}
+    quoted = node.style in ("'", '"')
+    require(
+        not (quoted and _is_number_text(node.value)),
+        path,
+        f"'{node.value}'",
+        "give the number without quotes",
+    )
+    loader = yaml.SafeLoader("")
+    try:
+        value = loader.construct_object(node)
+    except (ValueError, yaml.YAMLError) as error:
+        raise ScenarioError(f"{path} = {node.value}: give a plain value ({error})") from None
+    if isinstance(value, str) and not quoted and _is_number_text(value):
+        value = float(value)  # YAML 1.1 takes 1e-3 for a string
+    require(value == value, path, node.value, "give a finite number")
+    return value
+
+
+def _is_number_text(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _apply_setting(tree: dict[str, Any], setting: str) -> None:
+    """Changes the resolved tree by one "path=value"."""
+    path, separator, text = setting.partition("=")
+    require(separator and path, "--set", setting, "give path=value")
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.YAMLError:
+        raise ScenarioError(f"--set {path} = {text}: give the value as YAML") from None
+    require(node is not None, f"--set {path}", "nothing", "give a value after the =")
+    value = _plain(node, path)
+    *parents, last = path.split(".")
+    branch: Any = tree
+    for i, key in enumerate(parents):
+        require(
+            isinstance(branch, dict) and key in branch and key != "_tag",
+            "--set",
+            path,
+            f"{'.'.join(parents[: i + 1])} is not part of the scenario; "
+            f"its parts are {_keys(branch)}",
+        )
+        if branch[key] is None:
+            branch[key] = {}
+        branch = branch[key]
+    require(isinstance(branch, dict), "--set", path, f"{'.'.join(parents)} has no parts")
+    known = last in branch or parents == ["simulated"]
+    require(
+        known and last != "_tag",
+        "--set",
+        path,
+        f"{last} is not part of the scenario; the parts there are {_keys(branch)}",
+    )
+    branch[last] = value
+
+
+def _keys(branch: Any) -> str:
+    keys = [key for key in branch if key != "_tag"] if isinstance(branch, dict) else []
+    return ", ".join(keys) or "none"
+
+

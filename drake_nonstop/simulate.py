@@ -1,0 +1,274 @@
+"""A scenario to a run: the simulated signals of every block."""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.analysis import (
+    ApplySimulatorConfig,
+    GetIntegrationSchemes,
+    Simulator,
+)
+from pydrake.systems.framework import (
+    Context,
+    Diagram,
+    DiagramBuilder,
+    EventStatus,
+    TriggerType,
+)
+from pydrake.systems.primitives import LogVectorOutput, VectorLog
+
+from drake_nonstop.compiled import NotFiniteError
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.scenario import Scenario
+from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.wiring import output_names
+
+SIGNAL_PERIOD = 0.01  # s, of the signals that are written
+
+# What the metrics judge by the step, and where the optimization layer's updates show.
+_WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
+_EVERY_STEP = ("load_state", "carrier_state", "tensions", "diagnostics", _WALL_TIME)
+
+
+@dataclass(kw_only=True)
+class Run:
+    """What a simulation produced.
+
+    `signals` maps "block.port" to the samples of every signal but wall times, (samples,
+    size), at the instants `time` (samples,), 100 Hz; `steps` maps the names of a few ports
+    to their values at every step of the integrator, (steps, size), and "time" to the
+    steps' times (steps,), from t = 0 on. A value at an instant is that before the
+    controllers' update at that instant. `solve_times` (updates,) are the wall times of the
+    optimization layer's updates, `wall_time` that of the whole simulation, in s.
+    """
+
+    scenario: Scenario
+    diagram: Diagram
+    time: NDArray
+    signals: dict[str, NDArray]
+    steps: dict[str, NDArray]
+    solve_times: NDArray
+    wall_time: float
+
+    def signal(self, port: str) -> NDArray:
+        """The signal of that port name, whichever block makes it: (samples, size)."""
+        for name, values in self.signals.items():
+            if name.split(".")[1] == port:
+                return values
+        raise KeyError(port)
+
+
+class RunStopped(RuntimeError):
+    """A run ended before its time; `run` holds the signals up to there."""
+
+    def __init__(self, message: str, run: Run):
+        super().__init__(message)
+        self.run = run
+
+
+class RunInterrupted(KeyboardInterrupt):
+    """A run was interrupted from the keyboard; `run` holds the signals up to there."""
+
+    def __init__(self, run: Run):
+        super().__init__()
+        self.run = run
+
+
+def simulate(
+    scenario: Scenario,
+    *,
+    progress: Callable[[float], None] | None = None,
+    **replacements: Any,
+) -> Run:
+    """Simulates a scenario from its equilibrium and returns all signals.
+
+    Args:
+        scenario: what to run.
+        progress: called with the simulated time now and then.
+        replacements: blocks in place of the scenario's, see `make_nonstop`.
+
+    Raises:
+        ScenarioError: the scenario cannot be built.
+        RunStopped: the run diverged or a block failed; carries the run up to there.
+        RunInterrupted: Ctrl-C; carries the run up to there.
+    """
+    schemes = GetIntegrationSchemes()
+    require(
+        scenario.simulator.integration_scheme in schemes,
+        "simulator.integration_scheme",
+        scenario.simulator.integration_scheme,
+        f"give one of {', '.join(schemes)}",
+    )
+    nonstop = make_nonstop(scenario, **replacements)
+    builder = DiagramBuilder()
+    builder.AddSystem(nonstop)
+    sampled, stepped = {}, {}
+    for i in range(nonstop.num_output_ports()):
+        port = nonstop.get_output_port(i)
+        name = port.get_name()
+        if name in _EVERY_STEP:
+            stepped[name] = LogVectorOutput(
+                port, builder, {TriggerType.kPerStep}, publish_period=0.0
+            )
+        if name != _WALL_TIME:
+            sampled[name] = LogVectorOutput(port, builder, publish_period=SIGNAL_PERIOD)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    ApplySimulatorConfig(scenario.simulator, simulator)
+    context = simulator.get_mutable_context()
+    set_equilibrium(
+        scenario, nonstop, nonstop.GetMyMutableContextFromRoot(context), **replacements
+    )
+    if progress is not None:
+        simulator.set_monitor(_monitor(progress))
+
+    start = time.perf_counter()
+
+    def finished() -> Run:
+        return _collect(
+            scenario,
+            nonstop,
+            {name: sink.FindLog(context) for name, sink in sampled.items()},
+            {name: sink.FindLog(context) for name, sink in stepped.items()},
+            wall_time=time.perf_counter() - start,
+        )
+
+    try:
+        simulator.Initialize()
+        simulator.AdvanceTo(scenario.duration)
+    except KeyboardInterrupt:
+        raise RunInterrupted(finished()) from None
+    except NotFiniteError as error:
+        raise RunStopped(
+            f"the run diverged at t = {context.get_time():.4f} s: {error} was the first block "
+            "with a value that is not finite, or beyond 1e6 in SI units",
+            finished(),
+        ) from None
+    except Exception as error:
+        at = f"the run stopped at t = {context.get_time():.4f} s"
+        raise RunStopped(f"{at}: {type(error).__name__}: {error}", finished()) from error
+    return finished()
+
+
+def _monitor(progress: Callable[[float], None]) -> Callable[[Context], EventStatus]:
+    last_report = [0.0]
+
+    def monitor(root_context: Context) -> EventStatus:
+        now = time.perf_counter()
+        if now - last_report[0] > 0.1:
+            last_report[0] = now
+            progress(root_context.get_time())
+        return EventStatus.DidNothing()
+
+    return monitor
+
+
+def _collect(
+    scenario: Scenario,
+    nonstop: Diagram,
+    sampled: dict[str, VectorLog],
+    stepped: dict[str, VectorLog],
+    *,
+    wall_time: float,
+) -> Run:
+    # A run that stopped within a publish has some logs one entry longer than others.
+    samples = min(log.num_samples() for log in sampled.values())
+    count = min(log.num_samples() for log in stepped.values())
+    steps = {name: log.data()[:, :count].T.copy() for name, log in stepped.items()}
+    steps["time"] = stepped["load_state"].sample_times()[:count].copy()
+    solve_times = np.zeros(0)
+    if "diagnostics" in steps:
+        updates = np.flatnonzero(np.diff(steps["diagnostics"][:, 1], prepend=0.0))
+        solve_times = steps.pop(_WALL_TIME)[updates, 0]
+    return Run(
+        scenario=scenario,
+        diagram=nonstop,
+        time=sampled["load_state"].sample_times()[:samples].copy(),
+        signals={
+            f"{block.get_name()}.{name}": sampled[name].data()[:, :samples].T.copy()
+            for block in nonstop.GetSystems()
+            for name in output_names(block)
+            if name in sampled
+        },
+        steps=steps,
+        solve_times=solve_times,
+        wall_time=wall_time,
+    )
+
+
+def set_equilibrium(
+    scenario: Scenario, nonstop: Diagram, context: Context, **replacements: Any
+) -> None:
+    """Sets load and carriers in `context` to the equilibrium of the loop as configured.
+
+    The carriers start on their references, with their velocities; the load starts where
+    the cables then hold it at rest: on its reference where the controllers know the
+    cables' stretch, lower by the sag where they do not. Whatever blocks the loop is made
+    of, Newton's method on the built diagram finds the pose. A load whose reference moves
+    at the start gets that motion.
+
+    Raises:
+        ScenarioError: the cables cannot hold the load.
+    """
+    if scenario.control_period > 0:  # the sample-and-hold is empty before the first event
+        continuous = dataclasses.replace(scenario, control_period=0.0)
+        system = make_nonstop(continuous, **replacements)
+        trial = system.CreateDefaultContext()
+    else:
+        system, trial = nonstop, nonstop.CreateDefaultContext()
+    trial.SetTime(context.get_time())
+    plant, carriers = (system.GetSubsystemByName(name) for name in ("load_plant", "carrier_dynamics"))
+    plant_context = system.GetMutableSubsystemContext(plant, trial)
+    carriers_context = system.GetMutableSubsystemContext(carriers, trial)
+    reference = system.GetOutputPort("reference").Eval(trial)[:13].copy()
+
+    def settle(offset: NDArray) -> NDArray:
+        """The load's acceleration (6,) at a rotation and shift from its reference."""
+        state = reference.copy()
+        rotation = np.array([1.0, *(offset[:3] / 2)])
+        state[:4] = _quaternion_product(rotation / np.linalg.norm(rotation), reference[:4])
+        state[4:7] += offset[3:]
+        plant_context.SetContinuousState(state)
+        carriers_context.SetContinuousState(system.GetOutputPort("carrier_reference").Eval(trial))
+        return plant.EvalTimeDerivatives(plant_context).CopyToVector()[7:]
+
+    offset = np.zeros(6)
+    residual = settle(offset)
+    for _ in range(20):
+        if np.max(np.abs(residual)) < 1e-9:
+            break
+        jacobian = np.column_stack(
+            [
+                (settle(offset + step) - settle(offset - step)) / (2 * _STEP)
+                for step in _STEP * np.eye(6)
+            ]
+        )
+        try:
+            step = np.linalg.solve(jacobian, residual)
+        except np.linalg.LinAlgError:
+            break
+        offset = offset - step
+        residual = settle(offset)
+    if not np.max(np.abs(residual)) < 1e-6:
+        raise ScenarioError(
+            f"start = acceleration {np.max(np.abs(residual)):.2g} m/s^2: the cables do not hold "
+            "the load at rest; give them stiffness, or amplitudes that keep them taut"
+        )
+    for name, source in (("load_plant", plant_context), ("carrier_dynamics", carriers_context)):
+        target = nonstop.GetMutableSubsystemContext(nonstop.GetSubsystemByName(name), context)
+        target.SetContinuousState(source.get_continuous_state_vector().CopyToVector())
+
+
+_STEP = 1e-6  # m and rad, of the differences that Newton's method takes
+
+
+
+def _quaternion_product(a: NDArray, b: NDArray) -> NDArray:
+    return np.concatenate(
+        [[a[0] * b[0] - a[1:] @ b[1:]], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])]
+    )
