@@ -121,18 +121,14 @@ def make_nonstop(
     for name in replacements:
         require(name in BLOCKS, "replacement", name, f"give one of {', '.join(BLOCKS)}")
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
-    simulated = Model(
-        overridden(scenario.system, scenario.simulated),
-        scenario.pattern,
-        scenario.control_period,
-        field="simulated",
-    )
+    plant = overridden(scenario.system, scenario.simulated)
     require(
-        simulated.n == believed.n,
+        len(plant.attachments) == believed.n,
         "simulated.attachments",
-        simulated.n,
+        plant.attachments,
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
+    simulated = Model(plant, scenario.pattern, scenario.control_period, field="simulated")
     blocks = {}
     for name in BLOCKS:
         entry = replacements.get(name, getattr(scenario, name))

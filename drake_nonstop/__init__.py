@@ -1,0 +1,120 @@
+"""Carriers that must not stop fly a load on cables: the closed loop as Drake systems.
+
+The public names, in the order of the figure: what a run is, the boxes and what they can
+be swapped for, and how they are put together, simulated and judged.
+"""
+
+from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase, AccumulatedPhaseConfig
+from drake_nonstop.blocks.cable_force_distribution import (
+    CableForceDistribution,
+    CableForceDistributionConfig,
+)
+from drake_nonstop.blocks.cables import Cables, CablesConfig
+from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics, CarrierDynamicsConfig
+from drake_nonstop.blocks.carrier_pid import CarrierPid, CarrierPidConfig
+from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory, CarrierTrajectoryConfig
+from drake_nonstop.blocks.constant_parameters import ConstantParameters, ConstantParametersConfig
+from drake_nonstop.blocks.desired_state_feedback import (
+    DesiredStateFeedback,
+    DesiredStateFeedbackConfig,
+)
+from drake_nonstop.blocks.ideal_feedback import IdealFeedback, IdealFeedbackConfig
+from drake_nonstop.blocks.internal_force_trajectory import (
+    InternalForceTrajectory,
+    InternalForceTrajectoryConfig,
+)
+from drake_nonstop.blocks.load_plant import LoadPlant, LoadPlantConfig
+from drake_nonstop.blocks.load_trajectory import (
+    ConstantVelocityMove,
+    ConstantVelocityMoveConfig,
+    LoadTrajectory,
+    RestToRest,
+    RestToRestConfig,
+)
+from drake_nonstop.blocks.no_disturbance import NoDisturbance, NoDisturbanceConfig
+from drake_nonstop.blocks.nonstop_optimizer import (
+    NonstopOptimizer,
+    NonstopOptimizerConfig,
+    Outcome,
+)
+from drake_nonstop.blocks.printed_phase import PrintedPhase, PrintedPhaseConfig
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.blocks.wrench_controller import WrenchController, WrenchControllerConfig
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.drawing import draw_diagram
+from drake_nonstop.metrics import compute_metrics
+from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.results import write_results
+from drake_nonstop.scenario import (
+    Scenario,
+    dump_scenario,
+    load_scenario,
+    parse_scenario,
+    scenario_names,
+)
+from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, simulate
+from drake_nonstop.system import Model, System
+from drake_nonstop.validation import ScenarioError
+from drake_nonstop.version import __version__
+
+__all__ = [  # noqa: RUF022 - in the order of the figure
+    # what a run is
+    "Scenario",
+    "load_scenario",
+    "parse_scenario",
+    "dump_scenario",
+    "scenario_names",
+    "System",
+    "HamiltonianCycleConfig",
+    "LinearPatternConfig",
+    "Model",
+    # the boxes of the figure, each with its config
+    "LoadTrajectory",
+    "RestToRest",
+    "RestToRestConfig",
+    "ConstantVelocityMove",
+    "ConstantVelocityMoveConfig",
+    "IdealFeedback",
+    "IdealFeedbackConfig",
+    "DesiredStateFeedback",
+    "DesiredStateFeedbackConfig",
+    "SampleAndHold",
+    "WrenchController",
+    "WrenchControllerConfig",
+    "NonstopOptimizer",
+    "NonstopOptimizerConfig",
+    "Outcome",
+    "ConstantParameters",
+    "ConstantParametersConfig",
+    "AccumulatedPhase",
+    "AccumulatedPhaseConfig",
+    "PrintedPhase",
+    "PrintedPhaseConfig",
+    "InternalForceTrajectory",
+    "InternalForceTrajectoryConfig",
+    "CableForceDistribution",
+    "CableForceDistributionConfig",
+    "CarrierTrajectory",
+    "CarrierTrajectoryConfig",
+    "CarrierPid",
+    "CarrierPidConfig",
+    "CarrierDynamics",
+    "CarrierDynamicsConfig",
+    "Cables",
+    "CablesConfig",
+    "NoDisturbance",
+    "NoDisturbanceConfig",
+    "LoadPlant",
+    "LoadPlantConfig",
+    # put together, simulated, judged
+    "make_nonstop",
+    "simulate",
+    "Run",
+    "RunStopped",
+    "RunInterrupted",
+    "compute_metrics",
+    "write_results",
+    "draw_diagram",
+    "ScenarioError",
+    "__version__",
+]

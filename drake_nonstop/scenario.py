@@ -8,6 +8,7 @@ defaults.
 
 import dataclasses
 import difflib
+import re
 import typing
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -135,18 +136,14 @@ def parse_scenario(text: str, source: str = "scenario") -> Scenario:
     Raises:
         ScenarioError: see `load_scenario`.
     """
-    try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.YAMLError as error:
-        raise ScenarioError(f"{source} = {error}: give valid YAML") from None
+    node = _compose(text, source)
     require(
         isinstance(node, yaml.MappingNode) and len(node.value) == 1,
         source,
         "a file without exactly one scenario",
         "give one key, the scenario's name, with its fields below it",
     )
-    tree = _plain(node, source)
-    ((name, content),) = tree.items()
+    ((name, content),) = _plain(node, source).items()
     content = {} if content is None else content
     require(isinstance(content, dict), name, content, "give the scenario's fields below its name")
     return _from_tree(name, content)
@@ -154,7 +151,24 @@ def parse_scenario(text: str, source: str = "scenario") -> Scenario:
 
 def dump_scenario(scenario: Scenario) -> str:
     """The scenario as YAML with every field and tag written out; `parse_scenario` reads it."""
-    return yaml_dump({scenario.name: _tree(scenario)})
+    return yaml.dump(
+        {scenario.name: _tree(scenario)},
+        Dumper=_TreeDumper,
+        sort_keys=False,  # the boxes stand in the figure's order
+        default_flow_style=None,
+        width=96,
+    )
+
+
+class _TreeDumper(yaml.SafeDumper):
+    """Writes "_tag" in a dict as the tag of its mapping."""
+
+    def represent_dict(self, data: dict[str, Any]) -> yaml.Node:
+        fields = {key: value for key, value in data.items() if key != "_tag"}
+        return self.represent_mapping(data.get("_tag", "tag:yaml.org,2002:map"), fields)
+
+
+_TreeDumper.add_representer(dict, _TreeDumper.represent_dict)
 
 
 def _tree(scenario: Scenario) -> dict[str, Any]:
@@ -190,6 +204,12 @@ def _tag(config_class: type) -> str:
 
 def _from_tree(name: str, tree: dict[str, Any]) -> Scenario:
     """The scenario of nested dicts such as `_tree` makes, of which any may be left out."""
+    require(
+        re.fullmatch(r"[A-Za-z0-9][\w.-]*", name),
+        "scenario",
+        name,
+        "name it with letters, digits, _, - and . only: its results' folder is named after it",
+    )
     tree = dict(tree)
     _check_fields(name, tree, Scenario)
     require("name" not in tree, f"{name}.name", tree.get("name"), "leave it to the file's one key")
@@ -204,10 +224,7 @@ def _from_tree(name: str, tree: dict[str, Any]) -> Scenario:
         if field_name in tree:
             tree[field_name] = {} if tree[field_name] is None else tree[field_name]
             _check_fields(field_name, tree[field_name], schema)
-    try:
-        scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(tree), defaults=Scenario())
-    except RuntimeError as error:
-        raise ScenarioError(f"{name} = {error}: give a value of the field's type") from None
+    scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(tree), defaults=Scenario())
     scenario.name = name
     require_positive(name, duration=scenario.duration)
     require_positive("simulator", max_step_size=scenario.simulator.max_step_size)
@@ -232,21 +249,55 @@ def _typed_entry(name: str, entry: Any, options: tuple[type, ...]) -> dict[str, 
 
 
 def _check_fields(name: str, tree: Any, schema: Any) -> None:
-    """Raises ScenarioError for the first key that is no field of the schema."""
+    """Raises ScenarioError for the first key that is no field, or value not of its type."""
     require(isinstance(tree, dict), name, tree, "give a mapping of fields to values")
-    if dataclasses.is_dataclass(schema):
-        valid = [f.name for f in dataclasses.fields(schema)]
-    else:
-        valid = [f.name for f in schema.__fields__]
-    for key in tree:
-        close = difflib.get_close_matches(str(key), valid, n=1)
-        hint = f"did you mean {close[0]}? " if close else ""
-        fields = f"the fields are {', '.join(valid)}" if valid else "it has no fields"
-        require(key in valid, f"{name}.{key}", "unknown field", f"{hint}{fields}")
+    fields = dataclasses.fields(schema) if dataclasses.is_dataclass(schema) else schema.__fields__
+    types = {f.name: f.type for f in fields}
+    for key, value in tree.items():
+        require(key in types, f"{name}.{key}", value, _unknown(key, types))
+        _check_type(f"{name}.{key}", value, types[key])
+
+
+def _unknown(name: Any, valid: Iterable[str]) -> str:
+    """What to say of a name that is not among the valid ones."""
+    close = difflib.get_close_matches(str(name), valid, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return f"there is no {name}; {hint}there are {', '.join(valid) or 'no fields'}"
+
+
+def _check_type(path: str, value: Any, annotation: Any) -> None:
+    """Raises ScenarioError for a scalar or list that is not what the annotation says."""
+    if typing.get_origin(annotation) is list:
+        require(isinstance(value, list), path, value, "give a list in [ ]")
+        for i, item in enumerate(value):
+            _check_type(f"{path}[{i}]", item, typing.get_args(annotation)[0])
+    elif annotation in _KINDS:
+        accepted, kind = _KINDS[annotation]
+        require(type(value) in accepted, path, value, f"give {kind}")
+
+
+_KINDS: dict[type, tuple[tuple[type, ...], str]] = {
+    float: ((int, float), "a number"),
+    int: ((int,), "a whole number"),
+    str: ((str,), "a text"),
+    bool: ((bool,), "true or false"),
+}
+
+
+def _compose(text: str, source: str) -> yaml.Node | None:
+    """The text as a tree of YAML nodes."""
+    try:
+        return yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = mark.line + 1 if mark else 1
+        problem = getattr(error, "problem", None) or "unreadable"
+        raise ScenarioError(f"{source} = line {line}, {problem}: give valid YAML") from None
 
 
 def _plain(node: yaml.Node, path: str) -> Any:
     """A YAML node as dicts, lists and scalars, refusing what YAML lets pass in silence."""
+    require(path.count(".") < 20, path[:60], "an alias of itself", "write the value out")
     if isinstance(node, yaml.MappingNode):
         result: dict[str, Any] = {}
         if not node.tag.startswith("tag:"):
@@ -297,38 +348,15 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
     """Changes the resolved tree by one "path=value"."""
     path, separator, text = setting.partition("=")
     require(separator and path, "--set", setting, "give path=value")
-    try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.YAMLError:
-        raise ScenarioError(f"--set {path} = {text}: give the value as YAML") from None
+    node = _compose(text, f"--set {path}")
     require(node is not None, f"--set {path}", "nothing", "give a value after the =")
     value = _plain(node, path)
     *parents, last = path.split(".")
     branch: Any = tree
     for i, key in enumerate(parents):
-        require(
-            isinstance(branch, dict) and key in branch and key != "_tag",
-            "--set",
-            path,
-            f"{'.'.join(parents[: i + 1])} is not part of the scenario; "
-            f"its parts are {_keys(branch)}",
-        )
-        if branch[key] is None:
-            branch[key] = {}
+        parts = [part for part in branch if part != "_tag"]
+        at = ".".join(parents[: i + 1])
+        require(key in parts, "--set", path, _unknown(at, parts))
+        require(isinstance(branch[key], dict), "--set", path, f"{at} has no parts; set it whole")
         branch = branch[key]
-    require(isinstance(branch, dict), "--set", path, f"{'.'.join(parents)} has no parts")
-    known = last in branch or parents == ["simulated"]
-    require(
-        known and last != "_tag",
-        "--set",
-        path,
-        f"{last} is not part of the scenario; the parts there are {_keys(branch)}",
-    )
     branch[last] = value
-
-
-def _keys(branch: Any) -> str:
-    keys = [key for key in branch if key != "_tag"] if isinstance(branch, dict) else []
-    return ", ".join(keys) or "none"
-
-

@@ -1,6 +1,5 @@
 """A scenario to a run: the simulated signals of every block."""
 
-import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,8 +23,9 @@ from pydrake.systems.primitives import LogVectorOutput, VectorLog
 
 from drake_nonstop.compiled import NotFiniteError
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.equilibrium import set_equilibrium
 from drake_nonstop.scenario import Scenario
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import require
 from drake_nonstop.wiring import output_names
 
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
@@ -146,7 +146,8 @@ def simulate(
     except NotFiniteError as error:
         raise RunStopped(
             f"the run diverged at t = {context.get_time():.4f} s: {error} was the first block "
-            "with a value that is not finite, or beyond 1e6 in SI units",
+            "with a value that is not finite, or beyond 1e6 in SI units; the loop may be "
+            "unstable, or simulator.max_step_size too large",
             finished(),
         ) from None
     except Exception as error:
@@ -198,77 +199,4 @@ def _collect(
         steps=steps,
         solve_times=solve_times,
         wall_time=wall_time,
-    )
-
-
-def set_equilibrium(
-    scenario: Scenario, nonstop: Diagram, context: Context, **replacements: Any
-) -> None:
-    """Sets load and carriers in `context` to the equilibrium of the loop as configured.
-
-    The carriers start on their references, with their velocities; the load starts where
-    the cables then hold it at rest: on its reference where the controllers know the
-    cables' stretch, lower by the sag where they do not. Whatever blocks the loop is made
-    of, Newton's method on the built diagram finds the pose. A load whose reference moves
-    at the start gets that motion.
-
-    Raises:
-        ScenarioError: the cables cannot hold the load.
-    """
-    if scenario.control_period > 0:  # the sample-and-hold is empty before the first event
-        continuous = dataclasses.replace(scenario, control_period=0.0)
-        system = make_nonstop(continuous, **replacements)
-        trial = system.CreateDefaultContext()
-    else:
-        system, trial = nonstop, nonstop.CreateDefaultContext()
-    trial.SetTime(context.get_time())
-    plant, carriers = (system.GetSubsystemByName(name) for name in ("load_plant", "carrier_dynamics"))
-    plant_context = system.GetMutableSubsystemContext(plant, trial)
-    carriers_context = system.GetMutableSubsystemContext(carriers, trial)
-    reference = system.GetOutputPort("reference").Eval(trial)[:13].copy()
-
-    def settle(offset: NDArray) -> NDArray:
-        """The load's acceleration (6,) at a rotation and shift from its reference."""
-        state = reference.copy()
-        rotation = np.array([1.0, *(offset[:3] / 2)])
-        state[:4] = _quaternion_product(rotation / np.linalg.norm(rotation), reference[:4])
-        state[4:7] += offset[3:]
-        plant_context.SetContinuousState(state)
-        carriers_context.SetContinuousState(system.GetOutputPort("carrier_reference").Eval(trial))
-        return plant.EvalTimeDerivatives(plant_context).CopyToVector()[7:]
-
-    offset = np.zeros(6)
-    residual = settle(offset)
-    for _ in range(20):
-        if np.max(np.abs(residual)) < 1e-9:
-            break
-        jacobian = np.column_stack(
-            [
-                (settle(offset + step) - settle(offset - step)) / (2 * _STEP)
-                for step in _STEP * np.eye(6)
-            ]
-        )
-        try:
-            step = np.linalg.solve(jacobian, residual)
-        except np.linalg.LinAlgError:
-            break
-        offset = offset - step
-        residual = settle(offset)
-    if not np.max(np.abs(residual)) < 1e-6:
-        raise ScenarioError(
-            f"start = acceleration {np.max(np.abs(residual)):.2g} m/s^2: the cables do not hold "
-            "the load at rest; give them stiffness, or amplitudes that keep them taut"
-        )
-    for name, source in (("load_plant", plant_context), ("carrier_dynamics", carriers_context)):
-        target = nonstop.GetMutableSubsystemContext(nonstop.GetSubsystemByName(name), context)
-        target.SetContinuousState(source.get_continuous_state_vector().CopyToVector())
-
-
-_STEP = 1e-6  # m and rad, of the differences that Newton's method takes
-
-
-
-def _quaternion_product(a: NDArray, b: NDArray) -> NDArray:
-    return np.concatenate(
-        [[a[0] * b[0] - a[1:] @ b[1:]], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])]
     )

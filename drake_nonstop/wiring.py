@@ -27,8 +27,9 @@ def wires(
     """The wires "block.port -> block.port" that the names of the ports imply.
 
     Every output port is a signal with a name of its own, and an input port named after a
-    signal is connected to it. `replaced_signals` maps a signal to the one that its
-    readers get in its place, save the block that makes the replacement out of it.
+    signal is connected to it. `replaced_signals` maps a signal to the one that readers
+    get in its place, save those that make a signal or its replacement: what is upstream
+    of a replacement must not read it.
 
     Raises:
         WiringError: two blocks make the same signal, or an input names none.
@@ -43,11 +44,13 @@ def wires(
                 )
             sources[signal] = block_name
     result = []
+    replaced_signals = replaced_signals or {}
+    upstream = {
+        sources.get(signal) for signal in (*replaced_signals, *replaced_signals.values())
+    }
     for block_name, block in blocks.items():
         for port in input_names(block):
-            signal = (replaced_signals or {}).get(port, port)
-            if sources.get(signal) == block_name:
-                signal = port
+            signal = port if block_name in upstream else replaced_signals.get(port, port)
             if signal not in sources:
                 raise WiringError(
                     f"{block_name}.{port} = input: no block has an output port of that name; "

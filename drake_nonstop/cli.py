@@ -1,0 +1,179 @@
+"""The command `drake-nonstop`."""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from drake_nonstop.results import require_writable, write_results
+from drake_nonstop.scenario import Scenario, load_scenario, scenario_names
+from drake_nonstop.simulate import RunInterrupted, RunStopped, simulate
+from drake_nonstop.validation import ScenarioError
+from drake_nonstop.version import __version__
+
+FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes; 130 is the shell's for Ctrl-C
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command with the given or the process's arguments; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.action(options)
+    except ScenarioError as error:
+        print(f"drake-nonstop: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("drake-nonstop: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="drake-nonstop",
+        description="Simulate carriers that fly a load on cables without ever stopping.",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    lister = commands.add_parser("list", help="list the scenarios")
+    lister.set_defaults(action=_list)
+    run = commands.add_parser("run", help="run a scenario and write its results")
+    run.set_defaults(action=_run)
+    run.add_argument("scenario", metavar="NAME|FILE.yaml", help="a scenario's name or file")
+    run.add_argument("--out", type=Path, metavar="DIR", help="results' folder (out/NAME)")
+    run.add_argument(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="PATH=VALUE",
+        help="change the scenario: system.load_mass=1.2, phase='!PrintedPhase {}'",
+    )
+    run.add_argument("--no-figures", action="store_true", help="write no figures/")
+    run.add_argument("--no-replay", action="store_true", help="write no replay.html")
+    run.add_argument("--quiet", action="store_true", help="print errors only")
+    return parser
+
+
+def _list(options: argparse.Namespace) -> int:
+    names = scenario_names()
+    width = max(len(name) for name in names)
+    for name in names:
+        print(f"{name:{width}}  {load_scenario(name).description}")
+    return 0
+
+
+def _run(options: argparse.Namespace) -> int:
+    scenario = load_scenario(options.scenario, options.set)
+    folder: Path = options.out or Path("out") / scenario.name
+    code, message = 0, ""
+    bar = None if options.quiet else _ProgressBar(scenario)
+    try:
+        require_writable(folder)
+        run = simulate(scenario, progress=bar)
+    except RunStopped as stopped:
+        run, code, message = stopped.run, FAILED, str(stopped)
+    except RunInterrupted as interrupted:
+        run, code = interrupted.run, INTERRUPTED
+        message = "interrupted"
+    finally:
+        if bar is not None:
+            bar.close()
+    if message:
+        print(f"drake-nonstop: {message}", file=sys.stderr)
+    if len(run.time) == 0:
+        return code
+    metrics = write_results(
+        run, folder, figures=not options.no_figures, replay=not options.no_replay
+    )
+    if message:
+        print(
+            f"drake-nonstop: the results up to {metrics['simulated_s']:.3f} s are in {folder}",
+            file=sys.stderr,
+        )
+    elif not options.quiet:
+        print(_table(metrics))
+        print(f"results: {folder}")
+    return code
+
+
+def _table(metrics: dict[str, Any]) -> str:
+    load, carriers = metrics["load"], metrics["carriers"]
+    cables, optimizer = metrics["cables"], metrics["optimizer"]
+    rows = [
+        (
+            "simulated",
+            f"{metrics['simulated_s']:g} s in {metrics['wall_s']:.2f} s "
+            f"({metrics['real_time_factor']:.1f} x real time)",
+        ),
+        (
+            "load position error",
+            f"mean {1e3 * load['position_error_mean_m']:.3g} mm, "
+            f"max {1e3 * load['position_error_max_m']:.3g} mm",
+        ),
+        (
+            "load orientation error",
+            f"mean {1e3 * load['orientation_error_mean_rad']:.3g} mrad, "
+            f"max {1e3 * load['orientation_error_max_rad']:.3g} mrad",
+        ),
+        (
+            "carrier speed",
+            f"{carriers['speed_min_m_s']:.3f} to {carriers['speed_max_m_s']:.3f} m/s, bound "
+            f"{carriers['speed_bound_m_s']:g} m/s, below it for "
+            f"{carriers['time_below_bound_s']:.3g} s",
+        ),
+        (
+            "closest",
+            f"carriers {carriers['separation_min_m']:.3g} m, "
+            f"cables {cables['separation_min_m']:.3g} m",
+        ),
+        (
+            "tension",
+            f"{cables['tension_min_N']:.3g} to {cables['tension_max_N']:.3g} N, slack for "
+            f"{cables['slack_time_s']:.3g} s",
+        ),
+    ]
+    if optimizer["updates"]:
+        counts = [f"{optimizer[k]} {k}" for k in ("kept", "solved", "relaxed", "held")]
+        rows.append(("optimizer", f"{optimizer['updates']} updates: {', '.join(counts)}"))
+    return "\n".join(f"{name:24}{value}" for name, value in rows)
+
+
+class _ProgressBar:
+    """Simulated time and real-time factor on one line, while a run goes on."""
+
+    _WIDTH = 30
+    _PERIOD = 2.0  # s, between lines where the output is no terminal
+
+    def __init__(self, scenario: Scenario):
+        self._scenario = scenario
+        self._start = time.perf_counter()
+        self._is_terminal = sys.stderr.isatty()
+        self._last_line = self._start
+        self._used = False
+
+    def __call__(self, simulated: float) -> None:
+        now = time.perf_counter()
+        if not self._is_terminal:
+            if now - self._last_line < self._PERIOD:
+                return
+            self._last_line = now
+        share = min(1.0, simulated / self._scenario.duration)
+        filled = round(share * self._WIDTH)
+        factor = simulated / (now - self._start)
+        text = (
+            f"{self._scenario.name} [{'#' * filled}{'.' * (self._WIDTH - filled)}] "
+            f"{simulated:6.2f} / {self._scenario.duration:g} s, {factor:.1f} x real time"
+        )
+        end = "" if self._is_terminal else "\n"
+        print(f"\r{text}" if self._is_terminal else text, end=end, file=sys.stderr, flush=True)
+        self._used = True
+
+    def close(self) -> None:
+        """Ends the line."""
+        if self._used and self._is_terminal:
+            print(file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,586 @@
+"""A built diagram as a picture: an SVG laid out like the paper's control figure.
+
+The boxes are the diagram's subsystems and the wires its connections, so that the picture
+shows what runs. Only where the known boxes stand is written down, in `LAYOUT`.
+
+Everything stands on a grid, with spare lanes between the boxes. The wires find their way
+along the lanes, and the lanes that none of them took are left out of the picture.
+"""
+
+import heapq
+import math
+import re
+import textwrap
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from pydrake.systems.framework import Diagram
+
+from drake_nonstop import wiring
+
+
+class Place(NamedTuple):
+    """Where a box stands, which way its signals run (1: rightwards), what it belongs to."""
+
+    column: int
+    row: int
+    flow: int
+    kind: str
+
+
+LAYOUT = {
+    "optimization_layer": Place(3, 0, 1, "optimization"),
+    "phase": Place(4, 0, 1, "trajectory"),
+    "load_trajectory": Place(0, 1, 1, "trajectory"),
+    "internal_force": Place(3, 1, -1, "trajectory"),
+    "load_feedback": Place(0, 2, 1, "addition"),
+    "sample_and_hold": Place(1, 2, 1, "addition"),
+    "wrench_controller": Place(2, 2, 1, "wrench"),
+    "force_distribution": Place(3, 2, 1, "inner loop"),
+    "carrier_trajectory": Place(4, 2, 1, "inner loop"),
+    "carrier_controller": Place(4, 3, -1, "plant"),
+    "load_plant": Place(0, 3, -1, "plant"),
+    "load_disturbance": Place(1, 4, -1, "addition"),
+    "cables": Place(2, 3, -1, "plant"),
+    "carrier_dynamics": Place(3, 3, -1, "plant"),
+}
+COLUMNS = 1 + max(place.column for place in LAYOUT.values())
+ROWS = 1 + max(place.row for place in LAYOUT.values())
+
+# Fill and border. An addition is not in the paper's figure.
+COLOURS = {
+    "plant": ("#f2f2f2", "#7a7a7a"),
+    "trajectory": ("#f2f2f2", "#7a7a7a"),
+    "wrench": ("#e4f5e4", "#4f9a4f"),
+    "inner loop": ("#e6e8fc", "#5f68bd"),
+    "optimization": ("#fde4e4", "#c05a5a"),
+    "addition": ("#ffffff", "#7a7a7a"),
+}
+
+UNIT = 10  # px between neighbouring lanes; lengths are in units unless they say px
+BOX_WIDTH = 11
+INPUT_SPACING = 2
+SPARE_LANES = 4  # between two columns or two rows, beside the room for the labels
+NAME_SIZE, CLASS_SIZE, LABEL_SIZE = 13, 10, 11  # px
+LINE_HEIGHT = 1.15  # of the size of a font
+CHARACTER_WIDTH = 0.54  # of the size of a font, on average
+LABEL_CHARACTERS = 14  # in one line
+
+# What the wires avoid, in units of length.
+BEND_COST, CROSSING_COST, BRANCH_COST = 5, 9, 2
+ROUTING_PASSES = 3
+
+CORNER_RADIUS = 5  # px
+WIRE_COLOURS = {"wire": "#333", "unread": "#aaa"}
+STYLE = f"""
+text {{ font-family: Helvetica, Arial, sans-serif; text-anchor: middle; fill: #222 }}
+.name {{ font-size: {NAME_SIZE}px; font-weight: bold }}
+.class {{ font-size: {CLASS_SIZE}px; fill: #555 }}
+.label {{ font-size: {LABEL_SIZE}px; font-style: italic }}
+.unread-label {{ fill: #888 }}
+.wire, .unread {{ fill: none; stroke-width: 1.2 }}
+.wire {{ stroke: {WIRE_COLOURS["wire"]}; marker-end: url(#wire-arrow) }}
+.unread {{ stroke: {WIRE_COLOURS["unread"]}; marker-end: url(#unread-arrow) }}
+.dot {{ fill: {WIRE_COLOURS["wire"]} }}
+"""
+
+Node = tuple[int, int]
+Step = tuple[int, int]
+State = tuple[int, Node, Step]  # cost of getting to a node, and the step that led there
+STEPS: tuple[Step, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+
+@dataclass
+class Signal:
+    """An output port and the wires that leave it, by name "block.port -> block.port"."""
+
+    name: str  # "block.port"
+    flow: int
+    source: Node = (0, 0)
+    sinks: dict[str, Node] = field(default_factory=dict)
+    paths: dict[str, list[Node]] = field(default_factory=dict)  # each from the trunk to its sink
+
+    @property
+    def lines(self) -> list[str]:
+        """The label, broken into lines of about the same length."""
+        words = self.name.partition(".")[2].replace("_", " ")
+        count = len(textwrap.wrap(words, LABEL_CHARACTERS))
+        width = next(w for w in range(1, 99) if len(textwrap.wrap(words, w)) <= count)
+        return textwrap.wrap(words, width, break_long_words=False)
+
+    @property
+    def label_width(self) -> int:
+        """The room that the label takes along the wire."""
+        width = max(len(line) for line in self.lines) * LABEL_SIZE * CHARACTER_WIDTH
+        return math.ceil((width + 8) / UNIT)
+
+    @property
+    def label_height(self) -> int:
+        """The room that the label takes above the wire."""
+        return math.ceil(len(self.lines) * LABEL_SIZE * LINE_HEIGHT / UNIT - 0.4)
+
+    @property
+    def stem(self) -> list[Node]:
+        """The start of the wires, straight under the label."""
+        x, y = self.source
+        return [(x + self.flow * i, y) for i in range(self.label_width + 1)]
+
+    @property
+    def label_nodes(self) -> list[Node]:
+        """The nodes that the label covers."""
+        heights = range(1, self.label_height + 1)
+        return [(x, y - height) for x, y in self.stem[1:-1] for height in heights]
+
+
+@dataclass
+class Box:
+    """A subsystem: its names, its signals and where it stands on the grid."""
+
+    name: str
+    class_name: str
+    place: Place
+    outputs: list[Signal]
+    inputs: dict[str, Signal] = field(default_factory=dict)  # what each wire to it brings
+    left: int = 0
+    top: int = 0
+
+    @property
+    def texts(self) -> list[tuple[str, str, int]]:
+        """The lines to write into the box: style, text, size in px."""
+        lines = []
+        words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", self.class_name)
+        for line in textwrap.wrap(self.name.replace("_", " "), _characters(NAME_SIZE)):
+            lines.append(("name", line, NAME_SIZE))
+        for line in textwrap.wrap(words, _characters(CLASS_SIZE)):
+            lines.append(("class", line.replace(" ", ""), CLASS_SIZE))
+        return lines
+
+    @property
+    def height(self) -> int:
+        """What the texts and the ports on either side need."""
+        texts = math.ceil(sum(size for _, _, size in self.texts) * LINE_HEIGHT / UNIT) + 2
+        inputs = INPUT_SPACING * (len(self.inputs) - 1) + 4
+        outputs = sum(signal.label_height + 1 for signal in self.outputs[1:]) + 4
+        return max(texts, inputs, outputs)
+
+    @property
+    def middle(self) -> int:
+        """The row half-way up the box."""
+        return self.top + self.height // 2
+
+    @property
+    def input_side(self) -> int:
+        """The column of the edge that the inputs are on."""
+        return self.left if self.place.flow > 0 else self.left + BOX_WIDTH
+
+    @property
+    def output_side(self) -> int:
+        """The column of the edge that the outputs are on."""
+        return self.left + BOX_WIDTH if self.place.flow > 0 else self.left
+
+    def nodes(self, margin: int) -> Iterable[Node]:
+        """The nodes of the box and of a margin around it."""
+        for x in range(self.left - margin, self.left + BOX_WIDTH + margin + 1):
+            for y in range(self.top - margin, self.top + self.height + margin + 1):
+                yield x, y
+
+
+def draw_diagram(diagram: Diagram) -> str:
+    """The diagram as the text of a standalone SVG file.
+
+    Each box has its instance name as `data-block`, each wire its connection (see
+    `wiring.connections`) as `data-wire`, and each label its output port as `data-signal`.
+    """
+    boxes = _boxes(diagram)
+    lanes = SPARE_LANES
+    _place(boxes, lanes)
+    while not _route(boxes, lanes):
+        lanes *= 2
+        _place(boxes, lanes)
+    return _svg(diagram.get_name(), boxes)
+
+
+def _boxes(diagram: Diagram) -> list[Box]:
+    boxes: dict[str, Box] = {}
+    signals: dict[str, Signal] = {}
+    strangers = 0
+    for system in diagram.GetSystems():
+        name = system.get_name()
+        place = LAYOUT.get(name)
+        if place is None:
+            row, column = divmod(strangers, COLUMNS)
+            place = Place(column, ROWS + row, 1, "addition")
+            strangers += 1
+        outputs = [Signal(f"{name}.{port}", place.flow) for port in wiring.output_names(system)]
+        signals.update({signal.name: signal for signal in outputs})
+        boxes[name] = Box(name, type(system).__name__, place, outputs)
+    for wire in sorted(wiring.connections(diagram)):
+        source, target = wire.split(" -> ")
+        boxes[target.partition(".")[0]].inputs[wire] = signals[source]
+        signals[source].sinks[wire] = (0, 0)
+    return list(boxes.values())
+
+
+def _place(boxes: list[Box], lanes: int) -> None:
+    """Gives the boxes and their ports their places on the grid."""
+    right_edge = 0
+    room_to_its_right = 0
+    for column in sorted({box.place.column for box in boxes}):
+        members = [box for box in boxes if box.place.column == column]
+        room = max(room_to_its_right, _label_room(members, -1))
+        for box in members:
+            box.left = right_edge + room + lanes
+        right_edge = members[0].left + BOX_WIDTH
+        room_to_its_right = _label_room(members, 1)
+    bottom_edge = 0
+    for row in sorted({box.place.row for box in boxes}):
+        members = [box for box in boxes if box.place.row == row]
+        height = max(box.height for box in members)
+        for box in members:
+            box.top = bottom_edge + lanes + (height - box.height) // 2
+        bottom_edge += lanes + height
+    for box in boxes:
+        _place_outputs(box, boxes)
+    for box in boxes:
+        _place_inputs(box, boxes)
+
+
+def _label_room(boxes: list[Box], flow: int) -> int:
+    signals = [signal for box in boxes if box.place.flow == flow for signal in box.outputs]
+    return max((signal.label_width for signal in signals), default=0)
+
+
+def _place_outputs(box: Box, boxes: list[Box]) -> None:
+    """Puts signals that go up above those that go down, and those that nobody reads last."""
+
+    def bearing(signal: Signal) -> float:
+        bearings = [
+            math.atan2(
+                reader.middle - box.middle, box.place.flow * (reader.input_side - box.output_side)
+            )
+            for reader in boxes
+            for wire in reader.inputs
+            if wire in signal.sinks
+        ]
+        return sum(bearings) / len(bearings) if bearings else math.inf
+
+    box.outputs.sort(key=bearing)
+    y = box.middle - sum(signal.label_height + 1 for signal in box.outputs[1:]) // 2
+    for i, signal in enumerate(box.outputs):
+        if i > 0:
+            y += signal.label_height + 1
+        signal.source = (box.output_side, y)
+
+
+def _place_inputs(box: Box, boxes: list[Box]) -> None:
+    """Puts what comes from above on top, and what comes from beside at its own height."""
+    low, high = box.top + 1, box.top + box.height - 1
+
+    def ahead(signal: Signal) -> int:
+        return box.place.flow * (box.input_side - signal.source[0])
+
+    def beside(signal: Signal) -> bool:
+        return ahead(signal) > 0 and low <= signal.source[1] <= high
+
+    def in_sight(signal: Signal) -> bool:
+        columns = range(*sorted((box.input_side, signal.source[0])))
+        hides = [
+            other.left in columns and other.top <= signal.source[1] <= other.top + other.height
+            for other in boxes
+            if other is not box
+        ]
+        return not any(hides)
+
+    def bearing(wire: str) -> float:
+        signal = box.inputs[wire]
+        below = signal.source[1] - box.middle
+        if beside(signal) and not in_sight(signal):
+            return math.copysign(math.pi / 2, below - 0.5)
+        return math.atan2(below - 0.5, ahead(signal))
+
+    wires = sorted(box.inputs, key=bearing)
+    heights: list[int] = []
+    for i, wire in enumerate(wires):
+        signal = box.inputs[wire]
+        y = box.top + round(box.height * (i + 1) / (len(wires) + 1))
+        if beside(signal) and in_sight(signal):
+            y = signal.source[1]
+        heights.append(max(y, heights[-1] + INPUT_SPACING if heights else low))
+    for wire, y in zip(reversed(wires), reversed(heights), strict=True):
+        y = min(y, high)
+        high = y - INPUT_SPACING
+        box.inputs[wire].sinks[wire] = (box.input_side, y)
+
+
+class _Router:
+    """Finds the wires' ways over the grid, around the boxes and across each other."""
+
+    def __init__(self, boxes: list[Box], lanes: int):
+        self._blocked: set[Node] = set()
+        self._reserved: dict[Node, str] = {}
+        self._axes: dict[Node, dict[str, str]] = defaultdict(dict)  # by node and signal
+        for box in boxes:
+            self._blocked.update(box.nodes(margin=1))
+            for wire, signal in box.inputs.items():
+                x, y = signal.sinks[wire]
+                for i in range(3):
+                    self._reserved[(x - box.place.flow * i, y)] = signal.name
+            for signal in box.outputs:
+                self._blocked.update(signal.label_nodes)
+                self._reserved.update(dict.fromkeys(signal.stem, signal.name))
+        xs, ys = zip(*self._blocked, *self._reserved, strict=True)
+        self._columns = range(min(xs) - lanes, max(xs) + lanes)
+        self._rows = range(min(ys) - lanes, max(ys) + lanes)
+
+    def route(self, signal: Signal) -> bool:
+        """Finds all wires of the signal anew, the cheapest first; false if one has no way."""
+        for axes in self._axes.values():
+            axes.pop(signal.name, None)
+        others = {node: "".join(axes.values()) for node, axes in self._axes.items() if axes}
+        signal.paths = {}
+        starts = [(0, signal.stem[-1], (signal.flow, 0))]
+        goals = {sink: wire for wire, sink in signal.sinks.items()}
+        while goals:
+            path = self._cheapest_path(signal.name, starts, goals, others)
+            if not path:
+                return False
+            if not signal.paths:
+                path = signal.stem[:-1] + path
+                starts = []
+            signal.paths[goals.pop(path[-1])] = path
+            self._occupy(path, signal.name)
+            for node in path:
+                if node not in others and node not in self._blocked and node not in signal.stem[:-1]:
+                    starts += [(BRANCH_COST, node, step) for step in STEPS]
+        return True
+
+    def _occupy(self, path: list[Node], name: str) -> None:
+        for (x, y), (next_x, next_y) in pairwise(path):
+            axis = "h" if y == next_y else "v"
+            for node in ((x, y), (next_x, next_y)):
+                known = self._axes[node].get(name, axis)
+                self._axes[node][name] = axis if known == axis else "hv"
+
+    def _cheapest_path(
+        self, name: str, starts: list[State], goals: Collection[Node], others: dict[Node, str]
+    ) -> list[Node]:
+        """The A* algorithm; empty if there is no way."""
+
+        def distance(node: Node) -> int:
+            return min(abs(node[0] - x) + abs(node[1] - y) for x, y in goals)
+
+        queue = [(cost + distance(node), cost, node, step) for cost, node, step in starts]
+        heapq.heapify(queue)
+        costs = {(node, step): cost for cost, node, step in starts}
+        came_from: dict[tuple[Node, Step], tuple[Node, Step]] = {}
+        while queue:
+            _, cost, node, step = heapq.heappop(queue)
+            if node in goals:
+                path = [node]
+                while (node, step) in came_from:
+                    node, step = came_from[(node, step)]
+                    path.append(node)
+                return path[::-1]
+            if cost > costs[(node, step)]:
+                continue
+            for turn in STEPS:
+                turns_back = turn == (-step[0], -step[1])
+                turns_on_a_wire = turn != step and node in others
+                following = (node[0] + turn[0], node[1] + turn[1])
+                if turns_back or turns_on_a_wire or not self._is_free(following, name):
+                    continue
+                crossed = others.get(following, "")
+                if crossed and crossed != ("v" if turn[1] == 0 else "h"):
+                    continue
+                new_cost = cost + 1 + BEND_COST * (turn != step) + CROSSING_COST * bool(crossed)
+                if new_cost < costs.get((following, turn), math.inf):
+                    costs[(following, turn)] = new_cost
+                    came_from[(following, turn)] = (node, step)
+                    heapq.heappush(
+                        queue, (new_cost + distance(following), new_cost, following, turn)
+                    )
+        return []
+
+    def _is_free(self, node: Node, name: str) -> bool:
+        if node in self._reserved:
+            return self._reserved[node] == name
+        on_the_grid = node[0] in self._columns and node[1] in self._rows
+        return on_the_grid and node not in self._blocked
+
+
+def _route(boxes: list[Box], lanes: int) -> bool:
+    """Routes the short signals first, then all of them again, knowing the others' ways."""
+
+    def extent(signal: Signal) -> int:
+        xs, ys = zip(signal.source, *signal.sinks.values(), strict=True)
+        return max(xs) - min(xs) + max(ys) - min(ys)
+
+    router = _Router(boxes, lanes)
+    signals = sorted((signal for box in boxes for signal in box.outputs), key=extent)
+    return all(router.route(signal) for _ in range(ROUTING_PASSES) for signal in signals)
+
+
+def _svg(title: str, boxes: list[Box]) -> str:
+    signals = [signal for box in boxes for signal in box.outputs]
+    columns, rows = _used_lanes(boxes, signals)
+    width, height = UNIT * (len(columns) + 1), UNIT * (len(rows) + 1)
+    pixel = _Pixel(
+        {column: UNIT * (i + 1) for i, column in enumerate(columns)},
+        {row: UNIT * (i + 1) for i, row in enumerate(rows)},
+    )
+    svg = Element(
+        "svg",
+        {
+            "xmlns": "http://www.w3.org/2000/svg",
+            "viewBox": f"0 0 {width} {height}",
+            "width": f"{width}",
+            "height": f"{height}",
+        },
+    )
+    SubElement(svg, "title").text = title
+    SubElement(svg, "style").text = STYLE
+    definitions = SubElement(svg, "defs")
+    for style, colour in WIRE_COLOURS.items():
+        _add_arrowhead(definitions, style, colour)
+    SubElement(svg, "rect", {"width": f"{width}", "height": f"{height}", "fill": "#fff"})
+    for signal in signals:
+        _add_signal(svg, signal, pixel)
+    for box in boxes:
+        _add_box(svg, box, pixel)
+    indent(svg)
+    return tostring(svg, encoding="unicode") + "\n"
+
+
+class _Pixel(NamedTuple):
+    """Where the lanes that are left are in the picture."""
+
+    of_column: dict[int, int]
+    of_row: dict[int, int]
+
+    def of(self, node: Node) -> tuple[int, int]:
+        """The position of a node."""
+        return self.of_column[node[0]], self.of_row[node[1]]
+
+
+def _used_lanes(boxes: list[Box], signals: list[Signal]) -> tuple[list[int], list[int]]:
+    """The columns and rows with a box, a label or a wire that runs along them."""
+    nodes = [node for box in boxes for node in box.nodes(margin=1)]
+    nodes += [node for signal in signals for node in signal.stem + signal.label_nodes]
+    columns = {x for x, _ in nodes}
+    rows = {y for _, y in nodes}
+    for signal in signals:
+        for path in signal.paths.values():
+            for (x, y), (next_x, _) in pairwise(path):
+                if x == next_x:
+                    columns.add(x)
+                else:
+                    rows.add(y)
+    return sorted(columns), sorted(rows)
+
+
+def _add_arrowhead(parent: Element, style: str, colour: str) -> None:
+    marker = SubElement(
+        parent,
+        "marker",
+        {
+            "id": f"{style}-arrow",
+            "viewBox": "0 0 8 8",
+            "refX": "8",
+            "refY": "4",
+            "markerWidth": "8",
+            "markerHeight": "8",
+            "markerUnits": "userSpaceOnUse",
+            "orient": "auto",
+        },
+    )
+    SubElement(marker, "path", {"d": "M 0,1 L 8,4 L 0,7 z", "fill": colour})
+
+
+def _add_box(svg: Element, box: Box, pixel: _Pixel) -> None:
+    left, top = pixel.of((box.left, box.top))
+    right, bottom = pixel.of((box.left + BOX_WIDTH, box.top + box.height))
+    fill, border = COLOURS[box.place.kind]
+    group = SubElement(svg, "g", {"data-block": box.name})
+    SubElement(
+        group,
+        "rect",
+        {
+            "x": f"{left}",
+            "y": f"{top}",
+            "width": f"{right - left}",
+            "height": f"{bottom - top}",
+            "rx": "5",
+            "fill": fill,
+            "stroke": border,
+        },
+    )
+    baseline = (top + bottom - sum(size for _, _, size in box.texts) * LINE_HEIGHT) / 2
+    for style, text, size in box.texts:
+        baseline += size * LINE_HEIGHT
+        _add_text(group, style, text, (left + right) / 2, baseline - 0.25 * size)
+
+
+def _add_signal(svg: Element, signal: Signal, pixel: _Pixel) -> None:
+    style = "wire" if signal.paths else "unread"
+    group = SubElement(svg, "g", {"data-signal": signal.name})
+    neighbours = defaultdict(set)
+    for wire, path in signal.paths.items():
+        d = _path_data([pixel.of(node) for node in _corners(path)])
+        SubElement(group, "path", {"class": style, "d": d, "data-wire": wire})
+        for node, following in pairwise(path):
+            neighbours[node].add(following)
+            neighbours[following].add(node)
+    if not signal.paths:
+        d = _path_data([pixel.of(node) for node in _corners(signal.stem)])
+        SubElement(group, "path", {"class": style, "d": d})
+    for node, around in neighbours.items():
+        if len(around) > 2:
+            x, y = pixel.of(node)
+            SubElement(group, "circle", {"class": "dot", "cx": f"{x}", "cy": f"{y}", "r": "2.5"})
+    start, end = pixel.of(signal.stem[0]), pixel.of(signal.stem[-1])
+    baseline = start[1] - 4 - (len(signal.lines) - 1) * LABEL_SIZE * LINE_HEIGHT
+    for line in signal.lines:
+        _add_text(group, f"label {style}-label", line, (start[0] + end[0]) / 2, baseline)
+        baseline += LABEL_SIZE * LINE_HEIGHT
+
+
+def _add_text(parent: Element, style: str, text: str, x: float, y: float) -> None:
+    element = SubElement(parent, "text", {"class": style, "x": f"{x:.1f}", "y": f"{y:.1f}"})
+    element.text = text
+
+
+def _corners(path: list[Node]) -> list[Node]:
+    """The ends of the path and the nodes where it turns."""
+    turns = [
+        node
+        for before, node, after in zip(path, path[1:], path[2:], strict=False)
+        if before[0] != after[0] and before[1] != after[1]
+    ]
+    return [path[0], *turns, path[-1]]
+
+
+def _path_data(points: Sequence[tuple[int, int]]) -> str:
+    """A line through the points, with its corners rounded."""
+    commands = ["M {},{}".format(*points[0])]
+    for before, corner, after in zip(points, points[1:], points[2:], strict=False):
+        start, end = _towards(corner, before), _towards(corner, after)
+        commands.append("L {},{} Q {},{} {},{}".format(*start, *corner, *end))
+    commands.append("L {},{}".format(*points[-1]))
+    return " ".join(commands)
+
+
+def _towards(corner: tuple[int, int], point: tuple[int, int]) -> tuple[int, int]:
+    """The point at the radius of a rounded corner from the corner."""
+    dx, dy = point[0] - corner[0], point[1] - corner[1]
+    length = abs(dx) + abs(dy)
+    radius = min(CORNER_RADIUS, length // 2)
+    return corner[0] + radius * dx // length, corner[1] + radius * dy // length
+
+
+def _characters(size: int) -> int:
+    """How many characters of a font of that size fit into a box."""
+    return int((BOX_WIDTH * UNIT - 8) / (size * CHARACTER_WIDTH))

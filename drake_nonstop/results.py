@@ -1,0 +1,93 @@
+"""The folder of results that a run leaves."""
+
+import contextlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drake_nonstop.drawing import draw_diagram
+from drake_nonstop.metrics import compute_metrics
+from drake_nonstop.scenario import dump_scenario
+from drake_nonstop.simulate import Run
+from drake_nonstop.validation import ScenarioError
+
+# All that a run may leave; what this run does not write is not left over from another.
+_CONTENTS = (
+    "scenario.yaml",
+    "metrics.json",
+    "signals.npz",
+    "diagram.svg",
+    "replay.html",
+    "figures",
+)
+
+
+def require_writable(folder: Path) -> None:
+    """Makes the folder, and raises ScenarioError where results cannot be written to it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ScenarioError(
+            f"--out = {folder}: give a folder that can be written ({error.strerror})"
+        ) from None
+
+
+def write_results(
+    run: Run, folder: Path, *, figures: bool = True, replay: bool = True
+) -> dict[str, Any]:
+    """Writes a run's results to the folder and returns its metrics.
+
+    All is written to a folder beside the old results first, and moved over them at the
+    end, so that no file is ever half-written.
+
+    Raises:
+        ScenarioError: the folder cannot be written.
+    """
+    require_writable(folder)
+    metrics = compute_metrics(run)
+    with _replacing(folder) as new:
+        (new / "scenario.yaml").write_text(dump_scenario(run.scenario), encoding="utf-8")
+        text = json.dumps(metrics, indent=2, ensure_ascii=False)
+        (new / "metrics.json").write_text(text + "\n", encoding="utf-8")
+        np.savez_compressed(new / "signals.npz", **{"time": run.time, **run.signals})  # type: ignore[arg-type]
+        (new / "diagram.svg").write_text(draw_diagram(run.diagram), encoding="utf-8")
+        if replay:
+            from drake_nonstop.scene import record_replay
+
+            (new / "replay.html").write_text(record_replay(run), encoding="utf-8")
+        if figures:
+            from drake_nonstop.plots import make_figures  # matplotlib takes a while to load
+
+            (new / "figures").mkdir()
+            for name, figure in make_figures(run).items():
+                figure.savefig(new / "figures" / f"{name}.png", dpi=150)
+    return metrics
+
+
+@contextlib.contextmanager
+def _replacing(folder: Path) -> Iterator[Path]:
+    """A new folder whose contents take the place of the results in `folder` at the end."""
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as name:
+            new = Path(name)
+            yield new
+            for item in _CONTENTS:
+                old = folder / item
+                if old.is_dir() and not old.is_symlink():
+                    shutil.rmtree(old)
+                else:
+                    old.unlink(missing_ok=True)
+                if (new / item).exists():
+                    os.replace(new / item, old)
+    except OSError as error:
+        raise ScenarioError(
+            f"--out = {folder}: give a folder with room to write to ({error.strerror})"
+        ) from None

@@ -1,0 +1,296 @@
+"""What holds for every block: sizes, direct feedthrough, and outputs that never go stale."""
+
+import numpy as np
+import pytest
+from helpers import Motion, fix, model, output
+
+from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase
+from drake_nonstop.blocks.cable_force_distribution import CableForceDistribution
+from drake_nonstop.blocks.cables import Cables
+from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics
+from drake_nonstop.blocks.carrier_pid import CarrierPid, CarrierPidConfig
+from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory
+from drake_nonstop.blocks.constant_parameters import ConstantParameters
+from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
+from drake_nonstop.blocks.ideal_feedback import IdealFeedback
+from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
+from drake_nonstop.blocks.load_plant import LoadPlant
+from drake_nonstop.blocks.load_trajectory import (
+    ConstantVelocityMove,
+    RestToRest,
+    RestToRestConfig,
+)
+from drake_nonstop.blocks.no_disturbance import NoDisturbance
+from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer
+from drake_nonstop.blocks.printed_phase import PrintedPhase
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.blocks.wrench_controller import WrenchController
+
+
+def moving_reference(model):
+    return RestToRest(model, RestToRestConfig(displacement=[1, 2, 3], roll_pitch_yaw=[0.1, 0.2, 0.3]))
+
+
+def integrating_pid(model):
+    return CarrierPid(model, CarrierPidConfig(integral_gain=3.0))
+
+
+# block: (inputs, outputs, direct feedthrough), for continuous controllers
+BLOCKS = {
+    moving_reference: ([], ["reference"], []),
+    ConstantVelocityMove: ([], ["reference"], []),
+    IdealFeedback: (
+        ["load_state"],
+        ["measured_load_state"],
+        [("load_state", "measured_load_state")],
+    ),
+    DesiredStateFeedback: (
+        ["reference"],
+        ["measured_load_state"],
+        [("reference", "measured_load_state")],
+    ),
+    WrenchController: (
+        ["measured_load_state", "reference"],
+        ["wrench", "wrench_rate", "tracking_error"],
+        [
+            ("measured_load_state", "wrench"),
+            ("measured_load_state", "wrench_rate"),
+            ("measured_load_state", "tracking_error"),
+            ("reference", "wrench"),
+            ("reference", "wrench_rate"),
+            ("reference", "tracking_error"),
+        ],
+    ),
+    NonstopOptimizer: (
+        ["measured_load_state", "reference", "wrench", "wrench_rate", "phase"],
+        ["parameters", "diagnostics", "solve_time"],
+        [],
+    ),
+    ConstantParameters: ([], ["parameters"], []),
+    AccumulatedPhase: (["parameters"], ["phase"], []),
+    PrintedPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
+    InternalForceTrajectory: (
+        ["parameters", "phase"],
+        ["internal_force"],
+        [("parameters", "internal_force"), ("phase", "internal_force")],
+    ),
+    CableForceDistribution: (
+        ["measured_load_state", "wrench", "wrench_rate", "internal_force"],
+        ["desired_cable_forces", "desired_cable_force_rates"],
+        [
+            ("measured_load_state", "desired_cable_forces"),
+            ("measured_load_state", "desired_cable_force_rates"),
+            ("wrench", "desired_cable_forces"),
+            ("wrench", "desired_cable_force_rates"),
+            ("wrench_rate", "desired_cable_forces"),  # one calculation makes both outputs
+            ("wrench_rate", "desired_cable_force_rates"),
+            ("internal_force", "desired_cable_forces"),
+            ("internal_force", "desired_cable_force_rates"),
+        ],
+    ),
+    CarrierTrajectory: (
+        ["reference", "desired_cable_forces", "desired_cable_force_rates"],
+        ["carrier_reference"],
+        [
+            ("reference", "carrier_reference"),
+            ("desired_cable_forces", "carrier_reference"),
+            ("desired_cable_force_rates", "carrier_reference"),
+        ],
+    ),
+    CarrierPid: (
+        ["carrier_reference", "carrier_state"],
+        ["carrier_forces"],
+        [("carrier_reference", "carrier_forces"), ("carrier_state", "carrier_forces")],
+    ),
+    integrating_pid: (
+        ["carrier_reference", "carrier_state"],
+        ["carrier_forces"],
+        [("carrier_reference", "carrier_forces"), ("carrier_state", "carrier_forces")],
+    ),
+    CarrierDynamics: (["carrier_forces"], ["carrier_state"], []),
+    Cables: (
+        ["load_state", "carrier_state"],
+        ["cable_forces", "tensions"],
+        [
+            ("load_state", "cable_forces"),
+            ("load_state", "tensions"),
+            ("carrier_state", "cable_forces"),
+            ("carrier_state", "tensions"),
+        ],
+    ),
+    NoDisturbance: ([], ["disturbance_wrench"], []),
+    LoadPlant: (["cable_forces", "disturbance_wrench"], ["load_state"], []),
+}
+
+# What a control period adds: the time of the sample.
+SAMPLED = {
+    PrintedPhase: ("sample_time", "phase"),
+    CarrierTrajectory: ("sample_time", "carrier_reference"),
+}
+
+CASES = [(block, period) for block in BLOCKS for period in (0.0, 0.01)]
+cases = pytest.mark.parametrize(
+    ("make", "period"), CASES, ids=[f"{b.__name__}-{'sampled' if p else 'continuous'}" for b, p in CASES]
+)
+
+
+def expected_ports(make, period):
+    inputs, outputs, feedthrough = BLOCKS[make]
+    if period > 0 and make in SAMPLED:
+        return [*inputs, SAMPLED[make][0]], outputs, [*feedthrough, SAMPLED[make]]
+    return inputs, outputs, feedthrough
+
+
+def size(signal, n, m):
+    """The contract's sizes, for n carriers and m internal-force coordinates."""
+    return {
+        "reference": 22,
+        "load_state": 13,
+        "measured_load_state": 13,
+        "wrench": 6,
+        "wrench_rate": 6,
+        "tracking_error": 12,
+        "parameters": 2,
+        "diagnostics": 7,
+        "solve_time": 1,
+        "phase": 2,
+        "internal_force": 2 * m,
+        "desired_cable_forces": 3 * n,
+        "desired_cable_force_rates": 3 * n,
+        "carrier_reference": 6 * n,
+        "carrier_forces": 3 * n,
+        "carrier_state": 6 * n,
+        "cable_forces": 3 * n,
+        "tensions": n,
+        "disturbance_wrench": 6,
+        "sample_time": 1,
+        "held_reference": 22,
+        "held_measured_load_state": 13,
+    }[signal]
+
+
+def values(signal, seed, n):
+    """A value for a signal, such as the loop might have, that differs from seed to seed."""
+    rng = np.random.default_rng([seed, *signal.encode()])
+    if signal in ("reference", "load_state", "measured_load_state"):
+        return Motion(seed).reference(0.4)[: size(signal, n, n)]
+    if signal in ("carrier_state", "carrier_reference"):  # 1.5 m above the load: taut cables
+        return rng.uniform(-0.5, 0.5, 6 * n) + np.concatenate([[0, 0, 2.0] * n, np.zeros(3 * n)])
+    if signal == "wrench":
+        return np.array([0, 0, 0, 0, 0, 10.0]) + rng.uniform(-0.5, 0.5, 6)
+    if signal == "desired_cable_forces":
+        return rng.uniform(0.5, 2.0, 3 * n)
+    return rng.uniform(0.2, 1.0, size(signal, n, n))
+
+
+def input_names(block):
+    return [block.get_input_port(i).get_name() for i in range(block.num_input_ports())]
+
+
+def output_names(block):
+    return [block.get_output_port(i).get_name() for i in range(block.num_output_ports())]
+
+
+@cases
+@pytest.mark.parametrize("n", [3, 4, 6])
+def test_ports_have_the_names_and_sizes_of_the_contract(make, period, n):
+    block = make(model(n, period))
+    inputs, outputs, _ = expected_ports(make, period)
+    assert input_names(block) == inputs
+    assert output_names(block) == outputs
+    for name in inputs:
+        assert block.GetInputPort(name).size() == size(name, n, n), name
+    for name in outputs:
+        assert block.GetOutputPort(name).size() == size(name, n, n), name
+
+
+def feedthrough(block):
+    """The pairs (input, output) that Drake takes to be connected at once."""
+    return {
+        (source, target)
+        for i, source in enumerate(input_names(block))
+        for o, target in enumerate(output_names(block))
+        if block.HasDirectFeedthrough(i, o)
+    }
+
+
+@cases
+def test_direct_feedthrough(make, period):
+    block = make(model(4, period))
+    assert feedthrough(block) == set(expected_ports(make, period)[2])
+
+
+def set_states(context, seed):
+    """Random states, continuous and discrete."""
+    rng = np.random.default_rng(seed)
+    count = context.num_continuous_states()
+    context.SetContinuousState(rng.uniform(0.2, 1.0, count))
+    for i in range(context.num_discrete_state_groups()):
+        group = context.get_discrete_state(i)
+        context.SetDiscreteState(i, rng.uniform(0.2, 1.0, group.size()))
+
+
+def evaluated(block, context):
+    return {name: output(block, context, name) for name in output_names(block)}
+
+
+def fresh(block, inputs, state, time):
+    """The outputs in a context of its own."""
+    context = block.CreateDefaultContext()
+    context.SetTime(time)
+    set_states(context, state)
+    fix(block, context, **inputs)
+    return evaluated(block, context)
+
+
+@cases
+def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, period):
+    block = make(model(4, period))
+    names = input_names(block)
+    inputs = {name: values(name, 1, 4) for name in names}
+    state, time = 1, 5.5  # a time at which the references move
+    context = block.CreateDefaultContext()
+    context.SetTime(time)
+    set_states(context, state)
+    fix(block, context, **inputs)
+    before = evaluated(block, context)
+
+    def check(changed):
+        after = evaluated(block, context)
+        for name, expected in fresh(block, inputs, state, time).items():
+            np.testing.assert_array_equal(after[name], expected, err_msg=f"{changed} -> {name}")
+        return after
+
+    for name in names:
+        inputs[name] = values(name, 2, 4)
+        fix(block, context, **{name: inputs[name]})
+        check(name)
+    state = 2
+    set_states(context, state)
+    check("state")
+    time = 6.25
+    context.SetTime(time)
+    after = check("time")
+    constant = make in (ConstantParameters, NoDisturbance)
+    for name in before:
+        assert np.array_equal(before[name], after[name]) == constant, name
+
+
+@cases
+def test_what_feeds_through_changes_the_output(make, period):
+    block = make(model(4, period))
+    inputs = {name: values(name, 1, 4) for name in input_names(block)}
+    before = fresh(block, inputs, 1, 5.5)
+    for source, target in feedthrough(block) - {("wrench_rate", "desired_cable_forces")}:
+        after = fresh(block, inputs | {source: values(source, 2, 4)}, 1, 5.5)
+        assert not np.array_equal(before[target], after[target]), (source, target)
+
+
+@pytest.mark.parametrize("n", [3, 6])
+def test_sample_and_hold_passes_nothing_through(n):
+    block = SampleAndHold(model(n, 0.01))
+    assert input_names(block) == ["measured_load_state", "reference"]
+    assert output_names(block) == ["held_measured_load_state", "held_reference", "sample_time"]
+    for name in output_names(block):
+        assert block.GetOutputPort(name).size() == size(name, n, n)
+    assert feedthrough(block) == set()

@@ -1,0 +1,126 @@
+"""Attachments, smooth motions, difference quotients and ports, for several test files."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue
+from pydrake.math import RollPitchYaw_, RotationMatrix
+from pydrake.systems.framework import Context, LeafSystem
+
+from drake_nonstop.pattern import HamiltonianCycleConfig
+from drake_nonstop.system import Model, System
+
+INERTIA = np.array([[0.014, 0.001, -0.0005], [0.001, 0.011, 0.002], [-0.0005, 0.002, 0.017]])
+
+
+def regular(n: int, radius: float = 0.75) -> NDArray:
+    """The corners (n, 3) of a level regular polygon."""
+    angles = 2 * np.pi * np.arange(n) / n
+    return radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])
+
+
+def irregular(n: int) -> NDArray:
+    """A level polygon with unequal sides, (n, 3)."""
+    rng = np.random.default_rng(n)
+    angles = 2 * np.pi * (np.arange(n) + rng.uniform(-0.25, 0.25, n)) / n
+    radii = rng.uniform(0.5, 1.0, n)
+    return np.column_stack([radii * np.cos(angles), radii * np.sin(angles), np.zeros(n)])
+
+
+def spatial(n: int) -> NDArray:
+    """The irregular polygon with its corners at unequal heights, (n, 3)."""
+    heights = np.random.default_rng(n + 100).uniform(-0.3, 0.3, n)
+    return irregular(n) + np.column_stack([np.zeros((n, 2)), heights])
+
+
+SHAPES = {
+    f"{make.__name__}-{n}": make(n) for make in (regular, irregular, spatial) for n in range(3, 9)
+}
+
+
+def difference(function: Callable[[float], NDArray], time: float, step: float = 1e-3) -> NDArray:
+    """The derivative by a central difference of fourth order.
+
+    On motions of order 1 in value and frequency its error is about 1e-12: h⁴ = 1e-12 from
+    the truncation, 1e-16 / h = 1e-13 from rounding.
+    """
+    return (
+        8 * (np.asarray(function(time + step)) - np.asarray(function(time - step)))
+        - (np.asarray(function(time + 2 * step)) - np.asarray(function(time - 2 * step)))
+    ) / (12 * step)
+
+
+class Motion:
+    """A smooth motion of a rigid body, with Drake's AutoDiffXd as the source of its rates."""
+
+    def __init__(self, seed: int):
+        rng = np.random.default_rng(seed)
+        self._middle = rng.uniform(-0.4, 0.4, 6)
+        self._size = rng.uniform(0.2, 0.5, 6)
+        self._frequency = rng.uniform(0.6, 1.6, 6)
+        self._start = rng.uniform(0, 2 * np.pi, 6)
+
+    def _coordinates(self, time: float | AutoDiffXd, order: int = 0) -> NDArray:
+        """[roll, pitch, yaw, x, y, z], or their derivatives of that order."""
+        sines = np.sin(self._frequency * time + self._start + order * np.pi / 2)
+        return self._size * self._frequency**order * sines + (self._middle if order == 0 else 0)
+
+    def reference(self, time: float) -> NDArray:
+        """[quaternion, position, ω, v, ω̇, a, jerk] (22,), in W."""
+        now = AutoDiffXd(time, [1.0])
+        angles = RollPitchYaw_[AutoDiffXd](self._coordinates(now)[:3])
+        omega = angles.CalcAngularVelocityInParentFromRpyDt(self._coordinates(now, 1)[:3])
+        return np.concatenate(
+            [
+                ExtractValue(_quaternion(angles))[:, 0],
+                self._coordinates(time)[3:],
+                ExtractValue(omega)[:, 0],
+                self._coordinates(time, 1)[3:],
+                ExtractGradient(omega)[:, 0],
+                self._coordinates(time, 2)[3:],
+                self._coordinates(time, 3)[3:],
+            ]
+        )
+
+    def state(self, time: float) -> NDArray:
+        """[quaternion, position, ω, v] (13,), in W."""
+        return self.reference(time)[:13]
+
+
+def _quaternion(angles: RollPitchYaw_[AutoDiffXd]) -> NDArray:
+    quaternion = angles.ToQuaternion()
+    return np.array([quaternion.w(), quaternion.x(), quaternion.y(), quaternion.z()])
+
+
+def rotation(quaternion: NDArray) -> NDArray:
+    """R (3, 3) of a quaternion w x y z of any norm, by Drake."""
+    from pydrake.common.eigen_geometry import Quaternion
+
+    return RotationMatrix(Quaternion(quaternion / np.linalg.norm(quaternion))).matrix()
+
+
+def model(n: int = 4, control_period: float = 0.0, **system: object) -> Model:
+    """A model of n cables at the corners of a regular polygon, phases 2π (k − 1) / n."""
+    fields = {"attachments": regular(n).tolist(), "load_inertia": INERTIA.tolist()} | system
+    return Model(System(**fields), HamiltonianCycleConfig(), control_period)
+
+
+def fix(block: LeafSystem, context: Context, **inputs: NDArray) -> None:
+    """Fixes the inputs of those names; a second call replaces the values of the first."""
+    for name, value in inputs.items():
+        block.GetInputPort(name).FixValue(context, value)
+
+
+def output(block: LeafSystem, context: Context, name: str) -> NDArray:
+    """A copy of the output of that name."""
+    return block.GetOutputPort(name).Eval(context).copy()
+
+
+def rest(**changes: object) -> NDArray:
+    """A reference (22,) at rest at the origin; its first 13 entries are a load state."""
+    reference = np.zeros(22)
+    reference[0] = 1
+    for index, value in changes.pop("entries", {}).items():
+        reference[index] = value
+    return reference

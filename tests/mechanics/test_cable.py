@@ -1,0 +1,89 @@
+import numpy as np
+import pytest
+from helpers import SHAPES, Motion, difference, rotation
+
+from drake_nonstop.mechanics.cable import cable_forces_and_tensions, positive_part
+
+LENGTH, STIFFNESS, DAMPING = 0.8, 500.0, 0.3
+CONSTANTS = {"rest_length": LENGTH, "stiffness": STIFFNESS, "damping": DAMPING}
+
+
+def straight(stretch, stretch_rate):
+    """Force and tension of a cable that pulls straight up on a load at rest."""
+    carrier = np.array([0, 0, LENGTH + stretch, 0, 0, stretch_rate])
+    load_state = np.array([1.0, *np.zeros(12)])
+    force, tension = cable_forces_and_tensions(
+        load_state, carrier, attachments=np.zeros((1, 3)), **CONSTANTS
+    )
+    return force[0], tension[0]
+
+
+def test_positive_part():
+    values = np.array([-2.0, -0.0, 0.0, 1e-300, 3.0])
+    np.testing.assert_array_equal(positive_part(values), [0, 0, 0, 1e-300, 3])
+
+
+@pytest.mark.parametrize("stretch_rate", [-0.4, 0.0, 0.4])
+def test_taut_cable_is_a_linear_spring_damper(stretch_rate):
+    force, tension = straight(0.01, stretch_rate)
+    assert tension == pytest.approx(STIFFNESS * 0.01 + DAMPING * stretch_rate, rel=1e-12)
+    np.testing.assert_allclose(force, [0, 0, tension], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("stretch", [-1e-9, -0.1, -0.7])
+@pytest.mark.parametrize("stretch_rate", [-100.0, 0.0, 100.0])
+def test_slack_cable_pulls_with_nothing(stretch, stretch_rate):
+    force, tension = straight(stretch, stretch_rate)
+    assert tension == 0
+    np.testing.assert_array_equal(force, 0)
+
+
+@pytest.mark.parametrize("stretch", [0.0, 1e-6, 1e-3, 0.05])
+@pytest.mark.parametrize("stretch_rate", [-1000.0, -10.0, -1.0])
+def test_cable_never_pushes(stretch, stretch_rate):
+    force, tension = straight(stretch, stretch_rate)
+    assert tension >= 0
+    assert tension == pytest.approx(
+        max(STIFFNESS * stretch + DAMPING * stretch_rate, 0), abs=1e-12
+    )
+    assert force[2] == tension
+
+
+@pytest.mark.parametrize("stretch_rate", [-20.0, -1.0, 0.0, 1.0, 20.0])
+def test_tension_has_no_jump_where_the_cable_goes_slack(stretch_rate):
+    stretches = np.linspace(-2e-3, 2e-3, 401)
+    tensions = np.array([straight(stretch, stretch_rate)[1] for stretch in stretches])
+    # No steeper than twice the spring; a damper that switches would jump by up to 6 N.
+    step = stretches[1] - stretches[0]
+    assert np.max(np.abs(np.diff(tensions))) <= 2 * STIFFNESS * step * (1 + 1e-6)
+    assert tensions[-1] == pytest.approx(
+        np.clip(STIFFNESS * 2e-3 + DAMPING * stretch_rate, 0, 2 * STIFFNESS * 2e-3), abs=1e-9
+    )
+
+
+@pytest.mark.parametrize("shape", ["regular-4", "spatial-5"])
+def test_taut_cables_between_moving_load_and_moving_carriers(shape):
+    attachments = SHAPES[shape]
+    n = len(attachments)
+    load, carriers = Motion(8), [Motion(20 + i) for i in range(n)]
+
+    def cables(t):
+        """The vectors from the attachments to the carriers, 2 m and more above them."""
+        state = load.state(t)
+        ends = state[4:7] + attachments @ rotation(state[:4]).T
+        return np.array([c.state(t)[4:7] for c in carriers]) + [0, 0, 3] - ends
+
+    def lengths(t):
+        return np.linalg.norm(cables(t), axis=1)
+
+    time = 1.1
+    carrier_state = np.concatenate(
+        [c.state(time)[4:7] + [0, 0, 3] for c in carriers] + [c.state(time)[10:13] for c in carriers]
+    )
+    forces, tensions = cable_forces_and_tensions(
+        load.state(time), carrier_state, attachments=attachments, **CONSTANTS
+    )
+    expected = STIFFNESS * (lengths(time) - LENGTH) + DAMPING * difference(lengths, time)
+    np.testing.assert_allclose(tensions, expected, rtol=1e-12, atol=0)
+    directions = cables(time) / lengths(time)[:, None]
+    np.testing.assert_allclose(forces, expected[:, None] * directions, rtol=1e-11)

@@ -1,0 +1,146 @@
+import numpy as np
+import pytest
+from helpers import SHAPES, Motion, difference, rotation
+from pydrake.multibody.math import SpatialForce
+
+from drake_nonstop.mechanics.grasp import cable_forces_and_rates, grasp_matrix
+from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
+
+shapes = pytest.mark.parametrize("attachments", SHAPES.values(), ids=SHAPES.keys())
+
+
+def paper_grasp_matrix(attachments, R_WL):
+    """Eq. 8: [force; torque] of world forces, at an orientation R of the load."""
+    n = len(attachments)
+    G = np.zeros((6, 3 * n))
+    for i, lever in enumerate(attachments @ R_WL.T):
+        x, y, z = lever
+        G[:3, 3 * i : 3 * i + 3] = np.eye(3)
+        G[3:, 3 * i : 3 * i + 3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+    return G
+
+
+def paper_order(wrench):
+    """[torque; force] as [force; torque]."""
+    return np.concatenate([wrench[3:], wrench[:3]])
+
+
+def random_arguments(attachments, rng):
+    """Load state, wrench and its rate, [λ; λ̇], and the constants, at random."""
+    n = len(attachments)
+    basis = hamiltonian_cycle(attachments)
+    return (
+        [
+            np.concatenate([q / np.linalg.norm(q) for q in [rng.normal(size=4)]] + [rng.normal(size=9)]),
+            *rng.normal(size=(2, 6)),
+            rng.normal(size=2 * n),
+        ],
+        {
+            "pseudo_inverse": np.linalg.pinv(grasp_matrix(attachments)),
+            "basis": basis,
+            "offset": basis @ rng.normal(size=n),
+        },
+    )
+
+
+@shapes
+def test_grasp_matrix_sums_forces_and_moments(attachments, rng):
+    forces = rng.normal(size=attachments.shape)
+    total = SpatialForce(np.zeros(3), np.zeros(3))
+    for lever, force in zip(attachments, forces, strict=True):
+        total += SpatialForce(np.zeros(3), force).Shift(-lever)
+    wrench = grasp_matrix(attachments) @ forces.ravel()
+    expected = np.concatenate([total.rotational(), total.translational()])
+    np.testing.assert_allclose(wrench, expected, rtol=0, atol=1e-14)
+
+
+@shapes
+def test_grasp_matrix_is_the_papers_with_its_row_blocks_exchanged(attachments):
+    paper = paper_grasp_matrix(attachments, np.eye(3))
+    np.testing.assert_array_equal(grasp_matrix(attachments), np.vstack([paper[3:], paper[:3]]))
+
+
+@shapes
+def test_forces_of_a_tilted_load_add_up_to_the_wrench(attachments, rng):
+    (state, wrench, *others), constants = random_arguments(attachments, rng)
+    forces, _ = cable_forces_and_rates(state, wrench, *others, **constants)
+    G = paper_grasp_matrix(attachments, rotation(state[:4]))
+    np.testing.assert_allclose(G @ forces.ravel(), paper_order(wrench), rtol=0, atol=1e-12)
+
+
+@shapes
+def test_forces_are_the_papers_in_the_world_frame(attachments, rng):
+    (state, wrench, rate, internal), constants = random_arguments(attachments, rng)
+    forces, _ = cable_forces_and_rates(state, wrench, rate, internal, **constants)
+    n = len(attachments)
+    R = rotation(state[:4])
+    N = np.kron(np.eye(n), R) @ constants["basis"]
+    expected = (
+        np.linalg.pinv(paper_grasp_matrix(attachments, R)) @ paper_order(wrench)
+        + np.kron(np.eye(n), R) @ constants["offset"]
+        + N @ internal[:n]
+    )
+    np.testing.assert_allclose(forces.ravel(), expected, rtol=0, atol=1e-12)
+
+
+class Pull:
+    """A wrench and internal forces that change in time over a load that turns."""
+
+    def __init__(self, attachments):
+        rng = np.random.default_rng(3)
+        self.attachments, self.n = attachments, len(attachments)
+        self.motion = Motion(4)
+        self.wrench_size, self.wrench_start = rng.uniform(0.5, 2, 6), rng.uniform(0, 6, 6)
+        self.size, self.start = rng.uniform(0.5, 1.5, self.n), rng.uniform(0, 6, self.n)
+        self.basis = hamiltonian_cycle(attachments)
+        self.constants = {
+            "pseudo_inverse": np.linalg.pinv(grasp_matrix(attachments)),
+            "basis": self.basis,
+            "offset": self.basis @ rng.normal(size=self.n),
+        }
+
+    def wrench(self, t, order=0):
+        return self.wrench_size * np.sin(t + self.wrench_start + order * np.pi / 2)
+
+    def internal(self, t, order=0):
+        return self.size * 1.3**order * np.sin(1.3 * t + self.start + order * np.pi / 2)
+
+    def rotation(self, t):
+        return rotation(self.motion.state(t)[:4])
+
+    def forces_and_rates(self, t):
+        internal = np.concatenate([self.internal(t), self.internal(t, 1)])
+        return cable_forces_and_rates(
+            self.motion.state(t), self.wrench(t), self.wrench(t, 1), internal, **self.constants
+        )
+
+
+@shapes
+def test_force_rates_are_the_differences_of_forces_on_a_turning_load(attachments):
+    pull = Pull(attachments)
+    for time in (0.2, 1.7, 3.1):
+        rates = pull.forces_and_rates(time)[1]
+        expected = difference(lambda t: pull.forces_and_rates(t)[0], time)
+        np.testing.assert_allclose(rates, expected, rtol=0, atol=1e-10)
+
+
+@shapes
+def test_force_rates_are_the_papers_sum_of_four_terms(attachments):
+    pull = Pull(attachments)
+    pull.constants["offset"] = np.zeros(3 * pull.n)  # which the paper has not
+
+    def inverse(t):
+        return np.linalg.pinv(paper_grasp_matrix(attachments, pull.rotation(t)))
+
+    def basis(t):
+        return np.kron(np.eye(pull.n), pull.rotation(t)) @ pull.basis
+
+    time = 0.9
+    expected = (
+        difference(inverse, time) @ paper_order(pull.wrench(time))
+        + inverse(time) @ paper_order(pull.wrench(time, 1))
+        + difference(basis, time) @ pull.internal(time)
+        + basis(time) @ pull.internal(time, 1)
+    )
+    rates = pull.forces_and_rates(time)[1]
+    np.testing.assert_allclose(rates.ravel(), expected, rtol=0, atol=1e-10)

@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+from helpers import Motion, difference, rotation
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RollPitchYaw
+
+from drake_nonstop.mechanics.rotation import (
+    angular_motion,
+    components,
+    cross,
+    norm,
+    quaternion_rate,
+    roll_pitch_yaw_to_quaternion,
+    rotation_matrix,
+    skew,
+    vee,
+)
+
+
+@pytest.mark.parametrize("shapes", [((3,), (3,)), ((5, 3), (5, 3)), ((3,), (5, 3)), ((4, 1, 3), (2, 3))])
+def test_cross_is_numpys_and_broadcasts(rng, shapes):
+    a, b = (rng.normal(size=shape) for shape in shapes)
+    np.testing.assert_allclose(cross(a, b), np.cross(a, b), rtol=0, atol=1e-15)
+
+
+def test_skew_is_the_matrix_of_the_vector_product_and_vee_its_inverse(rng):
+    a, b = rng.normal(size=(2, 3))
+    np.testing.assert_allclose(skew(a) @ b, np.cross(a, b), rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(vee(skew(a)), a)
+
+
+def test_norm_and_components_keep_the_last_axis(rng):
+    a = rng.normal(size=(4, 3))
+    np.testing.assert_allclose(norm(a), np.linalg.norm(a, axis=1)[:, None], rtol=1e-15)
+    np.testing.assert_array_equal(np.concatenate(components(a), axis=-1), a)
+
+
+def test_rotation_matrix_is_drakes(rng):
+    for quaternion in rng.normal(size=(20, 4)):
+        np.testing.assert_allclose(
+            rotation_matrix(quaternion), rotation(quaternion), rtol=0, atol=1e-14
+        )
+
+
+def test_rotation_matrix_of_a_quaternion_of_any_norm_is_the_same_rotation(rng):
+    quaternion = rng.normal(size=4)
+    for scale in (0.3, -1.0, 7.0):
+        np.testing.assert_allclose(
+            rotation_matrix(scale * quaternion), rotation_matrix(quaternion), rtol=0, atol=1e-14
+        )
+
+
+def test_quaternion_rate_is_that_of_a_turn_at_constant_angular_velocity(rng):
+    start = Quaternion(wxyz=np.array([0.5, -0.5, 0.5, 0.5]))
+    omega = rng.normal(size=3)
+    speed = np.linalg.norm(omega)
+
+    def quaternion(time):
+        turn = [np.cos(speed * time / 2), *(np.sin(speed * time / 2) * omega / speed)]
+        return Quaternion(wxyz=turn).multiply(start).wxyz()
+
+    np.testing.assert_allclose(
+        quaternion_rate(quaternion(0.3), omega), difference(quaternion, 0.3), atol=1e-10
+    )
+
+
+def test_quaternion_rate_follows_a_motion_that_turns_about_changing_axes():
+    motion = Motion(1)
+    for time in np.linspace(0, 5, 7):
+        rate = quaternion_rate(motion.reference(time)[:4], motion.reference(time)[7:10])
+        expected = difference(lambda t: motion.reference(t)[:4], time)
+        np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-10)
+
+
+def test_roll_pitch_yaw_to_quaternion_is_drakes(rng):
+    for angles in [*rng.uniform(-1.5, 1.5, (20, 3)), np.zeros(3), np.array([3.0, 0.1, -3.0])]:
+        quaternion = roll_pitch_yaw_to_quaternion(angles)
+        assert np.linalg.norm(quaternion) == pytest.approx(1, abs=1e-15)
+        np.testing.assert_allclose(
+            rotation_matrix(quaternion),
+            RollPitchYaw(angles).ToRotationMatrix().matrix(),
+            rtol=0,
+            atol=1e-14,
+        )
+
+
+def test_roll_pitch_yaw_to_quaternion_does_not_flip_its_sign_over_a_full_turn():
+    turns = np.linspace(-3, 3, 601)
+    quaternions = np.array([roll_pitch_yaw_to_quaternion(np.array([0.2, 0.1, a])) for a in turns])
+    assert np.max(np.linalg.norm(np.diff(quaternions, axis=0), axis=1)) < 0.006
+
+
+def test_angular_velocity_is_drakes(rng):
+    for angles, rate, acceleration in rng.uniform(-1.2, 1.2, (20, 3, 3)):
+        expected = RollPitchYaw(angles).CalcAngularVelocityInParentFromRpyDt(rate)
+        omega, _ = angular_motion(angles, rate, acceleration)
+        np.testing.assert_allclose(omega, expected, rtol=0, atol=1e-14)
+
+
+def test_angular_acceleration_is_the_inverse_of_drakes(rng):
+    for angles, rate, acceleration in rng.uniform(-1.2, 1.2, (20, 3, 3)):
+        _, alpha = angular_motion(angles, rate, acceleration)
+        back = RollPitchYaw(angles).CalcRpyDDtFromRpyDtAndAngularAccelInParent(rate, alpha)
+        np.testing.assert_allclose(back, acceleration, rtol=0, atol=1e-12)

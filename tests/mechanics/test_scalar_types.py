@@ -1,0 +1,196 @@
+"""Each equation runs on floats, AutoDiffXd, Expression and CasADi's SX, to equal values."""
+
+import numpy as np
+import pytest
+from helpers import INERTIA, spatial
+from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.symbolic import Evaluate, MakeVectorVariable
+
+from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.mechanics import (
+    cable,
+    carrier,
+    grasp,
+    internal_force,
+    nonstop,
+    rigid_load,
+    rotation,
+    wrench,
+)
+
+N = 3
+ATTACHMENTS = spatial(N)
+BASIS = internal_force.hamiltonian_cycle(ATTACHMENTS)
+PHASES = internal_force.even_phases(N)
+GRASP = {
+    "pseudo_inverse": np.linalg.pinv(grasp.grasp_matrix(ATTACHMENTS)),
+    "basis": BASIS,
+    "offset": BASIS @ np.array([0.2, 0.1, -0.3]),
+}
+BODY = {
+    "mass": 1.3,
+    "inertia": INERTIA,
+    "inertia_inverse": np.linalg.inv(INERTIA),
+    "drag": 0.7,
+    "gravity": 9.81,
+}
+CABLES = {"attachments": ATTACHMENTS, "rest_length": 0.2}
+GAINS = {
+    "position_gain": 5.0,
+    "velocity_gain": 2.0,
+    "position_integral_gain": 0.9,
+    "orientation_gain": 0.5,
+    "angular_velocity_gain": 0.06,
+    "orientation_integral_gain": 0.1,
+    "feedforward": 1.0,
+}
+
+
+def predicted_velocities(x, previous, phase, state, motion, w, w_rate, w_second_rate):
+    return nonstop.carrier_velocities(
+        x,
+        previous,
+        phase,
+        state,
+        motion,
+        w,
+        w_rate,
+        w_second_rate,
+        time=0.01,
+        phases=PHASES,
+        compliance=1 / 500,
+        **GRASP,
+        **CABLES,
+    )
+
+
+# name: (function of flat arrays, their lengths)
+EQUATIONS = {
+    "cross": (rotation.cross, [3, 3]),
+    "components": (lambda a: tuple(rotation.components(a)), [3]),
+    "skew": (rotation.skew, [3]),
+    "vee": (lambda a: rotation.vee(a.reshape(3, 3)), [9]),
+    "norm": (lambda a: rotation.norm(a.reshape(2, 3)), [6]),
+    "rotation_matrix": (rotation.rotation_matrix, [4]),
+    "quaternion_rate": (rotation.quaternion_rate, [4, 3]),
+    "roll_pitch_yaw_to_quaternion": (rotation.roll_pitch_yaw_to_quaternion, [3]),
+    "angular_motion": (rotation.angular_motion, [3, 3, 3]),
+    "grasp_matrix": (lambda b: grasp.grasp_matrix(b.reshape(-1, 3)), [9]),
+    "cable_forces_and_rates": (
+        lambda *a: grasp.cable_forces_and_rates(*a, **GRASP),
+        [13, 6, 6, 2 * N],
+    ),
+    "internal_force": (lambda *a: internal_force.internal_force(*a, phases=PHASES), [2, 1]),
+    "ellipse_axes": (
+        lambda basis, phases: internal_force.ellipse_axes(basis.reshape(9, 3), phases),
+        [27, 3],
+    ),
+    "load_acceleration": (lambda *a: rigid_load.load_acceleration(*a, **BODY), [13, 6]),
+    "load_state_rate": (
+        lambda *a: rigid_load.load_state_rate(*a, attachments=ATTACHMENTS, **BODY),
+        [13, 3 * N, 6],
+    ),
+    "tracking_error": (wrench.tracking_error, [13, 22]),
+    "wrench_and_rate": (
+        lambda *a: wrench.wrench_and_rate(*a, **GAINS, **BODY),
+        [13, 22, 6],
+    ),
+    "positive_part": (cable.positive_part, [4]),
+    "cable_forces_and_tensions": (
+        lambda *a: cable.cable_forces_and_tensions(*a, stiffness=500.0, damping=0.1, **CABLES),
+        [13, 6 * N],
+    ),
+    "carrier_motion": (
+        lambda state, forces, rates: carrier.carrier_motion(
+            state, forces.reshape(-1, 3), rates.reshape(-1, 3), compliance=0.002, **CABLES
+        ),
+        [13, 3 * N, 3 * N],
+    ),
+    "pid_forces": (
+        lambda *a: carrier.pid_forces(
+            *a, position_gain=1000.0, velocity_gain=10.0, integral_gain=3.0
+        ),
+        [6 * N, 6 * N, 3 * N],
+    ),
+    "double_integrator_rate": (
+        lambda *a: carrier.double_integrator_rate(*a, mass=0.1),
+        [6 * N, 3 * N],
+    ),
+    "phase_of": (nonstop.phase_of, [2, 2, 2]),
+    "advance": (lambda *a: nonstop.advance(*a, 0.01), [13, 3, 3]),
+    "carrier_velocities": (predicted_velocities, [2, 2, 2, 13, 13, 6, 6, 6]),
+    "change_cost": (
+        lambda *a: nonstop.change_cost(
+            *a, phases=PHASES, internal_force_weight=2.0, internal_force_rate_weight=3.0
+        ),
+        [2, 2, 2],
+    ),
+}
+
+
+def flat(outputs):
+    """One flat array of an array or a tuple of arrays."""
+    outputs = outputs if isinstance(outputs, tuple) else (outputs,)
+    return np.concatenate([np.asarray(output).ravel() for output in outputs])
+
+
+def split(vector, sizes):
+    return np.split(vector, np.cumsum(sizes)[:-1])
+
+
+@pytest.fixture(params=EQUATIONS, ids=EQUATIONS.keys())
+def equation(request, rng):
+    """An equation, the lengths of its inputs, values for them, and the result on floats."""
+    function, sizes = EQUATIONS[request.param]
+    values = rng.uniform(0.2, 1.5, sum(sizes)) * rng.choice([-1, 1], sum(sizes))
+    return function, sizes, values, flat(function(*split(values, sizes)))
+
+
+def compare(values, expected):
+    scale = max(1.0, np.max(np.abs(expected)))
+    np.testing.assert_allclose(values, expected, rtol=0, atol=1e-12 * scale)
+
+
+def test_autodiff_gives_the_values_of_floats(equation):
+    function, sizes, values, expected = equation
+    result = flat(function(*split(InitializeAutoDiff(values)[:, 0], sizes)))
+    compare(ExtractValue(result)[:, 0], expected)
+
+
+def test_symbols_give_the_values_of_floats(equation):
+    function, sizes, values, expected = equation
+    variables = MakeVectorVariable(len(values), "x")
+    with np.errstate(invalid="ignore"):  # Drake's symbols raise the flag without a cause
+        result = flat(function(*split(variables, sizes)))
+    compare(Evaluate(result, dict(zip(variables, values, strict=True)))[:, 0], expected)
+
+
+def test_traced_function_gives_the_values_of_floats(equation):
+    function, sizes, values, expected = equation
+    compiled = CompiledFunction(function, sizes, name=lambda: "test")
+    compare(flat(compiled(*split(values, sizes))), expected)
+
+
+def test_traced_jacobian_is_the_gradient_of_autodiff(equation):
+    function, sizes, values, _ = equation
+    gradients = ExtractGradient(flat(function(*split(InitializeAutoDiff(values)[:, 0], sizes))))
+    gradients = gradients if gradients.size else np.zeros((len(gradients), len(values)))
+    for index, columns in enumerate(split(np.arange(len(values)), sizes)):
+        compiled = CompiledFunction(function, sizes, name=lambda: "test", jacobian_of=index)
+        jacobian = compiled(*split(values, sizes))[-1]
+        compare(jacobian, gradients[:, columns])
+
+
+def test_gradient_of_carrier_speeds_is_the_traced_jacobian(rng):
+    _, sizes = EQUATIONS["carrier_velocities"]
+    data = [rng.uniform(0.5, 1.5, size) for size in sizes]
+
+    def speeds(*inputs):
+        return rotation.norm(predicted_velocities(*inputs))[:, 0]
+
+    gradient = ExtractGradient(speeds(InitializeAutoDiff(data[0])[:, 0], *data[1:]))
+    compiled = CompiledFunction(speeds, sizes, name=lambda: "test", jacobian_of=0)
+    values, jacobian = compiled(*data)
+    np.testing.assert_allclose(values, speeds(*data), rtol=1e-12)
+    np.testing.assert_allclose(jacobian, gradient, rtol=0, atol=1e-12)
+    assert np.min(np.abs(gradient)) > 1e-3

@@ -1,0 +1,223 @@
+import numpy as np
+import pytest
+from helpers import INERTIA, Motion, difference, rotation
+from pydrake.math import RollPitchYaw, RotationMatrix
+
+from drake_nonstop.mechanics.rigid_load import load_state_rate
+from drake_nonstop.mechanics.rotation import quaternion_rate
+from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
+
+BODY = {
+    "mass": 1.3,
+    "inertia": INERTIA,
+    "inertia_inverse": np.linalg.inv(INERTIA),
+    "drag": 0.7,
+    "gravity": 9.7,
+}
+GAINS = {
+    "position_gain": 5.0,
+    "velocity_gain": 2.0,
+    "position_integral_gain": 0.9,
+    "orientation_gain": 0.5,
+    "angular_velocity_gain": 0.06,
+    "orientation_integral_gain": 0.1,
+}
+NO_GAINS = dict.fromkeys(GAINS, 0.0)
+
+
+def turned(angle, axis):
+    """A load state and a reference at rest, the load turned about an axis of its own."""
+    reference = np.zeros(22)
+    reference[:4] = RollPitchYaw([0.3, -0.2, 0.9]).ToQuaternion().wxyz()
+    turn = RotationMatrix(RollPitchYaw(angle * np.array(axis)))
+    desired = RollPitchYaw([0.3, -0.2, 0.9]).ToRotationMatrix()
+    state = np.zeros(13)
+    state[:4] = (desired @ turn).ToQuaternion().wxyz()
+    return state, reference
+
+
+@pytest.mark.parametrize("axis", [[1, 0, 0], [0, 1, 0], [0, 0, 1]])
+@pytest.mark.parametrize("angle", [0.4, -1.2])
+def test_orientation_error_is_the_sine_of_the_angle_about_the_axis(axis, angle):
+    error = tracking_error(*turned(angle, axis))
+    np.testing.assert_allclose(error[:3], np.sin(angle) * np.array(axis), rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(error[3:], 0)
+
+
+def test_errors_on_two_independent_motions():
+    state, reference = Motion(10).state(0.5), Motion(11).reference(0.5)
+    R, R_d = rotation(state[:4]), rotation(reference[:4])
+    S = (R_d.T @ R - R.T @ R_d) / 2
+    omega, desired_omega = R.T @ state[7:10], R_d.T @ reference[7:10]  # each in its own frame
+    expected = np.concatenate(
+        [
+            [S[2, 1], S[0, 2], S[1, 0]],
+            state[4:7] - reference[4:7],
+            omega - R.T @ R_d @ desired_omega,
+            state[10:13] - reference[10:13],
+        ]
+    )
+    error = tracking_error(state, reference)
+    np.testing.assert_allclose(error, expected, rtol=0, atol=1e-14)
+
+
+def test_orientation_error_rate_in_closed_form():
+    actual, desired = Motion(10), Motion(11)
+
+    def error(t):
+        return tracking_error(actual.state(t), desired.reference(t))
+
+    for time in (0.3, 2.2):
+        R_LD = rotation(actual.state(time)[:4]).T @ rotation(desired.reference(time)[:4])
+        expected = (np.trace(R_LD) * np.eye(3) - R_LD) @ error(time)[6:9] / 2
+        rate = difference(lambda t: error(t)[:3], time)
+        np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-10)
+
+
+def test_wrench_of_a_load_on_its_resting_reference_is_its_weight():
+    state, reference = turned(0, [1, 0, 0])
+    wrench, rate = wrench_and_rate(
+        state, reference, np.zeros(6), **GAINS, feedforward=1.0, **BODY
+    )
+    np.testing.assert_allclose(wrench, [0, 0, 0, 0, 0, 1.3 * 9.7], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(rate, 0, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("feedforward", [0.0, 1.0, 0.4])
+def test_wrench_in_closed_form(rng, feedforward):
+    actual, desired, time = Motion(12), Motion(13), 1.4
+    state, reference, integrals = actual.state(time), desired.reference(time), rng.normal(size=6)
+    R = rotation(state[:4])
+    omega = R.T @ state[7:10]
+    e_R, e_p, e_omega, e_v = tracking_error(state, reference).reshape(4, 3)
+    # RᵀR_d ω_d, with ω_d in D, is Rᵀ of the world's ω_d.
+    desired_omega_rate = difference(
+        lambda t: rotation(actual.state(t)[:4]).T @ desired.reference(t)[7:10], time
+    )
+    force = np.array([0, 0, 1.3 * 9.7]) - 5 * e_p - 2 * e_v - 0.9 * integrals[3:]
+    force += feedforward * (1.3 * reference[16:19] + 0.7 * reference[10:13])
+    torque = np.cross(omega, INERTIA @ omega) - 0.5 * e_R - 0.06 * e_omega - 0.1 * integrals[:3]
+    torque += feedforward * INERTIA @ desired_omega_rate
+    wrench, _ = wrench_and_rate(
+        state, reference, integrals, **GAINS, feedforward=feedforward, **BODY
+    )
+    np.testing.assert_allclose(wrench, [*(R @ torque), *force], rtol=0, atol=1e-11)
+
+
+def differences_of_wrench(gains, feedforward, reference_at):
+    """(ẇ_d, its differences) along the motion that the model makes under w_d.
+
+    `reference_at(t, q)` is the reference with the orientation q, which is integrated
+    together with the load and with the controller's integrals, from random values.
+    """
+    start, step = 0.6, 2e-3
+    rng = np.random.default_rng(14)
+    state = Motion(15).state(start)
+    desired = Motion(16).reference(start)[:4]
+    initial = np.concatenate([state, 0.3 * rng.normal(size=6), desired])
+
+    def control(t, y):
+        return wrench_and_rate(
+            y[:13],
+            reference_at(t, y[19:]),
+            y[13:19],
+            **gains,
+            feedforward=feedforward,
+            **BODY,
+        )
+
+    def rate(t, y):
+        reference = reference_at(t, y[19:])
+        load_rate = load_state_rate(
+            y[:13], np.zeros(3), control(t, y)[0], attachments=np.zeros((1, 3)), **BODY
+        )
+        error = tracking_error(y[:13], reference)[:6]
+        return np.concatenate([load_rate, error, quaternion_rate(y[19:], reference[7:10])])
+
+    def advanced(t, y, h):
+        k1 = rate(t, y)
+        k2 = rate(t + h / 2, y + h / 2 * k1)
+        k3 = rate(t + h / 2, y + h / 2 * k2)
+        k4 = rate(t + h, y + h * k3)
+        return y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+    def wrench(t):
+        y, count = initial, 8
+        h = (t - start) / count
+        for i in range(count):
+            y = advanced(start + i * h, y, h)
+        return control(t, y)[0]
+
+    return control(start, initial)[1], difference(wrench, start, step)
+
+
+def swinging(t, quaternion):
+    """A reference that moves in every way, with an angular jerk."""
+    return np.concatenate([quaternion, Motion(16).reference(t)[4:]])
+
+
+def spinning_up(t, quaternion):
+    """The same with a constant angular acceleration, as the feedforward's rate takes it."""
+    reference = swinging(t, quaternion)
+    alpha = np.array([0.5, -0.8, 0.3])
+    omega = np.array([0.4, 0.2, -0.6]) + alpha * (t - 0.6)
+    return np.concatenate(
+        [reference[:7], omega, reference[10:13], alpha, reference[16:]]
+    )
+
+
+# The differences see the load's own frequencies, up to K_ω / J = 6 1/s: h⁴ 6⁵ / 30 = 4e-9.
+RATE_TOLERANCE = 1e-8
+
+
+@pytest.mark.parametrize("gain", [None, *GAINS, "all"])
+def test_wrench_rate_without_feedforward_is_the_difference_of_the_wrench(gain):
+    gains = GAINS if gain == "all" else {**NO_GAINS, **({gain: GAINS[gain]} if gain else {})}
+    rate, expected = differences_of_wrench(gains, 0.0, swinging)
+    np.testing.assert_allclose(rate, expected, rtol=0, atol=RATE_TOLERANCE)
+
+
+@pytest.mark.parametrize("gains", [NO_GAINS, GAINS], ids=["feedforward only", "all"])
+@pytest.mark.parametrize("feedforward", [1.0, 0.5])
+def test_wrench_rate_with_feedforward_is_the_difference_of_the_wrench(gains, feedforward):
+    rate, expected = differences_of_wrench(gains, feedforward, spinning_up)
+    np.testing.assert_allclose(rate, expected, rtol=0, atol=RATE_TOLERANCE)
+
+
+def test_feedforward_alone_carries_the_load_along_its_reference():
+    motion = Motion(17)
+    for time in (0.2, 1.6):
+        state, reference = motion.state(time), motion.reference(time)
+        wrench, _ = wrench_and_rate(
+            state, reference, np.zeros(6), **NO_GAINS, feedforward=1.0, **BODY
+        )
+        rate = load_state_rate(
+            state, np.zeros(3), wrench, attachments=np.zeros((1, 3)), **BODY
+        )
+        np.testing.assert_allclose(rate[7:], reference[13:19], rtol=0, atol=1e-13)
+
+
+def test_table_gains_damp_the_rotation():
+    J, K_omega, K_R, K_i = 0.01, 0.06, 0.5, 0.1
+    body = {**BODY, "inertia": J * np.eye(3), "inertia_inverse": np.eye(3) / J}
+    reference = np.array([1.0, *np.zeros(21)])
+
+    def rate(y):
+        """Of [∫e_R, small rotation, ω] about x."""
+        state = np.array([1.0, y[1] / 2, *np.zeros(5), y[2], *np.zeros(5)])
+        integrals = np.array([y[0], *np.zeros(5)])
+        wrench, _ = wrench_and_rate(
+            state, reference, integrals, **GAINS, feedforward=1.0, **body
+        )
+        load_rate = load_state_rate(
+            state, np.zeros(3), wrench, attachments=np.zeros((1, 3)), **body
+        )
+        return np.array([tracking_error(state, reference)[0], y[2], load_rate[7]])
+
+    h = 1e-6
+    matrix = np.column_stack([(rate(h * e) - rate(-h * e)) / (2 * h) for e in np.eye(3)])
+    poles = np.sort_complex(np.linalg.eigvals(matrix))
+    expected = np.sort_complex(np.roots([J, K_omega, K_R, K_i]))
+    np.testing.assert_allclose(poles, expected, rtol=1e-6)
+    assert np.max(poles.real) < 0
+    np.testing.assert_allclose(poles[0], -2.90 - 6.36j, atol=0.01)
