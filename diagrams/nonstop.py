@@ -1,13 +1,13 @@
 """The paper's control figure, as data.
 
-    load_trajectory ──────────┬──> optimization_layer ──> phase
-                              │             │               │
-                              │             └──> internal_force
-                              v                       │
-    load_feedback ──> wrench_controller ──> force_distribution ──> carrier_trajectory
-          ^                                                              │
-          │                                                      carrier_controller
-      load_plant <── cables <── carrier_dynamics <────────────────────────┘
+load_trajectory ──────────┬──> optimization_layer ──> phase
+                          │             │               │
+                          │             └──> internal_force
+                          v                       │
+load_feedback ──> wrench_controller ──> force_distribution ──> carrier_trajectory
+      ^                                                              │
+      │                                                      carrier_controller
+  load_plant <── cables <── carrier_dynamics <────────────────────────┘
 """
 
 from collections.abc import Callable

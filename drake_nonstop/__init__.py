@@ -42,6 +42,7 @@ from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.wrench_controller import WrenchController, WrenchControllerConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.drawing import draw_diagram
+from drake_nonstop.equilibrium import set_equilibrium
 from drake_nonstop.metrics import compute_metrics
 from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
 from drake_nonstop.results import write_results
@@ -108,6 +109,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "LoadPlantConfig",
     # put together, simulated, judged
     "make_nonstop",
+    "set_equilibrium",
     "simulate",
     "Run",
     "RunStopped",

@@ -50,9 +50,7 @@ class CompiledFunction:
         outputs = function(*np.split(_object_array(symbol), ends[1:-1]))
         if not isinstance(outputs, tuple):
             outputs = (outputs,)
-        expressions = [
-            casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs
-        ]
+        expressions = [casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs]
         stacked = casadi.vertcat(*expressions)
         expressions.append(casadi.densify(casadi.sumsqr(stacked)))
         if jacobian_of is not None:
@@ -64,9 +62,9 @@ class CompiledFunction:
         self._buffer, self._evaluate = self._function.buffer()
         self._input = np.zeros(ends[-1])
         self._outputs = [np.zeros(expression.shape, order="F") for expression in expressions]
-        self._buffer.set_arg(0, memoryview(self._input))
+        self._buffer.set_arg(0, self._input.data)
         for i, array in enumerate(self._outputs):
-            self._buffer.set_res(i, memoryview(array.reshape(-1, order="F")))
+            self._buffer.set_res(i, array.reshape(-1, order="F").data)
         count = len(outputs)
         self._results = tuple(
             [array[:, 0] for array in self._outputs[:count]] + self._outputs[count + 1 :]
@@ -75,6 +73,7 @@ class CompiledFunction:
         self._name = name
 
     def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
+        """The outputs for flat inputs of the declared sizes."""
         np.concatenate(inputs, out=self._input)
         self._evaluate()
         if not self._squared_norm[0] < _LARGEST**2:

@@ -12,11 +12,11 @@ import math
 import re
 import textwrap
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.sax.saxutils import escape, quoteattr
 
 from pydrake.systems.framework import Diagram
 
@@ -44,7 +44,7 @@ LAYOUT = {
     "carrier_trajectory": Place(4, 2, 1, "inner loop"),
     "carrier_controller": Place(4, 3, -1, "plant"),
     "load_plant": Place(0, 3, -1, "plant"),
-    "load_disturbance": Place(1, 4, -1, "addition"),
+    "load_disturbance": Place(0, 4, 1, "addition"),
     "cables": Place(2, 3, -1, "plant"),
     "carrier_dynamics": Place(3, 3, -1, "plant"),
 }
@@ -64,33 +64,42 @@ COLOURS = {
 UNIT = 10  # px between neighbouring lanes; lengths are in units unless they say px
 BOX_WIDTH = 11
 INPUT_SPACING = 2
-SPARE_LANES = 4  # between two columns or two rows, beside the room for the labels
-NAME_SIZE, CLASS_SIZE, LABEL_SIZE = 13, 10, 11  # px
-LINE_HEIGHT = 1.15  # of the size of a font
-CHARACTER_WIDTH = 0.54  # of the size of a font, on average
-LABEL_CHARACTERS = 14  # in one line
+SPARE_COLUMNS = 8  # between two boxes, beside the room for labels
+SPARE_ROWS = 9
+NAME_SIZE, CLASS_SIZE, LABEL_SIZE = 13, 11, 12  # px
+LINE_HEIGHT = 1.1  # of the size of a font
+BOLD_WIDTH = 1.1  # over that of the same text in regular
+NARROW, WIDE = set("fijlrt I"), set("mwMW")
+LABEL_LIFT = 4  # px from the wire
+LABEL_CHARACTERS = 13  # in one line
 
 # What the wires avoid, in units of length.
 BEND_COST, CROSSING_COST, BRANCH_COST = 5, 9, 2
 ROUTING_PASSES = 3
 
 CORNER_RADIUS = 5  # px
-WIRE_COLOURS = {"wire": "#333", "unread": "#aaa"}
+WIRE_COLOUR, UNREAD_COLOUR = "#333", "#999"
 STYLE = f"""
 text {{ font-family: Helvetica, Arial, sans-serif; text-anchor: middle; fill: #222 }}
 .name {{ font-size: {NAME_SIZE}px; font-weight: bold }}
 .class {{ font-size: {CLASS_SIZE}px; fill: #555 }}
-.label {{ font-size: {LABEL_SIZE}px; font-style: italic }}
-.unread-label {{ fill: #888 }}
+.wire-label, .unread-label {{ font-size: {LABEL_SIZE}px; font-style: italic }}
+.unread-label {{ fill: #777 }}
 .wire, .unread {{ fill: none; stroke-width: 1.2 }}
-.wire {{ stroke: {WIRE_COLOURS["wire"]}; marker-end: url(#wire-arrow) }}
-.unread {{ stroke: {WIRE_COLOURS["unread"]}; marker-end: url(#unread-arrow) }}
-.dot {{ fill: {WIRE_COLOURS["wire"]} }}
+.wire {{ stroke: {WIRE_COLOUR}; marker-end: url(#wire-arrow) }}
+.unread {{ stroke: {UNREAD_COLOUR}; marker-end: url(#unread-arrow) }}
 """
+ARROWHEADS = [
+    f'<marker id="{kind}-arrow" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="8"'
+    f' markerHeight="8" markerUnits="userSpaceOnUse" orient="auto">'
+    f'<path d="M0,1 L8,4 L0,7 z" fill="{colour}"/></marker>'
+    for kind, colour in (("wire", WIRE_COLOUR), ("unread", UNREAD_COLOUR))
+]
 
 Node = tuple[int, int]
 Step = tuple[int, int]
 State = tuple[int, Node, Step]  # cost of getting to a node, and the step that led there
+Positions = tuple[dict[int, int], dict[int, int]]  # of columns and of rows, in px
 STEPS: tuple[Step, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
@@ -115,13 +124,13 @@ class Signal:
     @property
     def label_width(self) -> int:
         """The room that the label takes along the wire."""
-        width = max(len(line) for line in self.lines) * LABEL_SIZE * CHARACTER_WIDTH
-        return math.ceil((width + 8) / UNIT)
+        return math.ceil((max(_text_width(line, LABEL_SIZE) for line in self.lines) + 8) / UNIT)
 
     @property
     def label_height(self) -> int:
         """The room that the label takes above the wire."""
-        return math.ceil(len(self.lines) * LABEL_SIZE * LINE_HEIGHT / UNIT - 0.4)
+        lines_above = len(self.lines) - 1
+        return int((LABEL_LIFT + (0.75 + lines_above * LINE_HEIGHT) * LABEL_SIZE + 3) / UNIT)
 
     @property
     def stem(self) -> list[Node]:
@@ -151,19 +160,17 @@ class Box:
     @property
     def texts(self) -> list[tuple[str, str, int]]:
         """The lines to write into the box: style, text, size in px."""
-        lines = []
-        words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", self.class_name)
-        for line in textwrap.wrap(self.name.replace("_", " "), _characters(NAME_SIZE)):
-            lines.append(("name", line, NAME_SIZE))
-        for line in textwrap.wrap(words, _characters(CLASS_SIZE)):
-            lines.append(("class", line.replace(" ", ""), CLASS_SIZE))
-        return lines
+        names = _wrapped(self.name.split("_"), " ", BOLD_WIDTH * NAME_SIZE)
+        classes = _wrapped(re.findall("[A-Z]+[^A-Z]*|[^A-Z]+", self.class_name), "", CLASS_SIZE)
+        return [("name", line, NAME_SIZE) for line in names] + [
+            ("class", line, CLASS_SIZE) for line in classes
+        ]
 
     @property
     def height(self) -> int:
         """What the texts and the ports on either side need."""
         texts = math.ceil(sum(size for _, _, size in self.texts) * LINE_HEIGHT / UNIT) + 2
-        inputs = INPUT_SPACING * (len(self.inputs) - 1) + 4
+        inputs = INPUT_SPACING * (len(self.inputs) + 1) + 2
         outputs = sum(signal.label_height + 1 for signal in self.outputs[1:]) + 4
         return max(texts, inputs, outputs)
 
@@ -196,11 +203,11 @@ def draw_diagram(diagram: Diagram) -> str:
     `wiring.connections`) as `data-wire`, and each label its output port as `data-signal`.
     """
     boxes = _boxes(diagram)
-    lanes = SPARE_LANES
-    _place(boxes, lanes)
-    while not _route(boxes, lanes):
-        lanes *= 2
-        _place(boxes, lanes)
+    scale = 1
+    _place(boxes, scale)
+    while not _route(boxes):
+        scale += 1
+        _place(boxes, scale)
     return _svg(diagram.get_name(), boxes)
 
 
@@ -215,7 +222,8 @@ def _boxes(diagram: Diagram) -> list[Box]:
             row, column = divmod(strangers, COLUMNS)
             place = Place(column, ROWS + row, 1, "addition")
             strangers += 1
-        outputs = [Signal(f"{name}.{port}", place.flow) for port in wiring.output_names(system)]
+        ports = [system.get_output_port(i) for i in range(system.num_output_ports())]
+        outputs = [Signal(f"{name}.{port.get_name()}", place.flow) for port in ports]
         signals.update({signal.name: signal for signal in outputs})
         boxes[name] = Box(name, type(system).__name__, place, outputs)
     for wire in sorted(wiring.connections(diagram)):
@@ -225,7 +233,7 @@ def _boxes(diagram: Diagram) -> list[Box]:
     return list(boxes.values())
 
 
-def _place(boxes: list[Box], lanes: int) -> None:
+def _place(boxes: list[Box], scale: int) -> None:
     """Gives the boxes and their ports their places on the grid."""
     right_edge = 0
     room_to_its_right = 0
@@ -233,7 +241,7 @@ def _place(boxes: list[Box], lanes: int) -> None:
         members = [box for box in boxes if box.place.column == column]
         room = max(room_to_its_right, _label_room(members, -1))
         for box in members:
-            box.left = right_edge + room + lanes
+            box.left = right_edge + room + scale * SPARE_COLUMNS
         right_edge = members[0].left + BOX_WIDTH
         room_to_its_right = _label_room(members, 1)
     bottom_edge = 0
@@ -241,8 +249,8 @@ def _place(boxes: list[Box], lanes: int) -> None:
         members = [box for box in boxes if box.place.row == row]
         height = max(box.height for box in members)
         for box in members:
-            box.top = bottom_edge + lanes + (height - box.height) // 2
-        bottom_edge += lanes + height
+            box.top = bottom_edge + scale * SPARE_ROWS + (height - box.height) // 2
+        bottom_edge += scale * SPARE_ROWS + height
     for box in boxes:
         _place_outputs(box, boxes)
     for box in boxes:
@@ -277,49 +285,55 @@ def _place_outputs(box: Box, boxes: list[Box]) -> None:
 
 
 def _place_inputs(box: Box, boxes: list[Box]) -> None:
-    """Puts what comes from above on top, and what comes from beside at its own height."""
+    """Puts what comes from above on top, and what comes straight at its own height."""
     low, high = box.top + 1, box.top + box.height - 1
 
-    def ahead(signal: Signal) -> int:
-        return box.place.flow * (box.input_side - signal.source[0])
+    def comes_from(signal: Signal) -> float:
+        x, y = signal.source
+        ahead = box.place.flow * (box.input_side - x)
+        if ahead > 0 and low <= y <= high and not _is_straight(signal, box, boxes):
+            return math.copysign(math.pi / 2, y - box.middle + INPUT_SPACING)
+        return math.atan2(y - box.middle - 0.5, ahead)
 
-    def beside(signal: Signal) -> bool:
-        return ahead(signal) > 0 and low <= signal.source[1] <= high
-
-    def in_sight(signal: Signal) -> bool:
-        columns = range(*sorted((box.input_side, signal.source[0])))
-        hides = [
-            other.left in columns and other.top <= signal.source[1] <= other.top + other.height
-            for other in boxes
-            if other is not box
-        ]
-        return not any(hides)
-
-    def bearing(wire: str) -> float:
-        signal = box.inputs[wire]
-        below = signal.source[1] - box.middle
-        if beside(signal) and not in_sight(signal):
-            return math.copysign(math.pi / 2, below - 0.5)
-        return math.atan2(below - 0.5, ahead(signal))
-
-    wires = sorted(box.inputs, key=bearing)
+    wires = sorted(box.inputs, key=lambda wire: comes_from(box.inputs[wire]))
+    straight = {
+        i: box.inputs[wire].source[1]
+        for i, wire in enumerate(wires)
+        if _is_straight(box.inputs[wire], box, boxes)
+    }
     heights: list[int] = []
-    for i, wire in enumerate(wires):
-        signal = box.inputs[wire]
+    for i in range(len(wires)):
         y = box.top + round(box.height * (i + 1) / (len(wires) + 1))
-        if beside(signal) and in_sight(signal):
-            y = signal.source[1]
-        heights.append(max(y, heights[-1] + INPUT_SPACING if heights else low))
+        for k, straight_y in straight.items():
+            bound = straight_y + INPUT_SPACING * (i - k)
+            y = max(y, bound) if k <= i else min(y, bound)
+        y = straight.get(i, y)
+        heights.append(max(y, heights[-1] + INPUT_SPACING) if heights else max(y, low))
     for wire, y in zip(reversed(wires), reversed(heights), strict=True):
         y = min(y, high)
         high = y - INPUT_SPACING
         box.inputs[wire].sinks[wire] = (box.input_side, y)
 
 
+def _is_straight(signal: Signal, box: Box, boxes: list[Box]) -> bool:
+    """Whether the signal can reach the box on a straight line."""
+    x, y = signal.source
+    between = range(*sorted((x, box.input_side)))
+    return (
+        box.place.flow * (box.input_side - x) > 0
+        and box.top < y < box.top + box.height
+        and not any(
+            other.left in between and other.top <= y <= other.top + other.height
+            for other in boxes
+            if other is not box
+        )
+    )
+
+
 class _Router:
     """Finds the wires' ways over the grid, around the boxes and across each other."""
 
-    def __init__(self, boxes: list[Box], lanes: int):
+    def __init__(self, boxes: list[Box]):
         self._blocked: set[Node] = set()
         self._reserved: dict[Node, str] = {}
         self._axes: dict[Node, dict[str, str]] = defaultdict(dict)  # by node and signal
@@ -333,8 +347,8 @@ class _Router:
                 self._blocked.update(signal.label_nodes)
                 self._reserved.update(dict.fromkeys(signal.stem, signal.name))
         xs, ys = zip(*self._blocked, *self._reserved, strict=True)
-        self._columns = range(min(xs) - lanes, max(xs) + lanes)
-        self._rows = range(min(ys) - lanes, max(ys) + lanes)
+        self._columns = range(min(xs) - SPARE_COLUMNS, max(xs) + SPARE_COLUMNS)
+        self._rows = range(min(ys) - SPARE_ROWS, max(ys) + SPARE_ROWS)
 
     def route(self, signal: Signal) -> bool:
         """Finds all wires of the signal anew, the cheapest first; false if one has no way."""
@@ -353,9 +367,8 @@ class _Router:
                 starts = []
             signal.paths[goals.pop(path[-1])] = path
             self._occupy(path, signal.name)
-            for node in path:
-                if node not in others and node not in self._blocked and node not in signal.stem[:-1]:
-                    starts += [(BRANCH_COST, node, step) for step in STEPS]
+            branchable = set(path) - others.keys() - self._blocked - set(signal.stem[:-1])
+            starts += [(BRANCH_COST, node, step) for node in branchable for step in STEPS]
         return True
 
     def _occupy(self, path: list[Node], name: str) -> None:
@@ -412,175 +425,152 @@ class _Router:
         return on_the_grid and node not in self._blocked
 
 
-def _route(boxes: list[Box], lanes: int) -> bool:
+def _route(boxes: list[Box]) -> bool:
     """Routes the short signals first, then all of them again, knowing the others' ways."""
 
     def extent(signal: Signal) -> int:
         xs, ys = zip(signal.source, *signal.sinks.values(), strict=True)
         return max(xs) - min(xs) + max(ys) - min(ys)
 
-    router = _Router(boxes, lanes)
+    router = _Router(boxes)
     signals = sorted((signal for box in boxes for signal in box.outputs), key=extent)
     return all(router.route(signal) for _ in range(ROUTING_PASSES) for signal in signals)
 
 
-def _svg(title: str, boxes: list[Box]) -> str:
+def _positions(boxes: list[Box]) -> Positions:
+    """Closes the grid up where neither box nor label nor wire needs the room."""
     signals = [signal for box in boxes for signal in box.outputs]
-    columns, rows = _used_lanes(boxes, signals)
-    width, height = UNIT * (len(columns) + 1), UNIT * (len(rows) + 1)
-    pixel = _Pixel(
-        {column: UNIT * (i + 1) for i, column in enumerate(columns)},
-        {row: UNIT * (i + 1) for i, row in enumerate(rows)},
-    )
-    svg = Element(
-        "svg",
-        {
-            "xmlns": "http://www.w3.org/2000/svg",
-            "viewBox": f"0 0 {width} {height}",
-            "width": f"{width}",
-            "height": f"{height}",
-        },
-    )
-    SubElement(svg, "title").text = title
-    SubElement(svg, "style").text = STYLE
-    definitions = SubElement(svg, "defs")
-    for style, colour in WIRE_COLOURS.items():
-        _add_arrowhead(definitions, style, colour)
-    SubElement(svg, "rect", {"width": f"{width}", "height": f"{height}", "fill": "#fff"})
+    solid = {node for box in boxes for node in box.nodes(margin=1)}
     for signal in signals:
-        _add_signal(svg, signal, pixel)
-    for box in boxes:
-        _add_box(svg, box, pixel)
-    indent(svg)
-    return tostring(svg, encoding="unicode") + "\n"
-
-
-class _Pixel(NamedTuple):
-    """Where the lanes that are left are in the picture."""
-
-    of_column: dict[int, int]
-    of_row: dict[int, int]
-
-    def of(self, node: Node) -> tuple[int, int]:
-        """The position of a node."""
-        return self.of_column[node[0]], self.of_row[node[1]]
-
-
-def _used_lanes(boxes: list[Box], signals: list[Signal]) -> tuple[list[int], list[int]]:
-    """The columns and rows with a box, a label or a wire that runs along them."""
-    nodes = [node for box in boxes for node in box.nodes(margin=1)]
-    nodes += [node for signal in signals for node in signal.stem + signal.label_nodes]
-    columns = {x for x, _ in nodes}
-    rows = {y for _, y in nodes}
+        solid.update(signal.stem, signal.label_nodes)
+    runs_down, runs_across = set(solid), {(y, x) for x, y in solid}
     for signal in signals:
         for path in signal.paths.values():
-            for (x, y), (next_x, _) in pairwise(path):
+            for (x, y), (next_x, next_y) in pairwise(path):
                 if x == next_x:
-                    columns.add(x)
+                    runs_down.update([(x, y), (x, next_y)])
                 else:
-                    rows.add(y)
-    return sorted(columns), sorted(rows)
+                    runs_across.update([(y, x), (y, next_x)])
+    return _squeezed(runs_down), _squeezed(runs_across)
 
 
-def _add_arrowhead(parent: Element, style: str, colour: str) -> None:
-    marker = SubElement(
-        parent,
-        "marker",
-        {
-            "id": f"{style}-arrow",
-            "viewBox": "0 0 8 8",
-            "refX": "8",
-            "refY": "4",
-            "markerWidth": "8",
-            "markerHeight": "8",
-            "markerUnits": "userSpaceOnUse",
-            "orient": "auto",
-        },
-    )
-    SubElement(marker, "path", {"d": "M 0,1 L 8,4 L 0,7 z", "fill": colour})
+def _squeezed(nodes: set[Node]) -> dict[int, int]:
+    """Moves what stands in each lane back until it meets what stands before it."""
+    places = defaultdict(list)
+    for lane, place in nodes:
+        places[lane].append(place)
+    filled: dict[int, int] = defaultdict(int)
+    positions = {}
+    for lane in sorted(places):
+        positions[lane] = UNIT + max(filled[place] for place in places[lane])
+        filled.update(dict.fromkeys(places[lane], positions[lane]))
+    return positions
 
 
-def _add_box(svg: Element, box: Box, pixel: _Pixel) -> None:
-    left, top = pixel.of((box.left, box.top))
-    right, bottom = pixel.of((box.left + BOX_WIDTH, box.top + box.height))
-    fill, border = COLOURS[box.place.kind]
-    group = SubElement(svg, "g", {"data-block": box.name})
-    SubElement(
-        group,
-        "rect",
-        {
-            "x": f"{left}",
-            "y": f"{top}",
-            "width": f"{right - left}",
-            "height": f"{bottom - top}",
-            "rx": "5",
-            "fill": fill,
-            "stroke": border,
-        },
-    )
-    baseline = (top + bottom - sum(size for _, _, size in box.texts) * LINE_HEIGHT) / 2
-    for style, text, size in box.texts:
-        baseline += size * LINE_HEIGHT
-        _add_text(group, style, text, (left + right) / 2, baseline - 0.25 * size)
+def _svg(title: str, boxes: list[Box]) -> str:
+    position = _positions(boxes)
+    width, height = (max(lanes.values()) + UNIT for lanes in position)
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}"'
+        f' viewBox="0 0 {width} {height}">',
+        f"<title>{escape(title)}</title>",
+        f"<style>{STYLE}</style>",
+        *ARROWHEADS,
+        f'<rect width="{width}" height="{height}" fill="white"/>',
+    ]
+    for box in boxes:
+        for signal in box.outputs:
+            lines += _signal_svg(signal, position)
+    for box in boxes:
+        lines += _box_svg(box, position)
+    return "\n".join([*lines, "</svg>", ""])
 
 
-def _add_signal(svg: Element, signal: Signal, pixel: _Pixel) -> None:
-    style = "wire" if signal.paths else "unread"
-    group = SubElement(svg, "g", {"data-signal": signal.name})
-    neighbours = defaultdict(set)
+def _signal_svg(signal: Signal, position: Positions) -> list[str]:
+    kind = "wire" if signal.paths else "unread"
+    lines = [f"<g data-signal={quoteattr(signal.name)}>"]
+    neighbours: dict[Node, set[Node]] = defaultdict(set)
     for wire, path in signal.paths.items():
-        d = _path_data([pixel.of(node) for node in _corners(path)])
-        SubElement(group, "path", {"class": style, "d": d, "data-wire": wire})
+        data = _path_data(path, position)
+        lines.append(f'<path class="wire" data-wire={quoteattr(wire)} d="{data}"/>')
         for node, following in pairwise(path):
             neighbours[node].add(following)
             neighbours[following].add(node)
     if not signal.paths:
-        d = _path_data([pixel.of(node) for node in _corners(signal.stem)])
-        SubElement(group, "path", {"class": style, "d": d})
+        lines.append(f'<path class="unread" d="{_path_data(signal.stem, position)}"/>')
     for node, around in neighbours.items():
         if len(around) > 2:
-            x, y = pixel.of(node)
-            SubElement(group, "circle", {"class": "dot", "cx": f"{x}", "cy": f"{y}", "r": "2.5"})
-    start, end = pixel.of(signal.stem[0]), pixel.of(signal.stem[-1])
-    baseline = start[1] - 4 - (len(signal.lines) - 1) * LABEL_SIZE * LINE_HEIGHT
+            x, y = _pixel(node, position)
+            lines.append(f'<circle cx="{x}" cy="{y}" r="2.5" fill="{WIRE_COLOUR}"/>')
+    x, y = _pixel(signal.source, position)
+    middle = x + signal.flow * signal.label_width * UNIT / 2
+    baseline = y - LABEL_LIFT - (len(signal.lines) - 1) * LINE_HEIGHT * LABEL_SIZE
     for line in signal.lines:
-        _add_text(group, f"label {style}-label", line, (start[0] + end[0]) / 2, baseline)
-        baseline += LABEL_SIZE * LINE_HEIGHT
+        lines.append(_text_svg(f"{kind}-label", line, middle, baseline))
+        baseline += LINE_HEIGHT * LABEL_SIZE
+    return [*lines, "</g>"]
 
 
-def _add_text(parent: Element, style: str, text: str, x: float, y: float) -> None:
-    element = SubElement(parent, "text", {"class": style, "x": f"{x:.1f}", "y": f"{y:.1f}"})
-    element.text = text
+def _box_svg(box: Box, position: Positions) -> list[str]:
+    left, top = _pixel((box.left, box.top), position)
+    right, bottom = _pixel((box.left + BOX_WIDTH, box.top + box.height), position)
+    fill, border = COLOURS[box.place.kind]
+    lines = [
+        f"<g data-block={quoteattr(box.name)}>",
+        f'<rect x="{left}" y="{top}" width="{right - left}" height="{bottom - top}" rx="5"'
+        f' fill="{fill}" stroke="{border}"/>',
+    ]
+    baseline = (top + bottom - sum(size for _, _, size in box.texts) * LINE_HEIGHT) / 2
+    for kind, text, size in box.texts:
+        baseline += LINE_HEIGHT * size
+        lines.append(_text_svg(kind, text, (left + right) / 2, baseline - 0.25 * size))
+    return [*lines, "</g>"]
 
 
-def _corners(path: list[Node]) -> list[Node]:
-    """The ends of the path and the nodes where it turns."""
-    turns = [
+def _text_svg(kind: str, text: str, x: float, y: float) -> str:
+    return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}">{escape(text)}</text>'
+
+
+def _path_data(path: list[Node], position: Positions) -> str:
+    """A line along the path, with its corners rounded."""
+    corners = [
         node
         for before, node, after in zip(path, path[1:], path[2:], strict=False)
         if before[0] != after[0] and before[1] != after[1]
     ]
-    return [path[0], *turns, path[-1]]
-
-
-def _path_data(points: Sequence[tuple[int, int]]) -> str:
-    """A line through the points, with its corners rounded."""
-    commands = ["M {},{}".format(*points[0])]
+    points = [_pixel(node, position) for node in (path[0], *corners, path[-1])]
+    data = "M{},{}".format(*points[0])
     for before, corner, after in zip(points, points[1:], points[2:], strict=False):
         start, end = _towards(corner, before), _towards(corner, after)
-        commands.append("L {},{} Q {},{} {},{}".format(*start, *corner, *end))
-    commands.append("L {},{}".format(*points[-1]))
-    return " ".join(commands)
+        data += " L{},{} Q{},{} {},{}".format(*start, *corner, *end)
+    return data + " L{},{}".format(*points[-1])
 
 
-def _towards(corner: tuple[int, int], point: tuple[int, int]) -> tuple[int, int]:
-    """The point at the radius of a rounded corner from the corner."""
+def _towards(corner: Node, point: Node) -> Node:
+    """The point on the way from a corner, where its rounding ends."""
     dx, dy = point[0] - corner[0], point[1] - corner[1]
     length = abs(dx) + abs(dy)
     radius = min(CORNER_RADIUS, length // 2)
     return corner[0] + radius * dx // length, corner[1] + radius * dy // length
 
 
-def _characters(size: int) -> int:
-    """How many characters of a font of that size fit into a box."""
-    return int((BOX_WIDTH * UNIT - 8) / (size * CHARACTER_WIDTH))
+def _pixel(node: Node, position: Positions) -> Node:
+    return position[0][node[0]], position[1][node[1]]
+
+
+def _wrapped(words: list[str], joint: str, size: float) -> list[str]:
+    """The words in lines that fit into a box."""
+    lines = [words[0]]
+    for word in words[1:]:
+        longer = lines[-1] + joint + word
+        if _text_width(longer, size) > BOX_WIDTH * UNIT - 10:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _text_width(text: str, size: float) -> float:
+    """The width of a text in px, about."""
+    widths = [0.3 if c in NARROW else 0.85 if c in WIDE else 0.58 for c in text]
+    return size * sum(widths)

@@ -89,6 +89,4 @@ def _moved(state: NDArray, offset: NDArray) -> NDArray:
     angle = np.linalg.norm(offset[:3])
     turn = RotationMatrix() if angle == 0 else RotationMatrix(AngleAxis(angle, offset[:3] / angle))
     rotation = turn @ RotationMatrix(Quaternion(state[:4]))
-    return np.concatenate(
-        [rotation.ToQuaternion().wxyz(), state[4:7] + offset[3:], state[7:]]
-    )
+    return np.concatenate([rotation.ToQuaternion().wxyz(), state[4:7] + offset[3:], state[7:]])

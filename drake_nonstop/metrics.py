@@ -97,15 +97,15 @@ def _carrier_metrics(run: Run) -> dict[str, Any]:
     positions, velocities = _split(states)
     speeds = carrier_speeds(states)
     bound = run.scenario.optimization_layer.speed_bound
-    turning = {"normal_acceleration_max_m_s2": None, "turn_radius_min_m": None}
+    sharpest: dict[str, float | None] = {"acceleration": None, "radius": None}
     if len(time) > 2:
         accelerations = np.gradient(velocities, time, axis=0)
         # v × a is speed × normal acceleration, and stays defined where a carrier stops.
         crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
         moving = speeds > 0
-        turning = {
-            "normal_acceleration_max_m_s2": float(np.max(crossed[moving] / speeds[moving])),
-            "turn_radius_min_m": float(1 / np.max(crossed[moving] / speeds[moving] ** 3)),
+        sharpest = {
+            "acceleration": float(np.max(crossed[moving] / speeds[moving])),
+            "radius": float(1 / np.max(crossed[moving] / speeds[moving] ** 3)),
         }
     climb = np.arctan2(np.abs(velocities[..., 2]), np.linalg.norm(velocities[..., :2], axis=2))
     return {
@@ -119,9 +119,9 @@ def _carrier_metrics(run: Run) -> dict[str, Any]:
             float(np.min(np.linalg.norm(positions[:, i] - positions[:, j], axis=1)))
             for i, j in combinations(range(speeds.shape[1]), 2)
         ),
-        "normal_acceleration_max_m_s2": turning["normal_acceleration_max_m_s2"],
+        "normal_acceleration_max_m_s2": sharpest["acceleration"],
         "climb_angle_max_rad": float(np.max(climb)),
-        "turn_radius_min_m": turning["turn_radius_min_m"],
+        "turn_radius_min_m": sharpest["radius"],
     }
 
 
@@ -134,9 +134,7 @@ def _cable_metrics(run: Run) -> dict[str, Any]:
         "tension_max_N": float(np.max(tensions)),
         "slack_time_s": _duration(time, np.any(tensions <= 0, axis=1)),
         "separation_min_m": min(
-            float(
-                np.min(segment_distances(ends[:, i], carriers[:, i], ends[:, j], carriers[:, j]))
-            )
+            float(np.min(segment_distances(ends[:, i], carriers[:, i], ends[:, j], carriers[:, j])))
             for i, j in combinations(range(tensions.shape[1]), 2)
         ),
     }

@@ -55,9 +55,7 @@ def _draw_load_position_error(run: Run) -> Figure:
 
 def _draw_load_orientation_error(run: Run) -> Figure:
     _, error = load_errors(run)
-    return _draw_error(
-        run.time, 1e3 * error, "orientation error (mrad)", "Load orientation error"
-    )
+    return _draw_error(run.time, 1e3 * error, "orientation error (mrad)", "Load orientation error")
 
 
 def _draw_carrier_speeds(run: Run) -> Figure:

@@ -81,9 +81,7 @@ class Scenario:
     force_distribution: CableForceDistributionConfig = field(
         default_factory=CableForceDistributionConfig
     )
-    carrier_trajectory: CarrierTrajectoryConfig = field(
-        default_factory=CarrierTrajectoryConfig
-    )
+    carrier_trajectory: CarrierTrajectoryConfig = field(default_factory=CarrierTrajectoryConfig)
     carrier_controller: CarrierPidConfig = field(default_factory=CarrierPidConfig)
     carrier_dynamics: CarrierDynamicsConfig = field(default_factory=CarrierDynamicsConfig)
     cables: CablesConfig = field(default_factory=CablesConfig)
@@ -163,12 +161,13 @@ def dump_scenario(scenario: Scenario) -> str:
 class _TreeDumper(yaml.SafeDumper):
     """Writes "_tag" in a dict as the tag of its mapping."""
 
-    def represent_dict(self, data: dict[str, Any]) -> yaml.Node:
+    def represent_tree(self, data: dict[str, Any]) -> yaml.Node:
+        """A dict as a mapping, tagged where it holds a "_tag"."""
         fields = {key: value for key, value in data.items() if key != "_tag"}
         return self.represent_mapping(data.get("_tag", "tag:yaml.org,2002:map"), fields)
 
 
-_TreeDumper.add_representer(dict, _TreeDumper.represent_dict)
+_TreeDumper.add_representer(dict, _TreeDumper.represent_tree)
 
 
 def _tree(scenario: Scenario) -> dict[str, Any]:
@@ -192,9 +191,9 @@ def _choices() -> dict[str, tuple[type, ...]]:
     result = {}
     for name, annotation in typing.get_type_hints(Scenario).items():
         options = typing.get_args(annotation) or (annotation,)
-        if all(option.__name__.endswith("Config") for option in options):
-            if SimulatorConfig not in options:
-                result[name] = options
+        is_tagged = all(option.__name__.endswith("Config") for option in options)
+        if is_tagged and SimulatorConfig not in options:
+            result[name] = options
     return result
 
 
@@ -295,8 +294,9 @@ def _compose(text: str, source: str) -> yaml.Node | None:
         raise ScenarioError(f"{source} = line {line}, {problem}: give valid YAML") from None
 
 
-def _plain(node: yaml.Node, path: str) -> Any:
+def _plain(node: yaml.Node | None, path: str) -> Any:
     """A YAML node as dicts, lists and scalars, refusing what YAML lets pass in silence."""
+    assert node is not None
     require(path.count(".") < 20, path[:60], "an alias of itself", "write the value out")
     if isinstance(node, yaml.MappingNode):
         result: dict[str, Any] = {}
@@ -318,6 +318,7 @@ def _plain(node: yaml.Node, path: str) -> Any:
     if not node.tag.startswith("tag:"):
         require(node.value == "", path, f"{node.tag} {node.value}", "give its fields in {}")
         return {"_tag": node.tag}  # a tag without {}
+    assert isinstance(node, yaml.ScalarNode)
     quoted = node.style in ("'", '"')
     require(
         not (quoted and _is_number_text(node.value)),

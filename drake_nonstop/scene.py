@@ -25,17 +25,8 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from drake_nonstop.simulate import SIGNAL_PERIOD, Run
 from drake_nonstop.system import overridden
 
-# Colours. The carriers' are Okabe and Ito's, told apart by the colour-blind too.
-CARRIER_COLOURS = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-    "#cc79a7",
-    "#e69f00",
-    "#56b4e9",
-    "#7f5f3f",
-    "#882255",
-)
+# Colours. The carriers' palette begins with Okabe and Ito's, made for the colour-blind too.
+PALETTE = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f5f3f", "#882255"
 LOAD_COLOUR = "#30343b"
 REFERENCE_COLOUR = "#8a4fff"
 REFERENCE_OPACITY = 0.2
@@ -54,7 +45,7 @@ VERTICAL_VIEW = 40.0  # degrees
 ASPECT_RATIO = 1.5  # of the narrowest window in which all is in view
 ELEVATION = 25.0  # degrees, above the horizon
 OBLIQUENESS = 20.0  # degrees, off the side of the load's way
-MARGIN = 1.1  # of the distance
+MARGIN = 1.15  # of the distance
 ASTRAY = 3.0  # reaches, off the reference: what is further out need not be in view
 GROUND_CLEARANCE = 0.3  # of the reach, from the lowest point to the grid
 GRID_OPACITY = 0.2
@@ -78,8 +69,8 @@ def record_replay(run: Run, *, frame_rate: float = 25.0) -> str:
         meshcat = Meshcat(MeshcatParams(host="localhost", port=0))  # any free port
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)
     motion = _motion(run, frame_rate)
-    _set_stage(meshcat, motion)
     if len(motion.load):
+        _set_stage(meshcat, motion)
         _draw(meshcat, motion)
         animation = MeshcatAnimation(frame_rate)
         _animate(animation, motion)
@@ -119,34 +110,35 @@ class _Motion:
 def _motion(run: Run, frame_rate: float) -> _Motion:
     system = overridden(run.scenario.system, run.scenario.simulated)
     attachments = np.array(system.attachments)
-    n = len(attachments)
     radius = float(np.max(np.linalg.norm(attachments, axis=1)))
+    load, reference = _poses(run.signal("load_state")), _poses(run.signal("reference"))
+    carriers = run.signal("carrier_state").reshape(len(load), 2, len(attachments), 3)
 
-    samples = np.hstack([_pose(run, "load_state"), _pose(run, "reference")])
-    samples = np.hstack([samples, run.signal("carrier_state")])
-    finite = np.isfinite(samples).all(axis=1)
-    time = run.time if finite.all() else run.time[: np.argmin(finite)]
-    frames = np.floor(time * frame_rate + 1e-6)
-    samples = samples[np.unique(frames, return_index=True)[1]]
-    carriers = samples[:, 14:].reshape(-1, 2, n, 3)
+    finite = [
+        np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+        for values in (load, reference, carriers)
+    ]
+    good = np.logical_and.accumulate(np.all(finite, axis=0))
+    frames = np.floor(run.time[good] * frame_rate + 1e-6)
+    samples = np.unique(frames, return_index=True)[1]
     return _Motion(
         attachments=attachments,
         radius=radius,
         reach=radius + system.cable_length,
         stride=max(1, round(TRAIL_PERIOD * frame_rate), -(-len(samples) // TRAIL_PIECES)),
-        load=samples[:, :7],
-        reference=samples[:, 7:14],
-        carriers=carriers[:, 0],
-        velocities=carriers[:, 1],
+        load=load[samples],
+        reference=reference[samples],
+        carriers=carriers[samples, 0],
+        velocities=carriers[samples, 1],
     )
 
 
-def _pose(run: Run, port: str) -> NDArray:
-    """Quaternion and position (samples, 7); a quaternion of zeros gives NaN."""
-    pose = run.signal(port)[:, :7].copy()
+def _poses(states: NDArray) -> NDArray:
+    """Quaternions, normalized, and positions (samples, 7); not finite where that fails."""
+    poses = states[:, :7].copy()
     with np.errstate(all="ignore"):
-        pose[:, :4] /= np.linalg.norm(pose[:, :4], axis=1, keepdims=True)
-    return pose
+        poses[:, :4] /= np.linalg.norm(poses[:, :4], axis=1, keepdims=True)
+    return poses
 
 
 def _draw(meshcat: Meshcat, motion: _Motion) -> None:
@@ -157,7 +149,7 @@ def _draw(meshcat: Meshcat, motion: _Motion) -> None:
     _draw_load(meshcat, "/reference", motion.attachments, GHOST_GROWTH * bar, ghost)
     _draw_trail(meshcat, "/trails/load", motion, motion.load[:, 4:], _rgba(LOAD_COLOUR))
     for i in range(len(motion.attachments)):
-        colour = _rgba(CARRIER_COLOURS[i % len(CARRIER_COLOURS)])
+        colour = _rgba(PALETTE[i % len(PALETTE)])
         _draw_carrier(meshcat, f"/carriers/{i}", WING_SPAN * motion.reach, colour)
         cable = Cylinder(CABLE_RADIUS * motion.reach, 1.0)  # m, scaled to its length
         meshcat.SetObject(f"/cables/{i}", cable, colour)
@@ -190,9 +182,9 @@ def _draw_carrier(meshcat: Meshcat, path: str, span: float, rgba: Rgba) -> None:
 
 
 def _draw_trail(meshcat: Meshcat, path: str, motion: _Motion, points: NDArray, rgba: Rgba) -> None:
-    ends = motion.boundaries
-    for start, end in pairwise(ends):
-        meshcat.SetLine(f"{path}/{end}", points[start : end + 1].T, 2.0, rgba)
+    """A polyline in pieces, each named after the frame from which on it is visible."""
+    for start, end in pairwise(motion.boundaries):
+        meshcat.SetLine(f"{path}/{end}", points[start : end + 1].T, rgba=rgba)
         meshcat.SetProperty(f"{path}/{end}", "visible", False)
 
 
@@ -229,12 +221,13 @@ def _between(start: NDArray, end: NDArray) -> tuple[RigidTransform, float]:
     """Where a cylinder lies that connects two points, and its length, never quite zero."""
     axis = _direction(end - start, otherwise=np.array([0.0, 0.0, 1.0]))
     rotation = RotationMatrix.MakeFromOneVector(axis, axis_index=2)
-    return RigidTransform(rotation, (start + end) / 2), max(np.linalg.norm(end - start), 1e-6)
+    length = max(float(np.linalg.norm(end - start)), 1e-6)
+    return RigidTransform(rotation, (start + end) / 2), length
 
 
 def _attitude(heading: NDArray, up: NDArray) -> RotationMatrix:
     """The attitude with the nose (x) along a unit vector and the top (z) towards `up`."""
-    z = _direction(up - (up @ heading) * heading, otherwise=np.zeros(3))
+    z = _direction(np.cross(heading, np.cross(up, heading)), otherwise=np.zeros(3))
     if not z.any():
         return RotationMatrix.MakeFromOneVector(heading, axis_index=0)
     return RotationMatrix(np.column_stack([heading, np.cross(z, heading), z]))
@@ -251,10 +244,8 @@ def _set_stage(meshcat: Meshcat, motion: _Motion) -> None:
     for edge in ("top_color", "bottom_color"):
         meshcat.SetProperty("/Background/<object>", edge, BACKGROUND)
     meshcat.SetProperty("/Axes", "visible", False)
-    if not len(motion.load):
-        return
     points = motion.points
-    eye, target = _view(points, way=_farthest(motion.reference[:, 4:]))
+    eye, target = _view(points, path=motion.reference[:, 4:])
     distance = np.linalg.norm(eye - target)
     camera = "/Cameras/default/rotated/<object>"
     meshcat.SetProperty(camera, "fov", VERTICAL_VIEW)
@@ -277,28 +268,24 @@ def _set_stage(meshcat: Meshcat, motion: _Motion) -> None:
     meshcat.SetProperty("/Grid/<object>", "opacity", GRID_OPACITY)
 
 
-def _farthest(path: NDArray) -> NDArray:
-    """From a path's start to the point farthest from there."""
-    offsets = path - path[0]
-    return offsets[np.argmax(np.linalg.norm(offsets, axis=1))]
-
-
-def _view(points: NDArray, *, way: NDArray) -> tuple[NDArray, NDArray]:
-    """Where a camera stands that looks across `way` with all points just in view, and at what."""
+def _view(points: NDArray, *, path: NDArray) -> tuple[NDArray, NDArray]:
+    """Where a camera stands and looks: across a path, with all points just in view."""
+    ways = path - path[0]
+    way = ways[np.argmax(np.linalg.norm(ways, axis=1))]
     yaw = np.arctan2(way[1], way[0]) - np.radians(OBLIQUENESS)
-    turn = RollPitchYaw(np.radians(-ELEVATION), 0.0, yaw).ToRotationMatrix().matrix()
-    # Seen from the camera: x to the right, y ahead, z up.
-    seen = points @ turn
+    R_WC = RollPitchYaw(np.radians(-ELEVATION), 0.0, yaw).ToRotationMatrix().matrix()
+    seen = points @ R_WC  # in the camera's axes: to the right, ahead, up
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
     right, ahead, up = (seen - middle).T
     slope = np.tan(np.radians(VERTICAL_VIEW) / 2)
-    wide = np.maximum(np.abs(right) / ASPECT_RATIO, np.abs(up)) / slope
-    distance = MARGIN * np.max(wide - ahead)
-    return turn @ (middle - [0.0, distance, 0.0]), turn @ middle
+    spread = np.maximum(np.abs(right) / ASPECT_RATIO, np.abs(up))
+    distance = MARGIN * np.max(spread / slope - ahead)
+    return R_WC @ (middle - [0.0, distance, 0.0]), R_WC @ middle
 
 
 def _rgba(colour: str, opacity: float = 1.0) -> Rgba:
-    return Rgba(*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), opacity)
+    red, green, blue = bytes.fromhex(colour[1:])
+    return Rgba(red / 255, green / 255, blue / 255, opacity)
 
 
 @contextmanager

@@ -63,7 +63,7 @@ class Run:
         raise KeyError(port)
 
 
-class RunStopped(RuntimeError):
+class RunStopped(RuntimeError):  # noqa: N818 - a run stopped; the cause is told
     """A run ended before its time; `run` holds the signals up to there."""
 
     def __init__(self, message: str, run: Run):
@@ -121,9 +121,7 @@ def simulate(
     simulator = Simulator(diagram)
     ApplySimulatorConfig(scenario.simulator, simulator)
     context = simulator.get_mutable_context()
-    set_equilibrium(
-        scenario, nonstop, nonstop.GetMyMutableContextFromRoot(context), **replacements
-    )
+    set_equilibrium(scenario, nonstop, nonstop.GetMyMutableContextFromRoot(context), **replacements)
     if progress is not None:
         simulator.set_monitor(_monitor(progress))
 

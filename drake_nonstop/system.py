@@ -47,7 +47,7 @@ class System:
 # `simulated` in a scenario: any field of System, for the simulated plant only.
 SystemOverrides: Any = dataclasses.make_dataclass(
     "SystemOverrides",
-    [(f.name, Optional[f.type], None) for f in dataclasses.fields(System)],  # type: ignore[valid-type]  # noqa: UP045
+    [(f.name, Optional[f.type], None) for f in dataclasses.fields(System)],  # noqa: UP045
     kw_only=True,
 )
 
@@ -61,7 +61,9 @@ def overridden(system: System, overrides: Any) -> System:
 class PatternConfig(Protocol):
     """What a scenario's `pattern` entry has to offer."""
 
-    def make(self, attachments: NDArray) -> InternalForcePattern: ...
+    def make(self, attachments: NDArray) -> InternalForcePattern:
+        """The pattern for attachments (n, 3) in L."""
+        ...
 
 
 class Model:
@@ -96,9 +98,7 @@ class Model:
             carrier_mass=system.carrier_mass,
             gravity=system.gravity,
         )
-        require_non_negative(
-            field, load_drag=system.load_drag, cable_damping=system.cable_damping
-        )
+        require_non_negative(field, load_drag=system.load_drag, cable_damping=system.cable_damping)
         require_non_negative("scenario", control_period=control_period)
         stiffness = system.cable_stiffness
         require(
@@ -140,9 +140,7 @@ class Model:
         self.pattern = pattern.make(self.attachments)
         self.m = len(self.pattern.phases)
         weight = gravity_wrench(self.load_mass, self.gravity)
-        check_pattern(
-            self.pattern, self.attachments, (self.pseudo_inverse @ weight).reshape(-1, 3)
-        )
+        check_pattern(self.pattern, self.attachments, (self.pseudo_inverse @ weight).reshape(-1, 3))
 
 
 def _checked_inertia(name: str, value: list[list[float]]) -> NDArray:

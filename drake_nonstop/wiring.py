@@ -45,9 +45,7 @@ def wires(
             sources[signal] = block_name
     result = []
     replaced_signals = replaced_signals or {}
-    upstream = {
-        sources.get(signal) for signal in (*replaced_signals, *replaced_signals.values())
-    }
+    upstream = {sources.get(signal) for signal in (*replaced_signals, *replaced_signals.values())}
     for block_name, block in blocks.items():
         for port in input_names(block):
             signal = port if block_name in upstream else replaced_signals.get(port, port)

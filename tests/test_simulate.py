@@ -64,9 +64,7 @@ def test_other_numbers_of_carriers_fly(n):
     angles = 2 * np.pi * np.arange(n) / n
     points = np.stack([np.cos(angles), np.sin(angles), 0.1 * (-1.0) ** np.arange(n)], axis=1)
     run = simulate(
-        short(
-            "quintic", f"system.attachments={points.tolist()}", "pattern=!HamiltonianCycle {}"
-        )
+        short("quintic", f"system.attachments={points.tolist()}", "pattern=!HamiltonianCycle {}")
     )
     assert run.signal("carrier_state").shape[1] == 6 * n
     assert np.max(np.abs(run.signal("tracking_error")[:, 3:6])) < 1e-3

@@ -46,9 +46,7 @@ class CableForceDistribution(LeafSystem):
                 offset=model.pattern.offset,
             )
 
-        self._distribute = CompiledFunction(
-            distribute, [13, 6, 6, 2 * model.m], name=self.get_name
-        )
+        self._distribute = CompiledFunction(distribute, [13, 6, 6, 2 * model.m], name=self.get_name)
         self._ports = [
             self.DeclareVectorInputPort("measured_load_state", 13),
             self.DeclareVectorInputPort("wrench", 6),
@@ -60,9 +58,7 @@ class CableForceDistribution(LeafSystem):
             "forces and rates", ValueProducer(Value(()).Clone, self._calc), inputs
         )
         result = {self._forces_and_rates.ticket()}
-        self.DeclareVectorOutputPort(
-            "desired_cable_forces", 3 * model.n, self._calc_forces, result
-        )
+        self.DeclareVectorOutputPort("desired_cable_forces", 3 * model.n, self._calc_forces, result)
         self.DeclareVectorOutputPort(
             "desired_cable_force_rates", 3 * model.n, self._calc_rates, result
         )

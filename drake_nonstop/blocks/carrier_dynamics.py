@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from pydrake.systems.framework import BasicVector, Context, ContinuousState, LeafSystem
+from pydrake.systems.framework import Context, ContinuousState, LeafSystem
 
 from drake_nonstop.compiled import CompiledFunction
 from drake_nonstop.mechanics.carrier import double_integrator_rate
@@ -33,9 +33,7 @@ class CarrierDynamics(LeafSystem):
         super().__init__()
         n = model.n
         self._rate = CompiledFunction(
-            lambda state, forces: double_integrator_rate(
-                state, forces, mass=model.carrier_mass
-            ),
+            lambda state, forces: double_integrator_rate(state, forces, mass=model.carrier_mass),
             [6 * n, 3 * n],
             name=self.get_name,
         )

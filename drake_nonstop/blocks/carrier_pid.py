@@ -61,9 +61,7 @@ class CarrierPid(LeafSystem):
         if self._integrates:
             self.DeclareContinuousState(3 * n)
             prerequisites.add(self.xc_ticket())
-        self.DeclareVectorOutputPort(
-            "carrier_forces", 3 * n, self._calc_forces, prerequisites
-        )
+        self.DeclareVectorOutputPort("carrier_forces", 3 * n, self._calc_forces, prerequisites)
 
     def _calc_forces(self, context: Context, output: BasicVector) -> None:
         integral = self._no_integral
@@ -79,7 +77,6 @@ class CarrierPid(LeafSystem):
             return
         half = 3 * self._n
         error = (
-            self._carrier_reference.Eval(context)[:half]
-            - self._carrier_state.Eval(context)[:half]
+            self._carrier_reference.Eval(context)[:half] - self._carrier_state.Eval(context)[:half]
         )
         derivatives.get_mutable_vector().SetFromVector(error)

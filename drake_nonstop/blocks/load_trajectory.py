@@ -42,9 +42,7 @@ class LoadTrajectory(LeafSystem):
         self._start, self._end = trajectory.start_time(), trajectory.end_time()
         self._trajectory = _with_derivatives(trajectory, 3)
         self._reference = CompiledFunction(_reference, [24], name=self.get_name)
-        self.DeclareVectorOutputPort(
-            "reference", 22, self._calc_reference, {self.time_ticket()}
-        )
+        self.DeclareVectorOutputPort("reference", 22, self._calc_reference, {self.time_ticket()})
 
     def _calc_reference(self, context: Context, output: BasicVector) -> None:
         time = context.get_time()
@@ -60,9 +58,7 @@ def _with_derivatives(trajectory: PiecewisePolynomial, order: int) -> PiecewiseP
     for segment in range(trajectory.get_number_of_segments()):
         rows = trajectory.getPolynomialMatrix(segment)
         columns.append(
-            np.concatenate(
-                [[[row.Derivative(k)] for row in rows[:, 0]] for k in range(order + 1)]
-            )
+            np.concatenate([[[row.Derivative(k)] for row in rows[:, 0]] for k in range(order + 1)])
         )
     return PiecewisePolynomial(columns, trajectory.get_segment_times())
 
@@ -70,9 +66,7 @@ def _with_derivatives(trajectory: PiecewisePolynomial, order: int) -> PiecewiseP
 def _reference(values: NDArray) -> NDArray:
     """`reference` (22,) of [roll, pitch, yaw, x, y, z] and three derivatives (24,)."""
     pose, rate, acceleration, jerk = values.reshape(4, 6)
-    angular_velocity, angular_acceleration = angular_motion(
-        pose[:3], rate[:3], acceleration[:3]
-    )
+    angular_velocity, angular_acceleration = angular_motion(pose[:3], rate[:3], acceleration[:3])
     return np.concatenate(
         [
             roll_pitch_yaw_to_quaternion(pose[:3]),
@@ -134,9 +128,7 @@ class RestToRest(LoadTrajectory):
                 require_array(
                     "load_trajectory.roll_pitch_yaw", config.roll_pitch_yaw, [3], "angles in rad"
                 ),
-                require_array(
-                    "load_trajectory.displacement", config.displacement, [3], "metres"
-                ),
+                require_array("load_trajectory.displacement", config.displacement, [3], "metres"),
             ]
         )
         segment = _segment(_SMOOTH_STEP, change, config.move_time)

@@ -27,9 +27,7 @@ class NoDisturbance(LeafSystem):
 
     def __init__(self, model: Model, config: NoDisturbanceConfig | None = None):
         super().__init__()
-        self.DeclareVectorOutputPort(
-            "disturbance_wrench", 6, self._calc, {self.nothing_ticket()}
-        )
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc, {self.nothing_ticket()})
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(np.zeros(6))

@@ -31,8 +31,7 @@ def advance(state: NDArray, angular: NDArray, translational: NDArray, time: floa
     angular_velocity, velocity = state[7:10], state[10:13]
     return np.concatenate(
         [
-            quaternion
-            + time * quaternion_rate(quaternion, angular_velocity + time / 2 * angular),
+            quaternion + time * quaternion_rate(quaternion, angular_velocity + time / 2 * angular),
             position + time * (velocity + time / 2 * translational),
             angular_velocity + time * angular,
             velocity + time * translational,

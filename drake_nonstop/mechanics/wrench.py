@@ -65,7 +65,7 @@ def wrench_and_rate(
     R_LD = R_LW @ rotation_matrix(reference[:4])
     omega = R_LW @ load_state[7:10]
     desired_omega = R_LW @ reference[7:10]
-    velocity, desired_velocity = load_state[10:13], reference[10:13]
+    desired_velocity = reference[10:13]
     desired_alpha, acceleration, jerk = (
         R_LW @ reference[13:16],
         reference[16:19],

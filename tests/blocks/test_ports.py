@@ -173,7 +173,7 @@ def values(signal, seed, n):
     """A value for a signal, such as the loop might have, that differs from seed to seed."""
     rng = np.random.default_rng([seed, *signal.encode()])
     if signal in ("reference", "load_state", "measured_load_state"):
-        return Motion(seed).reference(0.4)[: size(signal, n, n)]
+        return Motion(10 * seed + len(signal)).reference(0.4)[: size(signal, n, n)]
     if signal in ("carrier_state", "carrier_reference"):  # 1.5 m above the load: taut cables
         return rng.uniform(-0.5, 0.5, 6 * n) + np.concatenate([[0, 0, 2.0] * n, np.zeros(3 * n)])
     if signal == "wrench":

@@ -1,0 +1,154 @@
+"""The command, as a user meets it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from drake_nonstop.cli import main
+from drake_nonstop.scenario import dump_scenario, load_scenario
+
+RESULTS = {
+    "scenario.yaml",
+    "metrics.json",
+    "signals.npz",
+    "diagram.svg",
+    "replay.html",
+    "figures",
+}
+FIGURES = {
+    "load_reference",
+    "carrier_paths_from_above",
+    "carrier_paths_zoomed",
+    "load_position_error",
+    "load_orientation_error",
+    "carrier_speeds",
+    "tensions",
+    "internal_force_parameters",
+}
+BRIEF = ["--quiet", "--no-figures", "--no-replay"]
+
+
+def contents(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_list_has_a_line_for_each_scenario(capsys):
+    assert main(["list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 8
+    assert all(len(line.split()) > 4 for line in lines)
+
+
+def test_a_run_leaves_all_its_results_and_a_table(tmp_path, capsys):
+    assert main(["run", "quintic", "--out", str(tmp_path / "a"), "--set", "duration=0.3"]) == 0
+    folder = tmp_path / "a"
+    assert contents(folder) == RESULTS
+    assert contents(folder / "figures") == {f"{name}.png" for name in FIGURES}
+    assert all(path.stat().st_size > 5000 for path in (folder / "figures").iterdir())
+    with np.load(folder / "signals.npz") as signals:
+        assert signals["time"][-1] == pytest.approx(0.3)
+        assert signals["load_plant.load_state"].shape == (31, 13)
+        assert signals["carrier_dynamics.carrier_state"].shape == (31, 24)
+        assert not any("solve_time" in name for name in signals)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["simulated_s"] == pytest.approx(0.3)
+    resolved = load_scenario(folder / "scenario.yaml")
+    assert dump_scenario(resolved) == (folder / "scenario.yaml").read_text()
+    shown = capsys.readouterr().out
+    assert "carrier speed" in shown
+    assert str(folder) in shown
+
+
+def test_two_runs_write_the_same_signals_to_the_bit(tmp_path):
+    for name in "ab":
+        arguments = ["--out", str(tmp_path / name), "--set", "duration=0.3", *BRIEF]
+        assert main(["run", "quintic", *arguments]) == 0
+    first, second = ((tmp_path / name / "signals.npz").read_bytes() for name in "ab")
+    assert first == second
+
+
+def test_the_resolved_scenario_repeats_the_run(tmp_path):
+    settings = ["--set", "duration=0.3", "system.load_mass=1.3"]
+    main(["run", "quintic", "--out", str(tmp_path / "a"), *settings, *BRIEF])
+    main(["run", str(tmp_path / "a" / "scenario.yaml"), "--out", str(tmp_path / "b"), *BRIEF])
+    first, second = ((tmp_path / name / "signals.npz").read_bytes() for name in "ab")
+    assert first == second
+
+
+def test_a_run_replaces_all_of_an_earlier_one_and_touches_nothing_else(tmp_path):
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "old.png").write_text("old")
+    (tmp_path / "replay.html").write_text("old")
+    (tmp_path / "notes.txt").write_text("mine")
+    assert main(["run", "quintic", "--out", str(tmp_path), "--set", "duration=0.1", *BRIEF]) == 0
+    assert contents(tmp_path) == RESULTS - {"figures", "replay.html"} | {"notes.txt"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["quintik"], "quintic"),
+        (["quintic", "--set", "system.load_mass=-1"], "system.load_mass = -1.0"),
+        (["quintic", "--set", "optimization_layer.period=0.003"], "multiple"),
+        (["nothing.yaml"], "nothing.yaml"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_earlier_results(tmp_path, capsys, arguments, words):
+    (tmp_path / "metrics.json").write_text("earlier")
+    assert main(["run", *arguments, "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("drake-nonstop: ")
+    assert error.count("\n") == 1
+    assert words in error
+    assert contents(tmp_path) == {"metrics.json"}
+    assert (tmp_path / "metrics.json").read_text() == "earlier"
+
+
+def test_an_unwritable_folder_is_told_before_the_run(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        start = time.perf_counter()
+        assert main(["run", "line", "--out", str(folder)]) == 2
+        assert time.perf_counter() - start < 2
+        assert "--out = " in capsys.readouterr().err
+
+
+def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys):
+    settings = ["--set", "carrier_controller.position_gain=5e4", "duration=2"]
+    assert main(["run", "quintic", "--out", str(tmp_path), *settings, *BRIEF]) == 1
+    error = capsys.readouterr().err
+    assert "diverged at t = " in error
+    assert "Traceback" not in error
+    with np.load(tmp_path / "signals.npz") as signals:
+        assert 0 < signals["time"][-1] < 2
+    assert json.loads((tmp_path / "metrics.json").read_text())["simulated_s"] < 2
+
+
+def test_ctrl_c_keeps_what_was_simulated(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "drake_nonstop.cli", "run", "line", "--out", str(tmp_path)]
+        + ["--no-figures", "--no-replay", "--set", "duration=1000"],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    line = process.stderr.readline()  # the first line of progress: the run is on its way
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert "real time" in line
+    assert process.returncode == 130
+    assert "interrupted" in error
+    assert "Traceback" not in error
+    assert contents(tmp_path) == {"scenario.yaml", "metrics.json", "signals.npz", "diagram.svg"}
+
+
+def test_quiet_prints_nothing(tmp_path, capsys):
+    assert main(["run", "quintic", "--out", str(tmp_path), "--set", "duration=0.1", *BRIEF]) == 0
+    shown = capsys.readouterr()
+    assert shown.out == shown.err == ""
