@@ -147,20 +147,23 @@ class _ProgressBar:
 
     def __init__(self, scenario: Scenario):
         self._scenario = scenario
-        self._start = time.perf_counter()
         self._is_terminal = sys.stderr.isatty()
-        self._last_line = self._start
+        self._first: tuple[float, float] | None = None  # wall and simulated time
+        self._last_line = time.perf_counter()
         self._used = False
 
     def __call__(self, simulated: float) -> None:
         now = time.perf_counter()
+        if self._first is None:
+            self._first = now, simulated
+            return
         if not self._is_terminal:
             if now - self._last_line < self._PERIOD:
                 return
             self._last_line = now
         share = min(1.0, simulated / self._scenario.duration)
         filled = round(share * self._WIDTH)
-        factor = simulated / (now - self._start)
+        factor = (simulated - self._first[1]) / (now - self._first[0])
         text = (
             f"{self._scenario.name} [{'#' * filled}{'.' * (self._WIDTH - filled)}] "
             f"{simulated:6.2f} / {self._scenario.duration:g} s, {factor:.1f} x real time"

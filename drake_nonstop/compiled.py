@@ -24,6 +24,8 @@ class CompiledFunction:
             or a tuple of arrays of any shape.
         input_sizes: the length of each input.
         name: tells what evaluates the function, for the error.
+        largest: outputs whose norm is above it are taken for a divergence; nothing on
+            these cables comes near the default, in SI units.
         jacobian_of: if given, the index of the input with respect to which the exact
             Jacobian of the outputs, flattened and stacked, is one more output (rows,
             columns).
@@ -32,9 +34,8 @@ class CompiledFunction:
     of buffers that the next call overwrites: copy what is to be kept.
 
     Raises:
-        NotFiniteError: an output is NaN, infinite or above 1e6 in SI units, which nothing
-            on these cables comes near. Fixed-step integrators would pass it on in silence,
-            and error-controlled ones can hang on it.
+        NotFiniteError: an output is NaN, infinite or beyond `largest`. Fixed-step
+            integrators would pass it on in silence, and error-controlled ones can hang on it.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class CompiledFunction:
         input_sizes: Sequence[int],
         *,
         name: Callable[[], str],
+        largest: float = 1e6,
         jacobian_of: int | None = None,
     ):
         symbol = casadi.SX.sym("inputs", sum(input_sizes))
@@ -70,18 +72,16 @@ class CompiledFunction:
             [array[:, 0] for array in self._outputs[:count]] + self._outputs[count + 1 :]
         )
         self._squared_norm = self._outputs[count][:, 0]
+        self._largest_squared = largest**2
         self._name = name
 
     def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs for flat inputs of the declared sizes."""
         np.concatenate(inputs, out=self._input)
         self._evaluate()
-        if not self._squared_norm[0] < _LARGEST**2:
+        if not self._squared_norm[0] < self._largest_squared:
             raise NotFiniteError(self._name())
         return self._results
-
-
-_LARGEST = 1e6
 
 
 def _object_array(symbol: casadi.SX) -> NDArray:

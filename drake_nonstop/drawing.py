@@ -76,6 +76,7 @@ LABEL_CHARACTERS = 13  # in one line
 # What the wires avoid, in units of length.
 BEND_COST, CROSSING_COST, BRANCH_COST = 5, 9, 2
 ROUTING_PASSES = 3
+WIDEST_GAPS = 8  # times the spare lanes; more where the wires find no way
 
 CORNER_RADIUS = 5  # px
 WIRE_COLOUR, UNREAD_COLOUR = "#333", "#999"
@@ -203,12 +204,13 @@ def draw_diagram(diagram: Diagram) -> str:
     `wiring.connections`) as `data-wire`, and each label its output port as `data-signal`.
     """
     boxes = _boxes(diagram)
-    scale = 1
-    _place(boxes, scale)
-    while not _route(boxes):
-        scale += 1
+    for scale in range(1, WIDEST_GAPS + 1):
         _place(boxes, scale)
-    return _svg(diagram.get_name(), boxes)
+        if _route(boxes):
+            return _svg(diagram.get_name(), boxes)
+    raise RuntimeError(
+        f"{diagram.get_name()} has more wires than {WIDEST_GAPS} times the gaps hold"
+    )
 
 
 def _boxes(diagram: Diagram) -> list[Box]:

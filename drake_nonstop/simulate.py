@@ -17,9 +17,11 @@ from pydrake.systems.framework import (
     Diagram,
     DiagramBuilder,
     EventStatus,
+    OutputPort,
+    System,
     TriggerType,
 )
-from pydrake.systems.primitives import LogVectorOutput, VectorLog
+from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.compiled import NotFiniteError
 from drake_nonstop.diagrams.nonstop import make_nonstop
@@ -107,16 +109,18 @@ def simulate(
     nonstop = make_nonstop(scenario, **replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
-    sampled, stepped = {}, {}
-    for i in range(nonstop.num_output_ports()):
-        port = nonstop.get_output_port(i)
-        name = port.get_name()
-        if name in _EVERY_STEP:
-            stepped[name] = LogVectorOutput(
-                port, builder, {TriggerType.kPerStep}, publish_period=0.0
-            )
-        if name != _WALL_TIME:
-            sampled[name] = LogVectorOutput(port, builder, publish_period=SIGNAL_PERIOD)
+    ports = {port.get_name(): port for port in map(nonstop.get_output_port, _indices(nonstop))}
+    stepped = [name for name in ports if name in _EVERY_STEP]
+    sampled = [name for name in ports if name != _WALL_TIME]
+    step_sink = LogVectorOutput(
+        _stacked(builder, [ports[name] for name in stepped]),
+        builder,
+        {TriggerType.kPerStep},
+        publish_period=0.0,
+    )
+    sample_sink = LogVectorOutput(
+        _stacked(builder, [ports[name] for name in sampled]), builder, publish_period=SIGNAL_PERIOD
+    )
     diagram = builder.Build()
     simulator = Simulator(diagram)
     ApplySimulatorConfig(scenario.simulator, simulator)
@@ -131,8 +135,8 @@ def simulate(
         return _collect(
             scenario,
             nonstop,
-            {name: sink.FindLog(context) for name, sink in sampled.items()},
-            {name: sink.FindLog(context) for name, sink in stepped.items()},
+            _split(sample_sink.FindLog(context), {name: ports[name].size() for name in sampled}),
+            _split(step_sink.FindLog(context), {name: ports[name].size() for name in stepped}),
             wall_time=time.perf_counter() - start,
         )
 
@@ -167,19 +171,33 @@ def _monitor(progress: Callable[[float], None]) -> Callable[[Context], EventStat
     return monitor
 
 
+def _indices(system: System) -> range:
+    return range(system.num_output_ports())
+
+
+def _stacked(builder: DiagramBuilder, ports: list[OutputPort]) -> OutputPort:
+    """One port for all: a sink per signal would slow every step of the diagram down."""
+    multiplexer = builder.AddSystem(Multiplexer([port.size() for port in ports]))
+    for i, port in enumerate(ports):
+        builder.Connect(port, multiplexer.get_input_port(i))
+    return multiplexer.get_output_port()
+
+
+def _split(log: VectorLog, sizes: dict[str, int]) -> dict[str, NDArray]:
+    """The stacked signals of a log by name, (samples, size) each, and their "time"."""
+    pieces = np.split(log.data(), np.cumsum(list(sizes.values()))[:-1])
+    signals = {name: piece.T.copy() for name, piece in zip(sizes, pieces, strict=True)}
+    return {"time": log.sample_times().copy()} | signals
+
+
 def _collect(
     scenario: Scenario,
     nonstop: Diagram,
-    sampled: dict[str, VectorLog],
-    stepped: dict[str, VectorLog],
+    samples: dict[str, NDArray],
+    steps: dict[str, NDArray],
     *,
     wall_time: float,
 ) -> Run:
-    # A run that stopped within a publish has some logs one entry longer than others.
-    samples = min(log.num_samples() for log in sampled.values())
-    count = min(log.num_samples() for log in stepped.values())
-    steps = {name: log.data()[:, :count].T.copy() for name, log in stepped.items()}
-    steps["time"] = stepped["load_state"].sample_times()[:count].copy()
     solve_times = np.zeros(0)
     if "diagnostics" in steps:
         updates = np.flatnonzero(np.diff(steps["diagnostics"][:, 1], prepend=0.0))
@@ -187,12 +205,12 @@ def _collect(
     return Run(
         scenario=scenario,
         diagram=nonstop,
-        time=sampled["load_state"].sample_times()[:samples].copy(),
+        time=samples["time"],
         signals={
-            f"{block.get_name()}.{name}": sampled[name].data()[:, :samples].T.copy()
+            f"{block.get_name()}.{name}": samples[name]
             for block in nonstop.GetSystems()
             for name in output_names(block)
-            if name in sampled
+            if name in samples
         },
         steps=steps,
         solve_times=solve_times,

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue
+from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw_, RotationMatrix
 from pydrake.systems.framework import Context, LeafSystem
 
@@ -95,8 +96,6 @@ def _quaternion(angles: RollPitchYaw_[AutoDiffXd]) -> NDArray:
 
 def rotation(quaternion: NDArray) -> NDArray:
     """R (3, 3) of a quaternion w x y z of any norm, by Drake."""
-    from pydrake.common.eigen_geometry import Quaternion
-
     return RotationMatrix(Quaternion(quaternion / np.linalg.norm(quaternion))).matrix()
 
 
@@ -115,12 +114,3 @@ def fix(block: LeafSystem, context: Context, **inputs: NDArray) -> None:
 def output(block: LeafSystem, context: Context, name: str) -> NDArray:
     """A copy of the output of that name."""
     return block.GetOutputPort(name).Eval(context).copy()
-
-
-def rest(**changes: object) -> NDArray:
-    """A reference (22,) at rest at the origin; its first 13 entries are a load state."""
-    reference = np.zeros(22)
-    reference[0] = 1
-    for index, value in changes.pop("entries", {}).items():
-        reference[index] = value
-    return reference

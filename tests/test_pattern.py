@@ -155,9 +155,7 @@ def test_internal_force_on_a_line_is_refused():
 
 def test_cable_without_an_internal_force_is_refused():
     attachments = regular(4)
-    pattern = InternalForcePattern(
-        hamiltonian_cycle(attachments)[:, :1], np.zeros(1), np.zeros(12)
-    )
+    pattern = InternalForcePattern(hamiltonian_cycle(attachments)[:, :1], np.zeros(1), np.zeros(12))
     with pytest.raises(ScenarioError, match=r"pattern = .*cable 1 swings in a plane"):
         check_pattern(pattern, attachments, weight_shares(attachments))
 

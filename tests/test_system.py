@@ -39,9 +39,7 @@ def test_constants_that_follow_from_the_system(attachments):
     np.testing.assert_allclose(
         model.pseudo_inverse, grasp.T @ np.linalg.inv(grasp @ grasp.T), rtol=0, atol=1e-13
     )
-    np.testing.assert_allclose(
-        model.load_inertia_inverse @ INERTIA, np.eye(3), rtol=0, atol=1e-13
-    )
+    np.testing.assert_allclose(model.load_inertia_inverse @ INERTIA, np.eye(3), rtol=0, atol=1e-13)
     assert model.cable_compliance == 1 / 500
 
 

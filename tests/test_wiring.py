@@ -108,7 +108,26 @@ def test_readers_of_a_replaced_signal_get_the_replacement_but_not_its_maker():
     assert "hold.held_force -> controller.force" in result
     assert "hold.held_force -> plant.force" in result
     assert len(result) == 5
-    assert sorted(connections(connect(blocks, name="loop", replaced_signals={"force": "held_force"}))) == sorted(result)
+    assert sorted(
+        connections(connect(blocks, name="loop", replaced_signals={"force": "held_force"}))
+    ) == sorted(result)
+
+
+def test_makers_of_replaced_signals_read_nothing_that_is_replaced():
+    # `feedback` makes a replaced signal of another one: behind the hold it would lag.
+    blocks = {
+        "source": Box([], ["force"]),
+        "feedback": Box(["force"], ["pose"]),
+        "hold": Box(["force", "pose"], ["held_force", "held_pose"]),
+        "controller": Box(["force", "pose"], ["command"]),
+    }
+    assert wires(blocks, {"force": "held_force", "pose": "held_pose"}) == [
+        "source.force -> feedback.force",
+        "source.force -> hold.force",
+        "feedback.pose -> hold.pose",
+        "hold.held_force -> controller.force",
+        "hold.held_pose -> controller.pose",
+    ]
 
 
 def test_replacement_that_nobody_makes_is_an_error():

@@ -221,14 +221,19 @@ class SpeedProgram:
                 internal_force_rate_weight=config.internal_force_rate_weight,
             )
 
-        sizes = [2, 57]
-        self._margins = CompiledFunction(margins, sizes, name=name)
-        self._cost_gradient = CompiledFunction(cost, sizes, name=name, jacobian_of=0)
-        self._margin_gradients = CompiledFunction(margins, sizes, name=name, jacobian_of=0)
+        def compiled(function: Callable, jacobian_of: int | None = None) -> CompiledFunction:
+            # A solver may try the far ends of the bounds, where values are huge and sound.
+            return CompiledFunction(
+                function, [2, 57], name=name, largest=1e100, jacobian_of=jacobian_of
+            )
+
+        self._margins = compiled(margins)
+        self._cost_gradient = compiled(cost, jacobian_of=0)
+        self._margin_gradients = compiled(margins, jacobian_of=0)
         self._data = np.zeros(57)
         self._solver, self._options = _solver(config.solver)
-        lower = np.array([config.frequency_bounds[0], config.amplitude_bounds[0]])
-        upper = np.array([config.frequency_bounds[1], config.amplitude_bounds[1]])
+        lower, upper = np.transpose([config.frequency_bounds, config.amplitude_bounds])
+        self._lower, self._upper = lower, upper
         zero, infinity = np.zeros(count), np.full(count, np.inf)
 
         self._nearest = MathematicalProgram()
@@ -249,31 +254,40 @@ class SpeedProgram:
     def solve(self, previous: NDArray, data: NDArray) -> tuple[NDArray, Outcome, float]:
         """The next parameters [ξ, A] (2,), how they were found, and their worst margin."""
         before = self._worst_margin(previous, data)
-        if before >= 0:
+        if before >= -_FEASIBILITY_TOLERANCE:
             return previous, Outcome.KEPT, before
         # The programs' callbacks read the data from here; set anew for every solve.
         self._data[:] = data
-        candidate = self._solver.Solve(self._nearest, previous, self._options).get_x_val()
-        worst = self._worst_margin(candidate, data)
+        nearest, worst = self._solve_program(self._nearest, previous)
         if worst >= -_FEASIBILITY_TOLERANCE:
-            return candidate, Outcome.SOLVED, worst
-        guess = np.array([*previous, before])
-        candidate = self._solver.Solve(self._fastest, guess, self._options).get_x_val()[:2]
-        worst = self._worst_margin(candidate, data)
-        if worst >= -_FEASIBILITY_TOLERANCE:
-            return candidate, Outcome.SOLVED, worst
+            return nearest, Outcome.SOLVED, worst
+        fastest, worst = self._solve_program(self._fastest, np.array([*previous, before]))
+        if worst >= -_FEASIBILITY_TOLERANCE:  # a feasible start, for a nearer point from there
+            nearest, worst_of_nearest = self._solve_program(self._nearest, fastest)
+            if worst_of_nearest >= -_FEASIBILITY_TOLERANCE:
+                return nearest, Outcome.SOLVED, worst_of_nearest
+            return fastest, Outcome.SOLVED, worst
         if worst > before:
-            return candidate, Outcome.RELAXED, worst
+            return fastest, Outcome.RELAXED, worst
         return previous, Outcome.HELD, before
 
     def speed(self, margin: float) -> float:
         """The speed (m/s) of that margin."""
         return float(np.sqrt(max(0.0, margin + self._least))) * self._unit
 
+    def _solve_program(self, program: MathematicalProgram, guess: NDArray) -> tuple[NDArray, float]:
+        """The [ξ, A] at which the solver ends, within the bounds, and its worst margin."""
+        x = self._solver.Solve(program, guess, self._options).get_x_val()[:2]
+        x = np.clip(x, self._lower, self._upper)  # IPOPT ends up to 1e-8 outside
+        return x, self._worst_margin(x, self._data)
+
     def _worst_margin(self, parameters: NDArray, data: NDArray) -> float:
         return float(np.min(self._margins(parameters, data)[0]))
 
-    def _evaluate_cost(self, x: NDArray) -> AutoDiffXd:
+    # Drake calls these with floats or with AutoDiffXd, and wants the same back.
+    def _evaluate_cost(self, x: NDArray) -> AutoDiffXd | float:
+        if x.dtype == float:
+            return float(self._cost_gradient(x, self._data)[0][0])
         cost, gradient = self._cost_gradient(ExtractValue(x)[:, 0], self._data)
         return AutoDiffXd(cost[0], gradient[0] @ ExtractGradient(x))
 
@@ -284,7 +298,7 @@ class SpeedProgram:
         return InitializeAutoDiff(margins, gradients @ ExtractGradient(x))
 
     def _evaluate_margins_above_worst(self, x: NDArray) -> NDArray:
-        return self._evaluate_margins(x[:2])[..., 0] - x[2]
+        return self._evaluate_margins(x[:2]).reshape(-1) - x[2]
 
 
 _SOLVERS: dict[str, Callable[[], SolverInterface]] = {"snopt": SnoptSolver, "ipopt": IpoptSolver}
@@ -319,7 +333,7 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         period=config.period,
     )
     require(
-        config.look_ahead_points >= 1,
+        isinstance(config.look_ahead_points, int) and config.look_ahead_points >= 1,
         f"{owner}.look_ahead_points",
         config.look_ahead_points,
         "give 1 (the instant of the update only) or more",
@@ -331,7 +345,7 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         'give "desired" or "measured"',
     )
     require(
-        config.solver in _SOLVERS,
+        config.solver in list(_SOLVERS),
         f"{owner}.solver",
         config.solver,
         f"give one of {', '.join(_SOLVERS)}",

@@ -19,11 +19,8 @@ def hamiltonian_cycle(attachments: NDArray) -> NDArray:
     n = len(attachments)
     edges = attachments - np.roll(attachments, -1, axis=0)
     units = edges / np.sqrt((edges * edges).sum(axis=1, keepdims=True))
-    basis = np.zeros((n, 3, n))
-    for k, unit in enumerate(units):
-        basis[k, :, k] = unit
-        basis[(k + 1) % n, :, k] = -unit
-    return basis.reshape(3 * n, n)
+    signs = np.eye(n) - np.roll(np.eye(n), 1, axis=0)  # of column k at cable i
+    return (signs[:, None, :] * units.T[None]).reshape(3 * n, n)
 
 
 def even_phases(count: int) -> NDArray:

@@ -37,7 +37,7 @@ def test_cables_pull_on_the_load(rng, n):
 def test_resting_carriers_straight_above_hold_a_load_by_stretched_cables():
     block = Cables(model(4))
     context = block.CreateDefaultContext()
-    above = regular(4) + [0, 0, 0.8 + 0.005]
+    above = regular(4) + np.array([0, 0, 0.8 + 0.005])
     fix(
         block,
         context,
@@ -51,7 +51,7 @@ def test_resting_carriers_straight_above_hold_a_load_by_stretched_cables():
 
 
 def test_simulated_cables_need_a_finite_stiffness():
-    with pytest.raises(ScenarioError, match="simulated.cable_stiffness = inf: give"):
+    with pytest.raises(ScenarioError, match=r"simulated\.cable_stiffness = inf: give"):
         Cables(model(cable_stiffness=math.inf))
 
 

@@ -1,5 +1,7 @@
 """What holds for every block: sizes, direct feedthrough, and outputs that never go stale."""
 
+import functools
+
 import numpy as np
 import pytest
 from helpers import Motion, fix, model, output
@@ -28,7 +30,9 @@ from drake_nonstop.blocks.wrench_controller import WrenchController
 
 
 def moving_reference(model):
-    return RestToRest(model, RestToRestConfig(displacement=[1, 2, 3], roll_pitch_yaw=[0.1, 0.2, 0.3]))
+    return RestToRest(
+        model, RestToRestConfig(displacement=[1, 2, 3], roll_pitch_yaw=[0.1, 0.2, 0.3])
+    )
 
 
 def integrating_pid(model):
@@ -130,8 +134,16 @@ SAMPLED = {
 
 CASES = [(block, period) for block in BLOCKS for period in (0.0, 0.01)]
 cases = pytest.mark.parametrize(
-    ("make", "period"), CASES, ids=[f"{b.__name__}-{'sampled' if p else 'continuous'}" for b, p in CASES]
+    ("make", "period"),
+    CASES,
+    ids=[f"{b.__name__}-{'sampled' if p else 'continuous'}" for b, p in CASES],
 )
+
+
+@functools.cache
+def built(make, n, period):
+    """A block, which no test changes: what it computes is in the contexts."""
+    return make(model(n, period))
 
 
 def expected_ports(make, period):
@@ -194,7 +206,7 @@ def output_names(block):
 @cases
 @pytest.mark.parametrize("n", [3, 4, 6])
 def test_ports_have_the_names_and_sizes_of_the_contract(make, period, n):
-    block = make(model(n, period))
+    block = built(make, n, period)
     inputs, outputs, _ = expected_ports(make, period)
     assert input_names(block) == inputs
     assert output_names(block) == outputs
@@ -216,7 +228,7 @@ def feedthrough(block):
 
 @cases
 def test_direct_feedthrough(make, period):
-    block = make(model(4, period))
+    block = built(make, 4, period)
     assert feedthrough(block) == set(expected_ports(make, period)[2])
 
 
@@ -245,7 +257,7 @@ def fresh(block, inputs, state, time):
 
 @cases
 def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, period):
-    block = make(model(4, period))
+    block = built(make, 4, period)
     names = input_names(block)
     inputs = {name: values(name, 1, 4) for name in names}
     state, time = 1, 5.5  # a time at which the references move
@@ -278,7 +290,7 @@ def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, per
 
 @cases
 def test_what_feeds_through_changes_the_output(make, period):
-    block = make(model(4, period))
+    block = built(make, 4, period)
     inputs = {name: values(name, 1, 4) for name in input_names(block)}
     before = fresh(block, inputs, 1, 5.5)
     for source, target in feedthrough(block) - {("wrench_rate", "desired_cable_forces")}:

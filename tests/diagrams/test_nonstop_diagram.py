@@ -36,27 +36,43 @@ def continuous(**fields):
     return Scenario(control_period=0.0, **fields)
 
 
+def plain(period=0.0, **fields):
+    """A scenario without the optimizer, whose problem takes the longest to build."""
+    fields = {"optimization_layer": ConstantParametersConfig()} | fields
+    return Scenario(control_period=period, **fields)
+
+
+@pytest.fixture(scope="module")
+def figure():
+    """The default diagram with continuous controllers."""
+    return make_nonstop(continuous())
+
+
+@pytest.fixture(scope="module")
+def sampled_figure():
+    """The default diagram with sampled controllers."""
+    return make_nonstop(Scenario(control_period=0.01))
+
+
 def block_names(diagram):
     return [block.get_name() for block in diagram.GetSystems()]
 
 
-def test_figure_as_listed_is_the_figure_as_built():
-    diagram = make_nonstop(continuous())
-    assert set(wiring.connections(diagram)) == figure_wires()
+def test_figure_as_listed_is_the_figure_as_built(figure):
+    assert set(wiring.connections(figure)) == figure_wires()
     assert len(figure_wires()) == 25
 
 
-def test_every_box_is_there_under_its_name_with_its_default_block():
-    diagram = make_nonstop(continuous())
-    assert block_names(diagram) == list(BLOCKS)
+def test_every_box_is_there_under_its_name_with_its_default_block(figure):
+    assert block_names(figure) == list(BLOCKS)
     for name, blocks in BLOCKS.items():
-        assert type(diagram.GetSubsystemByName(name)) is blocks[0]
+        assert type(figure.GetSubsystemByName(name)) is blocks[0]
     assert set(PLANT) < set(BLOCKS)
 
 
-@pytest.mark.parametrize("period", [0.0, 0.01])
-def test_no_input_is_left_open_and_every_output_is_exported(period):
-    diagram = make_nonstop(Scenario(control_period=period))
+@pytest.mark.parametrize("name", ["figure", "sampled_figure"])
+def test_no_input_is_left_open_and_every_output_is_exported(name, request):
+    diagram = request.getfixturevalue(name)
     assert diagram.num_input_ports() == 0
     wired = {wire.split(" -> ")[1] for wire in wiring.connections(diagram)}
     signals = []
@@ -67,10 +83,9 @@ def test_no_input_is_left_open_and_every_output_is_exported(period):
     assert len(set(signals)) == len(signals)
 
 
-def test_every_signal_is_read_but_those_that_only_report():
-    diagram = make_nonstop(continuous())
-    read = {wire.split(" -> ")[0].split(".")[1] for wire in wiring.connections(diagram)}
-    unread = set(wiring.output_names(diagram)) - read
+def test_every_signal_is_read_but_those_that_only_report(figure):
+    read = {wire.split(" -> ")[0].split(".")[1] for wire in wiring.connections(figure)}
+    unread = set(wiring.output_names(figure)) - read
     assert unread == {"tracking_error", "diagnostics", "solve_time", "tensions"}
 
 
@@ -89,8 +104,8 @@ CONTROLLERS = {
 }
 
 
-def test_sampled_controllers_read_the_held_signals():
-    diagram = make_nonstop(Scenario(control_period=0.01))
+def test_sampled_controllers_read_the_held_signals(sampled_figure):
+    diagram = sampled_figure
     assert block_names(diagram) == [*BLOCKS, "sample_and_hold"]
     assert type(diagram.GetSubsystemByName("sample_and_hold")) is SampleAndHold
     pairs = [wire.split(" -> ") for wire in wiring.connections(diagram)]
@@ -110,11 +125,15 @@ def test_sampled_controllers_read_the_held_signals():
     assert {tuple(pair) for pair in pairs} == expected
 
 
+def test_open_loop_feedback_is_sampled_once():
+    diagram = make_nonstop(plain(0.01), load_feedback=DesiredStateFeedback)
+    built = wiring.connections(diagram)
+    assert "load_trajectory.reference -> load_feedback.reference" in built
+    assert "load_feedback.measured_load_state -> sample_and_hold.measured_load_state" in built
+
+
 def test_sampled_commands_stand_still_between_samples_but_for_the_carriers_motion():
-    scenario = Scenario(
-        control_period=0.01, load_trajectory=RestToRestConfig(displacement=[1.0, 0, 0])
-    )
-    diagram = make_nonstop(scenario)
+    diagram = make_nonstop(plain(0.01, load_trajectory=RestToRestConfig(displacement=[1.0, 0, 0])))
     simulator = Simulator(diagram)
     names = ("wrench", "internal_force", "desired_cable_forces", "phase")
 
@@ -136,7 +155,6 @@ class Kite(LeafSystem):
         self._tensions = self.DeclareVectorInputPort("tensions", model.n)
         self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * model.n)
         self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc)
-        self.mass = model.load_mass
 
     def _calc(self, context, wrench):
         wrench.SetFromVector(
@@ -146,12 +164,8 @@ class Kite(LeafSystem):
         )
 
 
-class LaggedKite(Kite):
-    """The same behind a state, since tensions depend on the load's state only."""
-
-
 def test_swapped_in_block_gets_the_signals_that_it_names():
-    diagram = make_nonstop(continuous(), load_disturbance=Kite)
+    diagram = make_nonstop(plain(), load_disturbance=Kite)
     added = set(wiring.connections(diagram)) - figure_wires()
     assert added == {
         "cables.tensions -> load_disturbance.tensions",
@@ -159,7 +173,7 @@ def test_swapped_in_block_gets_the_signals_that_it_names():
     }
     context = diagram.CreateDefaultContext()
     carriers = diagram.GetSubsystemByName("carrier_dynamics")
-    state = np.concatenate([(regular(4) + [0, 0, 2.0]).ravel(), np.zeros(12)])
+    state = np.concatenate([(regular(4) + np.array([0, 0, 2.0])).ravel(), np.zeros(12)])
     carriers.GetMyMutableContextFromRoot(context).SetContinuousState(state)
     wrench = output(diagram, context, "disturbance_wrench")
     expected = [*output(diagram, context, "tensions")[:3], *state[:3]]
@@ -178,7 +192,7 @@ def test_misspelt_port_of_a_swapped_in_block_is_told_the_signals():
     with pytest.raises(
         wiring.WiringError, match=r"load_disturbance\.tension = .*tensions.*wrench_rate"
     ):
-        make_nonstop(continuous(), load_disturbance=Misspelt)
+        make_nonstop(plain(), load_disturbance=Misspelt)
 
 
 class Silent(LeafSystem):
@@ -189,12 +203,12 @@ class Silent(LeafSystem):
 
 def test_block_that_does_not_make_its_signal_leaves_a_reader_unconnected():
     with pytest.raises(wiring.WiringError, match=r"load_plant\.disturbance_wrench"):
-        make_nonstop(continuous(), load_disturbance=Silent)
+        make_nonstop(plain(), load_disturbance=Silent)
 
 
 def test_box_can_be_replaced_by_a_config_and_by_a_class():
     diagram = make_nonstop(
-        continuous(),
+        plain(),
         optimization_layer=ConstantParametersConfig(frequency=3.0),
         phase=PrintedPhase,
         load_feedback=lambda model: DesiredStateFeedback(model),
@@ -207,9 +221,9 @@ def test_box_can_be_replaced_by_a_config_and_by_a_class():
 
 
 @pytest.mark.parametrize("period", [0.0, 0.01])
-@pytest.mark.parametrize(("name", "block"), [(n, b) for n, bs in BLOCKS.items() for b in bs])
-def test_every_choice_of_a_block_builds_a_complete_diagram(name, block, period):
-    diagram = make_nonstop(Scenario(control_period=period), **{name: block})
+@pytest.mark.parametrize(("name", "block"), [(n, b) for n, bs in BLOCKS.items() for b in bs[1:]])
+def test_every_alternative_block_builds_a_complete_diagram(name, block, period):
+    diagram = make_nonstop(plain(period), **{name: block})
     assert type(diagram.GetSubsystemByName(name)) is block
     assert diagram.num_input_ports() == 0
 
@@ -224,7 +238,7 @@ def test_only_the_plant_takes_the_simulated_system():
 
         return make
 
-    scenario = continuous(simulated=SystemOverrides(load_mass=1.3, carrier_mass=0.2))
+    scenario = plain(simulated=SystemOverrides(load_mass=1.3, carrier_mass=0.2))
     make_nonstop(scenario, **{name: recorder(name) for name in BLOCKS})
     masses = {name: (model.load_mass, model.carrier_mass) for name, model in models.items()}
     assert masses == {name: (1.3, 0.2) if name in PLANT else (1.0, 0.1) for name in BLOCKS}
@@ -232,13 +246,13 @@ def test_only_the_plant_takes_the_simulated_system():
 
 def test_unknown_box_is_told_the_boxes():
     with pytest.raises(ScenarioError, match=r"replacement = plant: give one of load_trajectory"):
-        make_nonstop(continuous(), plant=ConstantParameters)
+        make_nonstop(plain(), plant=ConstantParameters)
 
 
 @pytest.mark.parametrize("entry", [3.0, "PrintedPhase"])
 def test_replacement_that_is_no_block_is_named(entry):
     with pytest.raises(ScenarioError, match=f"replacement phase = {entry}: give"):
-        make_nonstop(continuous(), phase=entry)
+        make_nonstop(plain(), phase=entry)
 
 
 def test_config_of_another_box_is_told_the_choices():
@@ -246,18 +260,18 @@ def test_config_of_another_box_is_told_the_choices():
     with pytest.raises(
         ScenarioError, match="phase = CarrierDynamics: give one of AccumulatedPhase, PrintedPhase"
     ):
-        make_nonstop(continuous(), phase=config)
+        make_nonstop(plain(), phase=config)
 
 
 def test_simulated_load_needs_as_many_attachments():
     overrides = SystemOverrides(attachments=regular(3).tolist())
-    with pytest.raises(ScenarioError, match=r"simulated\.attachments = 3: .* 4"):
-        make_nonstop(continuous(simulated=overrides))
+    with pytest.raises(ScenarioError, match=r"simulated\.attachments = .*as many .* 4$"):
+        make_nonstop(plain(simulated=overrides))
 
 
 def test_error_in_the_simulated_system_names_it():
     with pytest.raises(ScenarioError, match=r"simulated\.load_mass = -1\.0"):
-        make_nonstop(continuous(simulated=SystemOverrides(load_mass=-1.0)))
+        make_nonstop(plain(simulated=SystemOverrides(load_mass=-1.0)))
 
 
 def test_block_of_a_config():
@@ -266,7 +280,7 @@ def test_block_of_a_config():
     assert block_class("load_trajectory", ConstantVelocityMoveConfig()).__name__ + "Config" == name
 
 
-@pytest.mark.parametrize("n", [3, 5])
+@pytest.mark.parametrize("n", [3])
 def test_figure_is_the_same_for_any_number_of_carriers(n):
     scenario = continuous(system=System(attachments=regular(n).tolist()))
     diagram = make_nonstop(scenario)
@@ -275,7 +289,7 @@ def test_figure_is_the_same_for_any_number_of_carriers(n):
 
 
 def test_scenario_is_left_as_it_was():
-    scenario = Scenario()
+    scenario = plain(0.01)
     before = dataclasses.asdict(scenario)
     make_nonstop(scenario, phase=PrintedPhase)
     after = dataclasses.asdict(scenario)

@@ -6,6 +6,7 @@ from drake_nonstop.mechanics.cable import cable_forces_and_tensions, positive_pa
 
 LENGTH, STIFFNESS, DAMPING = 0.8, 500.0, 0.3
 CONSTANTS = {"rest_length": LENGTH, "stiffness": STIFFNESS, "damping": DAMPING}
+UP = np.array([0.0, 0.0, 3.0])
 
 
 def straight(stretch, stretch_rate):
@@ -43,9 +44,7 @@ def test_slack_cable_pulls_with_nothing(stretch, stretch_rate):
 def test_cable_never_pushes(stretch, stretch_rate):
     force, tension = straight(stretch, stretch_rate)
     assert tension >= 0
-    assert tension == pytest.approx(
-        max(STIFFNESS * stretch + DAMPING * stretch_rate, 0), abs=1e-12
-    )
+    assert tension == pytest.approx(max(STIFFNESS * stretch + DAMPING * stretch_rate, 0), abs=1e-12)
     assert force[2] == tension
 
 
@@ -71,14 +70,14 @@ def test_taut_cables_between_moving_load_and_moving_carriers(shape):
         """The vectors from the attachments to the carriers, 2 m and more above them."""
         state = load.state(t)
         ends = state[4:7] + attachments @ rotation(state[:4]).T
-        return np.array([c.state(t)[4:7] for c in carriers]) + [0, 0, 3] - ends
+        return np.array([c.state(t)[4:7] + UP for c in carriers]) - ends
 
     def lengths(t):
         return np.linalg.norm(cables(t), axis=1)
 
     time = 1.1
     carrier_state = np.concatenate(
-        [c.state(time)[4:7] + [0, 0, 3] for c in carriers] + [c.state(time)[10:13] for c in carriers]
+        [c.state(time)[4:7] + UP for c in carriers] + [c.state(time)[10:13] for c in carriers]
     )
     forces, tensions = cable_forces_and_tensions(
         load.state(time), carrier_state, attachments=attachments, **CONSTANTS

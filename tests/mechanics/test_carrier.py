@@ -11,6 +11,7 @@ from drake_nonstop.mechanics.internal_force import (
 )
 
 LENGTH = 0.8
+UP = np.array([0.0, 0.0, 2.5])
 STILL = np.array([1.0, *np.zeros(12)])
 
 
@@ -78,7 +79,7 @@ def moving_cables(shape, compliance):
     def motion(t):
         return carrier_motion(
             load.reference(t),
-            np.array([pull.state(t)[4:7] + [0, 0, 2.5] for pull in pulls]),
+            np.array([pull.state(t)[4:7] + UP for pull in pulls]),
             np.array([pull.state(t)[10:13] for pull in pulls]),
             attachments=attachments,
             rest_length=LENGTH,
@@ -103,7 +104,7 @@ def test_carriers_stand_a_stretched_cable_length_along_their_forces(compliance):
     time = 0.7
     state = load.state(time)
     cables = motion(time)[0] - state[4:7] - attachments @ rotation(state[:4]).T
-    forces = np.array([pull.state(time)[4:7] + [0, 0, 2.5] for pull in pulls])
+    forces = np.array([pull.state(time)[4:7] + UP for pull in pulls])
     tensions = np.linalg.norm(forces, axis=1)
     np.testing.assert_allclose(
         cables, (LENGTH / tensions + compliance)[:, None] * forces, rtol=0, atol=1e-14

@@ -31,7 +31,9 @@ def random_arguments(attachments, rng):
     basis = hamiltonian_cycle(attachments)
     return (
         [
-            np.concatenate([q / np.linalg.norm(q) for q in [rng.normal(size=4)]] + [rng.normal(size=9)]),
+            np.concatenate(
+                [q / np.linalg.norm(q) for q in [rng.normal(size=4)]] + [rng.normal(size=9)]
+            ),
             *rng.normal(size=(2, 6)),
             rng.normal(size=2 * n),
         ],

@@ -151,9 +151,7 @@ def test_change_cost_in_closed_form(slope):
     theta = 0.7 + 0.3 * slope
     for phi in PHASES:
         expected += 0.5 * (1.5 * np.cos(theta + phi) - 1.2 * np.cos(0.7 + phi)) ** 2
-        expected += (
-            0.25 * (1.5 * 2.3 * np.sin(theta + phi) - 1.2 * 2.0 * np.sin(0.7 + phi)) ** 2
-        )
+        expected += 0.25 * (1.5 * 2.3 * np.sin(theta + phi) - 1.2 * 2.0 * np.sin(0.7 + phi)) ** 2
     assert cost.shape == (1,)
     assert cost[0] == pytest.approx(expected, rel=1e-14)
 

@@ -26,9 +26,7 @@ def plant():
     """A free body with the load's mass and inertia."""
     plant = MultibodyPlant(time_step=0.0)
     moments = RotationalInertia(*np.diag(INERTIA), *INERTIA[[0, 0, 1], [1, 2, 2]])
-    plant.AddRigidBody(
-        "load", SpatialInertia.MakeFromCentralInertia(MASS, np.zeros(3), moments)
-    )
+    plant.AddRigidBody("load", SpatialInertia.MakeFromCentralInertia(MASS, np.zeros(3), moments))
     plant.mutable_gravity_field().set_gravity_vector([0, 0, -GRAVITY])
     plant.Finalize()
     return plant
@@ -58,9 +56,7 @@ def test_load_moves_as_a_free_body_of_multibody_plant(plant, rng, shape, time):
     applied.append(external_force(plant, np.zeros(3), disturbance[:3], disturbance[3:]))
     plant.get_applied_spatial_force_input_port().FixValue(context, applied)
     expected = plant.EvalTimeDerivatives(context).CopyToVector()
-    rate = load_state_rate(
-        state, forces.ravel(), disturbance, attachments=attachments, **CONSTANTS
-    )
+    rate = load_state_rate(state, forces.ravel(), disturbance, attachments=attachments, **CONSTANTS)
     np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-9)
 
 

@@ -17,7 +17,9 @@ from drake_nonstop.mechanics.rotation import (
 )
 
 
-@pytest.mark.parametrize("shapes", [((3,), (3,)), ((5, 3), (5, 3)), ((3,), (5, 3)), ((4, 1, 3), (2, 3))])
+@pytest.mark.parametrize(
+    "shapes", [((3,), (3,)), ((5, 3), (5, 3)), ((3,), (5, 3)), ((4, 1, 3), (2, 3))]
+)
 def test_cross_is_numpys_and_broadcasts(rng, shapes):
     a, b = (rng.normal(size=shape) for shape in shapes)
     np.testing.assert_allclose(cross(a, b), np.cross(a, b), rtol=0, atol=1e-15)

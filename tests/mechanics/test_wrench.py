@@ -76,9 +76,7 @@ def test_orientation_error_rate_in_closed_form():
 
 def test_wrench_of_a_load_on_its_resting_reference_is_its_weight():
     state, reference = turned(0, [1, 0, 0])
-    wrench, rate = wrench_and_rate(
-        state, reference, np.zeros(6), **GAINS, feedforward=1.0, **BODY
-    )
+    wrench, rate = wrench_and_rate(state, reference, np.zeros(6), **GAINS, feedforward=1.0, **BODY)
     np.testing.assert_allclose(wrench, [0, 0, 0, 0, 0, 1.3 * 9.7], rtol=0, atol=1e-15)
     np.testing.assert_allclose(rate, 0, rtol=0, atol=1e-13)
 
@@ -161,9 +159,7 @@ def spinning_up(t, quaternion):
     reference = swinging(t, quaternion)
     alpha = np.array([0.5, -0.8, 0.3])
     omega = np.array([0.4, 0.2, -0.6]) + alpha * (t - 0.6)
-    return np.concatenate(
-        [reference[:7], omega, reference[10:13], alpha, reference[16:]]
-    )
+    return np.concatenate([reference[:7], omega, reference[10:13], alpha, reference[16:]])
 
 
 # The differences see the load's own frequencies, up to K_ω / J = 6 1/s: h⁴ 6⁵ / 30 = 4e-9.
@@ -191,9 +187,7 @@ def test_feedforward_alone_carries_the_load_along_its_reference():
         wrench, _ = wrench_and_rate(
             state, reference, np.zeros(6), **NO_GAINS, feedforward=1.0, **BODY
         )
-        rate = load_state_rate(
-            state, np.zeros(3), wrench, attachments=np.zeros((1, 3)), **BODY
-        )
+        rate = load_state_rate(state, np.zeros(3), wrench, attachments=np.zeros((1, 3)), **BODY)
         np.testing.assert_allclose(rate[7:], reference[13:19], rtol=0, atol=1e-13)
 
 
@@ -206,9 +200,7 @@ def test_table_gains_damp_the_rotation():
         """Of [∫e_R, small rotation, ω] about x."""
         state = np.array([1.0, y[1] / 2, *np.zeros(5), y[2], *np.zeros(5)])
         integrals = np.array([y[0], *np.zeros(5)])
-        wrench, _ = wrench_and_rate(
-            state, reference, integrals, **GAINS, feedforward=1.0, **body
-        )
+        wrench, _ = wrench_and_rate(state, reference, integrals, **GAINS, feedforward=1.0, **body)
         load_rate = load_state_rate(
             state, np.zeros(3), wrench, attachments=np.zeros((1, 3)), **body
         )
