@@ -131,9 +131,9 @@ def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys)
 
 
 def test_ctrl_c_keeps_what_was_simulated(tmp_path):
+    arguments = ["run", "line", "--out", tmp_path, "--set", "duration=1000", *BRIEF[1:]]
     process = subprocess.Popen(
-        [sys.executable, "-m", "drake_nonstop.cli", "run", "line", "--out", str(tmp_path)]
-        + ["--no-figures", "--no-replay", "--set", "duration=1000"],
+        [sys.executable, "-m", "drake_nonstop.cli", *arguments],
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
