@@ -12,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+LARGEST = 1e6  # SI units; no rate or force on these cables comes near it
+
+
 class NotFiniteError(ArithmeticError):
     """An evaluation gave a value that is not finite, or is beyond all reason."""
 
@@ -44,7 +47,7 @@ class CompiledFunction:
         input_sizes: Sequence[int],
         *,
         name: Callable[[], str],
-        largest: float = 1e6,
+        largest: float = LARGEST,
         jacobian_of: int | None = None,
     ):
         symbol = casadi.SX.sym("inputs", sum(input_sizes))

@@ -1,87 +1,110 @@
-"""Where a run starts: the equilibrium of the loop as configured."""
+"""Where a run starts, and how long its steps may be there."""
 
-import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis, Quaternion
 from pydrake.math import RotationMatrix
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.compiled import NotFiniteError
-from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.scenario import Scenario
 from drake_nonstop.validation import ScenarioError
 
-_STEP = 1e-6  # m and rad, of the differences that Newton's method takes
+_STEP = 1e-6  # of the differences, in SI units
 _REST = 1e-6  # m/s² and rad/s², the acceleration that counts as rest
+_DROPS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)  # m, below the reference, to start looking from
 
 
-def set_equilibrium(
-    scenario: Scenario, nonstop: Diagram, context: Context, **replacements: Any
-) -> None:
+def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     """Sets load and carriers in `context` to the equilibrium of the loop as configured.
 
     The carriers start on their references, with their velocities; the load starts where
     the cables then hold it at rest: on its reference where the controllers know the
-    cables' stretch, lower by the sag where they do not. Whatever blocks the loop is made
-    of, Newton's method on the built diagram finds the pose. A load whose reference moves
-    at the start gets that motion.
+    cables, lower or higher where they do not. Whatever blocks the loop is made of,
+    Newton's method on the built diagram, with its initialization events, finds the pose.
+    A load whose reference moves at the start gets that motion. Carriers with a state of
+    their own beyond positions and velocities start with its default.
 
     Raises:
         ScenarioError: the cables cannot hold the load.
     """
-    if scenario.control_period > 0:  # the sample-and-hold is empty before the first event
-        continuous = dataclasses.replace(scenario, control_period=0.0)
-        system = make_nonstop(continuous, **replacements)
-    else:
-        system = nonstop
-    trial = system.CreateDefaultContext()
+    load = nonstop.GetSubsystemByName("load_plant")
+    carriers = nonstop.GetSubsystemByName("carrier_dynamics")
+    trial = nonstop.CreateDefaultContext()
     trial.SetTime(context.get_time())
-    load = system.GetSubsystemByName("load_plant")
-    carriers = system.GetSubsystemByName("carrier_dynamics")
-    load_context = system.GetMutableSubsystemContext(load, trial)
-    carriers_context = system.GetMutableSubsystemContext(carriers, trial)
-    reference = system.GetOutputPort("reference").Eval(trial)[:13].copy()
+    default = trial.Clone()
+    load_context = nonstop.GetMutableSubsystemContext(load, trial)
+    carriers_context = nonstop.GetMutableSubsystemContext(carriers, trial)
+    simulator = Simulator(nonstop, trial)
+    reference = nonstop.GetOutputPort("reference").Eval(trial)[:13].copy()
 
     def settle(offset: NDArray) -> NDArray:
         """The load's acceleration (6,) at a rotation and shift (6,) from its reference."""
+        trial.SetTimeStateAndParametersFrom(default)
         load_context.SetContinuousState(_moved(reference, offset))
-        carrier_reference = system.GetOutputPort("carrier_reference").Eval(trial)
-        carriers_context.SetContinuousState(carrier_reference)
-        return load.EvalTimeDerivatives(load_context).CopyToVector()[7:]
+        simulator.Initialize()  # whatever samples or holds takes its first value
+        carrier_reference = nonstop.GetOutputPort("carrier_reference").Eval(trial)
+        state = carriers_context.get_continuous_state_vector().CopyToVector()
+        count = min(len(state), len(carrier_reference))
+        state[:count] = carrier_reference[:count]
+        carriers_context.SetContinuousState(state)
+        return load.EvalTimeDerivatives(load_context).CopyToVector()[7:13]
 
-    try:
-        residual = _newton(settle)
-    except (NotFiniteError, np.linalg.LinAlgError):
-        residual = np.full(6, np.inf)
-    if not np.max(np.abs(residual)) < _REST:
+    residual = np.full(6, np.inf)
+    for drop in _DROPS:
+        residual = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
+        if np.max(np.abs(residual)) < _REST:
+            break
+    else:
         raise ScenarioError(
-            f"start = acceleration of {np.max(np.abs(residual)):.2g} m/s^2: the cables do not "
-            "hold the load at rest; give them stiffness for its weight, and an amplitude that "
-            "keeps them taut"
+            f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2: the cables do not "
+            "hold the load at rest near its reference; give system and simulated cables of about "
+            "the same length, stiff enough for the weight, and an amplitude that keeps them taut"
         )
     for name, settled in (("load_plant", load_context), ("carrier_dynamics", carriers_context)):
         target = nonstop.GetMutableSubsystemContext(nonstop.GetSubsystemByName(name), context)
         target.SetContinuousState(settled.get_continuous_state_vector().CopyToVector())
 
 
-def _newton(function: Callable[[NDArray], NDArray]) -> NDArray:
+def fastest_mode(nonstop: Diagram, context: Context) -> float:
+    """The largest magnitude (rad/s) of the loop's eigenvalues, linearized at the context."""
+    trial = nonstop.CreateDefaultContext()
+    trial.SetTimeStateAndParametersFrom(context)
+    Simulator(nonstop, trial).Initialize()
+    state = trial.get_continuous_state_vector().CopyToVector()
+
+    def rate(values: NDArray) -> NDArray:
+        trial.SetContinuousState(values)
+        return nonstop.EvalTimeDerivatives(trial).CopyToVector()
+
+    return float(np.max(np.abs(np.linalg.eigvals(_jacobian(rate, state)))))
+
+
+def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> NDArray:
     """Drives the function (6,) of an offset (6,) to zero; returns what is left of it."""
-    offset = np.zeros(6)
-    residual = function(offset)
+    offset, residual = start, function(start)
     for _ in range(20):
         if np.max(np.abs(residual)) < _REST / 1e3:
             break
-        columns = [
-            (function(offset + step) - function(offset - step)) / (2 * _STEP)
-            for step in _STEP * np.eye(6)
-        ]
-        offset = offset - np.linalg.solve(np.column_stack(columns), residual)
+        try:
+            step = np.linalg.solve(_jacobian(function, offset), residual)
+        except np.linalg.LinAlgError:
+            break
+        while np.max(np.abs(step)) > 0.5:  # m and rad; further than the linear model reaches
+            step = step / 2
+        offset = offset - step
         residual = function(offset)
     return residual
+
+
+def _jacobian(function: Callable[[NDArray], NDArray], at: NDArray) -> NDArray:
+    """The Jacobian by central differences."""
+    columns = [
+        (function(at + step) - function(at - step)) / (2 * _STEP)
+        for step in _STEP * np.eye(len(at))
+    ]
+    return np.column_stack(columns)
 
 
 def _moved(state: NDArray, offset: NDArray) -> NDArray:

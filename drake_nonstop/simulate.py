@@ -1,5 +1,7 @@
 """A scenario to a run: the simulated signals of every block."""
 
+import copy
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +13,7 @@ from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
     Simulator,
+    SimulatorConfig,
 )
 from pydrake.systems.framework import (
     Context,
@@ -18,19 +21,21 @@ from pydrake.systems.framework import (
     DiagramBuilder,
     EventStatus,
     OutputPort,
-    System,
+    PortDataType,
     TriggerType,
 )
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
-from drake_nonstop.compiled import NotFiniteError
+from drake_nonstop.compiled import LARGEST, NotFiniteError
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.equilibrium import set_equilibrium
+from drake_nonstop.equilibrium import fastest_mode, set_equilibrium
 from drake_nonstop.scenario import Scenario
-from drake_nonstop.validation import require
+from drake_nonstop.validation import ScenarioError, require
 from drake_nonstop.wiring import output_names
 
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
+
+_STABLE_STEP = 1.6  # rad, the fastest mode's turn in a step; third-order Runge-Kutta: 1.73
 
 # What the metrics judge by the step, and where the optimization layer's updates show.
 _WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
@@ -109,53 +114,75 @@ def simulate(
     nonstop = make_nonstop(scenario, **replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
-    ports = {port.get_name(): port for port in map(nonstop.get_output_port, _indices(nonstop))}
-    stepped = [name for name in ports if name in _EVERY_STEP]
-    sampled = [name for name in ports if name != _WALL_TIME]
+    outputs = [nonstop.get_output_port(i) for i in range(nonstop.num_output_ports())]
+    ports = {
+        port.get_name(): port
+        for port in outputs
+        if port.get_data_type() == PortDataType.kVectorValued
+    }
+    stepped = {name: port for name, port in ports.items() if name in _EVERY_STEP}
+    sampled = {name: port for name, port in ports.items() if name != _WALL_TIME}
     step_sink = LogVectorOutput(
-        _stacked(builder, [ports[name] for name in stepped]),
-        builder,
-        {TriggerType.kPerStep},
-        publish_period=0.0,
+        _stacked(builder, stepped), builder, {TriggerType.kPerStep}, publish_period=0.0
     )
     sample_sink = LogVectorOutput(
-        _stacked(builder, [ports[name] for name in sampled]), builder, publish_period=SIGNAL_PERIOD
+        _stacked(builder, sampled), builder, publish_period=SIGNAL_PERIOD
     )
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    ApplySimulatorConfig(scenario.simulator, simulator)
+    simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
-    set_equilibrium(scenario, nonstop, nonstop.GetMyMutableContextFromRoot(context), **replacements)
-    if progress is not None:
-        simulator.set_monitor(_monitor(progress))
-
     start = time.perf_counter()
 
     def finished() -> Run:
         return _collect(
             scenario,
             nonstop,
-            _split(sample_sink.FindLog(context), {name: ports[name].size() for name in sampled}),
-            _split(step_sink.FindLog(context), {name: ports[name].size() for name in stepped}),
+            _split(sample_sink.FindLog(context), sampled),
+            _split(step_sink.FindLog(context), stepped),
             wall_time=time.perf_counter() - start,
         )
 
     try:
+        nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
+        set_equilibrium(nonstop, nonstop_context)
+        ApplySimulatorConfig(_stable_config(scenario.simulator, nonstop, nonstop_context), simulator)
+        if progress is not None:
+            simulator.set_monitor(_monitor(progress))
+        start = time.perf_counter()
         simulator.Initialize()
         simulator.AdvanceTo(scenario.duration)
+    except ScenarioError:
+        raise
     except KeyboardInterrupt:
         raise RunInterrupted(finished()) from None
     except NotFiniteError as error:
         raise RunStopped(
             f"the run diverged at t = {context.get_time():.4f} s: {error} was the first block "
-            "with a value that is not finite, or beyond 1e6 in SI units; the loop may be "
-            "unstable, or simulator.max_step_size too large",
+            f"with a value that is not finite, or beyond {LARGEST:.0e} in SI units; the loop may "
+            "be unstable, or simulator.max_step_size too large",
             finished(),
         ) from None
     except Exception as error:
-        at = f"the run stopped at t = {context.get_time():.4f} s"
-        raise RunStopped(f"{at}: {type(error).__name__}: {error}", finished()) from error
+        cause = " ".join(f"{type(error).__name__}: {error}".split())
+        message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
+        raise RunStopped(message, finished()) from error
     return finished()
+
+
+def _stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -> SimulatorConfig:
+    """The configuration with a step that the fixed-step Runge-Kutta scheme is stable at.
+
+    Explicit schemes blow up, at first in silence, where the step is too long for the
+    fastest mode; for the third-order one that is at 1.73 divided by the mode's rad/s.
+    Steps of any other scheme, and shorter ones, are the user's.
+    """
+    if config.integration_scheme != "runge_kutta3" or config.use_error_control:
+        return config
+    longest = _STABLE_STEP / fastest_mode(nonstop, context)
+    if config.max_step_size > longest:
+        # A whole part of the signals' period, so that no step is cut short by it.
+        config = copy.deepcopy(config)
+        config.max_step_size = SIGNAL_PERIOD / math.ceil(SIGNAL_PERIOD / longest)
+    return config
 
 
 def _monitor(progress: Callable[[float], None]) -> Callable[[Context], EventStatus]:
@@ -171,48 +198,46 @@ def _monitor(progress: Callable[[float], None]) -> Callable[[Context], EventStat
     return monitor
 
 
-def _indices(system: System) -> range:
-    return range(system.num_output_ports())
-
-
-def _stacked(builder: DiagramBuilder, ports: list[OutputPort]) -> OutputPort:
+def _stacked(builder: DiagramBuilder, ports: dict[str, OutputPort]) -> OutputPort:
     """One port for all: a sink per signal would slow every step of the diagram down."""
-    multiplexer = builder.AddSystem(Multiplexer([port.size() for port in ports]))
-    for i, port in enumerate(ports):
+    multiplexer = builder.AddSystem(Multiplexer([port.size() for port in ports.values()]))
+    for i, port in enumerate(ports.values()):
         builder.Connect(port, multiplexer.get_input_port(i))
     return multiplexer.get_output_port()
 
 
-def _split(log: VectorLog, sizes: dict[str, int]) -> dict[str, NDArray]:
-    """The stacked signals of a log by name, (samples, size) each, and their "time"."""
-    pieces = np.split(log.data(), np.cumsum(list(sizes.values()))[:-1])
-    signals = {name: piece.T.copy() for name, piece in zip(sizes, pieces, strict=True)}
-    return {"time": log.sample_times().copy()} | signals
+def _split(log: VectorLog, ports: dict[str, OutputPort]) -> tuple[NDArray, dict[str, NDArray]]:
+    """The times of a log, and its stacked signals by name, (samples, size) each."""
+    ends = np.cumsum([port.size() for port in ports.values()])
+    pieces = np.split(log.data(), ends[:-1])
+    signals = {name: piece.T.copy() for name, piece in zip(ports, pieces, strict=True)}
+    return log.sample_times().copy(), signals
 
 
 def _collect(
     scenario: Scenario,
     nonstop: Diagram,
-    samples: dict[str, NDArray],
-    steps: dict[str, NDArray],
+    samples: tuple[NDArray, dict[str, NDArray]],
+    steps: tuple[NDArray, dict[str, NDArray]],
     *,
     wall_time: float,
 ) -> Run:
+    (times, signals), (step_times, step_signals) = samples, steps
     solve_times = np.zeros(0)
-    if "diagnostics" in steps:
-        updates = np.flatnonzero(np.diff(steps["diagnostics"][:, 1], prepend=0.0))
-        solve_times = steps.pop(_WALL_TIME)[updates, 0]
+    if "diagnostics" in step_signals and _WALL_TIME in step_signals:
+        updates = np.flatnonzero(np.diff(step_signals["diagnostics"][:, 1], prepend=0.0))
+        solve_times = step_signals[_WALL_TIME][updates, 0]
     return Run(
         scenario=scenario,
         diagram=nonstop,
-        time=samples["time"],
+        time=times,
         signals={
-            f"{block.get_name()}.{name}": samples[name]
+            f"{block.get_name()}.{name}": signals[name]
             for block in nonstop.GetSystems()
             for name in output_names(block)
-            if name in samples
+            if name in signals
         },
-        steps=steps,
+        steps={"time": step_times} | step_signals,
         solve_times=solve_times,
         wall_time=wall_time,
     )

@@ -120,7 +120,7 @@ def test_an_unwritable_folder_is_told_before_the_run(tmp_path, capsys):
 
 
 def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys):
-    settings = ["--set", "carrier_controller.position_gain=5e4", "duration=2"]
+    settings = ["--set", "simulator.integration_scheme=explicit_euler", "duration=2"]
     assert main(["run", "quintic", "--out", str(tmp_path), *settings, *BRIEF]) == 1
     error = capsys.readouterr().err
     assert "diverged at t = " in error
