@@ -61,7 +61,9 @@ BLOCKS: dict[str, tuple[type[LeafSystem], ...]] = {
 PLANT = ("carrier_dynamics", "cables", "load_plant")
 
 # The figure's wires, to be read. They follow from the names of the ports, and building
-# the default diagram checks this list against what was built.
+# the default blocks checks this list against what was built. Where the scenario has a
+# control period, a `sample_and_hold` stands in front of the controllers, in the wires of
+# `measured_load_state` and `reference`.
 WIRES = """
 load_trajectory.reference -> wrench_controller.reference
 load_trajectory.reference -> optimization_layer.reference
@@ -140,18 +142,40 @@ def make_nonstop(
             "give a block's config, or a function that takes the model and returns a LeafSystem",
         )
         blocks[name] = make(simulated if name in PLANT else believed)
+        require(
+            isinstance(blocks[name], LeafSystem),
+            f"replacement {name}",
+            blocks[name],
+            "return a LeafSystem from the function",
+        )
     replaced_signals = {}
     if scenario.control_period > 0:
         blocks["sample_and_hold"] = SampleAndHold(believed)
         replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
     diagram = wiring.connect(blocks, name="nonstop", replaced_signals=replaced_signals)
-    is_the_figure = all(type(block) in BLOCKS.get(name, ())[:1] for name, block in blocks.items())
-    if is_the_figure and set(wiring.connections(diagram)) != figure_wires():
-        raise wiring.WiringError(
-            f"WIRES = {set(wiring.connections(diagram)) ^ figure_wires()}: these differ between "
-            "the list and the diagram that was built; mend the list or the ports"
-        )
+    if all(type(blocks[name]) is BLOCKS[name][0] for name in BLOCKS):
+        difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
+        if difference:
+            raise wiring.WiringError(
+                f"WIRES = {difference}: these differ between the list and the diagram that was "
+                "built; mend the list or the ports"
+            )
     return diagram
+
+
+def _without_sampling(wires: list[str]) -> set[str]:
+    """The wires as they would be if the sample-and-hold passed its inputs through."""
+    pairs = [tuple(wire.split(" -> ")) for wire in wires]
+    sources = {
+        target.replace(".", ".held_"): source
+        for source, target in pairs
+        if target.startswith("sample_and_hold.")
+    }
+    return {
+        f"{sources.get(source, source)} -> {target}"
+        for source, target in pairs
+        if not target.startswith("sample_and_hold.") and not target.endswith(".sample_time")
+    }
 
 
 def block_class(instance: str, config: Any) -> type[LeafSystem]:

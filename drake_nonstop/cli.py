@@ -1,6 +1,7 @@
 """The command `drake-nonstop`."""
 
 import argparse
+import contextlib
 import sys
 import time
 from pathlib import Path
@@ -12,6 +13,7 @@ from drake_nonstop.simulate import RunInterrupted, RunStopped, simulate
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.version import __version__
 
+_CLOSE = 0.1  # m, between cables or carriers, that is worth a warning
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes; 130 is the shell's for Ctrl-C
 
 
@@ -67,10 +69,16 @@ def _run(options: argparse.Namespace) -> int:
     scenario = load_scenario(options.scenario, options.set)
     folder: Path = options.out or Path("out") / scenario.name
     code, message = 0, ""
+    is_new = not folder.exists()
     bar = None if options.quiet else _ProgressBar(scenario)
     try:
         require_writable(folder)
         run = simulate(scenario, progress=bar)
+    except ScenarioError:
+        if is_new:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise
     except RunStopped as stopped:
         run, code, message = stopped.run, FAILED, str(stopped)
     except RunInterrupted as interrupted:
@@ -93,8 +101,29 @@ def _run(options: argparse.Namespace) -> int:
         )
     elif not options.quiet:
         print(_table(metrics))
+        for warning in _warnings(metrics):
+            print(f"warning: {warning}")
         print(f"results: {folder}")
     return code
+
+
+def _warnings(metrics: dict[str, Any]) -> list[str]:
+    """What a run did that nobody would want of real carriers, a line each."""
+    carriers, cables, optimizer = (metrics[key] for key in ("carriers", "cables", "optimizer"))
+    unsolved = optimizer["relaxed"] + optimizer["held"]
+    found = [
+        (cables["slack_time_s"], f"a cable was slack for {cables['slack_time_s']:.3g} s"),
+        (
+            carriers["time_below_bound_s"],
+            f"a carrier was below the bound for {carriers['time_below_bound_s']:.3g} s",
+        ),
+        (unsolved, f"no parameters fulfilled the bound at {unsolved} updates (relaxed, held)"),
+        (
+            cables["separation_min_m"] < _CLOSE,
+            f"cables or carriers came within {cables['separation_min_m']:.2g} m of each other",
+        ),
+    ]
+    return [text for is_so, text in found if is_so]
 
 
 def _table(metrics: dict[str, Any]) -> str:

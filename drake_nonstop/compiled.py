@@ -11,7 +11,6 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-
 LARGEST = 1e6  # SI units; no rate or force on these cables comes near it
 
 

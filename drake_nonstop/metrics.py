@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.simulate import Run
 from drake_nonstop.system import overridden
 from drake_nonstop.version import __version__
@@ -18,8 +19,9 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     Speeds, separations, tensions and loads on the aircraft are those of the simulated
     carriers and cables at every step from t = 0 on, errors those of the load's true pose
     at 100 Hz. A time "below" or "slack" weighs each step's state with half of the two
-    intervals beside it. What was not measured, such as the solve times of a layer that
-    solves nothing, is None.
+    intervals beside it. The climb angle is that of the steepest climb or descent; it and
+    the turn radius say little where a carrier nearly stops. What was not measured, such as
+    the solve times of a layer that solves nothing, is None.
     """
     simulated = float(run.steps["time"][-1])
     return {
@@ -98,14 +100,14 @@ def _carrier_metrics(run: Run) -> dict[str, Any]:
     speeds = carrier_speeds(states)
     bound = run.scenario.optimization_layer.speed_bound
     sharpest: dict[str, float | None] = {"acceleration": None, "radius": None}
-    if len(time) > 2:
+    if len(time) > 2 and np.any(speeds > 0):
         accelerations = np.gradient(velocities, time, axis=0)
         # v × a is speed × normal acceleration, and stays defined where a carrier stops.
         crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
         moving = speeds > 0
         sharpest = {
             "acceleration": float(np.max(crossed[moving] / speeds[moving])),
-            "radius": float(1 / np.max(crossed[moving] / speeds[moving] ** 3)),
+            "radius": _reciprocal(float(np.max(crossed[moving] / speeds[moving] ** 3))),
         }
     climb = np.arctan2(np.abs(velocities[..., 2]), np.linalg.norm(velocities[..., :2], axis=2))
     return {
@@ -160,12 +162,13 @@ def _optimizer_metrics(run: Run) -> dict[str, Any]:
 def attachment_positions(run: Run, load_states: NDArray) -> NDArray:
     """The simulated attachment points (k, n, 3), in W, for load states (k, 13)."""
     system = overridden(run.scenario.system, run.scenario.simulated)
-    attachments = np.array(system.attachments)
-    quaternions = load_states[:, :4] / np.linalg.norm(load_states[:, :4], axis=1, keepdims=True)
-    scalar, vector = quaternions[:, None, :1], quaternions[:, None, 1:]
-    turned = 2 * np.cross(vector, attachments[None])
-    rotated = attachments + scalar * turned + np.cross(vector, turned)
-    return load_states[:, None, 4:7] + rotated
+    R_WL = rotation_matrix(load_states[:, :4])
+    return load_states[:, None, 4:7] + np.array(system.attachments) @ R_WL.swapaxes(1, 2)
+
+
+def _reciprocal(curvature: float) -> float | None:
+    """The radius of a curvature; None for straight flight."""
+    return 1 / curvature if curvature > 0 else None
 
 
 def _split(carrier_state: NDArray) -> NDArray:

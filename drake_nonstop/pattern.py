@@ -123,8 +123,8 @@ def check_pattern(
         size = np.prod([np.linalg.norm(axis) for axis in axes])
         require(
             volume > _SMALLEST_SINE * size,
-            "pattern",
-            type(pattern).__name__,
+            "pattern.phases",
+            pattern.phases.tolist(),
             f"cable {i + 1} swings in a plane or not at all, so its carrier would stop; "
             "choose other phases or another basis",
         )

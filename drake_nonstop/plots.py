@@ -6,26 +6,34 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RollPitchYaw
 
 from drake_nonstop.metrics import attachment_positions, carrier_speeds, load_errors
 from drake_nonstop.simulate import Run
 
 _SIZE = (7.0, 4.2)  # inch
+_OVERLAID = ("solid", (0, (5, 4)), (0, (1, 2)))  # lines of coinciding curves, all to be seen
 
 
 def make_figures(run: Run) -> dict[str, Figure]:
     """A figure per name, the name telling what it shows."""
-    return {draw.__name__.removeprefix("_draw_"): draw(run) for draw in _FIGURES}
+    return {name: draw(run) for name, draw in zip(FIGURE_NAMES, _FIGURES, strict=True)}
 
 
 def _draw_load_reference(run: Run) -> Figure:
     reference = run.signal("reference")
-    figure, (top, bottom) = _stacked(2)
-    top.plot(run.time, reference[:, 4:7], label=["x", "y", "z"])
-    top.set_ylabel("position (m)")
-    bottom.plot(run.time, reference[:, 10:13], label=["x", "y", "z"])
-    bottom.set_ylabel("velocity (m/s)")
-    top.legend(ncols=3)
+    angles = [RollPitchYaw(Quaternion(q / np.linalg.norm(q))).vector() for q in reference[:, :4]]
+    figure, panels = _stacked(3)
+    for axes, values, label, names in (
+        (panels[0], reference[:, 4:7], "position (m)", "xyz"),
+        (panels[1], reference[:, 10:13], "velocity (m/s)", "xyz"),
+        (panels[2], np.degrees(angles), "orientation (°)", ("roll", "pitch", "yaw")),
+    ):
+        for column, name, style in zip(values.T, names, _OVERLAID, strict=True):
+            axes.plot(run.time, column, linestyle=style, label=name)
+        axes.set_ylabel(label)
+        axes.legend(fontsize="small", loc="upper left")
     return _finished(figure, "Desired load trajectory")
 
 
@@ -102,6 +110,9 @@ _FIGURES: tuple[Callable[[Run], Figure], ...] = (
 )
 
 
+FIGURE_NAMES = tuple(draw.__name__.removeprefix("_draw_") for draw in _FIGURES)
+
+
 def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:
     """Paths of load and carriers over some samples, with load and cables at the last one."""
     load = run.signal("load_state")[shown]
@@ -148,7 +159,7 @@ def _single() -> tuple[Figure, Axes]:
 
 
 def _stacked(count: int) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=_SIZE, layout="constrained")
+    figure = Figure(figsize=(_SIZE[0], 2.1 * count), layout="constrained")
     axes = list(figure.subplots(count, 1, sharex=True))
     axes[-1].set_xlabel("time (s)")
     return figure, axes

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,18 +12,21 @@ import numpy as np
 
 from drake_nonstop.drawing import draw_diagram
 from drake_nonstop.metrics import compute_metrics
+from drake_nonstop.plots import FIGURE_NAMES, make_figures
 from drake_nonstop.scenario import dump_scenario
+from drake_nonstop.scene import record_replay
 from drake_nonstop.simulate import Run
 from drake_nonstop.validation import ScenarioError
 
 # All that a run may leave; what this run does not write is not left over from another.
+_FIGURES = "figures"
 _CONTENTS = (
     "scenario.yaml",
     "metrics.json",
     "signals.npz",
     "diagram.svg",
     "replay.html",
-    "figures",
+    *(f"{_FIGURES}/{name}.png" for name in FIGURE_NAMES),
 )
 
 
@@ -55,20 +57,16 @@ def write_results(
     metrics = compute_metrics(run)
     with _replacing(folder) as new:
         (new / "scenario.yaml").write_text(dump_scenario(run.scenario), encoding="utf-8")
-        text = json.dumps(metrics, indent=2, ensure_ascii=False)
+        text = json.dumps(metrics, indent=2, allow_nan=False)
         (new / "metrics.json").write_text(text + "\n", encoding="utf-8")
         np.savez_compressed(new / "signals.npz", **{"time": run.time, **run.signals})  # type: ignore[arg-type]
         (new / "diagram.svg").write_text(draw_diagram(run.diagram), encoding="utf-8")
         if replay:
-            from drake_nonstop.scene import record_replay
-
             (new / "replay.html").write_text(record_replay(run), encoding="utf-8")
         if figures:
-            from drake_nonstop.plots import make_figures  # matplotlib takes a while to load
-
-            (new / "figures").mkdir()
+            (new / _FIGURES).mkdir()
             for name, figure in make_figures(run).items():
-                figure.savefig(new / "figures" / f"{name}.png", dpi=150)
+                figure.savefig(new / _FIGURES / f"{name}.png", dpi=150)
     return metrics
 
 
@@ -80,13 +78,13 @@ def _replacing(folder: Path) -> Iterator[Path]:
             new = Path(name)
             yield new
             for item in _CONTENTS:
-                old = folder / item
-                if old.is_dir() and not old.is_symlink():
-                    shutil.rmtree(old)
-                else:
-                    old.unlink(missing_ok=True)
                 if (new / item).exists():
-                    os.replace(new / item, old)
+                    (folder / item).parent.mkdir(exist_ok=True)
+                    os.replace(new / item, folder / item)
+                else:
+                    (folder / item).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # where something of the user's is left in it
+                (folder / _FIGURES).rmdir()
     except OSError as error:
         raise ScenarioError(
             f"--out = {folder}: give a folder with room to write to ({error.strerror})"

@@ -226,7 +226,11 @@ def _from_tree(name: str, tree: dict[str, Any]) -> Scenario:
     scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(tree), defaults=Scenario())
     scenario.name = name
     require_positive(name, duration=scenario.duration)
-    require_positive("simulator", max_step_size=scenario.simulator.max_step_size)
+    simulator = scenario.simulator
+    require_positive(
+        "simulator", max_step_size=simulator.max_step_size, accuracy=simulator.accuracy
+    )
+    require(simulator.start_time == 0, "simulator.start_time", simulator.start_time, "give 0")
     return scenario
 
 
@@ -290,7 +294,7 @@ def _compose(text: str, source: str) -> yaml.Node | None:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark else 1
-        problem = getattr(error, "problem", None) or "unreadable"
+        problem = " ".join(str(getattr(error, "problem", None) or "unreadable").split())
         raise ScenarioError(f"{source} = line {line}, {problem}: give valid YAML") from None
 
 
@@ -303,6 +307,9 @@ def _plain(node: yaml.Node | None, path: str) -> Any:
         if not node.tag.startswith("tag:"):
             result["_tag"] = node.tag
         for key_node, value_node in node.value:
+            require(
+                isinstance(key_node, yaml.ScalarNode), path, "a key in brackets", "give text keys"
+            )
             key = str(key_node.value)
             field_path = f"{path}.{key}"
             require(
@@ -329,8 +336,10 @@ def _plain(node: yaml.Node | None, path: str) -> Any:
     loader = yaml.SafeLoader("")
     try:
         value = loader.construct_object(node)
-    except (ValueError, yaml.YAMLError) as error:
-        raise ScenarioError(f"{path} = {node.value}: give a plain value ({error})") from None
+    except (ValueError, yaml.YAMLError):
+        raise ScenarioError(f"{path} = {node.tag} {node.value}: give a plain value") from None
+    is_sexagesimal = ":" in node.value and not isinstance(value, str)  # YAML 1.1: 1:30 is 90
+    require(not is_sexagesimal, path, node.value, "give a number in plain digits")
     if isinstance(value, str) and not quoted and _is_number_text(value):
         value = float(value)  # YAML 1.1 takes 1e-3 for a string
     require(value == value, path, node.value, "give a finite number")

@@ -125,9 +125,7 @@ def simulate(
     step_sink = LogVectorOutput(
         _stacked(builder, stepped), builder, {TriggerType.kPerStep}, publish_period=0.0
     )
-    sample_sink = LogVectorOutput(
-        _stacked(builder, sampled), builder, publish_period=SIGNAL_PERIOD
-    )
+    sample_sink = LogVectorOutput(_stacked(builder, sampled), builder, publish_period=SIGNAL_PERIOD)
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
     start = time.perf_counter()
@@ -144,7 +142,9 @@ def simulate(
     try:
         nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
         set_equilibrium(nonstop, nonstop_context)
-        ApplySimulatorConfig(_stable_config(scenario.simulator, nonstop, nonstop_context), simulator)
+        ApplySimulatorConfig(
+            _stable_config(scenario.simulator, nonstop, nonstop_context), simulator
+        )
         if progress is not None:
             simulator.set_monitor(_monitor(progress))
         start = time.perf_counter()

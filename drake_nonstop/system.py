@@ -99,7 +99,12 @@ class Model:
             gravity=system.gravity,
         )
         require_non_negative(field, load_drag=system.load_drag, cable_damping=system.cable_damping)
-        require_non_negative("scenario", control_period=control_period)
+        require(
+            is_number(control_period) and (control_period == 0 or control_period >= 1e-4),
+            "control_period",
+            control_period,
+            "give 0 for continuous controllers, or at least 1e-4 s",
+        )
         stiffness = system.cable_stiffness
         require(
             (is_number(stiffness) and stiffness > 0) or stiffness == math.inf,

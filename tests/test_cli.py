@@ -83,11 +83,30 @@ def test_the_resolved_scenario_repeats_the_run(tmp_path):
 
 def test_a_run_replaces_all_of_an_earlier_one_and_touches_nothing_else(tmp_path):
     (tmp_path / "figures").mkdir()
-    (tmp_path / "figures" / "old.png").write_text("old")
+    (tmp_path / "figures" / "tensions.png").write_text("old")
+    (tmp_path / "figures" / "sketch.png").write_text("mine")
     (tmp_path / "replay.html").write_text("old")
     (tmp_path / "notes.txt").write_text("mine")
     assert main(["run", "quintic", "--out", str(tmp_path), "--set", "duration=0.1", *BRIEF]) == 0
-    assert contents(tmp_path) == RESULTS - {"figures", "replay.html"} | {"notes.txt"}
+    assert contents(tmp_path) == RESULTS - {"replay.html"} | {"notes.txt"}
+    assert contents(tmp_path / "figures") == {"sketch.png"}
+
+
+def test_bad_input_leaves_no_new_folder(tmp_path):
+    assert (
+        main(["run", "quintic", "--out", str(tmp_path / "a"), "--set", "pattern.phases=[0]"]) == 2
+    )
+    assert contents(tmp_path) == set()
+
+
+def test_what_nobody_wants_is_warned_of(tmp_path, capsys):
+    settings = ["--set", "optimization_layer.speed_bound=0.8", "duration=0.3"]
+    settings += ["optimization_layer.frequency_bounds=[1, 2.05]"]
+    settings += ["optimization_layer.amplitude_bounds=[1, 1.25]"]
+    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF[1:], *settings]) == 0
+    warnings = [s for s in capsys.readouterr().out.splitlines() if s.startswith("warning: ")]
+    assert any("below the bound" in line for line in warnings)
+    assert any("no parameters fulfilled the bound" in line for line in warnings)
 
 
 @pytest.mark.parametrize(

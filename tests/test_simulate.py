@@ -160,9 +160,7 @@ class LaggedCarriers(LeafSystem):
         self._mass, self._n = model.carrier_mass, model.n
         self._forces = self.DeclareVectorInputPort("carrier_forces", 3 * model.n)
         self.DeclareContinuousState(9 * model.n)
-        self.DeclareVectorOutputPort(
-            "carrier_state", 6 * model.n, self._calc, {self.xc_ticket()}
-        )
+        self.DeclareVectorOutputPort("carrier_state", 6 * model.n, self._calc, {self.xc_ticket()})
 
     def _calc(self, context, output):
         state = context.get_continuous_state_vector().CopyToVector()

@@ -78,7 +78,7 @@ def test_zero_is_allowed_where_nothing_divides_by_it(name):
 
 @pytest.mark.parametrize("period", [-0.01, math.nan, math.inf])
 def test_bad_control_period_is_named(period):
-    with pytest.raises(ScenarioError, match=f"scenario.control_period = {period}: give"):
+    with pytest.raises(ScenarioError, match=f"control_period = {period}: give"):
         make(control_period=period)
 
 

@@ -17,7 +17,7 @@ class CableForceDistributionConfig:
 
 
 class CableForceDistribution(LeafSystem):
-    """f_d = G† w_d + f̃⁰ + N λ and its exact rate (eqs. 16, 19-20).
+    """f_d = G† w_d + f̃⁰ + N λ and its exact rate (eqs. 16, 19-21).
 
     .. pydrake_system::
 

@@ -42,7 +42,8 @@ class Cables(LeafSystem):
             is_number(model.cable_stiffness),
             "simulated.cable_stiffness",
             model.cable_stiffness,
-            "give a finite number greater than zero: simulated cables stretch",
+            "simulated cables stretch: give a finite number greater than zero here, also where "
+            "system.cable_stiffness is .inf",
         )
 
         def forces(load_state: NDArray, carrier_state: NDArray) -> tuple[NDArray, NDArray]:

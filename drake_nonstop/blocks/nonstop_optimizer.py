@@ -95,8 +95,8 @@ class NonstopOptimizer(LeafSystem):
     `measured_load_state` (13), `reference` (22), `wrench` and `wrench_rate` (6, [torque;
     force]), all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `parameters` (2) = [ξ (rad/s), A (N)];
     `diagnostics` (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest
-    speed − ε (m/s)]; `solve_time` (1) is the wall time in s that the last update took to solve. All
-    outputs are state: nothing feeds through.
+    speed minus the untightened ε (m/s)]; `solve_time` (1) is the wall time in s that the
+    last update took to solve. All outputs are state: nothing feeds through.
 
     Raises:
         ScenarioError: a parameter is out of range, or the period is no multiple of the
@@ -333,10 +333,16 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         period=config.period,
     )
     require(
-        isinstance(config.look_ahead_points, int) and config.look_ahead_points >= 1,
+        config.speed_bound == 0 or config.speed_bound >= 1e-3,
+        f"{owner}.speed_bound",
+        config.speed_bound,
+        "give 0 (no bound) or at least 1e-3 m/s",
+    )
+    require(
+        isinstance(config.look_ahead_points, int) and 1 <= config.look_ahead_points <= 50,
         f"{owner}.look_ahead_points",
         config.look_ahead_points,
-        "give 1 (the instant of the update only) or more",
+        "give 1 (the instant of the update only) to 50",
     )
     require(
         config.load_motion in ("desired", "measured"),

@@ -35,7 +35,7 @@ def cable_forces_and_rates(
     basis: NDArray,
     offset: NDArray,
 ) -> tuple[NDArray, NDArray]:
-    """Desired cable forces f and their rates ḟ, each (n, 3) in W (eqs. 9, 16, 19, 20).
+    """Desired cable forces f and their rates ḟ, each (n, 3) in W (eqs. 9, 16, 19-21).
 
     `load_state` (13,), `wrench` and `wrench_rate` (6,) are in W, `internal_force` (2m,)
     is [λ; λ̇]; `pseudo_inverse` (3n, 6), `basis` N₀ (3n, m) and `offset` f̃⁰ (3n,) are

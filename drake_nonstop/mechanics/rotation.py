@@ -39,20 +39,21 @@ def norm(a: NDArray) -> NDArray:
 
 
 def rotation_matrix(quaternion: NDArray) -> NDArray:
-    """R (3, 3) of a quaternion (4,) in the order w x y z, which need not have unit norm.
+    """R (..., 3, 3) of a quaternion (..., 4), w x y z, which need not have unit norm.
 
     Dividing by the squared norm keeps R a rotation while an integrator lets the norm
     drift by rounding.
     """
     w, x, y, z = components(quaternion)
-    s = 2 / (quaternion * quaternion).sum(keepdims=True)
+    s = 2 / (quaternion * quaternion).sum(axis=-1, keepdims=True)
     return np.concatenate(
         [
             *[1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
             *[s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
             *[s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
-        ]
-    ).reshape(3, 3)
+        ],
+        axis=-1,
+    ).reshape(*quaternion.shape[:-1], 3, 3)
 
 
 def quaternion_rate(quaternion: NDArray, angular_velocity: NDArray) -> NDArray:

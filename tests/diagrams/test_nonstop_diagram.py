@@ -296,3 +296,12 @@ def test_scenario_is_left_as_it_was():
     for key in before:
         if key != "simulator":
             assert after[key] == before[key], key
+
+
+@pytest.mark.parametrize("control_period", [0.0, 0.01])
+def test_a_missing_line_of_the_written_figure_is_noticed(monkeypatch, control_period):
+    lines = nonstop.WIRES.splitlines()
+    lines.remove("phase.phase -> internal_force.phase")
+    monkeypatch.setattr(nonstop, "WIRES", "\n".join(lines))
+    with pytest.raises(wiring.WiringError, match=r"phase\.phase -> internal_force\.phase"):
+        make_nonstop(Scenario(control_period=control_period))
