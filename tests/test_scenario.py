@@ -56,6 +56,7 @@ def test_the_paper_scenarios_are_as_printed():
         assert scenario.optimization_layer.look_ahead_points == 1
         assert scenario.optimization_layer.tightening == 0.0
         assert scenario.optimization_layer.load_motion == "measured"
+        assert scenario.optimization_layer.global_search is False
 
 
 def test_a_setting_changes_one_field_and_keeps_the_rest():

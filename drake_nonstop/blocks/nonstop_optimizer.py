@@ -20,6 +20,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 from drake_nonstop.compiled import CompiledFunction
 from drake_nonstop.mechanics import nonstop
 from drake_nonstop.mechanics.rigid_load import load_acceleration
+from drake_nonstop.speed_search import Quadratics, SearchProblem, fastest, nearest_feasible
 from drake_nonstop.system import Model
 from drake_nonstop.validation import (
     require,
@@ -29,6 +30,7 @@ from drake_nonstop.validation import (
 )
 
 _FEASIBILITY_TOLERANCE = 1e-6  # on speed²/ε² − 1
+_SAME_COST = 1e-4  # relative; what the global search finds has to be cheaper by more
 
 
 class Outcome(IntEnum):
@@ -57,6 +59,7 @@ class NonstopOptimizerConfig:
     internal_force_rate_weight: float = 1.0  # w_vel of eq. 26
     period: float = 0.01  # s, between updates
     solver: str = "snopt"  # or "ipopt"
+    global_search: bool = True  # look for a better point elsewhere; false: the solver alone
 
 
 class NonstopOptimizer(LeafSystem):
@@ -74,9 +77,15 @@ class NonstopOptimizer(LeafSystem):
     says "measured".
 
     If x⁻ fulfils the constraints it is the optimum, J = 0, and is kept without a solve.
-    If the solver finds no feasible point, the point of the largest worst-case speed is
-    sought, and taken where it is better than x⁻. `Outcome` names the cases, and
-    `diagnostics` counts them.
+    Else the solver starts from x⁻, and a search over all of the bounds (`speed_search`)
+    looks for a cheaper point elsewhere; where there is one, the solver starts from there
+    too, and the cheaper answer wins. The search is exact at the frequency that the first
+    answer gives the phases ahead; a printed phase, which jumps with ξ, is beyond it, and
+    then it suggests a start only.
+
+    If neither finds a feasible point, that of the largest worst-case speed is sought, from
+    the best of a grid on, and taken where it is better than x⁻. `Outcome` names the cases,
+    and `diagnostics` counts them.
 
     .. pydrake_system::
 
@@ -173,25 +182,31 @@ class SpeedProgram:
         count = points * model.n
         instants = np.linspace(0, config.period, points) if points > 1 else [0.0]
 
-        def margins(x: NDArray, data: NDArray) -> NDArray:
-            previous, phase, state, reference, *wrenches = np.split(data, [2, 4, 17, 39, 45, 51])
+        def ahead_of(
+            state: NDArray, reference: NDArray, wrench: NDArray, instant: float
+        ) -> tuple[NDArray, NDArray]:
+            """The load's state, and what the carriers move with, at an instant."""
             accelerations = load_acceleration(
                 state,
-                wrenches[0],
+                wrench,
                 mass=model.load_mass,
                 inertia=model.load_inertia,
                 inertia_inverse=model.load_inertia_inverse,
                 drag=model.load_drag,
                 gravity=model.gravity,
             )
+            ahead = nonstop.advance(state, *accelerations, instant)
+            if config.load_motion == "measured":
+                return ahead, ahead
+            return ahead, nonstop.advance(
+                reference[:13], reference[13:16], reference[16:19], instant
+            )
+
+        def margins(x: NDArray, data: NDArray) -> NDArray:
+            previous, phase, state, reference, *wrenches = np.split(data, [2, 4, 17, 39, 45, 51])
             squares = []
             for instant in instants:
-                ahead = nonstop.advance(state, *accelerations, instant)
-                motion = ahead
-                if config.load_motion == "desired":
-                    motion = nonstop.advance(
-                        reference[:13], reference[13:16], reference[16:19], instant
-                    )
+                ahead, motion = ahead_of(state, reference, wrenches[0], instant)
                 velocities = nonstop.carrier_velocities(
                     x,
                     previous,
@@ -211,6 +226,26 @@ class SpeedProgram:
                 squares.append((velocities * velocities).sum(axis=1))
             return np.concatenate(squares) / self._unit**2 - self._least
 
+        def terms(frequency: NDArray, data: NDArray) -> tuple[NDArray, NDArray]:
+            _, phase, state, reference, *wrenches = np.split(data, [2, 4, 17, 39, 45, 51])
+            parts = []
+            for instant in instants:
+                ahead, motion = ahead_of(state, reference, wrenches[0], instant)
+                part = nonstop.speed_terms(
+                    phase[:1] + frequency * instant,
+                    ahead,
+                    motion,
+                    *wrenches,
+                    time=instant,
+                    phases=model.pattern.phases,
+                    pseudo_inverse=model.pseudo_inverse,
+                    basis=model.pattern.basis,
+                    offset=model.pattern.offset,
+                    attachments=model.attachments,
+                )
+                parts.append(np.stack(part))
+            return np.concatenate(parts, axis=1), phase[:1] + model.pattern.phases
+
         def cost(x: NDArray, data: NDArray) -> NDArray:
             return nonstop.change_cost(
                 x,
@@ -227,6 +262,8 @@ class SpeedProgram:
                 function, [2, 57], name=name, largest=1e100, jacobian_of=jacobian_of
             )
 
+        self._terms = CompiledFunction(terms, [1, 57], name=name, largest=1e100)
+        self._model, self._config, self._bound = model, config, bound
         self._margins = compiled(margins)
         self._cost_gradient = compiled(cost, jacobian_of=0)
         self._margin_gradients = compiled(margins, jacobian_of=0)
@@ -258,18 +295,66 @@ class SpeedProgram:
             return previous, Outcome.KEPT, before
         # The programs' callbacks read the data from here; set anew for every solve.
         self._data[:] = data
-        nearest, worst = self._solve_program(self._nearest, previous)
-        if worst >= -_FEASIBILITY_TOLERANCE:
-            return nearest, Outcome.SOLVED, worst
-        fastest, worst = self._solve_program(self._fastest, np.array([*previous, before]))
-        if worst >= -_FEASIBILITY_TOLERANCE:  # a feasible start, for a nearer point from there
-            nearest, worst_of_nearest = self._solve_program(self._nearest, fastest)
-            if worst_of_nearest >= -_FEASIBILITY_TOLERANCE:
-                return nearest, Outcome.SOLVED, worst_of_nearest
-            return fastest, Outcome.SOLVED, worst
-        if worst > before:
-            return fastest, Outcome.RELAXED, worst
-        return previous, Outcome.HELD, before
+        nearest, cost = self._nearest_from(previous)
+        problem = self._search_problem(previous, nearest, data)
+        if self._config.global_search:
+            other, estimate = nearest_feasible(problem, cheaper_than=cost * (1 - _SAME_COST))
+            if estimate < cost * (1 - _SAME_COST):
+                other, other_cost = self._nearest_from(other)
+                if other_cost < cost:
+                    nearest, cost = other, other_cost
+        if not np.isfinite(cost):
+            relaxed, worst = self._fastest_from(
+                fastest(problem) if self._config.global_search else previous
+            )
+            if worst < -_FEASIBILITY_TOLERANCE and worst > before:
+                return relaxed, Outcome.RELAXED, worst
+            if worst < -_FEASIBILITY_TOLERANCE:
+                return previous, Outcome.HELD, before
+            nearest, cost = self._nearest_from(relaxed)
+        return nearest, Outcome.SOLVED, self._worst_margin(nearest, data)
+
+    def _nearest_from(self, guess: NDArray) -> tuple[NDArray, float]:
+        """The feasible point that the solver finds from a guess, and its cost, else inf.
+
+        A feasible guess is kept where the solver ends outside the constraints.
+        """
+        for x in (self._solve_program(self._nearest, guess)[0], guess):
+            if self._worst_margin(x, self._data) >= -_FEASIBILITY_TOLERANCE:
+                return x, float(self._cost_gradient(x, self._data)[0][0])
+        return guess, np.inf
+
+    def _fastest_from(self, guess: NDArray) -> tuple[NDArray, float]:
+        """The point of the largest worst margin, of the solver's and its guess, and the margin."""
+        worst = self._worst_margin(guess, self._data)
+        x, worst_of_x = self._solve_program(self._fastest, np.array([*guess, worst]))
+        return (x, worst_of_x) if worst_of_x > worst else (guess, worst)
+
+    def _search_problem(self, previous: NDArray, around: NDArray, data: NDArray) -> SearchProblem:
+        """The problem with the phases ahead those of the frequency `around`."""
+        terms, angles = self._terms(around[:1], data)
+        terms = terms.reshape(6, -1, 3).copy()
+
+        def quadratics(amplitudes: NDArray) -> Quadratics:
+            return Quadratics(
+                *nonstop.speed_squares(
+                    amplitudes,
+                    *terms,
+                    rest_length=self._model.cable_length,
+                    compliance=self._model.cable_compliance,
+                )
+            )
+
+        return SearchProblem(
+            quadratics=quadratics,
+            angles=angles.copy(),
+            previous=previous,
+            lower=self._lower,
+            upper=self._upper,
+            bound=self._bound,
+            internal_force_weight=self._config.internal_force_weight,
+            internal_force_rate_weight=self._config.internal_force_rate_weight,
+        )
 
     def speed(self, margin: float) -> float:
         """The speed (m/s) of that margin."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import internal_force
-from drake_nonstop.mechanics.rotation import quaternion_rate
+from drake_nonstop.mechanics.rotation import cross, quaternion_rate, rotation_matrix
 
 
 def phase_of(parameters: NDArray, previous: NDArray, phase: NDArray) -> NDArray:
@@ -36,6 +36,30 @@ def advance(state: NDArray, angular: NDArray, translational: NDArray, time: floa
             angular_velocity + time * angular,
             velocity + time * translational,
         ]
+    )
+
+
+def cable_forces_and_rates_ahead(
+    load_state: NDArray,
+    wrench: NDArray,
+    wrench_rate: NDArray,
+    wrench_second_rate: NDArray,
+    internal_force: NDArray,
+    *,
+    time: float,
+    pseudo_inverse: NDArray,
+    basis: NDArray,
+    offset: NDArray,
+) -> tuple[NDArray, NDArray]:
+    """`grasp.cable_forces_and_rates` with a wrench that has gone on for `time` (s)."""
+    return cable_forces_and_rates(
+        load_state,
+        wrench + time * (wrench_rate + time / 2 * wrench_second_rate),
+        wrench_rate + time * wrench_second_rate,
+        internal_force,
+        pseudo_inverse=pseudo_inverse,
+        basis=basis,
+        offset=offset,
     )
 
 
@@ -66,11 +90,13 @@ def carrier_velocities(
     carry the wrench on; the phase goes on at ξ.
     """
     angle = phase_of(parameters, previous, phase) + parameters[:1] * time
-    forces, rates = cable_forces_and_rates(
+    forces, rates = cable_forces_and_rates_ahead(
         load_state,
-        wrench + time * (wrench_rate + time / 2 * wrench_second_rate),
-        wrench_rate + time * wrench_second_rate,
+        wrench,
+        wrench_rate,
+        wrench_second_rate,
         np.concatenate(internal_force(parameters, angle, phases=phases)),
+        time=time,
         pseudo_inverse=pseudo_inverse,
         basis=basis,
         offset=offset,
@@ -108,4 +134,87 @@ def change_cost(
         (change * change).sum(keepdims=True)
         + internal_force_weight * (jump * jump).sum(keepdims=True)
         + internal_force_rate_weight * (rate_jump * rate_jump).sum(keepdims=True)
+    )
+
+
+def speed_terms(
+    angle: NDArray,
+    load_state: NDArray,
+    load_motion: NDArray,
+    wrench: NDArray,
+    wrench_rate: NDArray,
+    wrench_second_rate: NDArray,
+    *,
+    time: float,
+    phases: NDArray,
+    pseudo_inverse: NDArray,
+    basis: NDArray,
+    offset: NDArray,
+    attachments: NDArray,
+) -> tuple[NDArray, ...]:
+    """The arguments of `speed_squares`, six arrays (n, 3) in W, at the phase `angle` (1,).
+
+    The other arguments as in `carrier_velocities`.
+    """
+    angles = angle + phases
+    nothing = 0 * angles
+
+    def forces(force: NDArray, rate: NDArray) -> tuple[NDArray, NDArray]:
+        return cable_forces_and_rates_ahead(
+            load_state,
+            wrench,
+            wrench_rate,
+            wrench_second_rate,
+            np.concatenate([force, rate]),
+            time=time,
+            pseudo_inverse=pseudo_inverse,
+            basis=basis,
+            offset=offset,
+        )
+
+    force, rate = forces(nothing, nothing)
+    cosine_force, cosine_rate = forces(np.cos(angles), nothing)
+    _, sine_rate = forces(nothing, -np.sin(angles))
+    levers = attachments @ rotation_matrix(load_motion[:4]).T
+    velocities = load_motion[10:13] + cross(load_motion[7:10], levers)
+    return force, rate, cosine_force - force, cosine_rate - rate, sine_rate - rate, velocities
+
+
+def speed_squares(
+    amplitude: NDArray,
+    forces: NDArray,
+    force_rates: NDArray,
+    cosine_forces: NDArray,
+    cosine_force_rates: NDArray,
+    sine_force_rates: NDArray,
+    load_velocities: NDArray,
+    *,
+    rest_length: float,
+    compliance: float,
+) -> tuple[NDArray, NDArray, NDArray]:
+    """(c, b, a), each (k, p), with ‖v‖² = c + 2 b s + a s² for s = A ξ, at k amplitudes.
+
+    At a given phase a cable's force is f = f₀ + A f_c and its rate ḟ = e₀ + A e_c + s e_s;
+    `forces` f₀, `force_rates` e₀, `cosine_forces` f_c, `cosine_force_rates` e_c and
+    `sine_force_rates` e_s are (p, 3) for p carriers (or carriers at several instants), as
+    are the `load_velocities` of their attachments; `amplitude` is (k,). The velocity of
+    eq. 22 is then affine in s: own derivation.
+    """
+    A = amplitude[:, None, None]
+    force = forces + A * cosine_forces
+    rate = force_rates + A * cosine_force_rates
+    tension_squared = (force * force).sum(axis=2, keepdims=True)
+    swing = rest_length / np.sqrt(tension_squared) + compliance  # ℓ/T
+    along = (compliance - swing) / tension_squared
+    still = (
+        load_velocities + swing * rate + along * (force * rate).sum(axis=2, keepdims=True) * force
+    )
+    moving = (
+        swing * sine_force_rates
+        + along * (force * sine_force_rates).sum(axis=2, keepdims=True) * force
+    )
+    return (
+        (still * still).sum(axis=2),
+        (still * moving).sum(axis=2),
+        (moving * moving).sum(axis=2),
     )

@@ -388,6 +388,58 @@ def test_no_feasible_point_near_by_is_cheaper(seed):
     assert cost(found) > 1e-5
 
 
+# Bounds far above what the start gives; single starts miss the optimum of the first two.
+FAR = {10: 0.8591, 34: 0.7847, 3: 0.6, 7: 0.9}
+WITHIN = {"frequency_bounds": (0.3, 10.0), "amplitude_bounds": (0.1, 10.0)}
+
+
+def cheapest_on_a_grid(speeds, data):
+    """The least cost of the feasible points of a grid over the bounds, zoomed once."""
+    speeds._data[:] = data
+
+    def cheapest(frequencies, amplitudes):
+        points = [np.array([f, a]) for f in frequencies for a in amplitudes]
+        feasible = [x for x in points if speeds._worst_margin(x, data) >= 0]
+        return min(feasible, key=speeds._evaluate_cost)
+
+    frequency, amplitude = cheapest(np.geomspace(0.3, 10, 40), np.geomspace(0.1, 10, 40))
+    around = np.geomspace(0.9, 1.1, 40)
+    finest = cheapest(np.clip(frequency * around, 0.3, 10), np.clip(amplitude * around, 0.1, 10))
+    return speeds._evaluate_cost(finest)
+
+
+@pytest.mark.parametrize(("seed", "bound"), FAR.items())
+def test_no_feasible_point_anywhere_is_cheaper(seed, bound):
+    inputs = moving(seed)
+    speeds, data = program(bound, **WITHIN), problem(inputs)
+    found, outcome, worst = speeds.solve(START, data)
+    assert outcome == Outcome.SOLVED
+    assert worst >= -1e-6
+    assert speeds._evaluate_cost(found) <= cheapest_on_a_grid(speeds, data) * (1 + 1e-3)
+
+
+@pytest.mark.parametrize("seed", [10, 34])
+def test_the_solver_alone_misses_some_of_them(seed):
+    inputs = moving(seed)
+    alone = program(FAR[seed], global_search=False, **WITHIN).solve(START, problem(inputs))
+    speeds = program(FAR[seed], **WITHIN)
+    found = speeds.solve(START, problem(inputs))
+    is_dearer = speeds._evaluate_cost(alone[0]) > 1.02 * speeds._evaluate_cost(found[0])
+    assert alone[1] != Outcome.SOLVED or is_dearer
+
+
+def test_the_search_knows_the_speeds_of_every_amplitude_and_frequency():
+    inputs = moving(6)
+    speeds, data = program(0.5), problem(inputs)
+    for x in np.random.default_rng(6).uniform([0.3, 0.2], [6, 4], (10, 2)):
+        search = speeds._search_problem(START, x, data)
+        squares = search.quadratics(x[1:]).at(np.array([[x[0] * x[1]]]))[0, 0]
+        first = np.sqrt(squares[:4])  # of the instant of the update
+        np.testing.assert_allclose(first, carrier_speeds(x, inputs), rtol=1e-6)
+        margins = squares / (0.5 * (1 + TIGHTENING)) ** 2 - 1
+        np.testing.assert_allclose(margins, speeds._margins(x, data)[0], atol=1e-9)
+
+
 @solvers
 def test_answers_do_not_depend_on_earlier_solves(solver):
     first, second = moving(1), moving(5)
