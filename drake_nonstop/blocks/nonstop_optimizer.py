@@ -54,7 +54,7 @@ class NonstopOptimizerConfig:
     frequency: float = 2.0  # rad/s, ξ at the start
     amplitude: float = 1.2  # N, A at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 20.0])  # rad/s
-    amplitude_bounds: list[float] = field(default_factory=lambda: [0.01, 1000.0])  # N
+    amplitude_bounds: list[float] = field(default_factory=list)  # N; none: see the block
     internal_force_weight: float = 1.0  # w_pos of eq. 26
     internal_force_rate_weight: float = 1.0  # w_vel of eq. 26
     period: float = 0.01  # s, between updates
@@ -82,6 +82,10 @@ class NonstopOptimizer(LeafSystem):
     too, and the cheaper answer wins. The search is exact at the frequency that the first
     answer gives the phases ahead; a printed phase, which jumps with ξ, is beyond it, and
     then it suggests a start only.
+
+    Where `amplitude_bounds` are not given, A stays between 0.004 and 3 times a cable's share
+    of the load's weight, or twice the initial A where that is more: far above its weight a
+    load is shaken rather than held.
 
     If neither finds a feasible point, that of the largest worst-case speed is sought, from
     the best of a grid on, and taken where it is better than x⁻. `Outcome` names the cases,
@@ -181,6 +185,13 @@ class SpeedProgram:
         points = config.look_ahead_points
         count = points * model.n
         instants = np.linspace(0, config.period, points) if points > 1 else [0.0]
+        pattern = {
+            "phases": model.pattern.phases,
+            "basis": model.pattern.basis,
+            "offset": model.pattern.offset,
+            "pseudo_inverse": model.pseudo_inverse,
+            "attachments": model.attachments,
+        }
 
         def ahead_of(
             state: NDArray, reference: NDArray, wrench: NDArray, instant: float
@@ -215,13 +226,9 @@ class SpeedProgram:
                     motion,
                     *wrenches,
                     time=instant,
-                    phases=model.pattern.phases,
-                    pseudo_inverse=model.pseudo_inverse,
-                    basis=model.pattern.basis,
-                    offset=model.pattern.offset,
-                    attachments=model.attachments,
                     rest_length=model.cable_length,
                     compliance=model.cable_compliance,
+                    **pattern,
                 )
                 squares.append((velocities * velocities).sum(axis=1))
             return np.concatenate(squares) / self._unit**2 - self._least
@@ -237,11 +244,7 @@ class SpeedProgram:
                     motion,
                     *wrenches,
                     time=instant,
-                    phases=model.pattern.phases,
-                    pseudo_inverse=model.pseudo_inverse,
-                    basis=model.pattern.basis,
-                    offset=model.pattern.offset,
-                    attachments=model.attachments,
+                    **pattern,
                 )
                 parts.append(np.stack(part))
             return np.concatenate(parts, axis=1), phase[:1] + model.pattern.phases
@@ -269,7 +272,7 @@ class SpeedProgram:
         self._margin_gradients = compiled(margins, jacobian_of=0)
         self._data = np.zeros(57)
         self._solver, self._options = _solver(config.solver)
-        lower, upper = np.transpose([config.frequency_bounds, config.amplitude_bounds])
+        lower, upper = np.transpose([config.frequency_bounds, _amplitude_bounds(config, model)])
         self._lower, self._upper = lower, upper
         zero, infinity = np.zeros(count), np.full(count, np.inf)
 
@@ -402,6 +405,14 @@ def _solver(name: str) -> tuple[SolverInterface, SolverOptions]:
     return _SOLVERS[name](), options
 
 
+def _amplitude_bounds(config: NonstopOptimizerConfig, model: Model) -> list[float]:
+    """The bounds on A: the config's, or those that follow from the load's weight."""
+    if config.amplitude_bounds != []:
+        return config.amplitude_bounds
+    share = model.load_mass * model.gravity / model.n
+    return [min(0.004 * share, config.amplitude / 2), max(3 * share, 2 * config.amplitude)]
+
+
 def _check(config: NonstopOptimizerConfig, model: Model) -> None:
     owner = "optimization_layer"
     require_non_negative(
@@ -441,8 +452,10 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         config.solver,
         f"give one of {', '.join(_SOLVERS)}",
     )
-    for name, start in (("frequency", config.frequency), ("amplitude", config.amplitude)):
-        bounds = getattr(config, f"{name}_bounds")
+    for name, start, bounds in (
+        ("frequency", config.frequency, config.frequency_bounds),
+        ("amplitude", config.amplitude, _amplitude_bounds(config, model)),
+    ):
         low, high = require_array(f"{owner}.{name}_bounds", bounds, [2], "lower, upper")
         require(
             0 < low <= start <= high,

@@ -497,11 +497,11 @@ def test_solvers_get_values_and_gradients_that_are_differences(which):
 
 
 def test_solver_may_try_every_point_within_the_bounds():
-    solver = program(speed_bound_above(STILL, 0.1))
+    far = (0.01, 1000.0)
+    solver = program(speed_bound_above(STILL, 0.1), amplitude_bounds=far)
     solver.solve(START, problem(STILL))
-    limits = NonstopOptimizerConfig()
-    for frequency in limits.frequency_bounds:
-        for amplitude in limits.amplitude_bounds:
+    for frequency in NonstopOptimizerConfig().frequency_bounds:
+        for amplitude in far:
             x = InitializeAutoDiff(np.array([frequency, amplitude]))[:, 0]
             for binding in solver._nearest.GetAllCosts() + solver._nearest.generic_constraints():
                 values = ExtractValue(binding.evaluator().Eval(x))
@@ -512,9 +512,16 @@ def test_solve_survives_the_points_that_its_line_search_tries():
     # The nearest feasible point is far away, and the solver goes by A = 1000 N.
     inputs = moving(10)
     bound = speed_bound_above(inputs, 0.6)
-    layer = Layer(config(bound))
+    layer = Layer(config(bound, amplitude_bounds=[0.01, 1000.0]))
     parameters = layer.update(inputs)
     assert np.min(carrier_speeds(parameters, inputs)) > np.min(carrier_speeds(START, inputs))
+
+
+def test_amplitudes_that_would_shake_the_load_are_out_of_bounds_by_default():
+    speeds = program(speed_bound=50.0, period=PERIOD)
+    parameters, outcome, _ = speeds.solve(START, problem(STILL))
+    assert outcome == Outcome.RELAXED
+    np.testing.assert_allclose(parameters[1], 3 * SHARE, rtol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -540,7 +547,7 @@ def test_solve_survives_the_points_that_its_line_search_tries():
         ("frequency_bounds", [0.1, np.nan]),
         ("amplitude_bounds", [-1.0, 20.0]),
         ("amplitude_bounds", [1.3, 20.0]),
-        ("amplitude_bounds", []),
+        ("amplitude_bounds", [1.0]),
     ],
 )
 def test_bad_parameter_is_named(field, value):
