@@ -2,6 +2,8 @@
 
 import copy
 import math
+import signal
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,6 +35,7 @@ from drake_nonstop.scenario import Scenario
 from drake_nonstop.validation import ScenarioError, require
 from drake_nonstop.wiring import output_names
 
+_REPORT_PERIOD = 0.1  # s of wall time, between two calls of `progress`
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
 
 _STABLE_STEP = 1.6  # rad, the fastest mode's turn in a step; third-order Runge-Kutta: 1.73
@@ -145,11 +148,13 @@ def simulate(
         ApplySimulatorConfig(
             _stable_config(scenario.simulator, nonstop, nonstop_context), simulator
         )
-        if progress is not None:
-            simulator.set_monitor(_monitor(progress))
-        start = time.perf_counter()
-        simulator.Initialize()
-        simulator.AdvanceTo(scenario.duration)
+        with _Monitor(nonstop, progress) as monitor:
+            simulator.set_monitor(monitor)
+            start = time.perf_counter()
+            simulator.Initialize()
+            simulator.AdvanceTo(scenario.duration)
+            if monitor.is_interrupted:
+                raise KeyboardInterrupt
     except ScenarioError:
         raise
     except KeyboardInterrupt:
@@ -185,17 +190,42 @@ def _stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) 
     return config
 
 
-def _monitor(progress: Callable[[float], None]) -> Callable[[Context], EventStatus]:
-    last_report = [0.0]
+class _Monitor:
+    """Reports progress, and ends the run at the step in which Ctrl-C was pressed.
 
-    def monitor(root_context: Context) -> EventStatus:
+    A KeyboardInterrupt raised wherever Python happens to be may surface, on its way through
+    C++, as an error of a block or a solver; so the first Ctrl-C is only noted. A second one
+    interrupts at once.
+    """
+
+    def __init__(self, nonstop: Diagram, progress: Callable[[float], None] | None):
+        self._nonstop = nonstop
+        self._progress = progress
+        self._last_report = 0.0
+        self._previous_handler: Any = None
+        self.is_interrupted = False
+
+    def __call__(self, root_context: Context) -> EventStatus:
+        if self.is_interrupted:
+            return EventStatus.ReachedTermination(self._nonstop, "interrupted")
         now = time.perf_counter()
-        if now - last_report[0] > 0.1:
-            last_report[0] = now
-            progress(root_context.get_time())
+        if self._progress is not None and now - self._last_report > _REPORT_PERIOD:
+            self._last_report = now
+            self._progress(root_context.get_time())
         return EventStatus.DidNothing()
 
-    return monitor
+    def __enter__(self) -> "_Monitor":
+        if threading.current_thread() is threading.main_thread():
+            self._previous_handler = signal.signal(signal.SIGINT, self._note)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._previous_handler is not None:
+            signal.signal(signal.SIGINT, self._previous_handler)
+
+    def _note(self, number: int, frame: object) -> None:
+        self.is_interrupted = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _stacked(builder: DiagramBuilder, ports: dict[str, OutputPort]) -> OutputPort:
