@@ -51,7 +51,6 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
         carriers_context.SetContinuousState(state)
         return load.EvalTimeDerivatives(load_context).CopyToVector()[7:13]
 
-    residual = np.full(6, np.inf)
     for drop in _DROPS:
         residual = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
         if np.max(np.abs(residual)) < _REST:

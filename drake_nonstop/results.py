@@ -18,8 +18,9 @@ from drake_nonstop.scene import record_replay
 from drake_nonstop.simulate import Run
 from drake_nonstop.validation import ScenarioError
 
-# All that a run may leave; what this run does not write is not left over from another.
 _FIGURES = "figures"
+
+# All that a run may leave; what this run does not write is not left over from another.
 _CONTENTS = (
     "scenario.yaml",
     "metrics.json",

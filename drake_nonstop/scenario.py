@@ -122,10 +122,12 @@ def load_scenario(name_or_file: str | Path, settings: Iterable[str] = ()) -> Sce
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"scenario = {path}: give a file that can be read ({error})") from None
     scenario = parse_scenario(text, str(path))
+    if not settings:
+        return scenario
     tree = _tree(scenario)
     for setting in settings:
         _apply_setting(tree, setting)
-    return _from_tree(scenario.name, tree) if settings else scenario
+    return _from_tree(scenario.name, tree)
 
 
 def parse_scenario(text: str, source: str = "scenario") -> Scenario:

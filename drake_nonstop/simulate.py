@@ -40,8 +40,9 @@ SIGNAL_PERIOD = 0.01  # s, of the signals that are written
 
 _STABLE_STEP = 1.6  # rad, the fastest mode's turn in a step; third-order Runge-Kutta: 1.73
 
-# What the metrics judge by the step, and where the optimization layer's updates show.
 _WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
+
+# What the metrics judge by the step, and where the optimization layer's updates show.
 _EVERY_STEP = ("load_state", "carrier_state", "tensions", "diagnostics", _WALL_TIME)
 
 

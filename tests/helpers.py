@@ -14,6 +14,16 @@ from drake_nonstop.system import Model, System
 
 INERTIA = np.array([[0.014, 0.001, -0.0005], [0.001, 0.011, 0.002], [-0.0005, 0.002, 0.017]])
 
+# The paper's gains (Table I), by the names of `wrench_and_rate`.
+GAINS = {
+    "position_gain": 5.0,
+    "velocity_gain": 2.0,
+    "position_integral_gain": 0.9,
+    "orientation_gain": 0.5,
+    "angular_velocity_gain": 0.06,
+    "orientation_integral_gain": 0.1,
+}
+
 
 def regular(n: int, radius: float = 0.75) -> NDArray:
     """The corners (n, 3) of a level regular polygon."""

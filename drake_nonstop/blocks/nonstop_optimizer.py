@@ -299,17 +299,16 @@ class SpeedProgram:
         # The programs' callbacks read the data from here; set anew for every solve.
         self._data[:] = data
         nearest, cost = self._nearest_from(previous)
-        problem = self._search_problem(previous, nearest, data)
+        problem = None
         if self._config.global_search:
+            problem = self._search_problem(previous, nearest, data)
             other, estimate = nearest_feasible(problem, cheaper_than=cost * (1 - _SAME_COST))
             if estimate < cost * (1 - _SAME_COST):
                 other, other_cost = self._nearest_from(other)
                 if other_cost < cost:
                     nearest, cost = other, other_cost
         if not np.isfinite(cost):
-            relaxed, worst = self._fastest_from(
-                fastest(problem) if self._config.global_search else previous
-            )
+            relaxed, worst = self._fastest_from(fastest(problem) if problem else previous)
             if worst < -_FEASIBILITY_TOLERANCE and worst > before:
                 return relaxed, Outcome.RELAXED, worst
             if worst < -_FEASIBILITY_TOLERANCE:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import INERTIA, spatial
+from helpers import GAINS, INERTIA, spatial
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.symbolic import Expression, MakeVectorVariable
 
@@ -35,15 +35,7 @@ BODY = {
     "gravity": 9.81,
 }
 CABLES = {"attachments": ATTACHMENTS, "rest_length": 0.2}
-GAINS = {
-    "position_gain": 5.0,
-    "velocity_gain": 2.0,
-    "position_integral_gain": 0.9,
-    "orientation_gain": 0.5,
-    "angular_velocity_gain": 0.06,
-    "orientation_integral_gain": 0.1,
-    "feedforward": 1.0,
-}
+CONTROL = {**GAINS, "feedforward": 1.0}
 
 
 def predicted_velocities(x, previous, phase, state, motion, w, w_rate, w_second_rate):
@@ -92,7 +84,7 @@ EQUATIONS = {
     ),
     "tracking_error": (wrench.tracking_error, [13, 22]),
     "wrench_and_rate": (
-        lambda *a: wrench.wrench_and_rate(*a, **GAINS, **BODY),
+        lambda *a: wrench.wrench_and_rate(*a, **CONTROL, **BODY),
         [13, 22, 6],
     ),
     "positive_part": (cable.positive_part, [4]),

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from helpers import INERTIA, Motion, difference, rotation
+from helpers import GAINS, INERTIA, Motion, difference, rotation
 from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_nonstop.mechanics.rigid_load import load_state_rate
@@ -13,14 +13,6 @@ BODY = {
     "inertia_inverse": np.linalg.inv(INERTIA),
     "drag": 0.7,
     "gravity": 9.7,
-}
-GAINS = {
-    "position_gain": 5.0,
-    "velocity_gain": 2.0,
-    "position_integral_gain": 0.9,
-    "orientation_gain": 0.5,
-    "angular_velocity_gain": 0.06,
-    "orientation_integral_gain": 0.1,
 }
 NO_GAINS = dict.fromkeys(GAINS, 0.0)
 
