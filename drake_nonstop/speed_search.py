@@ -87,9 +87,8 @@ def _best_of(problem: SearchProblem, amplitudes: NDArray) -> tuple[NDArray, floa
     """The best feasible [ξ, A] with one of the amplitudes (k,), and its cost."""
     q = problem.quadratics(amplitudes)
     discriminant = q.b * q.b - q.a * (q.c - problem.bound**2)
-    forbids = discriminant > 0
-    root = np.sqrt(np.where(forbids, discriminant, 0))
-    start, end = (-q.b - root) / q.a, (-q.b + root) / q.a
+    root = np.sqrt(np.maximum(discriminant, 0))
+    start, end = (-q.b - root) / q.a, (-q.b + root) / q.a  # empty where nothing is forbidden
 
     A = amplitudes[:, None]
     frequency, amplitude = problem.previous
@@ -100,25 +99,25 @@ def _best_of(problem: SearchProblem, amplitudes: NDArray) -> tuple[NDArray, floa
         1 / A**2 + velocity_weight
     )
     unconstrained = np.clip(unconstrained, lowest, highest)
-    s = np.concatenate(
-        [
-            unconstrained,
-            lowest,
-            highest,
-            np.where(forbids, start, unconstrained),
-            np.where(forbids, end, unconstrained),
-        ],
-        axis=1,
-    )
-    slack = _SAME * np.abs(s[:, :, None])
-    inside = forbids[:, None] & (s[:, :, None] > start[:, None] + slack)
-    inside &= s[:, :, None] < end[:, None] - slack
+    # The cost grows away from `unconstrained` on either side: the next allowed s is the best.
+    below = -_next_allowed(-unconstrained, -end, -start)
+    above = _next_allowed(unconstrained, start, end)
+    s = np.concatenate([below, above], axis=1)
     cost = (
         (s / A - frequency) ** 2
         + (1 + force_weight) * (A - amplitude) ** 2
         + velocity_weight * (s - frequency * amplitude) ** 2
     )
-    allowed = (s >= lowest) & (s <= highest) & ~inside.any(axis=2)
-    cost = np.where(allowed, cost, np.inf)
+    cost = np.where((s >= lowest) & (s <= highest), cost, np.inf)
     i, j = np.unravel_index(np.argmin(cost), cost.shape)
     return np.array([s[i, j] / amplitudes[i], amplitudes[i]]), float(cost[i, j])
+
+
+def _next_allowed(s: NDArray, start: NDArray, end: NDArray) -> NDArray:
+    """The least values (k, 1) from s (k, 1) on that lie inside none of p intervals (k, p)."""
+    for _ in range(start.shape[1]):
+        inside = (start < s - _SAME * np.abs(s)) & (s + _SAME * np.abs(s) < end)
+        if not inside.any():
+            break
+        s = np.where(inside, end, s).max(axis=1, keepdims=True)
+    return s

@@ -54,6 +54,7 @@ def test_the_paper_scenarios_are_as_printed():
         assert scenario.wrench_controller.feedforward == 0.0
         assert scenario.carrier_controller.velocity_gain == 1.5
         assert scenario.optimization_layer.look_ahead_points == 1
+        assert scenario.optimization_layer.orbit_points == 1
         assert scenario.optimization_layer.tightening == 0.0
         assert scenario.optimization_layer.load_motion == "measured"
         assert scenario.optimization_layer.global_search is False

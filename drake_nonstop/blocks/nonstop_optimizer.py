@@ -50,6 +50,7 @@ class NonstopOptimizerConfig:
     speed_bound: float = 0.2  # m/s, ε
     tightening: float = 0.01  # the solver aims at (1 + tightening) ε
     look_ahead_points: int = 3  # instants from now to the next update; 1: now, as printed
+    orbit_points: int = 16  # phases of the orbit ahead; 1: the present one only, as printed
     load_motion: str = "desired"  # what the carriers move with; "measured": as printed
     frequency: float = 2.0  # rad/s, ξ at the start
     amplitude: float = 1.2  # N, A at the start
@@ -75,6 +76,13 @@ class NonstopOptimizer(LeafSystem):
     instant of the update only, and the load's measured motion; the carriers are sent
     where the desired motion takes them, so that is constrained unless `load_motion`
     says "measured".
+
+    The bound is asked for, too, at `orbit_points` phases of a whole turn, the load moving
+    on as it does: what a carrier will need when it next flies against the load's motion is
+    then provided little by little as the load sets off. Without this foresight the need
+    shows in the last instant, and x goes to whichever branch is nearer: on the slower one
+    (orbits slower than the load) it has to follow the load down as that comes to rest, in
+    steps so large that the carriers, ringing after each, fall below the bound.
 
     If x⁻ fulfils the constraints it is the optimum, J = 0, and is kept without a solve.
     Else the solver starts from x⁻, and a search over all of the bounds (`speed_search`)
@@ -182,9 +190,11 @@ class SpeedProgram:
         bound = (1 + config.tightening) * config.speed_bound
         self._unit = bound or 1.0  # m/s; without a bound every speed is above it
         self._least = 1.0 if bound > 0 else 0.0
-        points = config.look_ahead_points
-        count = points * model.n
-        instants = np.linspace(0, config.period, points) if points > 1 else [0.0]
+        instants = np.linspace(0, config.period, config.look_ahead_points)
+        if config.look_ahead_points == 1:
+            instants = np.zeros(1)
+        turns = 2 * np.pi * np.arange(1, config.orbit_points) / config.orbit_points
+        count = (len(instants) + len(turns)) * model.n
         pattern = {
             "phases": model.pattern.phases,
             "basis": model.pattern.basis,
@@ -231,22 +241,46 @@ class SpeedProgram:
                     **pattern,
                 )
                 squares.append((velocities * velocities).sum(axis=1))
+            if len(turns) > 0:
+                angle = nonstop.phase_of(x, previous, phase) + x[:1] * instants[-1]
+                c, b, a = nonstop.speed_squares(
+                    x[1:],
+                    *orbit_terms(angle, state, reference, wrenches),
+                    rest_length=model.cable_length,
+                    compliance=model.cable_compliance,
+                )
+                s = x[:1] * x[1:]
+                squares.append((c + s * (2 * b + s * a))[0])
             return np.concatenate(squares) / self._unit**2 - self._least
+
+        def terms_at(
+            angle: NDArray, state: NDArray, reference: NDArray, wrenches: list, instant: float
+        ) -> tuple[NDArray, ...]:
+            ahead, motion = ahead_of(state, reference, wrenches[0], instant)
+            return nonstop.speed_terms(angle, ahead, motion, *wrenches, time=instant, **pattern)
+
+        def orbit_terms(
+            angle: NDArray, state: NDArray, reference: NDArray, wrenches: list
+        ) -> tuple[NDArray, ...]:
+            """The terms at the phases that the orbit has yet to come by, from `angle` on."""
+            rest = state, reference, wrenches, instants[-1]
+            return nonstop.turned_speed_terms(
+                np.stack(terms_at(angle, *rest)),
+                np.stack(terms_at(angle + np.pi / 2, *rest)),
+                turns,
+            )
 
         def terms(frequency: NDArray, data: NDArray) -> tuple[NDArray, NDArray]:
             _, phase, state, reference, *wrenches = np.split(data, [2, 4, 17, 39, 45, 51])
-            parts = []
-            for instant in instants:
-                ahead, motion = ahead_of(state, reference, wrenches[0], instant)
-                part = nonstop.speed_terms(
-                    phase[:1] + frequency * instant,
-                    ahead,
-                    motion,
-                    *wrenches,
-                    time=instant,
-                    **pattern,
+            parts = [
+                np.stack(
+                    terms_at(phase[:1] + frequency * instant, state, reference, wrenches, instant)
                 )
-                parts.append(np.stack(part))
+                for instant in instants
+            ]
+            if len(turns) > 0:
+                angle = phase[:1] + frequency * instants[-1]
+                parts.append(np.stack(orbit_terms(angle, state, reference, wrenches)))
             return np.concatenate(parts, axis=1), phase[:1] + model.pattern.phases
 
         def cost(x: NDArray, data: NDArray) -> NDArray:
@@ -438,6 +472,12 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         f"{owner}.look_ahead_points",
         config.look_ahead_points,
         "give 1 (the instant of the update only) to 50",
+    )
+    require(
+        isinstance(config.orbit_points, int) and 1 <= config.orbit_points <= 64,
+        f"{owner}.orbit_points",
+        config.orbit_points,
+        "give 1 (the present phase only) to 64",
     )
     require(
         config.load_motion in ("desired", "measured"),

@@ -180,6 +180,23 @@ def speed_terms(
     return force, rate, cosine_force - force, cosine_rate - rate, sine_rate - rate, velocities
 
 
+def turned_speed_terms(
+    terms: NDArray, quarter_turn_on: NDArray, turns: NDArray
+) -> tuple[NDArray, ...]:
+    """The `speed_terms` with the phase turned on by each of k `turns` (rad), (k p, 3) each.
+
+    `terms` and `quarter_turn_on` (6, p, 3) are the stacked terms at some phase and at a
+    quarter of a turn later. They are affine in the phase's cosine and sine, and what does
+    not depend on it (f₀, e₀ and the load's velocities) stays: own derivation.
+    """
+    cosine, sine = np.cos(turns)[:, None, None], np.sin(turns)[:, None, None]
+    is_turning = [False, False, True, True, True, False]
+    return tuple(
+        (cosine * now + sine * later if turning else now + 0 * cosine).reshape(-1, 3)
+        for now, later, turning in zip(terms, quarter_turn_on, is_turning, strict=True)
+    )
+
+
 def speed_squares(
     amplitude: NDArray,
     forces: NDArray,

@@ -141,8 +141,9 @@ class Layer:
         return output(self.block, self.context, "diagnostics")
 
 
-def config(speed_bound, **fields):
-    return NonstopOptimizerConfig(speed_bound=speed_bound, **fields)
+def config(speed_bound, orbit_points=1, **fields):
+    """The default config, but for the orbit ahead, which has tests of its own."""
+    return NonstopOptimizerConfig(speed_bound=speed_bound, orbit_points=orbit_points, **fields)
 
 
 def test_nothing_has_happened_before_the_first_update():
@@ -234,6 +235,32 @@ def test_predicted_margin_looks_ahead(seed, load_motion):
     # To the third order in 10 ms, where the speeds differ by a hundred times as much.
     assert layer.diagnostics[6] == pytest.approx(min(speeds) - 0.01, abs=1e-5)
     assert np.ptp(speeds) > 9e-4
+
+
+@pytest.mark.parametrize("seed", [4, 6, 7])
+def test_predicted_margin_is_that_of_the_slowest_phase_of_the_orbit(seed):
+    inputs, points = moving(seed), 12
+    layer = Layer(config(0.01, orbit_points=points, look_ahead_points=1))
+    layer.update(inputs)
+    slowest = []
+    for turn in 2 * np.pi * np.arange(points) / points:
+        turned = {**inputs, "phase": inputs["phase"] + [turn, 0]}
+        slowest.append(np.min(carrier_speeds(START, turned)))
+    assert layer.diagnostics[6] == pytest.approx(min(slowest) - 0.01, abs=1e-9)
+    assert min(slowest) < slowest[0] - 0.005
+
+
+@pytest.mark.parametrize("seed", [2, 5])
+def test_solution_keeps_every_carrier_above_the_bound_all_along_the_orbit(seed):
+    inputs = moving(seed)
+    bound = speed_bound_above(inputs, 0.1)
+    layer = Layer(config(bound, orbit_points=16))
+    parameters = layer.update(inputs)
+    assert layer.diagnostics[0] == Outcome.SOLVED
+    for turn in 2 * np.pi * np.arange(1, 16) / 16:
+        turned = {**inputs, "phase": inputs["phase"] + [turn, 0]}
+        speeds = carrier_speeds(parameters, turned, PERIOD)
+        assert np.min(speeds) >= bound * (1 + TIGHTENING) - 2e-4
 
 
 def test_wrench_is_carried_on_at_the_change_of_its_rate():
@@ -408,10 +435,11 @@ def cheapest_on_a_grid(speeds, data):
     return speeds._evaluate_cost(finest)
 
 
+@pytest.mark.parametrize("orbit_points", [1, 16])
 @pytest.mark.parametrize(("seed", "bound"), FAR.items())
-def test_no_feasible_point_anywhere_is_cheaper(seed, bound):
+def test_no_feasible_point_anywhere_is_cheaper(seed, bound, orbit_points):
     inputs = moving(seed)
-    speeds, data = program(bound, **WITHIN), problem(inputs)
+    speeds, data = program(bound, orbit_points=orbit_points, **WITHIN), problem(inputs)
     found, outcome, worst = speeds.solve(START, data)
     assert outcome == Outcome.SOLVED
     assert worst >= -1e-6
@@ -428,9 +456,10 @@ def test_the_solver_alone_misses_some_of_them(seed):
     assert alone[1] != Outcome.SOLVED or is_dearer
 
 
-def test_the_search_knows_the_speeds_of_every_amplitude_and_frequency():
+@pytest.mark.parametrize("orbit_points", [1, 16])
+def test_the_search_knows_the_speeds_of_every_amplitude_and_frequency(orbit_points):
     inputs = moving(6)
-    speeds, data = program(0.5), problem(inputs)
+    speeds, data = program(0.5, orbit_points=orbit_points), problem(inputs)
     for x in np.random.default_rng(6).uniform([0.3, 0.2], [6, 4], (10, 2)):
         search = speeds._search_problem(START, x, data)
         squares = search.quadratics(x[1:]).at(np.array([[x[0] * x[1]]]))[0, 0]
@@ -537,6 +566,7 @@ def test_amplitudes_that_would_shake_the_load_are_out_of_bounds_by_default():
         ("period", 0.0),
         ("period", -0.01),
         ("look_ahead_points", 0),
+        ("orbit_points", 0),
         ("load_motion", "planned"),
         ("solver", "gurobi"),
         ("frequency_bounds", [3.0, 20.0]),

@@ -11,6 +11,8 @@ from drake_nonstop.mechanics.nonstop import (
     carrier_velocities,
     change_cost,
     phase_of,
+    speed_terms,
+    turned_speed_terms,
 )
 
 ATTACHMENTS = spatial(4)
@@ -135,6 +137,29 @@ def test_advance_along_a_true_motion_is_of_second_order():
 def test_advance_by_no_time_changes_nothing():
     state = Motion(42).state(0.3)
     np.testing.assert_array_equal(advance(state, np.ones(3), np.ones(3), 0.0), state)
+
+
+def test_turned_speed_terms_are_the_terms_of_the_turned_phase():
+    state, reference = Motion(40).state(0.2), Motion(41).reference(0.2)
+
+    def terms(angle):
+        return speed_terms(
+            np.array([angle]),
+            state,
+            reference,
+            *WRENCHES,
+            time=0.01,
+            phases=PHASES,
+            attachments=ATTACHMENTS,
+            **GRASP,
+        )
+
+    turns = np.array([0.0, 0.9, 4.0])
+    now, later = np.stack(terms(0.7)), np.stack(terms(0.7 + np.pi / 2))
+    turned = turned_speed_terms(now, later, turns)
+    expected = [np.concatenate(rows) for rows in zip(*(terms(0.7 + t) for t in turns), strict=True)]
+    for found, true in zip(turned, expected, strict=True):
+        np.testing.assert_allclose(found, true, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("slope", [0.0, 3.0])
