@@ -32,11 +32,7 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRestConfig,
 )
 from drake_nonstop.blocks.no_disturbance import NoDisturbance, NoDisturbanceConfig
-from drake_nonstop.blocks.nonstop_optimizer import (
-    NonstopOptimizer,
-    NonstopOptimizerConfig,
-    Outcome,
-)
+from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer, NonstopOptimizerConfig
 from drake_nonstop.blocks.printed_phase import PrintedPhase, PrintedPhaseConfig
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.wrench_controller import WrenchController, WrenchControllerConfig
@@ -54,6 +50,7 @@ from drake_nonstop.scenario import (
     scenario_names,
 )
 from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, simulate
+from drake_nonstop.speed_program import Outcome
 from drake_nonstop.system import Model, System
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.version import __version__

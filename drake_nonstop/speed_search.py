@@ -1,123 +1,309 @@
 """A global search for ξ and A that keep every carrier at or above the speed bound."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-_COARSE, _FINE = 40, 16  # amplitudes looked at in a wide and in a narrow interval
-_ZOOMS = 3
+from drake_nonstop.mechanics.nonstop import speed_squares
+
+FEASIBILITY_TOLERANCE = 1e-6  # on a margin, such as speed²/ε² − 1
+_WIDE, _REACH = 48, 13  # amplitudes looked at: of the whole range, within reach
+_GOLDEN_STEPS = 13  # each makes the part that is looked at shorter by 0.618
+_GOLDEN = (math.sqrt(5) - 1) / 2
+_SAME_COST = 1e-5  # relative, between a parabola and the cost at its vertex
 _SAME = 1e-9  # relative, what counts as the end of a forbidden interval
-
-
-@dataclass(frozen=True)
-class Quadratics:
-    """‖v‖² = c + 2 b s + a s² over s = A ξ, for k amplitudes and p constraints, (k, p) each."""
-
-    c: NDArray
-    b: NDArray
-    a: NDArray
-
-    def at(self, s: NDArray) -> NDArray:
-        """The squared speeds (k, q, p) at s (k, q)."""
-        s = s[:, :, None]
-        return self.c[:, None] + s * (2 * self.b[:, None] + s * self.a[:, None])
+_GRID, _GRID_ZOOMS = 9, 6  # points a side of the grid on which the fastest is sought
+_DENSE, _DENSE_ZOOMS = 40, 5  # likewise, of the grid on which both ξ and A are sought
 
 
 @dataclass(frozen=True)
 class SearchProblem:
-    """The problem of one update with the phase at each instant held fixed.
+    """The problem of one update, its phases given.
 
-    `quadratics` gives the speeds of amplitudes (k,); `angles` are θ + φ_k (m,); `previous`
-    is [ξ⁻, A⁻] (2,), `lower` and `upper` bound [ξ, A] (2,), and `bound` is ε.
+    `polynomials` (10, 3, p) make the squared speeds, see `mechanics.nonstop.speed_squares`;
+    `amplitude_margins` gives the worst margin (k,) of amplitudes (k,) in the constraints
+    that do not depend on ξ, None where there are none. `angles` are θ + φ_k (m,); `previous`
+    is [ξ⁻, A⁻] and `nominal` what `anchor_weight` pulls [ξ, A] to; `lower` and `upper` bound
+    [ξ, A]; speeds have to stay within `speed_bound` and `max_speed`, and `speed_unit` scales
+    the margins of the former.
     """
 
-    quadratics: Callable[[NDArray], Quadratics]
+    polynomials: NDArray
+    rest_length: float
+    compliance: float
+    amplitude_margins: Callable[[NDArray], NDArray] | None
     angles: NDArray
     previous: NDArray
+    nominal: NDArray
     lower: NDArray
     upper: NDArray
-    bound: float
+    speed_bound: float
+    speed_unit: float
+    max_speed: float
     internal_force_weight: float
     internal_force_rate_weight: float
+    anchor_weight: float
+
+    def speed_margins(self, amplitudes: NDArray, frequencies: NDArray) -> NDArray:
+        """The margins of the p speeds, (k, q, p), at amplitudes (k,) and frequencies (q,)."""
+        c, b, a, _ = (
+            coefficient[:, None]
+            for coefficient in speed_squares(
+                amplitudes[:, None],
+                self.polynomials,
+                rest_length=self.rest_length,
+                compliance=self.compliance,
+            )
+        )
+        s = (amplitudes[:, None] * frequencies)[:, :, None]
+        squares = c + s * (2 * b + s * a)
+        margins = (squares - self.speed_bound**2) / self.speed_unit**2
+        if math.isfinite(self.max_speed):
+            margins = np.minimum(margins, 1 - squares / self.max_speed**2)
+        return margins
+
+    def worst_margins(self, amplitudes: NDArray, frequencies: NDArray) -> NDArray:
+        """The worst margins (k, q) of all constraints, at (k,) and (q,)."""
+        worst = self.speed_margins(amplitudes, frequencies).min(axis=2)
+        if self.amplitude_margins is not None:
+            worst = np.minimum(worst, self.amplitude_margins(amplitudes)[:, None])
+        return worst
 
 
-def nearest_feasible(problem: SearchProblem, cheaper_than: float = np.inf) -> tuple[NDArray, float]:
-    """The feasible [ξ, A] of the least cost (eq. 26), and that cost; inf if there is none.
+def nearest_feasible(
+    problem: SearchProblem, margins: NDArray, margins_at: Callable[[NDArray], NDArray]
+) -> tuple[NDArray, float]:
+    """The feasible [ξ, A] of the least cost, and that cost; inf if none is found.
 
-    Points that cost more than `cheaper_than` may be left out.
-
-    With A fixed, each constraint forbids one interval of s = A ξ, and the cost is a
-    quadratic in s: the best s is the quadratic's minimum or the end of an interval. Only A
-    has to be searched: over its whole range, then over the part that can still be cheaper
-    (|A − A⁻| ≤ √J), then around the best.
+    `margins_at` gives the margins of the p speeds at any [ξ, A], `margins` are those at
+    [ξ⁻, A⁻]. The search begins with the constraint on a single speed. What is the best for
+    some and feasible for all is the best for all; else the one that is violated most joins
+    them.
     """
-    low, high = problem.lower[1], problem.upper[1]
-    best, cost = problem.previous, cheaper_than
-    if not np.isfinite(cost):
-        best, cost = _best_of(problem, np.geomspace(low, high, _COARSE))
-        if not np.isfinite(cost):
-            return best, cost
-    reach = np.sqrt(cost)
-    amplitudes = np.linspace(
-        max(low, problem.previous[1] - reach), min(high, problem.previous[1] + reach), _COARSE
-    )
-    for _ in range(_ZOOMS):
-        candidate, candidate_cost = _best_of(problem, amplitudes)
-        if candidate_cost >= cost:
-            break
-        best, cost = candidate, candidate_cost
-        step = amplitudes[1] - amplitudes[0]
-        amplitudes = np.linspace(max(low, best[1] - step), min(high, best[1] + step), _FINE)
-    return best, cost
+    allowed = _allowed_amplitudes(problem)
+    speeds: list[int] = []
+    while True:
+        worst = int(margins.argmin())
+        if worst in speeds:
+            return problem.previous, math.inf
+        speeds.append(worst)
+        x, cost = _OfFewSpeeds(problem, speeds).nearest(allowed)
+        if not math.isfinite(cost):
+            return x, cost
+        margins = margins_at(x)
+        if margins.min() >= -FEASIBILITY_TOLERANCE:
+            return x, cost
+
+
+class _OfFewSpeeds:
+    """The problem with the constraints on a few of the speeds only, in plain numbers.
+
+    With A fixed, each speed forbids one interval of s = A ξ, and the cost is a quadratic in
+    s: the best s is the quadratic's minimum or the end of an interval. Only A has to be
+    searched. For a handful of speeds plain numbers are several times faster than arrays.
+    """
+
+    def __init__(self, problem: SearchProblem, speeds: list[int]):
+        self._problem = problem
+        self._polynomials = [problem.polynomials[:, :, i].tolist() for i in speeds]
+        self._frequency, self._amplitude = problem.previous.tolist()
+        self._nominal = problem.nominal.tolist()
+        self._lower, self._upper = problem.lower.tolist(), problem.upper.tolist()
+        cosines, sines = np.cos(problem.angles), np.sin(problem.angles)
+        # What (A − A⁻)² and (s − s⁻)² cost, see `mechanics.nonstop.change_cost`.
+        self._amplitude_weight = 1 + problem.internal_force_weight * float(cosines @ cosines)
+        self._rate_weight = problem.internal_force_rate_weight * float(sines @ sines)
+        self._bound_squared = problem.speed_bound**2
+        self._best = (math.inf, 0.0, self._amplitude)  # cost, s, A
+
+    def nearest(self, allowed: list[tuple[float, float]]) -> tuple[NDArray, float]:
+        """The best [ξ, A] with A in one of the `allowed` intervals, and its cost.
+
+        Looked for over the part that can still be cheaper, |A − A⁻| ≤ √J, then around the
+        two best minima there.
+        """
+        if not allowed:
+            return self._problem.previous, math.inf
+        start = min(
+            (min(max(self._amplitude, low), high) for low, high in allowed),
+            key=lambda A: abs(A - self._amplitude),
+        )
+        if not math.isfinite(self._look(start)):
+            for low, high in allowed:
+                for A in np.geomspace(low, high, _WIDE).tolist():
+                    self._look(A)
+        if math.isfinite(self._best[0]):
+            reach = math.sqrt(self._best[0] / self._amplitude_weight)
+            for low, high in allowed:
+                low, high = max(low, self._amplitude - reach), min(high, self._amplitude + reach)
+                if low < high:
+                    self._look_between(low, high)
+        cost, s, A = self._best
+        return np.array([s / A, A]), cost
+
+    def _look_between(self, low: float, high: float) -> None:
+        step = (high - low) / (_REACH - 1)
+        costs = [self._look(low + i * step) for i in range(_REACH)]
+        padded = [math.inf, *costs, math.inf]
+        minima = [i for i in range(_REACH) if padded[i] >= costs[i] <= padded[i + 2]]
+        for i in sorted(minima, key=lambda i: costs[i])[:2]:
+            left, least, right = padded[i : i + 3]
+            curvature = left - 2 * least + right
+            if 0 < curvature < math.inf:
+                to_vertex = (left - right) / (2 * curvature)
+                at_vertex = least - curvature * to_vertex**2 / 2
+                cost = self._look(low + (i + to_vertex) * step)
+                if abs(cost - at_vertex) <= _SAME_COST * cost:
+                    continue  # smooth here: the parabola has found the minimum
+            self._look_closer(low + max(i - 1, 0) * step, low + min(i + 1, _REACH - 1) * step)
+
+    def _look_closer(self, low: float, high: float) -> None:
+        """Golden-section search between two amplitudes: finds kinks, too."""
+        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        left_cost, right_cost = self._look(left), self._look(right)
+        for _ in range(_GOLDEN_STEPS):
+            if left_cost < right_cost:
+                high, right, right_cost = right, left, left_cost
+                left = high - _GOLDEN * (high - low)
+                left_cost = self._look(left)
+            else:
+                low, left, left_cost = left, right, right_cost
+                right = low + _GOLDEN * (high - low)
+                right_cost = self._look(right)
+
+    def _look(self, A: float) -> float:
+        """The cost of the best s at an amplitude, inf if there is none; keeps the best."""
+        problem = self._problem
+        lowest, highest = A * self._lower[0], A * self._upper[0]
+        forbidden = []
+        for polynomials in self._polynomials:
+            c, b, a, _ = speed_squares(
+                A, polynomials, rest_length=problem.rest_length, compliance=problem.compliance
+            )
+            square = b * b - a * (c - self._bound_squared)
+            if square > 0:
+                root = math.sqrt(square)
+                forbidden.append(((-b - root) / a, (root - b) / a))
+            if problem.max_speed < math.inf:
+                square = b * b - a * (c - problem.max_speed**2)
+                root = math.sqrt(max(square, 0.0))
+                lowest, highest = max(lowest, (-b - root) / a), min(highest, (root - b) / a)
+        wanted = min(max(self._unconstrained(A), lowest), highest)
+        # The cost grows away from `wanted` on either side: the next allowed s is the best.
+        above = _next_allowed(wanted, forbidden)
+        below = -_next_allowed(-wanted, [(-end, -start) for start, end in forbidden])
+        best = math.inf
+        for s in (above, below):
+            if lowest <= s <= highest:
+                cost = self._cost(s, A)
+                best = min(best, cost)
+                if cost < self._best[0]:
+                    self._best = cost, s, A
+        return best
+
+    def _cost(self, s: float, A: float) -> float:
+        """The cost of eq. 26 and of the anchor: `change_cost` with a phase that does not jump."""
+        frequency, step = s / A, A - self._amplitude
+        jump, rate_jump = frequency - self._frequency, s - self._frequency * self._amplitude
+        cost = jump**2 + self._amplitude_weight * step**2 + self._rate_weight * rate_jump**2
+        if self._problem.anchor_weight > 0:
+            away = (frequency - self._nominal[0]) ** 2 + (A - self._nominal[1]) ** 2
+            cost += self._problem.anchor_weight * away
+        return cost
+
+    def _unconstrained(self, A: float) -> float:
+        """The s of the least cost."""
+        weight = self._problem.anchor_weight
+        pull = self._frequency + weight * self._nominal[0]
+        return (pull / A + self._rate_weight * self._frequency * self._amplitude) / (
+            (1 + weight) / A**2 + self._rate_weight
+        )
+
+
+def _next_allowed(s: float, forbidden: list[tuple[float, float]]) -> float:
+    """The least value from s on that lies inside none of the intervals."""
+    moved = True
+    while moved:
+        moved = False
+        for start, end in forbidden:
+            if start < s and s + _SAME * abs(s) < end:
+                s, moved = end, True
+    return s
+
+
+def _allowed_amplitudes(problem: SearchProblem) -> list[tuple[float, float]]:
+    """The intervals of A that the constraints that do not depend on ξ allow."""
+    low, high = float(problem.lower[1]), float(problem.upper[1])
+    if problem.amplitude_margins is None:
+        return [(low, high)]
+    amplitudes = np.geomspace(low, high, _WIDE).clip(low, high)
+    is_allowed = problem.amplitude_margins(amplitudes) >= 0
+    # Bisects every change between allowed and not, all at once.
+    i = np.flatnonzero(is_allowed[1:] != is_allowed[:-1])
+    inside = np.where(is_allowed[i], amplitudes[i], amplitudes[i + 1])
+    outside = np.where(is_allowed[i], amplitudes[i + 1], amplitudes[i])
+    for _ in range(30 if len(i) > 0 else 0):
+        middle = (inside + outside) / 2
+        middle_is_allowed = problem.amplitude_margins(middle) >= 0
+        inside = np.where(middle_is_allowed, middle, inside)
+        outside = np.where(middle_is_allowed, outside, middle)
+    ends = inside.tolist()
+    if is_allowed[0]:
+        ends.insert(0, low)
+    if is_allowed[-1]:
+        ends.append(high)
+    return list(zip(ends[::2], ends[1::2], strict=True))
 
 
 def fastest(problem: SearchProblem) -> NDArray:
-    """The [ξ, A] within the bounds at which the slowest carrier is fastest, on a grid."""
-    amplitudes = np.geomspace(problem.lower[1], problem.upper[1], _COARSE)
-    frequencies = np.geomspace(problem.lower[0], problem.upper[0], _COARSE)
-    s = amplitudes[:, None] * frequencies
-    slowest = problem.quadratics(amplitudes).at(s).min(axis=2)
-    i, j = np.unravel_index(np.argmax(slowest), slowest.shape)
-    return np.array([frequencies[j], amplitudes[i]])
+    """The [ξ, A] within the bounds with the largest worst margin, by a grid that zooms in."""
+    lower, upper = np.log(problem.lower), np.log(problem.upper)
+    low, high = lower, upper
+    best = problem.previous
+    for _ in range(_GRID_ZOOMS):
+        frequencies, amplitudes = np.exp(np.linspace(low, high, _GRID)).T
+        worst = problem.worst_margins(amplitudes, frequencies)
+        i, j = np.unravel_index(np.argmax(worst), worst.shape)
+        best = np.array([frequencies[j], amplitudes[i]])
+        step = (high - low) / (_GRID - 1)
+        low = np.maximum(np.log(best) - step, lower)
+        high = np.minimum(np.log(best) + step, upper)
+    return np.clip(best, problem.lower, problem.upper)
 
 
-def _best_of(problem: SearchProblem, amplitudes: NDArray) -> tuple[NDArray, float]:
-    """The best feasible [ξ, A] with one of the amplitudes (k,), and its cost."""
-    q = problem.quadratics(amplitudes)
-    discriminant = q.b * q.b - q.a * (q.c - problem.bound**2)
-    root = np.sqrt(np.maximum(discriminant, 0))
-    start, end = (-q.b - root) / q.a, (-q.b + root) / q.a  # empty where nothing is forbidden
+def on_grid(
+    problem_at: Callable[[float], SearchProblem], cost: Callable[[NDArray], float]
+) -> tuple[NDArray, float]:
+    """The cheapest feasible [ξ, A] of a grid, and its cost.
 
-    A = amplitudes[:, None]
-    frequency, amplitude = problem.previous
-    lowest, highest = A * problem.lower[0], A * problem.upper[0]
-    velocity_weight = problem.internal_force_rate_weight * (np.sin(problem.angles) ** 2).sum()
-    force_weight = problem.internal_force_weight * (np.cos(problem.angles) ** 2).sum()
-    unconstrained = (frequency / A + velocity_weight * frequency * amplitude) / (
-        1 / A**2 + velocity_weight
-    )
-    unconstrained = np.clip(unconstrained, lowest, highest)
-    # The cost grows away from `unconstrained` on either side: the next allowed s is the best.
-    below = -_next_allowed(-unconstrained, -end, -start)
-    above = _next_allowed(unconstrained, start, end)
-    s = np.concatenate([below, above], axis=1)
-    cost = (
-        (s / A - frequency) ** 2
-        + (1 + force_weight) * (A - amplitude) ** 2
-        + velocity_weight * (s - frequency * amplitude) ** 2
-    )
-    cost = np.where((s >= lowest) & (s <= highest), cost, np.inf)
-    i, j = np.unravel_index(np.argmin(cost), cost.shape)
-    return np.array([s[i, j] / amplitudes[i], amplitudes[i]]), float(cost[i, j])
-
-
-def _next_allowed(s: NDArray, start: NDArray, end: NDArray) -> NDArray:
-    """The least values (k, 1) from s (k, 1) on that lie inside none of p intervals (k, p)."""
-    for _ in range(start.shape[1]):
-        inside = (start < s - _SAME * np.abs(s)) & (s + _SAME * np.abs(s) < end)
-        if not inside.any():
-            break
-        s = np.where(inside, end, s).max(axis=1, keepdims=True)
-    return s
+    The grid is laid over the bounds, then over what can still be cheaper, then it zooms in.
+    Where none of its points is feasible the one of the largest worst margin is sought, and
+    the cost is inf. The phases follow ξ: `problem_at` gives the problem of each frequency.
+    """
+    problem = problem_at(1.0)
+    lower, upper, previous = problem.lower, problem.upper, problem.previous
+    axes = np.geomspace(lower, upper, _DENSE).T
+    best, best_cost, best_margin = previous, math.inf, -math.inf
+    for zoom in range(_DENSE_ZOOMS):
+        frequencies, amplitudes = axes.clip(lower[:, None], upper[:, None])
+        margins = np.array(
+            [problem_at(f).worst_margins(amplitudes, np.array([f]))[:, 0] for f in frequencies]
+        )
+        i, j = np.unravel_index(np.argmax(margins), margins.shape)
+        if best_cost == math.inf and margins[i, j] > best_margin:
+            best, best_margin = np.array([frequencies[i], amplitudes[j]]), margins[i, j]
+        for i, j in zip(*np.nonzero(margins >= 0), strict=True):
+            x = np.array([frequencies[i], amplitudes[j]])
+            x_cost = cost(x)
+            if x_cost < best_cost:
+                best, best_cost = x, x_cost
+        if zoom == 0 and best_cost < math.inf:
+            # The change of ξ and of A costs at least its square.
+            around, size = previous, np.full(2, math.sqrt(best_cost))
+        else:
+            around, size = best, np.max(np.diff(axes), axis=1)
+        axes = np.linspace(around - size, around + size, _DENSE).T
+    return best, best_cost

@@ -1,46 +1,23 @@
 """Box "Optimization Layer" of the figure."""
 
+import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import IntEnum
 
-import numpy as np
-from numpy.typing import NDArray
-from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
-from pydrake.solvers import (
-    IpoptSolver,
-    MathematicalProgram,
-    SnoptSolver,
-    SolverInterface,
-    SolverOptions,
-)
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.mechanics import nonstop
-from drake_nonstop.mechanics.rigid_load import load_acceleration
-from drake_nonstop.speed_search import Quadratics, SearchProblem, fastest, nearest_feasible
+from drake_nonstop.local_solver import LocalSolver
+from drake_nonstop.speed_program import SpeedProgram, amplitude_bounds
 from drake_nonstop.system import Model
 from drake_nonstop.validation import (
+    is_number,
     require,
     require_array,
     require_non_negative,
     require_positive,
 )
 
-_FEASIBILITY_TOLERANCE = 1e-6  # on speed²/ε² − 1
-_SAME_COST = 1e-4  # relative; what the global search finds has to be cheaper by more
-
-
-class Outcome(IntEnum):
-    """How an update of the layer ended; the first entry of `diagnostics`."""
-
-    NONE = 0  # no update yet
-    KEPT = 1  # the previous parameters fulfil the constraints: they are the optimum
-    SOLVED = 2  # the solver found parameters that fulfil the constraints
-    RELAXED = 3  # it found none: those of the largest worst-case speed were taken
-    HELD = 4  # nor any with a larger worst-case speed: the previous ones stay
+_SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
 @dataclass(kw_only=True)
@@ -49,18 +26,25 @@ class NonstopOptimizerConfig:
 
     speed_bound: float = 0.2  # m/s, ε
     tightening: float = 0.01  # the solver aims at (1 + tightening) ε
-    look_ahead_points: int = 3  # instants from now to the next update; 1: now, as printed
+    look_ahead_points: int = 2  # instants from now to the next update; 1: now, as printed
     orbit_points: int = 16  # phases of the orbit ahead; 1: the present one only, as printed
     load_motion: str = "desired"  # what the carriers move with; "measured": as printed
     frequency: float = 2.0  # rad/s, ξ at the start
     amplitude: float = 1.2  # N, A at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 20.0])  # rad/s
     amplitude_bounds: list[float] = field(default_factory=list)  # N; none: see the block
+    max_frequency_rate: float = math.inf  # rad/s²
+    max_amplitude_rate: float = math.inf  # N/s
+    max_speed: float = math.inf  # m/s, of a carrier
+    min_tension: float = 0.0  # N; 0: any
+    max_tension: float = math.inf  # N
+    min_separation: float = 0.0  # m, of two carriers over a whole orbit; 0: any
     internal_force_weight: float = 1.0  # w_pos of eq. 26
     internal_force_rate_weight: float = 1.0  # w_vel of eq. 26
+    anchor_weight: float = 0.0  # of the distance to the initial ξ and A
     period: float = 0.01  # s, between updates
-    solver: str = "snopt"  # or "ipopt"
-    global_search: bool = True  # look for a better point elsewhere; false: the solver alone
+    solver: str = "search"  # or "grid", "snopt", "ipopt", "nlopt"
+    global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
 
 
 class NonstopOptimizer(LeafSystem):
@@ -71,7 +55,7 @@ class NonstopOptimizer(LeafSystem):
         min J(x)  such that  ‖v_i(x, τ)‖² ≥ ((1 + tightening) ε)²,  i = 1 … n,
 
     at `look_ahead_points` instants τ spread over the interval to the next update. In it
-    the phase goes on at ξ, the wrench at its rate, and the load at the acceleration that
+    the phase goes on at ξ⁻, the wrench at its rate, and the load at the acceleration that
     the wrench gives it; the reference goes on at its own. The paper constrains the
     instant of the update only, and the load's measured motion; the carriers are sent
     where the desired motion takes them, so that is constrained unless `load_motion`
@@ -84,20 +68,45 @@ class NonstopOptimizer(LeafSystem):
     (orbits slower than the load) it has to follow the load down as that comes to rest, in
     steps so large that the carriers, ringing after each, fall below the bound.
 
-    If x⁻ fulfils the constraints it is the optimum, J = 0, and is kept without a solve.
-    Else the solver starts from x⁻, and a search over all of the bounds (`speed_search`)
-    looks for a cheaper point elsewhere; where there is one, the solver starts from there
-    too, and the cheaper answer wins. The search is exact at the frequency that the first
-    answer gives the phases ahead; a printed phase, which jumps with ξ, is beyond it, and
-    then it suggests a start only.
+    **Other constraints**, off by default: `min_tension` and `max_tension` of the cables and
+    `max_speed` of the carriers, at the same instants and phases, `min_separation` of any two
+    carriers over a whole orbit, each tightened likewise, and limits of the rates of ξ and A.
+    With an `anchor_weight` w, J grows by w ‖x − x_start‖²: x comes back to where it started,
+    the faster the larger w, and as far as the constraints allow.
+
+    **The answer.** If x⁻ fulfils the constraints (and nothing pulls it back) it is the
+    optimum, J = 0, and is kept without a solve. Else `solver` looks for the optimum: "search"
+    over all of the bounds (`speed_search`), exact in ξ; "grid" over both, which is slower,
+    coarser, and what a printed phase needs, which jumps with ξ; or Drake's SNOPT, IPOPT or
+    NLopt from x⁻ on, whose answer is compared with that of the search unless `global_search`
+    is false: the cheaper feasible one wins. Where no feasible point is found, that of the
+    largest worst margin (the least of speed²/ε² − 1 and of the like for the other
+    constraints) is taken if it is better than x⁻. `Outcome` names the cases, and
+    `diagnostics` counts them. Nothing is carried over from one solve to the next.
 
     Where `amplitude_bounds` are not given, A stays between 0.004 and 3 times a cable's share
     of the load's weight, or twice the initial A where that is more: far above its weight a
     load is shaken rather than held.
 
-    If neither finds a feasible point, that of the largest worst-case speed is sought, from
-    the best of a grid on, and taken where it is better than x⁻. `Outcome` names the cases,
-    and `diagnostics` counts them.
+    **In continuous time** four things separate the simulated speed from the constrained one:
+
+    - The carriers lag behind their references. A PID on a mass m with the reference's
+      position and velocity follows an acceleration a with an error of m a/K_p, and so its
+      speed errs by m/K_p times the jerk; references that go on along their velocity for a
+      sample T add T²/6 + K_d T/(2 K_p) to that factor. With the default gains and 10 ms it is
+      1.7e-4 s². A carrier that flies ξ = 2 rad/s at 0.5 m/s has a jerk of ξ² v = 2 m/s³: the
+      speed errs by 0.3 mm/s, 0.07 %.
+    - Within a sample the reference's velocity is held: it ripples by T a/2, of which the
+      carriers show a tenth (measured): 5e-4 s times the acceleration, 0.5 mm/s.
+    - After a step of ξ the phase goes on at the new value: the constraint is late by
+      (ξ − ξ⁻) τ rad, 1e-4 in steps of 0.01 rad/s.
+    - A step of A moves the commanded position by ∂p/∂A ΔA, and the carriers ring after it:
+      at a damping ratio of 0.5 their speed is off by up to 0.55 √(K_p/m) ∂p/∂A ΔA. Foresight
+      along the orbit keeps these steps small, and `max_amplitude_rate` can bound them.
+
+    The first three add up to some 0.3 % of ε on the default scenarios; `tightening` is three
+    times that, 1 %. The fourth has no bound of its own: that it stays within the rest is
+    measured, by tests/evals/test_bound_always_holds.py.
 
     .. pydrake_system::
 
@@ -154,296 +163,27 @@ class NonstopOptimizer(LeafSystem):
         last_wrench_rate = wrench_rate
         if diagnostics[1] > 0:
             last_wrench_rate = context.get_discrete_state(self._last_wrench_rate).value()
-        data = np.concatenate(
-            [
-                previous,
-                self._phase.Eval(context),
-                self._measured_load_state.Eval(context),
-                self._reference.Eval(context),
-                self._wrench.Eval(context),
-                wrench_rate,
-                (wrench_rate - last_wrench_rate) / self._period,
-            ]
+        data = self._program.update_data(
+            previous,
+            self._phase.Eval(context),
+            self._measured_load_state.Eval(context),
+            self._reference.Eval(context),
+            self._wrench.Eval(context),
+            wrench_rate,
+            (wrench_rate - last_wrench_rate) / self._period,
+            self._speed_bound,
         )
         start = time.perf_counter()
-        parameters, outcome, margin = self._program.solve(previous, data)
+        parameters, outcome, slowest = self._program.solve(data)
         solve_time = time.perf_counter() - start
         diagnostics[0] = outcome
         diagnostics[1] += 1
         diagnostics[1 + outcome] += 1
-        diagnostics[6] = self._program.speed(margin) - self._speed_bound
+        diagnostics[6] = slowest - self._speed_bound
         discrete_state.set_value(self._parameters, parameters)
         discrete_state.set_value(self._diagnostics, diagnostics)
         discrete_state.set_value(self._last_wrench_rate, wrench_rate)
         discrete_state.set_value(self._solve_time, [solve_time])
-
-
-class SpeedProgram:
-    """The problem of one update as MathematicalPrograms, built once and reused.
-
-    `data` (57) holds what varies from update to update: [ξ⁻, A⁻, θ, ∂θ/∂ξ, load state,
-    reference, wrench and its first two rates]. A margin is ‖v_i‖²/ε² − 1 with the
-    tightened ε. Answers depend on the arguments alone.
-    """
-
-    def __init__(self, model: Model, config: NonstopOptimizerConfig, name: Callable[[], str]):
-        bound = (1 + config.tightening) * config.speed_bound
-        self._unit = bound or 1.0  # m/s; without a bound every speed is above it
-        self._least = 1.0 if bound > 0 else 0.0
-        instants = np.linspace(0, config.period, config.look_ahead_points)
-        if config.look_ahead_points == 1:
-            instants = np.zeros(1)
-        turns = 2 * np.pi * np.arange(1, config.orbit_points) / config.orbit_points
-        count = (len(instants) + len(turns)) * model.n
-        pattern = {
-            "phases": model.pattern.phases,
-            "basis": model.pattern.basis,
-            "offset": model.pattern.offset,
-            "pseudo_inverse": model.pseudo_inverse,
-            "attachments": model.attachments,
-        }
-
-        def ahead_of(
-            state: NDArray, reference: NDArray, wrench: NDArray, instant: float
-        ) -> tuple[NDArray, NDArray]:
-            """The load's state, and what the carriers move with, at an instant."""
-            accelerations = load_acceleration(
-                state,
-                wrench,
-                mass=model.load_mass,
-                inertia=model.load_inertia,
-                inertia_inverse=model.load_inertia_inverse,
-                drag=model.load_drag,
-                gravity=model.gravity,
-            )
-            ahead = nonstop.advance(state, *accelerations, instant)
-            if config.load_motion == "measured":
-                return ahead, ahead
-            return ahead, nonstop.advance(
-                reference[:13], reference[13:16], reference[16:19], instant
-            )
-
-        def margins(x: NDArray, data: NDArray) -> NDArray:
-            previous, phase, state, reference, *wrenches = np.split(data, [2, 4, 17, 39, 45, 51])
-            squares = []
-            for instant in instants:
-                ahead, motion = ahead_of(state, reference, wrenches[0], instant)
-                velocities = nonstop.carrier_velocities(
-                    x,
-                    previous,
-                    phase,
-                    ahead,
-                    motion,
-                    *wrenches,
-                    time=instant,
-                    rest_length=model.cable_length,
-                    compliance=model.cable_compliance,
-                    **pattern,
-                )
-                squares.append((velocities * velocities).sum(axis=1))
-            if len(turns) > 0:
-                angle = nonstop.phase_of(x, previous, phase) + x[:1] * instants[-1]
-                c, b, a = nonstop.speed_squares(
-                    x[1:],
-                    *orbit_terms(angle, state, reference, wrenches),
-                    rest_length=model.cable_length,
-                    compliance=model.cable_compliance,
-                )
-                s = x[:1] * x[1:]
-                squares.append((c + s * (2 * b + s * a))[0])
-            return np.concatenate(squares) / self._unit**2 - self._least
-
-        def terms_at(
-            angle: NDArray, state: NDArray, reference: NDArray, wrenches: list, instant: float
-        ) -> tuple[NDArray, ...]:
-            ahead, motion = ahead_of(state, reference, wrenches[0], instant)
-            return nonstop.speed_terms(angle, ahead, motion, *wrenches, time=instant, **pattern)
-
-        def orbit_terms(
-            angle: NDArray, state: NDArray, reference: NDArray, wrenches: list
-        ) -> tuple[NDArray, ...]:
-            """The terms at the phases that the orbit has yet to come by, from `angle` on."""
-            rest = state, reference, wrenches, instants[-1]
-            return nonstop.turned_speed_terms(
-                np.stack(terms_at(angle, *rest)),
-                np.stack(terms_at(angle + np.pi / 2, *rest)),
-                turns,
-            )
-
-        def terms(frequency: NDArray, data: NDArray) -> tuple[NDArray, NDArray]:
-            _, phase, state, reference, *wrenches = np.split(data, [2, 4, 17, 39, 45, 51])
-            parts = [
-                np.stack(
-                    terms_at(phase[:1] + frequency * instant, state, reference, wrenches, instant)
-                )
-                for instant in instants
-            ]
-            if len(turns) > 0:
-                angle = phase[:1] + frequency * instants[-1]
-                parts.append(np.stack(orbit_terms(angle, state, reference, wrenches)))
-            return np.concatenate(parts, axis=1), phase[:1] + model.pattern.phases
-
-        def cost(x: NDArray, data: NDArray) -> NDArray:
-            return nonstop.change_cost(
-                x,
-                data[:2],
-                data[2:4],
-                phases=model.pattern.phases,
-                internal_force_weight=config.internal_force_weight,
-                internal_force_rate_weight=config.internal_force_rate_weight,
-            )
-
-        def compiled(function: Callable, jacobian_of: int | None = None) -> CompiledFunction:
-            # A solver may try the far ends of the bounds, where values are huge and sound.
-            return CompiledFunction(
-                function, [2, 57], name=name, largest=1e100, jacobian_of=jacobian_of
-            )
-
-        self._terms = CompiledFunction(terms, [1, 57], name=name, largest=1e100)
-        self._model, self._config, self._bound = model, config, bound
-        self._margins = compiled(margins)
-        self._cost_gradient = compiled(cost, jacobian_of=0)
-        self._margin_gradients = compiled(margins, jacobian_of=0)
-        self._data = np.zeros(57)
-        self._solver, self._options = _solver(config.solver)
-        lower, upper = np.transpose([config.frequency_bounds, _amplitude_bounds(config, model)])
-        self._lower, self._upper = lower, upper
-        zero, infinity = np.zeros(count), np.full(count, np.inf)
-
-        self._nearest = MathematicalProgram()
-        x = self._nearest.NewContinuousVariables(2, "x")
-        self._nearest.AddBoundingBoxConstraint(lower, upper, x)
-        self._nearest.AddCost(self._evaluate_cost, vars=x)
-        self._nearest.AddConstraint(self._evaluate_margins, zero, infinity, vars=x)
-
-        self._fastest = MathematicalProgram()
-        x = self._fastest.NewContinuousVariables(2, "x")
-        worst = self._fastest.NewContinuousVariables(1, "worst_margin")
-        self._fastest.AddBoundingBoxConstraint(lower, upper, x)
-        self._fastest.AddLinearCost(-worst[0])
-        self._fastest.AddConstraint(
-            self._evaluate_margins_above_worst, zero, infinity, vars=[*x, *worst]
-        )
-
-    def solve(self, previous: NDArray, data: NDArray) -> tuple[NDArray, Outcome, float]:
-        """The next parameters [ξ, A] (2,), how they were found, and their worst margin."""
-        before = self._worst_margin(previous, data)
-        if before >= -_FEASIBILITY_TOLERANCE:
-            return previous, Outcome.KEPT, before
-        # The programs' callbacks read the data from here; set anew for every solve.
-        self._data[:] = data
-        nearest, cost = self._nearest_from(previous)
-        problem = None
-        if self._config.global_search:
-            problem = self._search_problem(previous, nearest, data)
-            other, estimate = nearest_feasible(problem, cheaper_than=cost * (1 - _SAME_COST))
-            if estimate < cost * (1 - _SAME_COST):
-                other, other_cost = self._nearest_from(other)
-                if other_cost < cost:
-                    nearest, cost = other, other_cost
-        if not np.isfinite(cost):
-            relaxed, worst = self._fastest_from(fastest(problem) if problem else previous)
-            if worst < -_FEASIBILITY_TOLERANCE and worst > before:
-                return relaxed, Outcome.RELAXED, worst
-            if worst < -_FEASIBILITY_TOLERANCE:
-                return previous, Outcome.HELD, before
-            nearest, cost = self._nearest_from(relaxed)
-        return nearest, Outcome.SOLVED, self._worst_margin(nearest, data)
-
-    def _nearest_from(self, guess: NDArray) -> tuple[NDArray, float]:
-        """The feasible point that the solver finds from a guess, and its cost, else inf.
-
-        A feasible guess is kept where the solver ends outside the constraints.
-        """
-        for x in (self._solve_program(self._nearest, guess)[0], guess):
-            if self._worst_margin(x, self._data) >= -_FEASIBILITY_TOLERANCE:
-                return x, float(self._cost_gradient(x, self._data)[0][0])
-        return guess, np.inf
-
-    def _fastest_from(self, guess: NDArray) -> tuple[NDArray, float]:
-        """The point of the largest worst margin, of the solver's and its guess, and the margin."""
-        worst = self._worst_margin(guess, self._data)
-        x, worst_of_x = self._solve_program(self._fastest, np.array([*guess, worst]))
-        return (x, worst_of_x) if worst_of_x > worst else (guess, worst)
-
-    def _search_problem(self, previous: NDArray, around: NDArray, data: NDArray) -> SearchProblem:
-        """The problem with the phases ahead those of the frequency `around`."""
-        terms, angles = self._terms(around[:1], data)
-        terms = terms.reshape(6, -1, 3).copy()
-
-        def quadratics(amplitudes: NDArray) -> Quadratics:
-            return Quadratics(
-                *nonstop.speed_squares(
-                    amplitudes,
-                    *terms,
-                    rest_length=self._model.cable_length,
-                    compliance=self._model.cable_compliance,
-                )
-            )
-
-        return SearchProblem(
-            quadratics=quadratics,
-            angles=angles.copy(),
-            previous=previous,
-            lower=self._lower,
-            upper=self._upper,
-            bound=self._bound,
-            internal_force_weight=self._config.internal_force_weight,
-            internal_force_rate_weight=self._config.internal_force_rate_weight,
-        )
-
-    def speed(self, margin: float) -> float:
-        """The speed (m/s) of that margin."""
-        return float(np.sqrt(max(0.0, margin + self._least))) * self._unit
-
-    def _solve_program(self, program: MathematicalProgram, guess: NDArray) -> tuple[NDArray, float]:
-        """The [ξ, A] at which the solver ends, within the bounds, and its worst margin."""
-        x = self._solver.Solve(program, guess, self._options).get_x_val()[:2]
-        x = np.clip(x, self._lower, self._upper)  # IPOPT ends up to 1e-8 outside
-        return x, self._worst_margin(x, self._data)
-
-    def _worst_margin(self, parameters: NDArray, data: NDArray) -> float:
-        return float(np.min(self._margins(parameters, data)[0]))
-
-    # Drake calls these with floats or with AutoDiffXd, and wants the same back.
-    def _evaluate_cost(self, x: NDArray) -> AutoDiffXd | float:
-        if x.dtype == float:
-            return float(self._cost_gradient(x, self._data)[0][0])
-        cost, gradient = self._cost_gradient(ExtractValue(x)[:, 0], self._data)
-        return AutoDiffXd(cost[0], gradient[0] @ ExtractGradient(x))
-
-    def _evaluate_margins(self, x: NDArray) -> NDArray:
-        if x.dtype == float:
-            return self._margins(x, self._data)[0]
-        margins, gradients = self._margin_gradients(ExtractValue(x)[:, 0], self._data)
-        return InitializeAutoDiff(margins, gradients @ ExtractGradient(x))
-
-    def _evaluate_margins_above_worst(self, x: NDArray) -> NDArray:
-        return self._evaluate_margins(x[:2]).reshape(-1) - x[2]
-
-
-_SOLVERS: dict[str, Callable[[], SolverInterface]] = {"snopt": SnoptSolver, "ipopt": IpoptSolver}
-
-
-def _solver(name: str) -> tuple[SolverInterface, SolverOptions]:
-    """The solver and options that keep it quiet, fast and exact on two variables."""
-    options = SolverOptions()
-    snopt, ipopt = SnoptSolver.id(), IpoptSolver.id()
-    options.SetOption(snopt, "Major iterations limit", 50)
-    options.SetOption(snopt, "Major feasibility tolerance", _FEASIBILITY_TOLERANCE / 10)
-    options.SetOption(snopt, "Scale option", 0)
-    options.SetOption(ipopt, "max_iter", 100)
-    options.SetOption(ipopt, "constr_viol_tol", _FEASIBILITY_TOLERANCE / 10)
-    options.SetOption(ipopt, "print_level", 0)
-    return _SOLVERS[name](), options
-
-
-def _amplitude_bounds(config: NonstopOptimizerConfig, model: Model) -> list[float]:
-    """The bounds on A: the config's, or those that follow from the load's weight."""
-    if config.amplitude_bounds != []:
-        return config.amplitude_bounds
-    share = model.load_mass * model.gravity / model.n
-    return [min(0.004 * share, config.amplitude / 2), max(3 * share, 2 * config.amplitude)]
 
 
 def _check(config: NonstopOptimizerConfig, model: Model) -> None:
@@ -454,6 +194,9 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         tightening=config.tightening,
         internal_force_weight=config.internal_force_weight,
         internal_force_rate_weight=config.internal_force_rate_weight,
+        anchor_weight=config.anchor_weight,
+        min_tension=config.min_tension,
+        min_separation=config.min_separation,
     )
     require_positive(
         owner,
@@ -467,6 +210,18 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         config.speed_bound,
         "give 0 (no bound) or at least 1e-3 m/s",
     )
+    for name in ("max_frequency_rate", "max_amplitude_rate", "max_speed", "max_tension"):
+        value, least = getattr(config, name), 0.0
+        if name == "max_speed":
+            least = config.speed_bound
+        if name == "max_tension":
+            least = config.min_tension
+        require(
+            (is_number(value) and value > least) or value == math.inf,
+            f"{owner}.{name}",
+            value,
+            f"give a number greater than {least}, or .inf for no limit",
+        )
     require(
         isinstance(config.look_ahead_points, int) and 1 <= config.look_ahead_points <= 50,
         f"{owner}.look_ahead_points",
@@ -486,14 +241,14 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         'give "desired" or "measured"',
     )
     require(
-        config.solver in list(_SOLVERS),
+        config.solver in _SOLVERS,
         f"{owner}.solver",
         config.solver,
         f"give one of {', '.join(_SOLVERS)}",
     )
     for name, start, bounds in (
         ("frequency", config.frequency, config.frequency_bounds),
-        ("amplitude", config.amplitude, _amplitude_bounds(config, model)),
+        ("amplitude", config.amplitude, amplitude_bounds(config, model)),
     ):
         low, high = require_array(f"{owner}.{name}_bounds", bounds, [2], "lower, upper")
         require(

@@ -4,12 +4,12 @@ Eqs. 22-26, with the carriers' motion predicted over the interval to the next up
 instead of at the sample instant only.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.grasp import cable_forces_and_rates
-from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.mechanics.internal_force import ellipse_axes, internal_force
 from drake_nonstop.mechanics.rotation import cross, quaternion_rate, rotation_matrix
 
 
@@ -39,79 +39,6 @@ def advance(state: NDArray, angular: NDArray, translational: NDArray, time: floa
     )
 
 
-def cable_forces_and_rates_ahead(
-    load_state: NDArray,
-    wrench: NDArray,
-    wrench_rate: NDArray,
-    wrench_second_rate: NDArray,
-    internal_force: NDArray,
-    *,
-    time: float,
-    pseudo_inverse: NDArray,
-    basis: NDArray,
-    offset: NDArray,
-) -> tuple[NDArray, NDArray]:
-    """`grasp.cable_forces_and_rates` with a wrench that has gone on for `time` (s)."""
-    return cable_forces_and_rates(
-        load_state,
-        wrench + time * (wrench_rate + time / 2 * wrench_second_rate),
-        wrench_rate + time * wrench_second_rate,
-        internal_force,
-        pseudo_inverse=pseudo_inverse,
-        basis=basis,
-        offset=offset,
-    )
-
-
-def carrier_velocities(
-    parameters: NDArray,
-    previous: NDArray,
-    phase: NDArray,
-    load_state: NDArray,
-    load_motion: NDArray,
-    wrench: NDArray,
-    wrench_rate: NDArray,
-    wrench_second_rate: NDArray,
-    *,
-    time: float,
-    phases: NDArray,
-    pseudo_inverse: NDArray,
-    basis: NDArray,
-    offset: NDArray,
-    attachments: NDArray,
-    rest_length: float,
-    compliance: float,
-) -> NDArray:
-    """Carrier velocities (n, 3), in W, `time` (s) ahead, for the parameters [ξ, A] (eq. 22).
-
-    `load_state` turns the load-frame forces, `load_motion` is what the carriers move
-    with (the measured state, as printed, or the reference, as commanded); both (13,) and
-    already `time` ahead. The wrench and its first two rates (6,) are now's, in W, and
-    carry the wrench on; the phase goes on at ξ.
-    """
-    angle = phase_of(parameters, previous, phase) + parameters[:1] * time
-    forces, rates = cable_forces_and_rates_ahead(
-        load_state,
-        wrench,
-        wrench_rate,
-        wrench_second_rate,
-        np.concatenate(internal_force(parameters, angle, phases=phases)),
-        time=time,
-        pseudo_inverse=pseudo_inverse,
-        basis=basis,
-        offset=offset,
-    )
-    _, velocities = carrier_motion(
-        load_motion,
-        forces,
-        rates,
-        attachments=attachments,
-        rest_length=rest_length,
-        compliance=compliance,
-    )
-    return velocities
-
-
 def change_cost(
     parameters: NDArray,
     previous: NDArray,
@@ -120,25 +47,28 @@ def change_cost(
     phases: NDArray,
     internal_force_weight: float,
     internal_force_rate_weight: float,
+    anchor_weight: float,
+    nominal: NDArray,
 ) -> NDArray:
     """J (1,), the cost of the step from `previous` to `parameters`, both [ξ, A] (eq. 26).
 
-    J = Δξ² + ΔA² + w_pos ‖Δλ‖² + w_vel ‖Δλ̇‖², the units of its terms left out as in the
-    paper.
+    J = Δξ² + ΔA² + w_pos ‖Δλ‖² + w_vel ‖Δλ̇‖² + w_anchor ‖x − x_nominal‖², the units of its
+    terms left out as in the paper, which has no anchor.
     """
     change = parameters - previous
+    away = parameters - nominal
     before = internal_force(previous, phase[:1], phases=phases)
     after = internal_force(parameters, phase_of(parameters, previous, phase), phases=phases)
     jump, rate_jump = after[0] - before[0], after[1] - before[1]
     return (
         (change * change).sum(keepdims=True)
+        + anchor_weight * (away * away).sum(keepdims=True)
         + internal_force_weight * (jump * jump).sum(keepdims=True)
         + internal_force_rate_weight * (rate_jump * rate_jump).sum(keepdims=True)
     )
 
 
-def speed_terms(
-    angle: NDArray,
+def orbit_ahead(
     load_state: NDArray,
     load_motion: NDArray,
     wrench: NDArray,
@@ -146,92 +76,176 @@ def speed_terms(
     wrench_second_rate: NDArray,
     *,
     time: float,
-    phases: NDArray,
     pseudo_inverse: NDArray,
-    basis: NDArray,
     offset: NDArray,
     attachments: NDArray,
 ) -> tuple[NDArray, ...]:
-    """The arguments of `speed_squares`, six arrays (n, 3) in W, at the phase `angle` (1,).
+    """What does not turn with the phase of the orbits that are flown `time` (s) ahead.
 
-    The other arguments as in `carrier_velocities`.
+    All in the frame of the load, where the grasp matrix and the pattern are constant:
+
+        f = f₀ + A u,   ḟ = d + ω × f + A ξ u',   v = v_b + d/dt (ℓ f/‖f‖),
+
+    with u = p cos θ + q sin θ and u' = ∂u/∂θ, p and q from `orbit_axes`.
+
+    `load_state` turns the load-frame forces, `load_motion` is what the carriers move
+    with (the measured state, as printed, or the reference, as commanded); both (13,) and
+    already `time` ahead. The wrench and its first two rates (6,) are now's, in W, and
+    carry the wrench on.
+
+    Returns:
+        f₀, d, the levers of the attachments in `load_motion` and their velocities v_b,
+        (n, 3) each, and the angular velocity ω (3,) that turns the forces.
     """
-    angles = angle + phases
-    nothing = 0 * angles
-
-    def forces(force: NDArray, rate: NDArray) -> tuple[NDArray, NDArray]:
-        return cable_forces_and_rates_ahead(
-            load_state,
-            wrench,
-            wrench_rate,
-            wrench_second_rate,
-            np.concatenate([force, rate]),
-            time=time,
-            pseudo_inverse=pseudo_inverse,
-            basis=basis,
-            offset=offset,
-        )
-
-    force, rate = forces(nothing, nothing)
-    cosine_force, cosine_rate = forces(np.cos(angles), nothing)
-    _, sine_rate = forces(nothing, -np.sin(angles))
-    levers = attachments @ rotation_matrix(load_motion[:4]).T
-    velocities = load_motion[10:13] + cross(load_motion[7:10], levers)
-    return force, rate, cosine_force - force, cosine_rate - rate, sine_rate - rate, velocities
+    R_LW = rotation_matrix(load_state[:4]).T
+    omega = R_LW @ load_state[7:10]
+    wrench = wrench + time * (wrench_rate + time / 2 * wrench_second_rate)
+    wrench_rate = wrench_rate + time * wrench_second_rate
+    torque, force = R_LW @ wrench[:3], R_LW @ wrench[3:]
+    forces = pseudo_inverse @ np.concatenate([torque, force]) + offset
+    rates = pseudo_inverse @ np.concatenate(
+        [
+            R_LW @ wrench_rate[:3] - cross(omega, torque),
+            R_LW @ wrench_rate[3:] - cross(omega, force),
+        ]
+    )
+    levers = attachments @ (R_LW @ rotation_matrix(load_motion[:4])).T
+    velocities = R_LW @ load_motion[10:13] + cross(R_LW @ load_motion[7:10], levers)
+    return forces.reshape(-1, 3), rates.reshape(-1, 3), levers, velocities, omega
 
 
-def turned_speed_terms(
-    terms: NDArray, quarter_turn_on: NDArray, turns: NDArray
-) -> tuple[NDArray, ...]:
-    """The `speed_terms` with the phase turned on by each of k `turns` (rad), (k p, 3) each.
+def orbit_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
+    """P and q (n, 3), in L: the internal force N₀ λ is A (p cos θ + q sin θ)."""
+    cosine_axes, sine_axes = ellipse_axes(basis, phases)
+    return cosine_axes, -sine_axes
 
-    `terms` and `quarter_turn_on` (6, p, 3) are the stacked terms at some phase and at a
-    quarter of a turn later. They are affine in the phase's cosine and sine, and what does
-    not depend on it (f₀, e₀ and the load's velocities) stays: own derivation.
+
+def speed_products(
+    forces: NDArray,
+    rates: NDArray,
+    velocities: NDArray,
+    omega: NDArray,
+    cosine_axes: NDArray,
+    sine_axes: NDArray,
+) -> NDArray:
+    """The scalar products (25, n) that `speed_polynomials` needs.
+
+    Of f₀, d, v_b, ω (see `orbit_ahead`), p and q (see `orbit_axes`), in any one frame; with
+    e = d + ω × f₀ they are f₀·f₀, f₀·d, f₀·v_b, e·v_b, e·e, v_b·v_b, p·p, p·q, q·q,
+    ω·(p × q), ω·ω, and then the products with p, followed by those with q, of f₀, e, v_b, d,
+    v_b × ω, e × ω and ω.
     """
-    cosine, sine = np.cos(turns)[:, None, None], np.sin(turns)[:, None, None]
-    is_turning = [False, False, True, True, True, False]
-    return tuple(
-        (cosine * now + sine * later if turning else now + 0 * cosine).reshape(-1, 3)
-        for now, later, turning in zip(terms, quarter_turn_on, is_turning, strict=True)
+
+    def dot(a: NDArray, b: NDArray) -> NDArray:
+        return (a * b).sum(axis=1)
+
+    f, d, v, p, q = forces, rates, velocities, cosine_axes, sine_axes
+    w = omega + 0 * f
+    e = d + cross(omega, f)
+    with_axes = (f, e, v, d, cross(v, omega), cross(e, omega), w)
+    return np.stack(
+        [
+            *(dot(f, f), dot(f, d), dot(f, v), dot(e, v), dot(e, e), dot(v, v)),
+            *(dot(p, p), dot(p, q), dot(q, q), dot(w, cross(p, q)), dot(w, w)),
+            *(dot(vector, p) for vector in with_axes),
+            *(dot(vector, q) for vector in with_axes),
+        ]
+    )
+
+
+def speed_polynomials(cosine: NDArray, sine: NDArray, products: NDArray) -> NDArray:
+    """The coefficients (10, 3, …) of what `speed_squares` needs, as polynomials in A.
+
+    `products` (25, …) are those of `speed_products`, `cosine` and `sine` those of the
+    phase θ; they broadcast. The polynomials are f·f, r·r, u'·u', f·u', f·v_b, f·r, r·u', v_b·r,
+    v_b·u' and v_b·v_b, where r = d + ω × f; each has the coefficients of 1, A and A². Products
+    with ω × f are rewritten by f·(ω × f) = 0 and |ω × u|² = |ω|²|u|² − (ω·u)². Own derivation.
+    """
+    ff, fd, fv, ev, ee, vv, pp, pq, qq, w_pq, ww = products[:11]
+    with_p, with_q = products[11:18], products[18:]
+    fu, _, vu, du, vwu, ewu, wu = cosine * with_p + sine * with_q
+    f_rate, e_rate, v_rate = cosine * with_q[:3] - sine * with_p[:3]  # with u'
+    mean, half = (pp + qq) / 2, (pp - qq) / 2
+    cosine_twice, sine_twice = cosine * cosine - sine * sine, 2 * cosine * sine
+    swing = cosine_twice * half + sine_twice * pq
+    uu, rate_rate = mean + swing, mean - swing
+    zero = np.zeros(uu.shape)
+    return np.stack(
+        [
+            np.stack([coefficient + zero for coefficient in polynomial])
+            for polynomial in (
+                (ff, 2 * fu, uu),
+                (ee, 2 * ewu, ww * uu - wu * wu),
+                (rate_rate, zero, zero),
+                (f_rate, cosine_twice * pq - sine_twice * half, zero),
+                (fv, vu, zero),
+                (fd, du, zero),
+                (e_rate, w_pq, zero),
+                (ev, vwu, zero),
+                (v_rate, zero, zero),
+                (vv, zero, zero),
+            )
+        ]
     )
 
 
 def speed_squares(
+    amplitude: Any, polynomials: Any, *, rest_length: float, compliance: float
+) -> tuple[Any, Any, Any, Any]:
+    """c, b and a with ‖v‖² = c + 2 b s + a s² for s = A ξ, and the squared tension T².
+
+    `polynomials` (10, 3, …) are those of `speed_polynomials`; the results are of the shape of
+    `amplitude` and of one of their coefficients, broadcast: arrays, or plain numbers, which
+    for a single speed are ten times faster. With g = ℓ/T and h = (1/K_c − g)/T², the velocity
+    of eq. 22 is v_b + g (r + s u') + h f fᵀ(r + s u'): affine in s. Own derivation.
+    """
+    tension_squared, r_r, rate_rate, f_rate, f_v, f_r, r_rate, v_r, v_rate, v_v = [
+        p0 + amplitude * (p1 + amplitude * p2) for p0, p1, p2 in polynomials
+    ]
+    g = rest_length / tension_squared**0.5 + compliance
+    h = (compliance - g) / tension_squared
+    g_squared = g * g
+    k = h * (compliance + g)  # of ‖f fᵀ·‖² and of the mixed terms, together
+    h_v, k_r = h * f_v, k * f_r
+    c = v_v + g_squared * r_r + 2 * (g * v_r + h_v * f_r) + k_r * f_r
+    b = g * v_rate + g_squared * r_rate + (h_v + k_r) * f_rate
+    a = g_squared * rate_rate + k * f_rate * f_rate
+    return c, b, a, tension_squared
+
+
+def separation_squares(
     amplitude: NDArray,
     forces: NDArray,
-    force_rates: NDArray,
-    cosine_forces: NDArray,
-    cosine_force_rates: NDArray,
-    sine_force_rates: NDArray,
-    load_velocities: NDArray,
+    levers: NDArray,
+    cosine_axes: NDArray,
+    sine_axes: NDArray,
     *,
+    turns: NDArray,
+    pairs: NDArray,
     rest_length: float,
     compliance: float,
-) -> tuple[NDArray, NDArray, NDArray]:
-    """(c, b, a), each (k, p), with ‖v‖² = c + 2 b s + a s² for s = A ξ, at k amplitudes.
+) -> NDArray:
+    """Squared distances (k, t, pairs) of carriers around the phases `turns` (t,), rad.
 
-    At a given phase a cable's force is f = f₀ + A f_c and its rate ḟ = e₀ + A e_c + s e_s;
-    `forces` f₀, `force_rates` e₀, `cosine_forces` f_c, `cosine_force_rates` e_c and
-    `sine_force_rates` e_s are (p, 3) for p carriers (or carriers at several instants), as
-    are the `load_velocities` of their attachments; `amplitude` is (k,). The velocity of
-    eq. 22 is then affine in s: own derivation.
+    The least within half a step of the turns, the carriers going on along the tangents of
+    their orbits: a close encounter between two turns is not missed. `pairs` (2, pairs) are
+    indices of carriers, `amplitude` is (k,), the others as `orbit_ahead` and `orbit_axes`
+    return them. Own derivation.
     """
-    A = amplitude[:, None, None]
-    force = forces + A * cosine_forces
-    rate = force_rates + A * cosine_force_rates
-    tension_squared = (force * force).sum(axis=2, keepdims=True)
-    swing = rest_length / np.sqrt(tension_squared) + compliance  # ℓ/T
-    along = (compliance - swing) / tension_squared
-    still = (
-        load_velocities + swing * rate + along * (force * rate).sum(axis=2, keepdims=True) * force
-    )
-    moving = (
-        swing * sine_force_rates
-        + along * (force * sine_force_rates).sum(axis=2, keepdims=True) * force
-    )
-    return (
-        (still * still).sum(axis=2),
-        (still * moving).sum(axis=2),
-        (moving * moving).sum(axis=2),
-    )
+    A = amplitude[:, None, None, None]
+    cosine, sine = np.cos(turns)[:, None, None], np.sin(turns)[:, None, None]
+    force = forces + A * (cosine * cosine_axes + sine * sine_axes)
+    change = A * (cosine * sine_axes - sine * cosine_axes)  # of the force, per rad
+    tension_squared = (force * force).sum(axis=-1, keepdims=True)
+    swing = rest_length / np.sqrt(tension_squared) + compliance
+    along = (compliance - swing) / tension_squared * (force * change).sum(axis=-1, keepdims=True)
+    position, tangent = levers + swing * force, swing * change + along * force
+    first, second = pairs
+    gap = position[:, :, first] - position[:, :, second]
+    opening = tangent[:, :, first] - tangent[:, :, second]
+    half_step = np.pi / len(turns)
+    opening_squared = (opening * opening).sum(axis=-1) + 1e-30
+    nearest = -(gap * opening).sum(axis=-1) / opening_squared
+    nearest = (np.abs(nearest + half_step) - np.abs(nearest - half_step)) / 2  # clipped to it
+    gap = gap + nearest[..., None] * opening
+    return (gap * gap).sum(axis=-1)

@@ -8,11 +8,14 @@ from drake_nonstop.mechanics.grasp import cable_forces_and_rates, grasp_matrix
 from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
 from drake_nonstop.mechanics.nonstop import (
     advance,
-    carrier_velocities,
     change_cost,
+    orbit_ahead,
+    orbit_axes,
     phase_of,
-    speed_terms,
-    turned_speed_terms,
+    separation_squares,
+    speed_polynomials,
+    speed_products,
+    speed_squares,
 )
 
 ATTACHMENTS = spatial(4)
@@ -23,7 +26,8 @@ GRASP = {
     "basis": BASIS,
     "offset": BASIS @ np.array([0.2, -0.1, 0.3, 0.05]),
 }
-CABLES = {"attachments": ATTACHMENTS, "rest_length": 0.8, "compliance": 1 / 500}
+STRETCH = {"rest_length": 0.8, "compliance": 1 / 500}
+CABLES = {"attachments": ATTACHMENTS, **STRETCH}
 PREVIOUS, PARAMETERS = np.array([2.0, 1.2]), np.array([2.3, 1.5])
 PHASE = np.array([0.7, 3.0])  # θ and ∂θ/∂ξ = t
 WRENCHES = (
@@ -33,19 +37,21 @@ WRENCHES = (
 )
 
 
-def predicted(time, state, motion, wrenches=WRENCHES, phase=PHASE):
-    return carrier_velocities(
-        PARAMETERS,
-        PREVIOUS,
-        phase,
-        state,
-        motion,
-        *wrenches,
-        time=time,
-        phases=PHASES,
-        **GRASP,
-        **CABLES,
+AXES = orbit_axes(BASIS, PHASES)
+
+
+def predicted(time, state, motion, theta):
+    """The squared speeds (4,) and tensions of PARAMETERS at a phase, `time` ahead."""
+    grasp = {name: GRASP[name] for name in ("pseudo_inverse", "offset")}
+    forces, rates, _, velocities, omega = orbit_ahead(
+        state, motion, *WRENCHES, time=time, attachments=ATTACHMENTS, **grasp
     )
+    products = speed_products(forces, rates, velocities, omega, *AXES)
+    polynomials = speed_polynomials(np.cos(theta), np.sin(theta), products)
+    frequency, amplitude = PARAMETERS
+    c, b, a, tension_squares = speed_squares(amplitude, polynomials, **STRETCH)
+    s = amplitude * frequency
+    return c + s * (2 * b + s * a), tension_squares
 
 
 def internal(theta):
@@ -62,28 +68,62 @@ def test_accumulated_phase_does_not_jump_and_the_printed_one_does():
     assert phase_of(PARAMETERS, PREVIOUS, np.array([6.0, 3.0])) == pytest.approx(6.9, rel=1e-15)
 
 
-def test_velocities_of_now_are_the_carrier_generators():
+def test_speeds_and_tensions_of_now_are_the_carrier_generators():
     state, reference = Motion(40).state(0.2), Motion(41).reference(0.2)
-    forces = cable_forces_and_rates(state, *WRENCHES[:2], internal(0.7 + 0.3 * 3.0), **GRASP)
-    _, expected = carrier_motion(reference, *forces, **CABLES)
-    velocities = predicted(0.0, state, reference)
-    np.testing.assert_allclose(velocities, expected, rtol=0, atol=1e-14)
+    for theta in (0.0, 1.6, 4.0):
+        forces = cable_forces_and_rates(state, *WRENCHES[:2], internal(theta), **GRASP)
+        _, velocities = carrier_motion(reference, *forces, **CABLES)
+        squares, tension_squares = predicted(0.0, state, reference, theta)
+        np.testing.assert_allclose(squares, (velocities**2).sum(axis=1), rtol=1e-12)
+        np.testing.assert_allclose(tension_squares, (forces[0] ** 2).sum(axis=1), rtol=1e-12)
 
 
-def test_velocities_ahead_are_the_rates_of_positions_ahead():
+def test_speeds_ahead_are_the_rates_of_positions_ahead():
     motion, desired = Motion(40), Motion(41)
 
     def positions(time):
         wrench = WRENCHES[0] + time * WRENCHES[1] + time**2 / 2 * WRENCHES[2]
-        theta = 0.7 + 0.3 * 3.0 + PARAMETERS[0] * time
+        theta = 0.7 + PARAMETERS[0] * time
         forces = cable_forces_and_rates(
             motion.state(time), wrench, np.zeros(6), internal(theta), **GRASP
         )
         return carrier_motion(desired.state(time), *forces, **CABLES)[0]
 
     for time in (0.0, 0.05, 0.4):
-        velocities = predicted(time, motion.state(time), desired.state(time))
-        np.testing.assert_allclose(velocities, difference(positions, time), rtol=0, atol=1e-9)
+        theta = 0.7 + PARAMETERS[0] * time
+        squares, _ = predicted(time, motion.state(time), desired.state(time), theta)
+        expected = (difference(positions, time) ** 2).sum(axis=1)
+        np.testing.assert_allclose(squares, expected, rtol=0, atol=1e-9)
+
+
+def test_separations_are_those_of_the_orbits_between_the_turns_too():
+    state, reference = Motion(40).state(0.2), Motion(41).reference(0.2)
+    grasp = {name: GRASP[name] for name in ("pseudo_inverse", "offset")}
+    forces, _, levers, _, _ = orbit_ahead(
+        state, reference, *WRENCHES, time=0.0, attachments=ATTACHMENTS, **grasp
+    )
+    pairs = np.array([(i, j) for i in range(4) for j in range(i)]).T
+    amplitudes, count = np.array([0.4, 1.5]), 36
+    found = separation_squares(
+        amplitudes,
+        forces,
+        levers,
+        *AXES,
+        turns=2 * np.pi * np.arange(count) / count,
+        pairs=pairs,
+        **STRETCH,
+    )
+    assert found.shape == (2, count, 6)
+    for squares, amplitude in zip(found, amplitudes, strict=True):
+        nearest = np.full(6, np.inf)
+        for theta in np.linspace(0, 2 * np.pi, 3000):
+            internal_forces = np.concatenate([amplitude * np.cos(theta + PHASES), np.zeros(4)])
+            cables = cable_forces_and_rates(state, *WRENCHES[:2], internal_forces, **GRASP)
+            positions, _ = carrier_motion(reference, *cables, **CABLES)
+            gaps = positions[pairs[0]] - positions[pairs[1]]
+            nearest = np.minimum(nearest, np.linalg.norm(gaps, axis=1))
+        # Within half a step either orbit leaves its tangent by 0.4 % of its radius.
+        np.testing.assert_allclose(np.sqrt(squares.min(axis=0)), nearest, rtol=0, atol=5e-3)
 
 
 def exact(state, angular, translational, time, steps=64):
@@ -139,29 +179,6 @@ def test_advance_by_no_time_changes_nothing():
     np.testing.assert_array_equal(advance(state, np.ones(3), np.ones(3), 0.0), state)
 
 
-def test_turned_speed_terms_are_the_terms_of_the_turned_phase():
-    state, reference = Motion(40).state(0.2), Motion(41).reference(0.2)
-
-    def terms(angle):
-        return speed_terms(
-            np.array([angle]),
-            state,
-            reference,
-            *WRENCHES,
-            time=0.01,
-            phases=PHASES,
-            attachments=ATTACHMENTS,
-            **GRASP,
-        )
-
-    turns = np.array([0.0, 0.9, 4.0])
-    now, later = np.stack(terms(0.7)), np.stack(terms(0.7 + np.pi / 2))
-    turned = turned_speed_terms(now, later, turns)
-    expected = [np.concatenate(rows) for rows in zip(*(terms(0.7 + t) for t in turns), strict=True)]
-    for found, true in zip(turned, expected, strict=True):
-        np.testing.assert_allclose(found, true, rtol=0, atol=1e-14)
-
-
 @pytest.mark.parametrize("slope", [0.0, 3.0])
 def test_change_cost_in_closed_form(slope):
     cost = change_cost(
@@ -171,8 +188,10 @@ def test_change_cost_in_closed_form(slope):
         phases=PHASES,
         internal_force_weight=0.5,
         internal_force_rate_weight=0.25,
+        anchor_weight=2.0,
+        nominal=np.array([2.1, 0.9]),
     )
-    expected = 0.3**2 + 0.3**2
+    expected = 0.3**2 + 0.3**2 + 2.0 * (0.2**2 + 0.6**2)
     theta = 0.7 + 0.3 * slope
     for phi in PHASES:
         expected += 0.5 * (1.5 * np.cos(theta + phi) - 1.2 * np.cos(0.7 + phi)) ** 2
@@ -182,5 +201,10 @@ def test_change_cost_in_closed_form(slope):
 
 
 def test_no_change_costs_nothing():
-    weights = {"internal_force_weight": 1.0, "internal_force_rate_weight": 1.0}
+    weights = {
+        "internal_force_weight": 1.0,
+        "internal_force_rate_weight": 1.0,
+        "anchor_weight": 1.0,
+        "nominal": PREVIOUS,
+    }
     assert change_cost(PREVIOUS, PREVIOUS, PHASE, phases=PHASES, **weights)[0] == 0

@@ -1,0 +1,349 @@
+"""The problem of one update of the optimization layer, and its certified answer."""
+
+import math
+from collections.abc import Callable
+from enum import IntEnum
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.local_solver import LocalSolver
+from drake_nonstop.mechanics import nonstop
+from drake_nonstop.mechanics.rigid_load import load_acceleration
+from drake_nonstop.speed_search import (
+    FEASIBILITY_TOLERANCE,
+    SearchProblem,
+    fastest,
+    nearest_feasible,
+    on_grid,
+)
+from drake_nonstop.system import Model
+
+if TYPE_CHECKING:
+    from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
+
+DATA_SIZE = 59
+_SAME_COST = 1e-4  # relative; what the global search finds has to be cheaper by more
+_SEPARATION_TURNS = 36  # of a whole turn, in which carriers are kept apart
+
+
+class Outcome(IntEnum):
+    """How an update of the layer ended; the first entry of `diagnostics`."""
+
+    NONE = 0  # no update yet
+    KEPT = 1  # the previous parameters fulfil the constraints: they are the optimum
+    SOLVED = 2  # parameters were found that fulfil the constraints
+    RELAXED = 3  # none were: those of the largest worst margin were taken
+    HELD = 4  # nor any with a larger worst margin: the previous ones stay
+
+
+class SpeedProgram:
+    """The problem of one update, built once and solved with the data of each.
+
+    `data` (59), from `update_data`, holds what varies from update to update. A margin is
+    negative where a constraint is not fulfilled: ‖v_i‖²/ε² − 1 of the speeds, with the
+    tightened ε, which come first, and likewise of the other constraints that are enabled.
+    Answers depend on the arguments alone.
+    """
+
+    def __init__(self, model: Model, config: "NonstopOptimizerConfig", name: Callable[[], str]):
+        self._model, self._config, self._name = model, config, name
+        self._nominal = np.array([config.frequency, config.amplitude])
+        self._lower, self._upper = np.transpose(
+            [config.frequency_bounds, amplitude_bounds(config, model)]
+        )
+        points = config.look_ahead_points
+        self._instants = np.linspace(0, config.period, points) if points > 1 else np.zeros(1)
+        # Speeds are constrained at n carriers x these pairs of an instant and a turn, the
+        # turns being those that the orbit has yet to come by after the last instant.
+        turns = 2 * np.pi * np.arange(1, config.orbit_points) / config.orbit_points
+        self._instant = np.concatenate([np.arange(points), np.full(len(turns), points - 1)])
+        self._turns = np.concatenate([np.zeros(points), turns])
+        self._speed_count = len(self._turns) * model.n
+        axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
+        self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
+        self._pairs = np.array(list(combinations(range(model.n), 2))).T
+        larger, smaller = 1 + config.tightening, 1 - config.tightening
+        self._min_tension, self._max_tension = (
+            larger * config.min_tension,
+            smaller * config.max_tension,
+        )
+        self._max_speed = smaller * config.max_speed
+        self._min_separation = larger * config.min_separation
+
+        self._cables = {"rest_length": model.cable_length, "compliance": model.cable_compliance}
+
+        self._margins = self._compiled(self._trace_margins)
+        self._terms = self._compiled(self._trace_terms)
+        self._cost = self._compiled(self._trace_cost)
+        self._local: LocalSolver | None = None
+        if config.solver in LocalSolver.NAMES:
+            self._local = LocalSolver(
+                config.solver,
+                cost=self._compiled(self._trace_cost, jacobian_of=0),
+                margins=self._compiled(self._trace_margins, jacobian_of=0),
+                data_size=DATA_SIZE,
+            )
+
+    def update_data(
+        self,
+        previous: NDArray,
+        phase: NDArray,
+        load_state: NDArray,
+        reference: NDArray,
+        wrench: NDArray,
+        wrench_rate: NDArray,
+        wrench_second_rate: NDArray,
+        speed_bound: float,
+    ) -> NDArray:
+        """The data (59) of an update: the arguments, ε tightened, and the unit of its margins."""
+        bound = (1 + self._config.tightening) * speed_bound
+        unit = bound or 1.0  # m/s; without a bound every speed is above it
+        return np.concatenate(
+            [
+                *(previous, phase, load_state, reference),
+                *(wrench, wrench_rate, wrench_second_rate, [bound, unit]),
+            ]
+        )
+
+    def solve(self, data: NDArray) -> tuple[NDArray, Outcome, float]:
+        """The next [ξ, A] (2,), how they were found, and the slowest speed to come (m/s)."""
+        previous = data[:2].copy()
+        margins = self._margins(previous, data)[0]
+        before = margins.min()
+        pulls = self._config.anchor_weight > 0 and not np.array_equal(previous, self._nominal)
+        if before >= -FEASIBILITY_TOLERANCE and not pulls:
+            return previous, Outcome.KEPT, self._slowest(margins, data)
+        margins = margins.copy()
+        parameters = self._best(data, margins)
+        margins_after = self._margins(parameters, data)[0]
+        worst = margins_after.min()
+        if worst >= -FEASIBILITY_TOLERANCE:
+            return parameters, Outcome.SOLVED, self._slowest(margins_after, data)
+        if worst > before:
+            return parameters, Outcome.RELAXED, self._slowest(margins_after, data)
+        return previous, Outcome.HELD, self._slowest(margins, data)
+
+    def worst_margin(self, parameters: NDArray, data: NDArray) -> float:
+        """The least margin of all constraints."""
+        return float(np.min(self._margins(parameters, data)[0]))
+
+    def cost(self, parameters: NDArray, data: NDArray) -> float:
+        """The cost of the step to `parameters`."""
+        return float(self._cost(parameters, data)[0][0])
+
+    def feasible_cost(self, parameters: NDArray, data: NDArray) -> float:
+        """The cost of the step to `parameters`, inf where they do not fulfil the constraints."""
+        is_feasible = self.worst_margin(parameters, data) >= -FEASIBILITY_TOLERANCE
+        return self.cost(parameters, data) if is_feasible else np.inf
+
+    def bounds(self, previous: NDArray) -> tuple[NDArray, NDArray]:
+        """The lower and upper bounds (2,) of [ξ, A], within reach at the limits of their rates."""
+        step = self._config.period * np.array(
+            [self._config.max_frequency_rate, self._config.max_amplitude_rate]
+        )
+        return np.maximum(self._lower, previous - step), np.minimum(self._upper, previous + step)
+
+    def search_problem(self, data: NDArray, frequency: float) -> SearchProblem:
+        """The problem with the phases that `frequency` gives; an accumulated one ignores it."""
+        previous = data[:2].copy()
+        config = self._config
+        polynomials, forces, levers, angles = (
+            term.copy() for term in self._terms(np.array([frequency, previous[1]]), data)
+        )
+        polynomials = polynomials.reshape(10, 3, -1)
+        forces, levers = forces.reshape(-1, 3), levers.reshape(-1, 3)
+        lower, upper = self.bounds(previous)
+
+        def amplitude_margins(amplitudes: NDArray) -> NDArray:
+            tensions = nonstop.speed_squares(amplitudes[:, None], polynomials, **self._cables)[3]
+            margins = self._margins_of_amplitudes(amplitudes, tensions, forces, levers)
+            return np.min([margin.min(axis=1) for margin in margins], axis=0)
+
+        return SearchProblem(
+            polynomials=polynomials,
+            **self._cables,
+            amplitude_margins=amplitude_margins if self._amplitude_is_constrained else None,
+            angles=angles,
+            previous=previous,
+            nominal=self._nominal,
+            lower=lower,
+            upper=upper,
+            speed_bound=data[57],
+            speed_unit=data[58],
+            max_speed=self._max_speed,
+            internal_force_weight=config.internal_force_weight,
+            internal_force_rate_weight=config.internal_force_rate_weight,
+            anchor_weight=config.anchor_weight,
+        )
+
+    def _best(self, data: NDArray, margins: NDArray) -> NDArray:
+        """The feasible point of the least cost; where none is found that of the largest margin.
+
+        `margins` are those of the previous parameters.
+        """
+        if self._local is None:
+            return self._searched(data, margins)[0]
+        parameters = self._local.nearest(data, *self.bounds(data[:2]))
+        cost = self.feasible_cost(parameters, data)
+        if self._config.global_search:
+            other, other_cost = self._searched(data, margins)
+            is_best = np.isfinite(cost) and cost * (1 - _SAME_COST) <= other_cost
+            return parameters if is_best else other
+        if np.isfinite(cost):
+            return parameters
+        return self._local.fastest(data, *self.bounds(data[:2]))
+
+    def _searched(self, data: NDArray, margins: NDArray) -> tuple[NDArray, float]:
+        """The point that a search finds and its cost, inf where it is infeasible.
+
+        A printed phase, which jumps with ξ, asks for a grid.
+        """
+        if self._config.solver == "grid" or data[3] != 0:
+            return on_grid(
+                lambda frequency: self.search_problem(data, frequency),
+                lambda x: self.cost(x, data),
+            )
+        problem = self.search_problem(data, data[0])
+
+        count = self._speed_count
+
+        def of_speeds(margins: NDArray) -> NDArray:
+            """The worse margin of each speed, which may be bounded on either side."""
+            if not np.isfinite(self._max_speed):
+                return margins[:count]
+            return np.minimum(margins[:count], margins[count : 2 * count])
+
+        parameters, cost = nearest_feasible(
+            problem, of_speeds(margins), lambda x: of_speeds(self._margins(x, data)[0])
+        )
+        if not np.isfinite(cost):
+            parameters = fastest(problem)
+            cost = self.feasible_cost(parameters, data)
+        return parameters, cost
+
+    def _slowest(self, margins: NDArray, data: NDArray) -> float:
+        """The slowest speed (m/s) behind the margins."""
+        bound, unit = data[57:].tolist()
+        return math.sqrt(max(0.0, float(margins[: self._speed_count].min()) * unit**2 + bound**2))
+
+    @property
+    def _amplitude_is_constrained(self) -> bool:
+        """Whether a constraint that does not depend on ξ is enabled."""
+        return self._min_tension > 0 or np.isfinite(self._max_tension) or self._min_separation > 0
+
+    def _margins_of_amplitudes(
+        self, amplitudes: NDArray, tension_squares: NDArray, forces: NDArray, levers: NDArray
+    ) -> list[NDArray]:
+        """The margins, (k, …) each, of the enabled constraints that do not depend on ξ."""
+        margins = []
+        if self._min_tension > 0:
+            margins.append(tension_squares / self._min_tension**2 - 1)
+        if np.isfinite(self._max_tension):
+            margins.append(1 - tension_squares / self._max_tension**2)
+        if self._min_separation > 0:
+            squares = nonstop.separation_squares(
+                amplitudes,
+                forces,
+                levers,
+                self._axes[0],
+                self._axes[1],
+                turns=2 * np.pi * np.arange(_SEPARATION_TURNS) / _SEPARATION_TURNS,
+                pairs=self._pairs,
+                **self._cables,
+            )
+            margins.append(squares.reshape(len(amplitudes), -1) / self._min_separation**2 - 1)
+        return margins
+
+    def _compiled(self, function: Callable, jacobian_of: int | None = None) -> CompiledFunction:
+        # A solver may try the far ends of the bounds, where values are huge and sound.
+        return CompiledFunction(
+            function, [2, DATA_SIZE], name=self._name, largest=1e100, jacobian_of=jacobian_of
+        )
+
+    def _trace_orbits(self, data: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """The products (25, instants, n), and the last instant's forces and levers (n, 3)."""
+        state, reference, *wrenches = np.split(data[4:57], [13, 35, 41, 47])
+        model = self._model
+        accelerations = load_acceleration(
+            state,
+            wrenches[0],
+            mass=model.load_mass,
+            inertia=model.load_inertia,
+            inertia_inverse=model.load_inertia_inverse,
+            drag=model.load_drag,
+            gravity=model.gravity,
+        )
+        products = []
+        for instant in self._instants:
+            ahead = motion = nonstop.advance(state, *accelerations, instant)
+            if self._config.load_motion == "desired":
+                motion = nonstop.advance(
+                    reference[:13], reference[13:16], reference[16:19], instant
+                )
+            forces, rates, levers, velocities, omega = nonstop.orbit_ahead(
+                ahead,
+                motion,
+                *wrenches,
+                time=instant,
+                pseudo_inverse=_without_round_off(model.pseudo_inverse),
+                offset=model.pattern.offset,
+                attachments=model.attachments,
+            )
+            products.append(nonstop.speed_products(forces, rates, velocities, omega, *self._axes))
+        return np.stack(products, axis=1), forces, levers
+
+    def _trace_terms(self, x: NDArray, data: NDArray) -> tuple[NDArray, ...]:
+        """What `search_problem` needs: the polynomials (10, 3, p), forces, levers and angles."""
+        products, forces, levers = self._trace_orbits(data)
+        angle = nonstop.phase_of(x, data[:2], data[2:4])
+        ahead = (angle + data[:1] * self._instants)[self._instant, None]
+        turn_cosine, turn_sine = np.cos(self._turns)[:, None], np.sin(self._turns)[:, None]
+        cosine, sine = np.cos(ahead), np.sin(ahead)
+        polynomials = nonstop.speed_polynomials(
+            cosine * turn_cosine - sine * turn_sine,
+            sine * turn_cosine + cosine * turn_sine,
+            products[:, self._instant],
+        )
+        angles = angle + self._model.pattern.phases
+        return polynomials.reshape(10, 3, -1), forces, levers, angles
+
+    def _trace_margins(self, x: NDArray, data: NDArray) -> NDArray:
+        polynomials, forces, levers, _ = self._trace_terms(x, data)
+        c, b, a, tension_squares = nonstop.speed_squares(x[1:, None], polynomials, **self._cables)
+        s = x[:1] * x[1:]
+        squares = c + s * (2 * b + s * a)
+        bound, unit = data[57:58], data[58:]
+        margins = [(squares - bound * bound) / (unit * unit)]
+        if np.isfinite(self._max_speed):
+            margins.append(1 - squares / self._max_speed**2)
+        margins += self._margins_of_amplitudes(x[1:], tension_squares, forces, levers)
+        return np.concatenate(margins, axis=1)[0]
+
+    def _trace_cost(self, x: NDArray, data: NDArray) -> NDArray:
+        return nonstop.change_cost(
+            x,
+            data[:2],
+            data[2:4],
+            phases=self._model.pattern.phases,
+            internal_force_weight=self._config.internal_force_weight,
+            internal_force_rate_weight=self._config.internal_force_rate_weight,
+            anchor_weight=self._config.anchor_weight,
+            nominal=self._nominal,
+        )
+
+
+def amplitude_bounds(config: "NonstopOptimizerConfig", model: Model) -> list[float]:
+    """The bounds on A: the config's, or those that follow from the load's weight."""
+    if config.amplitude_bounds != []:
+        return config.amplitude_bounds
+    share = model.load_mass * model.gravity / model.n
+    return [min(0.004 * share, config.amplitude / 2), max(3 * share, 2 * config.amplitude)]
+
+
+def _without_round_off(matrix: NDArray) -> NDArray:
+    """The matrix with entries that are zero but for round-off set to zero: fewer operations."""
+    return np.where(np.abs(matrix) > 1e-14 * np.max(np.abs(matrix)), matrix, 0.0)
