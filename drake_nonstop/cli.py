@@ -7,10 +7,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from drake_nonstop.results import require_writable, write_results
+from drake_nonstop.results import require_writable, write_json, write_results
 from drake_nonstop.scenario import Scenario, load_scenario, scenario_names
 from drake_nonstop.simulate import RunInterrupted, RunStopped, simulate
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, require
 from drake_nonstop.version import __version__
 
 _CLOSE = 0.1  # m, between cables or carriers, that is worth a warning
@@ -54,6 +54,20 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--no-figures", action="store_true", help="write no figures/")
     run.add_argument("--no-replay", action="store_true", help="write no replay.html")
     run.add_argument("--quiet", action="store_true", help="print errors only")
+    bench = commands.add_parser("bench", help="measure speed and quality")
+    benches = bench.add_subparsers(required=True, metavar="WHAT")
+    optimizer = benches.add_parser(
+        "optimizer", help="the solvers of the optimization layer, on random and recorded problems"
+    )
+    optimizer.set_defaults(action=_bench_optimizer)
+    optimizer.add_argument("--instances", type=int, default=1000, metavar="N", help="(1000)")
+    optimizer.add_argument("--seed", type=int, default=0, help="of the instances (0)")
+    optimizer.add_argument(
+        "--solvers", nargs="+", metavar="NAME", default=[], help="these only, of all in the table"
+    )
+    optimizer.add_argument(
+        "--out", type=Path, metavar="DIR", default=Path("out/bench"), help="(out/bench)"
+    )
     return parser
 
 
@@ -70,7 +84,7 @@ def _run(options: argparse.Namespace) -> int:
     folder: Path = options.out or Path("out") / scenario.name
     code, message = 0, ""
     is_new = not folder.exists()
-    bar = None if options.quiet else _ProgressBar(scenario)
+    bar = None if options.quiet else _RunProgress(scenario)
     try:
         require_writable(folder)
         run = simulate(scenario, progress=bar)
@@ -105,6 +119,33 @@ def _run(options: argparse.Namespace) -> int:
             print(f"warning: {warning}")
         print(f"results: {folder}")
     return code
+
+
+def _bench_optimizer(options: argparse.Namespace) -> int:
+    # Imported here: other commands need none of it, and it takes its time.
+    from drake_nonstop.benchmarks.optimizer import PEERS, SOLVERS, benchmark_optimizer, table
+
+    known = [*SOLVERS, *PEERS]
+    for name in options.solvers:
+        require(name in known, "--solvers", name, f"give some of {', '.join(known)}")
+    require(options.instances > 0, "--instances", options.instances, "give at least 1")
+    require(options.seed >= 0, "--seed", options.seed, "give 0 or a whole number above it")
+    require_writable(options.out)
+    line = _ProgressLine()
+    try:
+        results = benchmark_optimizer(
+            options.instances,
+            options.seed,
+            options.solvers,
+            progress=lambda what, share: line.show(f"{what} {_bar(share)} {share:.0%}"),
+        )
+    finally:
+        line.close()
+    path = options.out / "optimizer.json"
+    write_json(path, results)
+    print(table(results))
+    print(f"results: {path}")
+    return 0
 
 
 def _warnings(metrics: dict[str, Any]) -> list[str]:
@@ -168,43 +209,57 @@ def _table(metrics: dict[str, Any]) -> str:
     return "\n".join(f"{name:24}{value}" for name, value in rows)
 
 
-class _ProgressBar:
-    """Simulated time and real-time factor on one line, while a run goes on."""
+class _ProgressLine:
+    """A line of text that is written over, or, where the output is no terminal, now and then."""
 
-    _WIDTH = 30
     _PERIOD = 2.0  # s, between lines where the output is no terminal
 
-    def __init__(self, scenario: Scenario):
-        self._scenario = scenario
+    def __init__(self) -> None:
         self._is_terminal = sys.stderr.isatty()
-        self._first: tuple[float, float] | None = None  # wall and simulated time
         self._last_line = time.perf_counter()
         self._used = False
 
-    def __call__(self, simulated: float) -> None:
-        now = time.perf_counter()
-        if self._first is None:
-            self._first = now, simulated
-            return
-        if not self._is_terminal:
+    def show(self, text: str) -> None:
+        """Shows the text in place of the last one."""
+        if self._is_terminal:
+            print(f"\r{text}\033[K", end="", file=sys.stderr, flush=True)
+        else:
+            now = time.perf_counter()
             if now - self._last_line < self._PERIOD:
                 return
             self._last_line = now
-        share = min(1.0, simulated / self._scenario.duration)
-        filled = round(share * self._WIDTH)
-        factor = (simulated - self._first[1]) / (now - self._first[0])
-        text = (
-            f"{self._scenario.name} [{'#' * filled}{'.' * (self._WIDTH - filled)}] "
-            f"{simulated:6.2f} / {self._scenario.duration:g} s, {factor:.1f} x real time"
-        )
-        end = "" if self._is_terminal else "\n"
-        print(f"\r{text}" if self._is_terminal else text, end=end, file=sys.stderr, flush=True)
+            print(text, file=sys.stderr, flush=True)
         self._used = True
 
     def close(self) -> None:
         """Ends the line."""
         if self._used and self._is_terminal:
             print(file=sys.stderr)
+
+
+def _bar(share: float, width: int = 30) -> str:
+    filled = round(min(1.0, share) * width)
+    return f"[{'#' * filled}{'.' * (width - filled)}]"
+
+
+class _RunProgress(_ProgressLine):
+    """Simulated time and real-time factor while a run goes on."""
+
+    def __init__(self, scenario: Scenario):
+        super().__init__()
+        self._scenario = scenario
+        self._first: tuple[float, float] | None = None  # wall and simulated time
+
+    def __call__(self, simulated: float) -> None:
+        now = time.perf_counter()
+        if self._first is None:
+            self._first = now, simulated
+            return
+        factor = (simulated - self._first[1]) / (now - self._first[0])
+        self.show(
+            f"{self._scenario.name} {_bar(simulated / self._scenario.duration)} "
+            f"{simulated:6.2f} / {self._scenario.duration:g} s, {factor:.1f} x real time"
+        )
 
 
 if __name__ == "__main__":

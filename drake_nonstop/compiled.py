@@ -77,6 +77,10 @@ class CompiledFunction:
         self._largest_squared = largest**2
         self._name = name
 
+    def expressions(self, *inputs: casadi.MX) -> tuple[casadi.MX, ...]:
+        """The outputs as expressions of CasADi's, for its solvers."""
+        return tuple(self._function(casadi.vertcat(*inputs)))[: len(self._results)]
+
     def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs for flat inputs of the declared sizes."""
         np.concatenate(inputs, out=self._input)

@@ -25,9 +25,9 @@ class LocalSolver:
 
     Args:
         name: of the solver, one of `NAMES`.
+        data_size: the length of the data.
         cost: of [ξ, A] and the data; its gradient is the second output.
         margins: likewise, non-negative where the constraints are fulfilled.
-        data_size: the length of the data.
     """
 
     NAMES: ClassVar[dict[str, Callable[[], SolverInterface]]] = {
@@ -37,7 +37,7 @@ class LocalSolver:
     }
 
     def __init__(
-        self, name: str, *, cost: CompiledFunction, margins: CompiledFunction, data_size: int
+        self, name: str, data_size: int, cost: CompiledFunction, margins: CompiledFunction
     ):
         self._cost, self._margins = cost, margins
         self._solver, self._options = self.NAMES[name](), _options()
@@ -104,7 +104,7 @@ def _options() -> SolverOptions:
     options.SetOption(ipopt, "max_iter", 100)
     options.SetOption(ipopt, "constr_viol_tol", _CONSTRAINT_TOLERANCE)
     options.SetOption(ipopt, "print_level", 0)
-    options.SetOption(nlopt, NloptSolver.AlgorithmName(), "LD_MMA")
+    options.SetOption(nlopt, NloptSolver.AlgorithmName(), "LN_COBYLA")
     options.SetOption(nlopt, NloptSolver.ConstraintToleranceName(), _CONSTRAINT_TOLERANCE)
-    options.SetOption(nlopt, NloptSolver.MaxEvalName(), 100)
+    options.SetOption(nlopt, NloptSolver.MaxEvalName(), 200)
     return options

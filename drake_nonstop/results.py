@@ -43,6 +43,17 @@ def require_writable(folder: Path) -> None:
         ) from None
 
 
+def write_json(path: Path, data: Any) -> None:
+    """Writes the data to a file that is never half-written."""
+    with tempfile.NamedTemporaryFile(
+        "w", dir=path.parent, suffix=".json", encoding="utf-8", delete=False
+    ) as file:
+        json.dump(data, file, indent=2)
+        file.write("\n")
+    os.chmod(file.name, 0o644)
+    os.replace(file.name, path)
+
+
 def write_results(
     run: Run, folder: Path, *, figures: bool = True, replay: bool = True
 ) -> dict[str, Any]:

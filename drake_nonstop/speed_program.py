@@ -81,12 +81,7 @@ class SpeedProgram:
         self._cost = self._compiled(self._trace_cost)
         self._local: LocalSolver | None = None
         if config.solver in LocalSolver.NAMES:
-            self._local = LocalSolver(
-                config.solver,
-                cost=self._compiled(self._trace_cost, jacobian_of=0),
-                margins=self._compiled(self._trace_margins, jacobian_of=0),
-                data_size=DATA_SIZE,
-            )
+            self._local = LocalSolver(config.solver, DATA_SIZE, *self.compiled(with_gradients=True))
 
     def update_data(
         self,
@@ -146,6 +141,17 @@ class SpeedProgram:
             [self._config.max_frequency_rate, self._config.max_amplitude_rate]
         )
         return np.maximum(self._lower, previous - step), np.minimum(self._upper, previous + step)
+
+    def compiled(
+        self, *, with_gradients: bool = False
+    ) -> tuple[CompiledFunction, CompiledFunction]:
+        """The cost and the margins of [ξ, A] and the data, for solvers of any kind."""
+        if not with_gradients:
+            return self._cost, self._margins
+        return (
+            self._compiled(self._trace_cost, jacobian_of=0),
+            self._compiled(self._trace_margins, jacobian_of=0),
+        )
 
     def search_problem(self, data: NDArray, frequency: float) -> SearchProblem:
         """The problem with the phases that `frequency` gives; an accumulated one ignores it."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.nonstop import speed_squares
 
 FEASIBILITY_TOLERANCE = 1e-6  # on a margin, such as speed²/ε² − 1
-_WIDE, _REACH = 48, 13  # amplitudes looked at: of the whole range, within reach
-_GOLDEN_STEPS = 13  # each makes the part that is looked at shorter by 0.618
+_WIDE = 32  # amplitudes looked at where the whole range is
+_FEW, _MORE = 9, 24  # within reach: at least, and as many more as it is of the whole range
+_WIDEST = 4  # the ratio of the ends of what is looked at evenly
 _GOLDEN = (math.sqrt(5) - 1) / 2
-_SAME_COST = 1e-5  # relative, between a parabola and the cost at its vertex
+_GOLDEN_STEPS = 18  # each shortens what is looked at by that factor
+_SAME_COST = 3e-5  # relative, between the cost that is found and the one foretold
 _SAME = 1e-9  # relative, what counts as the end of a forbidden interval
 _GRID, _GRID_ZOOMS = 9, 6  # points a side of the grid on which the fastest is sought
 _DENSE, _DENSE_ZOOMS = 40, 5  # likewise, of the grid on which both ξ and A are sought
@@ -90,10 +92,18 @@ def nearest_feasible(
         if worst in speeds:
             return problem.previous, math.inf
         speeds.append(worst)
-        x, cost = _OfFewSpeeds(problem, speeds).nearest(allowed)
+        few = _OfFewSpeeds(problem, speeds)
+        is_enough = few.scan(allowed)
+        x, cost = few.best
         if not math.isfinite(cost):
             return x, cost
         margins = margins_at(x)
+        if margins.min() < -FEASIBILITY_TOLERANCE:
+            continue  # the optimum of too few speeds need not be exact to tell what is missing
+        if not is_enough:
+            few.refine(allowed)
+            x, cost = few.best
+            margins = margins_at(x)
         if margins.min() >= -FEASIBILITY_TOLERANCE:
             return x, cost
 
@@ -107,8 +117,8 @@ class _OfFewSpeeds:
     """
 
     def __init__(self, problem: SearchProblem, speeds: list[int]):
-        self._problem = problem
         self._polynomials = [problem.polynomials[:, :, i].tolist() for i in speeds]
+        self._cables = {"rest_length": problem.rest_length, "compliance": problem.compliance}
         self._frequency, self._amplitude = problem.previous.tolist()
         self._nominal = problem.nominal.tolist()
         self._lower, self._upper = problem.lower.tolist(), problem.upper.tolist()
@@ -116,111 +126,148 @@ class _OfFewSpeeds:
         # What (A − A⁻)² and (s − s⁻)² cost, see `mechanics.nonstop.change_cost`.
         self._amplitude_weight = 1 + problem.internal_force_weight * float(cosines @ cosines)
         self._rate_weight = problem.internal_force_rate_weight * float(sines @ sines)
-        self._bound_squared = problem.speed_bound**2
+        self._anchor_weight = problem.anchor_weight
+        self._bound_squared = float(problem.speed_bound**2)
+        self._max_squared = float(problem.max_speed**2)
         self._best = (math.inf, 0.0, self._amplitude)  # cost, s, A
+        self._unclear: list[tuple[float, float, float]] = []  # cost, and A on either side
+        self._is_wide = False
 
-    def nearest(self, allowed: list[tuple[float, float]]) -> tuple[NDArray, float]:
-        """The best [ξ, A] with A in one of the `allowed` intervals, and its cost.
-
-        Looked for over the part that can still be cheaper, |A − A⁻| ≤ √J, then around the
-        two best minima there.
-        """
-        if not allowed:
-            return self._problem.previous, math.inf
-        start = min(
-            (min(max(self._amplitude, low), high) for low, high in allowed),
-            key=lambda A: abs(A - self._amplitude),
-        )
-        if not math.isfinite(self._look(start)):
-            for low, high in allowed:
-                for A in np.geomspace(low, high, _WIDE).tolist():
-                    self._look(A)
-        if math.isfinite(self._best[0]):
-            reach = math.sqrt(self._best[0] / self._amplitude_weight)
-            for low, high in allowed:
-                low, high = max(low, self._amplitude - reach), min(high, self._amplitude + reach)
-                if low < high:
-                    self._look_between(low, high)
+    @property
+    def best(self) -> tuple[NDArray, float]:
+        """The cheapest [ξ, A] that was looked at, and its cost, inf if none was feasible."""
         cost, s, A = self._best
         return np.array([s / A, A]), cost
 
-    def _look_between(self, low: float, high: float) -> None:
-        step = (high - low) / (_REACH - 1)
-        costs = [self._look(low + i * step) for i in range(_REACH)]
-        padded = [math.inf, *costs, math.inf]
-        minima = [i for i in range(_REACH) if padded[i] >= costs[i] <= padded[i + 2]]
-        for i in sorted(minima, key=lambda i: costs[i])[:2]:
-            left, least, right = padded[i : i + 3]
-            curvature = left - 2 * least + right
-            if 0 < curvature < math.inf:
-                to_vertex = (left - right) / (2 * curvature)
-                at_vertex = least - curvature * to_vertex**2 / 2
-                cost = self._look(low + (i + to_vertex) * step)
-                if abs(cost - at_vertex) <= _SAME_COST * cost:
-                    continue  # smooth here: the parabola has found the minimum
-            self._look_closer(low + max(i - 1, 0) * step, low + min(i + 1, _REACH - 1) * step)
+    def scan(self, allowed: list[tuple[float, float]]) -> bool:
+        """Looks all over the amplitudes in the `allowed` intervals; whether that was enough.
 
-    def _look_closer(self, low: float, high: float) -> None:
-        """Golden-section search between two amplitudes: finds kinks, too."""
-        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        left_cost, right_cost = self._look(left), self._look(right)
-        for _ in range(_GOLDEN_STEPS):
-            if left_cost < right_cost:
-                high, right, right_cost = right, left, left_cost
-                left = high - _GOLDEN * (high - low)
-                left_cost = self._look(left)
-            else:
-                low, left, left_cost = left, right, right_cost
-                right = low + _GOLDEN * (high - low)
-                right_cost = self._look(right)
+        First at A⁻ (where nothing is feasible there, at the whole range), then at what can
+        still be cheaper, |A − A⁻| ≤ √J. It is enough where that is little and smooth.
+        """
+        for low, high in allowed:
+            self._look(min(max(self._amplitude, low), high))
+        if self._best[0] == math.inf:
+            for low, high in allowed:
+                ratio = (high / low) ** (1 / (_WIDE - 1))
+                for i in range(_WIDE):
+                    self._look(min(low * ratio**i, high))
+        within_reach = self._within_reach(allowed)
+        for low, high in within_reach:
+            self._look_along(low, (high - low) / (_FEW - 1), _FEW)
+        self._is_wide = any(self._count(*interval) > _FEW + 1 for interval in within_reach)
+        return not (self._is_wide or self._unclear)
+
+    def _within_reach(self, allowed: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        """The parts of the intervals that can hold something cheaper than the best so far."""
+        if self._best[0] == math.inf:
+            return []
+        reach = math.sqrt(self._best[0] / self._amplitude_weight)
+        parts = [
+            (max(low, self._amplitude - reach), min(high, self._amplitude + reach))
+            for low, high in allowed
+        ]
+        return [(low, high) for low, high in parts if low < high]
+
+    def _count(self, low: float, high: float) -> int:
+        """How many amplitudes to look at between two."""
+        share = (high - low) / (self._upper[1] - self._lower[1])
+        return math.ceil(_FEW * max(1.0, math.log(high / low, _WIDEST)) + _MORE * share)
+
+    def refine(self, allowed: list[tuple[float, float]]) -> None:
+        """Scans more closely what is wide, and then, by golden section, two unclear minima.
+
+        Those are at kinks, where two speeds decide, or at steps, where a way past one opens.
+        """
+        if self._is_wide:
+            self._unclear = []
+            for low, high in self._within_reach(allowed):
+                # The closer together the smaller they are.
+                while low < high:
+                    end = min(high, _WIDEST * low)
+                    count = self._count(low, end)
+                    self._look_along(low, (end - low) / (count - 1), count)
+                    low = end
+        for _, low, high in sorted(self._unclear)[:2]:
+            left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+            left_cost, right_cost = self._look(left), self._look(right)
+            for _ in range(_GOLDEN_STEPS):
+                if left_cost < right_cost:
+                    high, right, right_cost = right, left, left_cost
+                    left = high - _GOLDEN * (high - low)
+                    left_cost = self._look(left)
+                else:
+                    low, left, left_cost = left, right, right_cost
+                    right = low + _GOLDEN * (high - low)
+                    right_cost = self._look(right)
+
+    def _look_along(self, low: float, step: float, count: int) -> None:
+        """Looks at evenly spaced amplitudes, and at the minima between them.
+
+        A smooth minimum is where the parabola through the costs about it has its vertex,
+        and costs what that foretells; others are noted as unclear.
+        """
+        costs = [self._look(low + i * step) for i in range(count)]
+        padded = [math.inf, *costs, math.inf]
+        for i, cost in enumerate(costs):
+            before, after = padded[i], padded[i + 2]
+            if cost == math.inf or cost > min(before, after):
+                continue
+            curvature = before - 2 * cost + after
+            if 0 < curvature < math.inf:
+                shift = (before - after) / (2 * curvature)
+                vertex = cost - curvature * shift**2 / 2
+                aside = shift + math.copysign(0.5, -shift)
+                foretold = (shift, vertex), (aside, vertex + curvature / 8)
+                if all(
+                    abs(self._look(low + (i + position) * step) - cost_there) <= _SAME_COST * cost
+                    for position, cost_there in foretold
+                ):
+                    continue
+            left, right = low + max(i - 1, 0) * step, low + min(i + 1, count - 1) * step
+            self._unclear.append((cost, left, right))
 
     def _look(self, A: float) -> float:
         """The cost of the best s at an amplitude, inf if there is none; keeps the best."""
-        problem = self._problem
         lowest, highest = A * self._lower[0], A * self._upper[0]
         forbidden = []
         for polynomials in self._polynomials:
-            c, b, a, _ = speed_squares(
-                A, polynomials, rest_length=problem.rest_length, compliance=problem.compliance
-            )
+            c, b, a, _ = speed_squares(A, polynomials, **self._cables)
             square = b * b - a * (c - self._bound_squared)
             if square > 0:
                 root = math.sqrt(square)
                 forbidden.append(((-b - root) / a, (root - b) / a))
-            if problem.max_speed < math.inf:
-                square = b * b - a * (c - problem.max_speed**2)
-                root = math.sqrt(max(square, 0.0))
+            if self._max_squared < math.inf:
+                root = math.sqrt(max(b * b - a * (c - self._max_squared), 0.0))
                 lowest, highest = max(lowest, (-b - root) / a), min(highest, (root - b) / a)
-        wanted = min(max(self._unconstrained(A), lowest), highest)
+        weight = self._anchor_weight
+        s_before = self._frequency * self._amplitude
+        wanted = (
+            (self._frequency + weight * self._nominal[0]) / A + self._rate_weight * s_before
+        ) / ((1 + weight) / (A * A) + self._rate_weight)
+        wanted = min(max(wanted, lowest), highest)
         # The cost grows away from `wanted` on either side: the next allowed s is the best.
         above = _next_allowed(wanted, forbidden)
-        below = -_next_allowed(-wanted, [(-end, -start) for start, end in forbidden])
+        below = above
+        if above != wanted:
+            below = -_next_allowed(-wanted, [(-end, -start) for start, end in forbidden])
         best = math.inf
         for s in (above, below):
             if lowest <= s <= highest:
-                cost = self._cost(s, A)
-                best = min(best, cost)
-                if cost < self._best[0]:
-                    self._best = cost, s, A
+                frequency = s / A
+                cost = (
+                    (frequency - self._frequency) ** 2
+                    + self._amplitude_weight * (A - self._amplitude) ** 2
+                    + self._rate_weight * (s - s_before) ** 2
+                )
+                if weight > 0:
+                    away = (frequency - self._nominal[0]) ** 2 + (A - self._nominal[1]) ** 2
+                    cost += weight * away
+                if cost < best:
+                    best = cost
+                    if cost < self._best[0]:
+                        self._best = cost, s, A
         return best
-
-    def _cost(self, s: float, A: float) -> float:
-        """The cost of eq. 26 and of the anchor: `change_cost` with a phase that does not jump."""
-        frequency, step = s / A, A - self._amplitude
-        jump, rate_jump = frequency - self._frequency, s - self._frequency * self._amplitude
-        cost = jump**2 + self._amplitude_weight * step**2 + self._rate_weight * rate_jump**2
-        if self._problem.anchor_weight > 0:
-            away = (frequency - self._nominal[0]) ** 2 + (A - self._nominal[1]) ** 2
-            cost += self._problem.anchor_weight * away
-        return cost
-
-    def _unconstrained(self, A: float) -> float:
-        """The s of the least cost."""
-        weight = self._problem.anchor_weight
-        pull = self._frequency + weight * self._nominal[0]
-        return (pull / A + self._rate_weight * self._frequency * self._amplitude) / (
-            (1 + weight) / A**2 + self._rate_weight
-        )
 
 
 def _next_allowed(s: float, forbidden: list[tuple[float, float]]) -> float:
@@ -259,18 +306,27 @@ def _allowed_amplitudes(problem: SearchProblem) -> list[tuple[float, float]]:
 
 
 def fastest(problem: SearchProblem) -> NDArray:
-    """The [ξ, A] within the bounds with the largest worst margin, by a grid that zooms in."""
+    """The [ξ, A] within the bounds with the largest worst margin, by a grid that zooms in.
+
+    Speeds that are the slowest nowhere on the first grid are left out of the others.
+    """
     lower, upper = np.log(problem.lower), np.log(problem.upper)
     low, high = lower, upper
     best = problem.previous
-    for _ in range(_GRID_ZOOMS):
+    for zoom in range(_GRID_ZOOMS):
         frequencies, amplitudes = np.exp(np.linspace(low, high, _GRID)).T
-        worst = problem.worst_margins(amplitudes, frequencies)
+        margins = problem.speed_margins(amplitudes, frequencies)
+        worst = margins.min(axis=2)
+        if problem.amplitude_margins is not None:
+            worst = np.minimum(worst, problem.amplitude_margins(amplitudes)[:, None])
         i, j = np.unravel_index(np.argmax(worst), worst.shape)
         best = np.array([frequencies[j], amplitudes[i]])
         step = (high - low) / (_GRID - 1)
         low = np.maximum(np.log(best) - step, lower)
         high = np.minimum(np.log(best) + step, upper)
+        if zoom == 0:
+            slowest = np.unique(margins.argmin(axis=2))
+            problem = replace(problem, polynomials=problem.polynomials[:, :, slowest])
     return np.clip(best, problem.lower, problem.upper)
 
 

@@ -138,7 +138,7 @@ class NonstopOptimizer(LeafSystem):
         config = config or NonstopOptimizerConfig()
         _check(config, model)
         self._speed_bound = config.speed_bound
-        self._program = SpeedProgram(model, config, self.get_name)
+        self.program = SpeedProgram(model, config, self.get_name)
         self._measured_load_state = self.DeclareVectorInputPort("measured_load_state", 13)
         self._reference = self.DeclareVectorInputPort("reference", 22)
         self._wrench = self.DeclareVectorInputPort("wrench", 6)
@@ -163,7 +163,7 @@ class NonstopOptimizer(LeafSystem):
         last_wrench_rate = wrench_rate
         if diagnostics[1] > 0:
             last_wrench_rate = context.get_discrete_state(self._last_wrench_rate).value()
-        data = self._program.update_data(
+        data = self.program.update_data(
             previous,
             self._phase.Eval(context),
             self._measured_load_state.Eval(context),
@@ -174,7 +174,7 @@ class NonstopOptimizer(LeafSystem):
             self._speed_bound,
         )
         start = time.perf_counter()
-        parameters, outcome, slowest = self._program.solve(data)
+        parameters, outcome, slowest = self.program.solve(data)
         solve_time = time.perf_counter() - start
         diagnostics[0] = outcome
         diagnostics[1] += 1

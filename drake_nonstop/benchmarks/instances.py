@@ -1,0 +1,296 @@
+"""Random problems for the optimization layer, and their true optima."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
+from drake_nonstop.mechanics.nonstop import speed_squares
+from drake_nonstop.mechanics.rigid_load import gravity_wrench
+from drake_nonstop.mechanics.rotation import roll_pitch_yaw_to_quaternion
+from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.speed_program import FEASIBILITY_TOLERANCE, SpeedProgram
+from drake_nonstop.speed_search import SearchProblem
+from drake_nonstop.system import Model, PatternConfig, System
+
+# What the instances are drawn from: uniformly, or by their logarithm where it says so.
+TILT = 0.3  # rad, roll and pitch of the load, either way
+LOAD_SPEED = 1.0  # m/s
+ANGULAR_VELOCITY = 0.3  # rad/s, each component
+ACCELERATION = 1.0  # m/s², each component of the reference's
+POSITION_ERROR, VELOCITY_ERROR = 0.02, 0.05  # m and m/s, each component
+TORQUE = 0.1  # of the load's weight times 1 m, each component
+FORCE_RATE, TORQUE_RATE = 2.0, 0.3  # N/s and N m/s, each component
+FREQUENCY = (0.5, 6.0)  # rad/s, of the previous ξ, by the logarithm
+AMPLITUDE = (0.1, 1.5)  # of a cable's share of the weight, of the previous A, by the logarithm
+SPEED_BOUND = (0.1, 20.0)  # m/s, by the logarithm
+
+_GRID = (160, 120)  # frequencies and amplitudes of the grid of `truth`
+_ZOOM = 41  # points a side
+_STARTS = 4  # minima of the grid that are looked into
+_AMPLITUDES = 200  # of the other search
+
+
+def _regular(n: int) -> NDArray:
+    angles = 2 * np.pi * np.arange(n) / n
+    return np.column_stack([0.75 * np.cos(angles), 0.75 * np.sin(angles), np.zeros(n)])
+
+
+def _spread_carousel(n: int, offset: float) -> LinearPatternConfig:
+    """Each force turns in the plane, those of opposite attachments in opposition."""
+    angles = 2 * np.pi * np.arange(n) / n
+    cosine, sine, zero = np.cos(angles), np.sin(angles), np.zeros(n)
+    columns = [np.column_stack(c).ravel() for c in ((cosine, -sine, zero), (sine, cosine, zero))]
+    outward = offset * np.column_stack([cosine, sine, zero]).ravel()
+    basis = np.column_stack(columns).tolist()
+    return LinearPatternConfig(basis=basis, phases=[0.0, -np.pi / 2], offset=outward.tolist())
+
+
+_SYSTEMS: dict[str, tuple[int, PatternConfig]] = {
+    "cycle of 3": (3, HamiltonianCycleConfig()),
+    "cycle of 4": (4, HamiltonianCycleConfig()),
+    "cycle of 4, the paper's phases": (
+        4,
+        HamiltonianCycleConfig(phases=[0.0, np.pi / 2, 0.0, np.pi / 2]),
+    ),
+    "spread carousel of 4": (4, _spread_carousel(4, 2.0)),
+    "carousel of 6": (6, _spread_carousel(6, 0.0)),
+    "cycle of 8": (8, HamiltonianCycleConfig()),
+}
+
+
+@dataclass(frozen=True)
+class Instance:
+    """The data of one update of a system, see `SpeedProgram`."""
+
+    system: str
+    data: NDArray
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The best answer to an instance: its cost, inf without a feasible one, and margin."""
+
+    cost: float
+    margin: float
+
+
+def make_programs(**fields: object) -> dict[str, SpeedProgram]:
+    """A program for each system, with those fields of the optimizer's config changed."""
+    programs = {}
+    for name, (n, pattern) in _SYSTEMS.items():
+        model = Model(System(attachments=_regular(n).tolist()), pattern)
+        config = NonstopOptimizerConfig(**fields)  # type: ignore[arg-type]
+        programs[name] = SpeedProgram(model, config, lambda: "optimization_layer")
+    return programs
+
+
+def draw_instances(count: int, seed: int) -> list[Instance]:
+    """Instances from the ranges above; the i-th depends on the seed and i alone."""
+    programs = make_programs()
+    return [_draw(np.random.default_rng([seed, i]), programs) for i in range(count)]
+
+
+def _draw(rng: np.random.Generator, programs: dict[str, SpeedProgram]) -> Instance:
+    name = str(rng.choice(list(_SYSTEMS)))
+    system = System()
+    weight = gravity_wrench(system.load_mass, system.gravity)
+    share = weight[5] / _SYSTEMS[name][0]
+
+    def either_way(size: float) -> NDArray:
+        return rng.uniform(-size, size, 3)
+
+    def by_logarithm(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    tilt = np.array([*rng.uniform(-TILT, TILT, 2), rng.uniform(-np.pi, np.pi)])
+    direction = rng.normal(size=3)
+    velocity = rng.uniform(0, LOAD_SPEED) * direction / np.linalg.norm(direction)
+    omega, acceleration = either_way(ANGULAR_VELOCITY), either_way(ACCELERATION)
+    state = np.concatenate([roll_pitch_yaw_to_quaternion(tilt), np.zeros(3), omega, velocity])
+    reference = np.concatenate([state, np.zeros(3), acceleration, np.zeros(3)])
+    reference[4:7] += either_way(POSITION_ERROR)
+    reference[10:13] += either_way(VELOCITY_ERROR)
+    wrench = weight + np.array(
+        [*either_way(TORQUE * weight[5]), *(system.load_mass * acceleration)]
+    )
+    data = programs[name].update_data(
+        previous=np.array([by_logarithm(*FREQUENCY), share * by_logarithm(*AMPLITUDE)]),
+        phase=np.array([rng.uniform(0, 2 * np.pi), 0.0]),
+        load_state=state,
+        reference=reference,
+        wrench=wrench,
+        wrench_rate=np.array([*either_way(TORQUE_RATE), *either_way(FORCE_RATE)]),
+        wrench_second_rate=np.zeros(6),
+        speed_bound=by_logarithm(*SPEED_BOUND),
+    )
+    return Instance(name, data)
+
+
+def truths(instances: list[Instance], progress: Callable[[int], None] | None = None) -> list[Truth]:
+    """The true optima, from the cache where it holds these very problems."""
+    programs = make_programs()
+    path = _cache_path(instances, programs)
+    try:
+        with np.load(path) as cached:
+            return [Truth(*row) for row in cached["truths"].tolist()]
+    except (OSError, KeyError, ValueError):
+        pass
+    found = []
+    for i, instance in enumerate(instances):
+        found.append(truth(programs[instance.system], instance.data))
+        if progress is not None:
+            progress(i + 1)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
+        np.savez(file, truths=np.array([(t.cost, t.margin) for t in found]))
+    os.replace(file.name, path)
+    return found
+
+
+def _cache_path(instances: list[Instance], programs: dict[str, SpeedProgram]) -> Path:
+    """A file named after the problems: their data, and values of what is asked there."""
+    digest = hashlib.sha256()
+    for instance in instances:
+        program, data = programs[instance.system], instance.data
+        digest.update(data.tobytes())
+        for factor in (0.7, 1.6):
+            x = data[:2] * factor
+            values = [program.worst_margin(x, data), program.cost(x, data)]
+            digest.update(np.array(values).tobytes())
+        digest.update(np.array(program.bounds(data[:2])).tobytes())
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "drake_nonstop" / f"optimizer-truth-{digest.hexdigest()[:16]}.npz"
+
+
+def truth(program: SpeedProgram, data: NDArray) -> Truth:
+    """The better of two searches that share nothing with `speed_search` but the speeds.
+
+    One is a dense grid over ξ and A that zooms in on its best local minima, the other a
+    dense grid over A alone with the best ξ for each from sorted ends of intervals.
+    """
+    if program.worst_margin(data[:2], data) >= -FEASIBILITY_TOLERANCE:
+        return Truth(0.0, 0.0)
+    problem = program.search_problem(data, data[0])
+    costs = [_cheapest_of_grid(program, problem, data), _cheapest_of_amplitudes(problem)]
+    return Truth(min(costs), _largest_margin(problem))
+
+
+def _grid(problem: SearchProblem, count: tuple[int, int]) -> tuple[NDArray, NDArray]:
+    frequencies, amplitudes = (
+        np.geomspace(low, high, k).clip(low, high)
+        for low, high, k in zip(problem.lower, problem.upper, count, strict=True)
+    )
+    return frequencies, amplitudes
+
+
+def _cost(problem: SearchProblem, frequencies: NDArray, amplitudes: NDArray) -> NDArray:
+    """Eq. 26 over a grid, (amplitudes, frequencies), for an accumulated phase."""
+    xi, A = frequencies[None], amplitudes[:, None]
+    xi_before, A_before = problem.previous
+    cosines, sines = np.cos(problem.angles), np.sin(problem.angles)
+    forces = ((A[..., None] - A_before) * cosines) ** 2
+    rates = ((xi * A)[..., None] - xi_before * A_before) ** 2 * sines**2
+    return (
+        (xi - xi_before) ** 2
+        + (A - A_before) ** 2
+        + problem.internal_force_weight * forces.sum(axis=2)
+        + problem.internal_force_rate_weight * rates.sum(axis=2)
+    )
+
+
+def _least_cells(values: NDArray) -> list[tuple[int, int]]:
+    """The least local minima of a grid of values, `_STARTS` of them at most."""
+    padded = np.pad(values, 1, constant_values=np.inf)
+    around = [
+        padded[1 + i : 1 + i + values.shape[0], 1 + j : 1 + j + values.shape[1]]
+        for i in (-1, 0, 1)
+        for j in (-1, 0, 1)
+    ]
+    is_least = np.isfinite(values) & (values <= np.min(around, axis=0))
+    cells = np.argwhere(is_least)
+    order = np.argsort(values[is_least], kind="stable")[:_STARTS]
+    return [(int(i), int(j)) for i, j in cells[order]]
+
+
+def _zoomed(
+    problem: SearchProblem, objective: Callable[[NDArray, NDArray], NDArray], zooms: int
+) -> float:
+    """The least value of an objective over the bounds, (amplitudes, frequencies) each."""
+    frequencies, amplitudes = _grid(problem, _GRID)
+    best = np.inf
+    for i, j in _least_cells(objective(frequencies, amplitudes)):
+        x = np.array([frequencies[j], amplitudes[i]])
+        size = x * [
+            frequencies[1] / frequencies[0] - 1,
+            amplitudes[1] / amplitudes[0] - 1,
+        ]
+        for _ in range(zooms):
+            axes = np.linspace(x - size, x + size, _ZOOM).clip(problem.lower, problem.upper).T
+            values = objective(*axes)
+            row, column = np.unravel_index(np.argmin(values), values.shape)
+            best = min(best, float(values[row, column]))
+            x, size = np.array([axes[0][column], axes[1][row]]), size * 3 / _ZOOM
+    return best
+
+
+def _cheapest_of_grid(program: SpeedProgram, problem: SearchProblem, data: NDArray) -> float:
+    def objective(frequencies: NDArray, amplitudes: NDArray) -> NDArray:
+        margins = problem.worst_margins(amplitudes, frequencies)
+        costs = _cost(problem, frequencies, amplitudes)
+        return np.where(margins >= -FEASIBILITY_TOLERANCE / 2, costs, np.inf)
+
+    return _zoomed(problem, objective, zooms=4)
+
+
+def _largest_margin(problem: SearchProblem) -> float:
+    return -_zoomed(problem, lambda xi, A: -problem.worst_margins(A, xi), zooms=5)
+
+
+def _cheapest_of_amplitudes(problem: SearchProblem) -> float:
+    """The least cost over a grid of amplitudes that zooms in on its best local minima.
+
+    For each amplitude all ends of the intervals of ξ that a speed forbids are tried.
+    """
+    low, high = problem.lower[1], problem.upper[1]
+    amplitudes = np.geomspace(low, high, _AMPLITUDES).clip(low, high)
+    costs = _best_costs(problem, amplitudes)
+    best = float(np.min(costs))
+    for _, i in _least_cells(costs[None]):
+        centre, size = amplitudes[i], amplitudes[i] * (amplitudes[1] / amplitudes[0] - 1)
+        for _ in range(4):
+            around = np.linspace(centre - size, centre + size, _ZOOM).clip(low, high)
+            values = _best_costs(problem, around)
+            best = min(best, float(np.min(values)))
+            centre, size = around[np.argmin(values)], size * 3 / _ZOOM
+    return best
+
+
+def _best_costs(problem: SearchProblem, amplitudes: NDArray) -> NDArray:
+    """The least cost (k,) at each amplitude, inf where no ξ is feasible."""
+    A = amplitudes[:, None]
+    c, b, a, _ = speed_squares(
+        A, problem.polynomials, rest_length=problem.rest_length, compliance=problem.compliance
+    )
+    root = np.sqrt(np.maximum(b * b - a * (c - problem.speed_bound**2), 0))
+    cosines, sines = np.cos(problem.angles), np.sin(problem.angles)
+    before = problem.previous[0] * problem.previous[1]
+    weight = problem.internal_force_rate_weight * float(sines @ sines)
+    wanted = (problem.previous[0] / A + weight * before) / (1 / A**2 + weight)
+    s = np.concatenate([wanted, (-b - root) / a, (root - b) / a], axis=1)
+    s = s.clip(A * problem.lower[0], A * problem.upper[0])
+    squares = c[:, None] + s[:, :, None] * (2 * b[:, None] + s[:, :, None] * a[:, None])
+    least = problem.speed_bound**2 * (1 - FEASIBILITY_TOLERANCE / 2)
+    costs = (
+        (s / A - problem.previous[0]) ** 2
+        + (1 + problem.internal_force_weight * float(cosines @ cosines))
+        * (A - problem.previous[1]) ** 2
+        + weight * (s - before) ** 2
+    )
+    return np.where(squares.min(axis=2) >= least, costs, np.inf).min(axis=1)
