@@ -25,8 +25,9 @@ from drake_nonstop.system import Model
 if TYPE_CHECKING:
     from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
 
-DATA_SIZE = 59
+DATA_SIZE = 61
 _SAME_COST = 1e-4  # relative; what the global search finds has to be cheaper by more
+_RESTING = 0.01  # of ε: a reference slower than that (m/s, rad/s) rests
 _SEPARATION_TURNS = 36  # of a whole turn, in which carriers are kept apart
 
 
@@ -43,7 +44,7 @@ class Outcome(IntEnum):
 class SpeedProgram:
     """The problem of one update, built once and solved with the data of each.
 
-    `data` (59), from `update_data`, holds what varies from update to update. A margin is
+    `data` (61), from `update_data`, holds what varies from update to update. A margin is
     negative where a constraint is not fulfilled: ‖v_i‖²/ε² − 1 of the speeds, with the
     tightened ε, which come first, and likewise of the other constraints that are enabled.
     Answers depend on the arguments alone.
@@ -57,12 +58,12 @@ class SpeedProgram:
         )
         points = config.look_ahead_points
         self._instants = np.linspace(0, config.period, points) if points > 1 else np.zeros(1)
-        # Speeds are constrained at n carriers x these pairs of an instant and a turn, the
-        # turns being those that the orbit has yet to come by after the last instant.
-        turns = 2 * np.pi * np.arange(1, config.orbit_points) / config.orbit_points
-        self._instant = np.concatenate([np.arange(points), np.full(len(turns), points - 1)])
-        self._turns = np.concatenate([np.zeros(points), turns])
-        self._speed_count = len(self._turns) * model.n
+        orbit_points = config.orbit_points // config.orbit_updates if config.orbit_points > 1 else 0
+        self._turns = 2 * np.pi * np.arange(orbit_points) / max(orbit_points, 1)
+        # The speeds of n carriers are constrained at each of these, by its number: at every
+        # instant, and at the last one at the turns of the orbit ahead.
+        self._instant_of_row = np.minimum(np.arange(points + orbit_points), points - 1)
+        self._speed_count = len(self._instant_of_row) * model.n
         axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
         self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
         self._pairs = np.array(list(combinations(range(model.n), 2))).T
@@ -93,14 +94,24 @@ class SpeedProgram:
         wrench_rate: NDArray,
         wrench_second_rate: NDArray,
         speed_bound: float,
+        updates: int = 0,
     ) -> NDArray:
-        """The data (59) of an update: the arguments, ε tightened, and the unit of its margins."""
-        bound = (1 + self._config.tightening) * speed_bound
+        """The data (61) of an update.
+
+        They are the arguments, ε tightened, the unit of its margins, what the number of
+        `updates` before this one turns the phases of the orbit ahead on by, and the weight of
+        the anchor, which is let go while the load is on its way.
+        """
+        config = self._config
+        is_resting = np.abs(reference[7:13]).max() <= _RESTING * speed_bound
+        anchor_weight = config.anchor_weight if is_resting else 0.0
+        turn = 2 * math.pi * (updates % config.orbit_updates) / config.orbit_points
+        bound = (1 + config.tightening) * speed_bound
         unit = bound or 1.0  # m/s; without a bound every speed is above it
         return np.concatenate(
             [
                 *(previous, phase, load_state, reference),
-                *(wrench, wrench_rate, wrench_second_rate, [bound, unit]),
+                *(wrench, wrench_rate, wrench_second_rate, [bound, unit, turn, anchor_weight]),
             ]
         )
 
@@ -109,8 +120,7 @@ class SpeedProgram:
         previous = data[:2].copy()
         margins = self._margins(previous, data)[0]
         before = margins.min()
-        pulls = self._config.anchor_weight > 0 and not np.array_equal(previous, self._nominal)
-        if before >= -FEASIBILITY_TOLERANCE and not pulls:
+        if before >= -FEASIBILITY_TOLERANCE and not self._is_pulled(data):
             return previous, Outcome.KEPT, self._slowest(margins, data)
         margins = margins.copy()
         parameters = self._best(data, margins)
@@ -121,6 +131,10 @@ class SpeedProgram:
         if worst > before:
             return parameters, Outcome.RELAXED, self._slowest(margins_after, data)
         return previous, Outcome.HELD, self._slowest(margins, data)
+
+    def _is_pulled(self, data: NDArray) -> bool:
+        """Whether the anchor asks for something else than the previous parameters."""
+        return data[60] > 0 and not np.array_equal(data[:2], self._nominal)
 
     def worst_margin(self, parameters: NDArray, data: NDArray) -> float:
         """The least margin of all constraints."""
@@ -183,7 +197,7 @@ class SpeedProgram:
             max_speed=self._max_speed,
             internal_force_weight=config.internal_force_weight,
             internal_force_rate_weight=config.internal_force_rate_weight,
-            anchor_weight=config.anchor_weight,
+            anchor_weight=float(data[60]),
         )
 
     def _best(self, data: NDArray, margins: NDArray) -> NDArray:
@@ -233,8 +247,9 @@ class SpeedProgram:
 
     def _slowest(self, margins: NDArray, data: NDArray) -> float:
         """The slowest speed (m/s) behind the margins."""
-        bound, unit = data[57:].tolist()
-        return math.sqrt(max(0.0, float(margins[: self._speed_count].min()) * unit**2 + bound**2))
+        bound, unit = data[57:59].tolist()
+        worst = float(margins[: self._speed_count].min())
+        return math.sqrt(max(0.0, worst * unit**2 + bound**2))
 
     @property
     def _amplitude_is_constrained(self) -> bool:
@@ -306,13 +321,18 @@ class SpeedProgram:
         """What `search_problem` needs: the polynomials (10, 3, p), forces, levers and angles."""
         products, forces, levers = self._trace_orbits(data)
         angle = nonstop.phase_of(x, data[:2], data[2:4])
-        ahead = (angle + data[:1] * self._instants)[self._instant, None]
-        turn_cosine, turn_sine = np.cos(self._turns)[:, None], np.sin(self._turns)[:, None]
+        ahead = angle + data[:1] * self._instants
         cosine, sine = np.cos(ahead), np.sin(ahead)
+        first = ahead[-1:] + data[59:60]
+        turn_cosine, turn_sine = np.cos(self._turns), np.sin(self._turns)
         polynomials = nonstop.speed_polynomials(
-            cosine * turn_cosine - sine * turn_sine,
-            sine * turn_cosine + cosine * turn_sine,
-            products[:, self._instant],
+            np.concatenate([cosine, np.cos(first) * turn_cosine - np.sin(first) * turn_sine])[
+                :, None
+            ],
+            np.concatenate([sine, np.sin(first) * turn_cosine + np.cos(first) * turn_sine])[
+                :, None
+            ],
+            products[:, self._instant_of_row],
         )
         angles = angle + self._model.pattern.phases
         return polynomials.reshape(10, 3, -1), forces, levers, angles
@@ -322,7 +342,7 @@ class SpeedProgram:
         c, b, a, tension_squares = nonstop.speed_squares(x[1:, None], polynomials, **self._cables)
         s = x[:1] * x[1:]
         squares = c + s * (2 * b + s * a)
-        bound, unit = data[57:58], data[58:]
+        bound, unit = data[57:58], data[58:59]
         margins = [(squares - bound * bound) / (unit * unit)]
         if np.isfinite(self._max_speed):
             margins.append(1 - squares / self._max_speed**2)
@@ -337,7 +357,7 @@ class SpeedProgram:
             phases=self._model.pattern.phases,
             internal_force_weight=self._config.internal_force_weight,
             internal_force_rate_weight=self._config.internal_force_rate_weight,
-            anchor_weight=self._config.anchor_weight,
+            anchor_weight=data[60:],
             nominal=self._nominal,
         )
 

@@ -103,7 +103,7 @@ def test_peers_solve_what_is_near_by(name, programs):
             continue
         # A bound that the previous point just misses.
         unit = np.sqrt(program.worst_margin(data[:2], data) + 1) * data[58] * 1.02
-        data[57:] = unit
+        data[57:59] = unit
         x, outcome, _ = program.solve(data)
         assert outcome == Outcome.SOLVED
         if program.feasible_cost(solve(data), data) <= program.cost(x, data) * (1 + 1e-2):

@@ -32,9 +32,9 @@ def program(**fields):
     return SpeedProgram(model(), config(0.0, **fields), lambda: "optimization_layer")
 
 
-def problem(inputs, speed_bound, previous=START):
+def problem(inputs, speed_bound, previous=START, speeds=None):
     """The data of one solve, with the wrench's rate taken to be constant."""
-    return program().update_data(
+    return (speeds or program()).update_data(
         previous,
         inputs["phase"],
         inputs["measured_load_state"],
@@ -247,14 +247,25 @@ def test_anchor_pulls_back_to_the_start_as_far_as_the_bound_allows(solver):
     pulled = program(solver=solver, anchor_weight=0.5)
     x = away
     for _ in range(300):
-        x, outcome, _ = pulled.solve(problem(inputs, 0.3, x))
+        x, outcome, _ = pulled.solve(problem(inputs, 0.3, x, pulled))
         assert outcome in (Outcome.SOLVED, Outcome.KEPT)
     np.testing.assert_allclose(x, START, rtol=0.02 if solver == "grid" else 1e-3)
     bound = 1.1 * still_speed(*START)
     for _ in range(300):
-        x, outcome, slowest = pulled.solve(problem(inputs, bound, x))
+        x, outcome, slowest = pulled.solve(problem(inputs, bound, x, pulled))
         assert slowest >= bound * (1 + TIGHTENING) * (1 - 1e-6)
     assert still_speed(*x) == pytest.approx(bound * (1 + TIGHTENING), rel=1e-2)
+
+
+def test_anchor_is_let_go_while_the_load_is_on_its_way():
+    moving_on = {**STILL, "reference": STILL["reference"].copy()}
+    moving_on["reference"][10] = 0.01
+    away = np.array([3.0, 1.6])
+    pulled = program(anchor_weight=0.5)
+    assert pulled.solve(problem(STILL, 0.3, away, pulled))[1] == Outcome.SOLVED
+    x, outcome, _ = pulled.solve(problem(moving_on, 0.3, away, pulled))
+    assert outcome == Outcome.KEPT
+    np.testing.assert_array_equal(x, away)
 
 
 def test_constraints_that_cannot_be_met_together_are_reported():

@@ -129,6 +129,7 @@ def _draw(rng: np.random.Generator, programs: dict[str, SpeedProgram]) -> Instan
         wrench_rate=np.array([*either_way(TORQUE_RATE), *either_way(FORCE_RATE)]),
         wrench_second_rate=np.zeros(6),
         speed_bound=by_logarithm(*SPEED_BOUND),
+        updates=int(rng.integers(1000)),
     )
     return Instance(name, data)
 

@@ -28,6 +28,7 @@ class NonstopOptimizerConfig:
     tightening: float = 0.01  # the solver aims at (1 + tightening) ε
     look_ahead_points: int = 2  # instants from now to the next update; 1: now, as printed
     orbit_points: int = 16  # phases of the orbit ahead; 1: the present one only, as printed
+    orbit_updates: int = 4  # that take turns in them
     load_motion: str = "desired"  # what the carriers move with; "measured": as printed
     frequency: float = 2.0  # rad/s, ξ at the start
     amplitude: float = 1.2  # N, A at the start
@@ -41,7 +42,7 @@ class NonstopOptimizerConfig:
     min_separation: float = 0.0  # m, of two carriers over a whole orbit; 0: any
     internal_force_weight: float = 1.0  # w_pos of eq. 26
     internal_force_rate_weight: float = 1.0  # w_vel of eq. 26
-    anchor_weight: float = 0.0  # of the distance to the initial ξ and A
+    anchor_weight: float = 0.0  # of the way back to the initial ξ and A, at rest
     period: float = 0.01  # s, between updates
     solver: str = "search"  # or "grid", "snopt", "ipopt", "nlopt"
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
@@ -62,7 +63,8 @@ class NonstopOptimizer(LeafSystem):
     says "measured".
 
     The bound is asked for, too, at `orbit_points` phases of a whole turn, the load moving
-    on as it does: what a carrier will need when it next flies against the load's motion is
+    on as it does; each of `orbit_updates` updates in succession takes its share of them, as
+    evenly spread. What a carrier will need when it next flies against the load's motion is
     then provided little by little as the load sets off. Without this foresight the need
     shows in the last instant, and x goes to whichever branch is nearer: on the slower one
     (orbits slower than the load) it has to follow the load down as that comes to rest, in
@@ -71,8 +73,8 @@ class NonstopOptimizer(LeafSystem):
     **Other constraints**, off by default: `min_tension` and `max_tension` of the cables and
     `max_speed` of the carriers, at the same instants and phases, `min_separation` of any two
     carriers over a whole orbit, each tightened likewise, and limits of the rates of ξ and A.
-    With an `anchor_weight` w, J grows by w ‖x − x_start‖²: x comes back to where it started,
-    the faster the larger w, and as far as the constraints allow.
+    With an `anchor_weight` w, J grows by w ‖x − x_start‖² while the reference rests: x comes
+    back to where it started, the faster the larger w, and as far as the constraints allow.
 
     **The answer.** If x⁻ fulfils the constraints (and nothing pulls it back) it is the
     optimum, J = 0, and is kept without a solve. Else `solver` looks for the optimum: "search"
@@ -172,6 +174,7 @@ class NonstopOptimizer(LeafSystem):
             wrench_rate,
             (wrench_rate - last_wrench_rate) / self._period,
             self._speed_bound,
+            updates=int(diagnostics[1]),
         )
         start = time.perf_counter()
         parameters, outcome, slowest = self.program.solve(data)
@@ -233,6 +236,14 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         f"{owner}.orbit_points",
         config.orbit_points,
         "give 1 (the present phase only) to 64",
+    )
+    require(
+        isinstance(config.orbit_updates, int)
+        and config.orbit_updates >= 1
+        and (config.orbit_points == 1 or config.orbit_points % config.orbit_updates == 0),
+        f"{owner}.orbit_updates",
+        config.orbit_updates,
+        f"give a whole number that divides orbit_points = {config.orbit_points}",
     )
     require(
         config.load_motion in ("desired", "measured"),

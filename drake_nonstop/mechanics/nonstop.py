@@ -47,7 +47,7 @@ def change_cost(
     phases: NDArray,
     internal_force_weight: float,
     internal_force_rate_weight: float,
-    anchor_weight: float,
+    anchor_weight: Any,
     nominal: NDArray,
 ) -> NDArray:
     """J (1,), the cost of the step from `previous` to `parameters`, both [ξ, A] (eq. 26).

@@ -158,7 +158,7 @@ def test_predicted_margin_looks_ahead(seed, load_motion):
 @pytest.mark.parametrize("seed", [4, 6, 7])
 def test_predicted_margin_is_that_of_the_slowest_phase_of_the_orbit(seed):
     inputs, points = moving(seed), 12
-    layer = Layer(config(0.01, orbit_points=points, look_ahead_points=1))
+    layer = Layer(config(0.01, orbit_points=points, orbit_updates=1, look_ahead_points=1))
     layer.update(inputs)
     slowest = []
     for turn in 2 * np.pi * np.arange(points) / points:
@@ -168,11 +168,23 @@ def test_predicted_margin_is_that_of_the_slowest_phase_of_the_orbit(seed):
     assert min(slowest) < slowest[0] - 0.005
 
 
+def test_updates_take_turns_in_the_phases_of_the_orbit():
+    inputs, points, updates = moving(6), 12, 3
+    layer = Layer(config(0.01, orbit_points=points, orbit_updates=updates, look_ahead_points=1))
+    for update in range(2 * updates):
+        layer.update(inputs)
+        slowest = [np.min(carrier_speeds(START, inputs))]
+        for turn in 2 * np.pi * np.arange(update % updates, points, updates) / points:
+            turned = {**inputs, "phase": inputs["phase"] + [turn, 0]}
+            slowest.append(np.min(carrier_speeds(START, turned)))
+        assert layer.diagnostics[6] == pytest.approx(min(slowest) - 0.01, abs=1e-9)
+
+
 @pytest.mark.parametrize("seed", [2, 5])
 def test_solution_keeps_every_carrier_above_the_bound_all_along_the_orbit(seed):
     inputs = moving(seed)
     bound = speed_bound_above(inputs, 0.1)
-    layer = Layer(config(bound, orbit_points=16))
+    layer = Layer(config(bound, orbit_points=16, orbit_updates=1))
     parameters = layer.update(inputs)
     assert layer.diagnostics[0] == Outcome.SOLVED
     for turn in 2 * np.pi * np.arange(1, 16) / 16:
@@ -313,6 +325,8 @@ def test_solve_survives_the_points_that_its_line_search_tries():
         ("period", -0.01),
         ("look_ahead_points", 0),
         ("orbit_points", 0),
+        ("orbit_updates", 0),
+        ("orbit_updates", 5),
         ("load_motion", "planned"),
         ("max_frequency_rate", 0.0),
         ("max_amplitude_rate", -1.0),

@@ -1,0 +1,80 @@
+"""The constraints that are off by default, kept by whole runs."""
+
+import numpy as np
+import pytest
+
+from drake_nonstop import Scenario, compute_metrics, load_scenario, simulate
+
+
+def octagon(**fields: float) -> Scenario:
+    """A load on the corners of an octagon of radius 1 m, whose carriers would meet."""
+    scenario = load_scenario("quintic")
+    scenario.duration = 8.0
+    angles = 2 * np.pi * np.arange(8) / 8
+    corners = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(8)])
+    scenario.system.attachments = corners.tolist()
+    scenario.pattern.phases = [0.0, np.pi / 2] * 4
+    scenario.optimization_layer.speed_bound = 0.3
+    return with_fields(scenario, **fields)
+
+
+def with_fields(scenario: Scenario, **fields: float) -> Scenario:
+    for name, value in fields.items():
+        setattr(scenario.optimization_layer, name, value)
+    return scenario
+
+
+def metrics_of(scenario: Scenario) -> dict:
+    metrics = compute_metrics(simulate(scenario))
+    assert metrics["carriers"]["time_below_bound_s"] == 0
+    assert metrics["optimizer"]["relaxed"] == metrics["optimizer"]["held"] == 0
+    return metrics
+
+
+def test_min_separation_keeps_the_carriers_of_an_octagon_apart():
+    assert metrics_of(octagon())["carriers"]["separation_min_m"] < 0.05
+    apart = metrics_of(octagon(min_separation=0.15))
+    assert apart["carriers"]["separation_min_m"] >= 0.15
+
+
+def test_min_tension_keeps_every_cable_above_it():
+    assert metrics_of(load_scenario("quintic"))["cables"]["tension_min_N"] < 2.55
+    taut = metrics_of(with_fields(load_scenario("quintic"), min_tension=2.6))
+    assert taut["cables"]["tension_min_N"] >= 2.6
+
+
+def test_max_tension_keeps_every_cable_below_it():
+    assert metrics_of(load_scenario("quintic"))["cables"]["tension_max_N"] > 2.9
+    spared = metrics_of(with_fields(load_scenario("quintic"), max_tension=2.85))
+    assert spared["cables"]["tension_max_N"] <= 2.85
+
+
+def test_max_speed_keeps_every_carrier_below_it():
+    fields = {"speed_bound": 0.25, "max_speed": 0.95}
+    free = with_fields(load_scenario("quintic"), speed_bound=0.25)
+    assert metrics_of(free)["carriers"]["speed_max_m_s"] > 0.98
+    slow = metrics_of(with_fields(load_scenario("quintic"), **fields))
+    assert slow["carriers"]["speed_max_m_s"] <= 0.95
+
+
+def test_rates_of_the_parameters_stay_within_their_limits():
+    limits = {"max_frequency_rate": 1.0, "max_amplitude_rate": 0.2}
+    scenario = with_fields(load_scenario("quintic"), **limits)
+    run = simulate(scenario)
+    steps = np.abs(np.diff(run.signal("parameters"), axis=0))
+    assert np.all(steps <= 0.01 * np.array(list(limits.values())) * (1 + 1e-9))
+    assert np.any(steps > 0)
+    assert compute_metrics(run)["carriers"]["time_below_bound_s"] == 0
+
+
+@pytest.mark.parametrize("name", ["quintic", "line"])
+def test_anchor_brings_the_parameters_back_without_breaking_the_bound(name):
+    scenario = load_scenario(name)
+    layer = scenario.optimization_layer
+    nominal = np.array([layer.frequency, layer.amplitude])
+    free = simulate(scenario).signal("parameters")[-1]
+    anchored = simulate(with_fields(scenario, anchor_weight=0.05))
+    metrics = compute_metrics(anchored)
+    assert metrics["carriers"]["time_below_bound_s"] == 0
+    left = np.abs(anchored.signal("parameters")[-1] - nominal)
+    assert np.max(left) < np.max(np.abs(free - nominal)) / 4
