@@ -119,18 +119,19 @@ class SpeedProgram:
         """The next [ξ, A] (2,), how they were found, and the slowest speed to come (m/s)."""
         previous = data[:2].copy()
         margins = self._margins(previous, data)[0]
-        before = margins.min()
+        before = float(margins.min())
+        slowest_before = self._slowest(margins, before, data)
         if before >= -FEASIBILITY_TOLERANCE and not self._is_pulled(data):
-            return previous, Outcome.KEPT, self._slowest(margins, data)
-        margins = margins.copy()
-        parameters = self._best(data, margins)
-        margins_after = self._margins(parameters, data)[0]
-        worst = margins_after.min()
+            return previous, Outcome.KEPT, slowest_before
+        parameters = self._best(data, margins.copy())
+        margins = self._margins(parameters, data)[0]
+        worst = float(margins.min())
+        slowest = self._slowest(margins, worst, data)
         if worst >= -FEASIBILITY_TOLERANCE:
-            return parameters, Outcome.SOLVED, self._slowest(margins_after, data)
+            return parameters, Outcome.SOLVED, slowest
         if worst > before:
-            return parameters, Outcome.RELAXED, self._slowest(margins_after, data)
-        return previous, Outcome.HELD, self._slowest(margins, data)
+            return parameters, Outcome.RELAXED, slowest
+        return previous, Outcome.HELD, slowest_before
 
     def _is_pulled(self, data: NDArray) -> bool:
         """Whether the anchor asks for something else than the previous parameters."""
@@ -245,11 +246,12 @@ class SpeedProgram:
             cost = self.feasible_cost(parameters, data)
         return parameters, cost
 
-    def _slowest(self, margins: NDArray, data: NDArray) -> float:
-        """The slowest speed (m/s) behind the margins."""
+    def _slowest(self, margins: NDArray, worst: float, data: NDArray) -> float:
+        """The slowest speed (m/s) behind the margins, the least of which is `worst`."""
+        if len(margins) > self._speed_count:
+            worst = float(margins[: self._speed_count].min())
         bound, unit = data[57:59].tolist()
-        worst = float(margins[: self._speed_count].min())
-        return math.sqrt(max(0.0, worst * unit**2 + bound**2))
+        return math.sqrt(max(0.0, worst * unit * unit + bound * bound))
 
     @property
     def _amplitude_is_constrained(self) -> bool:

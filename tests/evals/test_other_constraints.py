@@ -62,7 +62,9 @@ def test_rates_of_the_parameters_stay_within_their_limits():
     scenario = with_fields(load_scenario("quintic"), **limits)
     run = simulate(scenario)
     steps = np.abs(np.diff(run.signal("parameters"), axis=0))
-    assert np.all(steps <= 0.01 * np.array(list(limits.values())) * (1 + 1e-9))
+    # By rounding, an interval of the log may hold two updates or none.
+    updates = np.diff(run.signal("diagnostics")[:, 1:2], axis=0)
+    assert np.all(steps <= 0.01 * updates * np.array(list(limits.values())) * (1 + 1e-9))
     assert np.any(steps > 0)
     assert compute_metrics(run)["carriers"]["time_below_bound_s"] == 0
 
