@@ -123,11 +123,18 @@ def _run(options: argparse.Namespace) -> int:
 
 def _bench_optimizer(options: argparse.Namespace) -> int:
     # Imported here: other commands need none of it, and it takes its time.
-    from drake_nonstop.benchmarks.optimizer import PEERS, SOLVERS, benchmark_optimizer, table
+    from drake_nonstop.benchmarks.optimizer import (
+        PEERS,
+        SOLVERS,
+        benchmark_optimizer,
+        is_installed,
+        table,
+    )
 
     known = [*SOLVERS, *PEERS]
     for name in options.solvers:
         require(name in known, "--solvers", name, f"give some of {', '.join(known)}")
+        require(is_installed(name), "--solvers", name, "install SciPy, the extra bench")
     require(options.instances > 0, "--instances", options.instances, "give at least 1")
     require(options.seed >= 0, "--seed", options.seed, "give 0 or a whole number above it")
     require_writable(options.out)

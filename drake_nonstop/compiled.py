@@ -2,7 +2,7 @@
 
 The function is run once on CasADi symbols; the expression graph that results is then
 evaluated by CasADi's virtual machine, about ten times faster than NumPy on arrays of
-this size. CasADi is used here and nowhere else.
+this size. CasADi is used here, and for comparison in `benchmarks.peers`, and nowhere else.
 """
 
 from collections.abc import Callable, Sequence
@@ -69,7 +69,7 @@ class CompiledFunction:
         self._buffer.set_arg(0, self._input.data)
         for i, array in enumerate(self._outputs):
             self._buffer.set_res(i, array.reshape(-1, order="F").data)
-        count = len(outputs)
+        self._count = count = len(outputs)
         self._results = tuple(
             [array[:, 0] for array in self._outputs[:count]] + self._outputs[count + 1 :]
         )
@@ -79,7 +79,7 @@ class CompiledFunction:
 
     def expressions(self, *inputs: casadi.MX) -> tuple[casadi.MX, ...]:
         """The outputs as expressions of CasADi's, for its solvers."""
-        return tuple(self._function(casadi.vertcat(*inputs)))[: len(self._results)]
+        return tuple(self._function(casadi.vertcat(*inputs)))[: self._count]
 
     def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs for flat inputs of the declared sizes."""

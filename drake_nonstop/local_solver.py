@@ -28,6 +28,7 @@ class LocalSolver:
         data_size: the length of the data.
         cost: of [ξ, A] and the data; its gradient is the second output.
         margins: likewise, non-negative where the constraints are fulfilled.
+        speed_count: how many margins, the first ones, are those of the speeds.
     """
 
     NAMES: ClassVar[dict[str, Callable[[], SolverInterface]]] = {
@@ -37,9 +38,14 @@ class LocalSolver:
     }
 
     def __init__(
-        self, name: str, data_size: int, cost: CompiledFunction, margins: CompiledFunction
+        self,
+        name: str,
+        data_size: int,
+        cost: CompiledFunction,
+        margins: CompiledFunction,
+        speed_count: int,
     ):
-        self._cost, self._margins = cost, margins
+        self._cost, self._margins, self._speed_count = cost, margins, speed_count
         self._solver, self._options = self.NAMES[name](), _options()
         self._data = np.zeros(data_size)
         nothing = np.zeros(2)
@@ -58,7 +64,10 @@ class LocalSolver:
         self._fastest_box = self._fastest.AddBoundingBoxConstraint(nothing, nothing, x)
         self._fastest.AddLinearCost(-worst[0])
         self._fastest.AddConstraint(
-            self._evaluate_margins_above_worst, zero, infinity, vars=[*x, *worst]
+            self._evaluate_speed_margins_above_worst,
+            zero[:speed_count],
+            infinity[:speed_count],
+            vars=[*x, *worst],
         )
 
     def nearest(self, data: NDArray, lower: NDArray, upper: NDArray) -> NDArray:
@@ -66,8 +75,8 @@ class LocalSolver:
         return self._solve(self._nearest, self._nearest_box, data, lower, upper, [])
 
     def fastest(self, data: NDArray, lower: NDArray, upper: NDArray) -> NDArray:
-        """The [ξ, A] of the largest worst margin, from [ξ⁻, A⁻] on."""
-        worst = float(np.min(self._margins(data[:2], data)[0]))
+        """The [ξ, A] of the largest worst margin of the speeds, from [ξ⁻, A⁻] on."""
+        worst = float(np.min(self._margins(data[:2], data)[0][: self._speed_count]))
         return self._solve(self._fastest, self._fastest_box, data, lower, upper, [worst])
 
     def _solve(self, program, box, data, lower, upper, more_guess) -> NDArray:
@@ -75,7 +84,10 @@ class LocalSolver:
         self._data[:] = data
         box.evaluator().set_bounds(lower, upper)
         result = self._solver.Solve(program, np.array([*data[:2], *more_guess]), self._options)
-        return np.clip(result.get_x_val()[:2], lower, upper)  # IPOPT ends up to 1e-8 outside
+        x = result.get_x_val()[:2]
+        if not np.all(np.isfinite(x)):
+            return data[:2].copy()
+        return np.clip(x, lower, upper)  # IPOPT ends up to 1e-8 outside
 
     # Drake calls these with floats or with AutoDiffXd, and wants the same back.
     def _evaluate_cost(self, x: NDArray) -> AutoDiffXd | float:
@@ -90,8 +102,8 @@ class LocalSolver:
         margins, gradients = self._margins(ExtractValue(x)[:, 0], self._data)
         return InitializeAutoDiff(margins, gradients @ ExtractGradient(x))
 
-    def _evaluate_margins_above_worst(self, x: NDArray) -> NDArray:
-        return self._evaluate_margins(x[:2]).reshape(-1) - x[2]
+    def _evaluate_speed_margins_above_worst(self, x: NDArray) -> NDArray:
+        return self._evaluate_margins(x[:2]).reshape(-1)[: self._speed_count] - x[2]
 
 
 def _options() -> SolverOptions:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 DATA_SIZE = 61
 _SAME_COST = 1e-4  # relative; what the global search finds has to be cheaper by more
-_RESTING = 0.01  # of ε: a reference slower than that (m/s, rad/s) rests
+_RESTING = 1e-3  # m/s, rad/s, m/s², rad/s²; a reference that moves less rests
 _SEPARATION_TURNS = 36  # of a whole turn, in which carriers are kept apart
 
 
@@ -37,8 +37,8 @@ class Outcome(IntEnum):
     NONE = 0  # no update yet
     KEPT = 1  # the previous parameters fulfil the constraints: they are the optimum
     SOLVED = 2  # parameters were found that fulfil the constraints
-    RELAXED = 3  # none were: those of the largest worst margin were taken
-    HELD = 4  # nor any with a larger worst margin: the previous ones stay
+    RELAXED = 3  # none were: those of the largest worst speed margin were taken
+    HELD = 4  # nor any with a larger one: the previous ones stay
 
 
 class SpeedProgram:
@@ -58,11 +58,11 @@ class SpeedProgram:
         )
         points = config.look_ahead_points
         self._instants = np.linspace(0, config.period, points) if points > 1 else np.zeros(1)
-        orbit_points = config.orbit_points // config.orbit_updates if config.orbit_points > 1 else 0
-        self._turns = 2 * np.pi * np.arange(orbit_points) / max(orbit_points, 1)
+        turn_count = config.orbit_points // config.orbit_updates if config.orbit_points > 1 else 0
+        self._turns = 2 * np.pi * np.arange(turn_count) / max(turn_count, 1)
         # The speeds of n carriers are constrained at each of these, by its number: at every
         # instant, and at the last one at the turns of the orbit ahead.
-        self._instant_of_row = np.minimum(np.arange(points + orbit_points), points - 1)
+        self._instant_of_row = np.minimum(np.arange(points + turn_count), points - 1)
         self._speed_count = len(self._instant_of_row) * model.n
         axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
         self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
@@ -82,7 +82,9 @@ class SpeedProgram:
         self._cost = self._compiled(self._trace_cost)
         self._local: LocalSolver | None = None
         if config.solver in LocalSolver.NAMES:
-            self._local = LocalSolver(config.solver, DATA_SIZE, *self.compiled(with_gradients=True))
+            self._local = LocalSolver(
+                config.solver, DATA_SIZE, *self.functions(with_gradients=True), self._speed_count
+            )
 
     def update_data(
         self,
@@ -100,10 +102,10 @@ class SpeedProgram:
 
         They are the arguments, ε tightened, the unit of its margins, what the number of
         `updates` before this one turns the phases of the orbit ahead on by, and the weight of
-        the anchor, which is let go while the load is on its way.
+        the anchor, which is let go while the reference is on its way.
         """
         config = self._config
-        is_resting = np.abs(reference[7:13]).max() <= _RESTING * speed_bound
+        is_resting = np.abs(reference[7:19]).max() <= _RESTING
         anchor_weight = config.anchor_weight if is_resting else 0.0
         turn = 2 * math.pi * (updates % config.orbit_updates) / config.orbit_points
         bound = (1 + config.tightening) * speed_bound
@@ -123,19 +125,29 @@ class SpeedProgram:
         slowest_before = self._slowest(margins, before, data)
         if before >= -FEASIBILITY_TOLERANCE and not self._is_pulled(data):
             return previous, Outcome.KEPT, slowest_before
-        parameters = self._best(data, margins.copy())
+        margins_before = margins.copy()
+        parameters = self._best(data, margins_before)
         margins = self._margins(parameters, data)[0]
         worst = float(margins.min())
-        slowest = self._slowest(margins, worst, data)
+        if before >= -FEASIBILITY_TOLERANCE and (
+            worst < -FEASIBILITY_TOLERANCE
+            or self.cost(parameters, data) >= self.cost(previous, data)
+        ):
+            return previous, Outcome.KEPT, slowest_before
         if worst >= -FEASIBILITY_TOLERANCE:
-            return parameters, Outcome.SOLVED, slowest
-        if worst > before:
-            return parameters, Outcome.RELAXED, slowest
+            return parameters, Outcome.SOLVED, self._slowest(margins, worst, data)
+        if self._order(margins) > self._order(margins_before):
+            return parameters, Outcome.RELAXED, self._slowest(margins, worst, data)
         return previous, Outcome.HELD, slowest_before
+
+    def _order(self, margins: NDArray) -> tuple[float, float]:
+        """By what one infeasible point is better than another, see `least_bad`."""
+        speeds = float(margins[: self._speed_count].min())
+        return min(speeds, 0.0), float(margins.min())
 
     def _is_pulled(self, data: NDArray) -> bool:
         """Whether the anchor asks for something else than the previous parameters."""
-        return data[60] > 0 and not np.array_equal(data[:2], self._nominal)
+        return data[60] > 0 and not np.allclose(data[:2], self._nominal, rtol=1e-6, atol=0)
 
     def worst_margin(self, parameters: NDArray, data: NDArray) -> float:
         """The least margin of all constraints."""
@@ -157,7 +169,7 @@ class SpeedProgram:
         )
         return np.maximum(self._lower, previous - step), np.minimum(self._upper, previous + step)
 
-    def compiled(
+    def functions(
         self, *, with_gradients: bool = False
     ) -> tuple[CompiledFunction, CompiledFunction]:
         """The cost and the margins of [ξ, A] and the data, for solvers of any kind."""
@@ -226,6 +238,7 @@ class SpeedProgram:
         if self._config.solver == "grid" or data[3] != 0:
             return on_grid(
                 lambda frequency: self.search_problem(data, frequency),
+                float(data[0]),
                 lambda x: self.cost(x, data),
             )
         problem = self.search_problem(data, data[0])
@@ -238,13 +251,21 @@ class SpeedProgram:
                 return margins[:count]
             return np.minimum(margins[:count], margins[count : 2 * count])
 
-        parameters, cost = nearest_feasible(
-            problem, of_speeds(margins), lambda x: of_speeds(self._margins(x, data)[0])
-        )
+        def margins_at(x: NDArray) -> NDArray:
+            return of_speeds(self._margins(x, data)[0])
+
+        parameters, cost = nearest_feasible(problem, of_speeds(margins), margins_at)
+        if np.isfinite(cost):
+            return parameters, cost
+        parameters = fastest(problem)
+        cost = self.feasible_cost(parameters, data)
         if not np.isfinite(cost):
-            parameters = fastest(problem)
-            cost = self.feasible_cost(parameters, data)
-        return parameters, cost
+            return parameters, cost
+        # A way so narrow that the search had missed it.
+        nearer, lower_cost = nearest_feasible(
+            problem, of_speeds(margins), margins_at, float(parameters[1])
+        )
+        return (nearer, lower_cost) if lower_cost < cost else (parameters, cost)
 
     def _slowest(self, margins: NDArray, worst: float, data: NDArray) -> float:
         """The slowest speed (m/s) behind the margins, the least of which is `worst`."""

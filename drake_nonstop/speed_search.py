@@ -15,7 +15,7 @@ _FEW, _MORE = 9, 24  # within reach: at least, and as many more as it is of the 
 _WIDEST = 4  # the ratio of the ends of what is looked at evenly
 _GOLDEN = (math.sqrt(5) - 1) / 2
 _GOLDEN_STEPS = 18  # each shortens what is looked at by that factor
-_SAME_COST = 3e-5  # relative, between the cost that is found and the one foretold
+_AS_FORETOLD = 3e-5  # relative, between the cost that is found and the one foretold
 _SAME = 1e-9  # relative, what counts as the end of a forbidden interval
 _GRID, _GRID_ZOOMS = 9, 6  # points a side of the grid on which the fastest is sought
 _DENSE, _DENSE_ZOOMS = 40, 5  # likewise, of the grid on which both ξ and A are sought
@@ -49,8 +49,11 @@ class SearchProblem:
     internal_force_rate_weight: float
     anchor_weight: float
 
-    def speed_margins(self, amplitudes: NDArray, frequencies: NDArray) -> NDArray:
-        """The margins of the p speeds, (k, q, p), at amplitudes (k,) and frequencies (q,)."""
+    def margins(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
+        """The margins of the p speeds (k, q, p), and the worst of all other constraints (k, q).
+
+        At amplitudes (k,) and frequencies (q,); the latter is inf where there are none.
+        """
         c, b, a, _ = (
             coefficient[:, None]
             for coefficient in speed_squares(
@@ -62,28 +65,38 @@ class SearchProblem:
         )
         s = (amplitudes[:, None] * frequencies)[:, :, None]
         squares = c + s * (2 * b + s * a)
-        margins = (squares - self.speed_bound**2) / self.speed_unit**2
+        others = np.full(squares.shape[:2], np.inf)
         if math.isfinite(self.max_speed):
-            margins = np.minimum(margins, 1 - squares / self.max_speed**2)
-        return margins
-
-    def worst_margins(self, amplitudes: NDArray, frequencies: NDArray) -> NDArray:
-        """The worst margins (k, q) of all constraints, at (k,) and (q,)."""
-        worst = self.speed_margins(amplitudes, frequencies).min(axis=2)
+            others = 1 - squares.max(axis=2) / self.max_speed**2
         if self.amplitude_margins is not None:
-            worst = np.minimum(worst, self.amplitude_margins(amplitudes)[:, None])
-        return worst
+            others = np.minimum(others, self.amplitude_margins(amplitudes)[:, None])
+        return (squares - self.speed_bound**2) / self.speed_unit**2, others
+
+
+def least_bad(speeds: NDArray, others: NDArray) -> int:
+    """The number of the point to take where none is feasible, of worst margins in any shape.
+
+    The one of the largest worst margin of the `speeds`; where some fulfil them all, that of
+    the largest worst margin of the `others` among these.
+    """
+    is_fast = speeds >= 0
+    if is_fast.any():
+        return int(np.argmax(np.where(is_fast, others, -np.inf)))
+    return int(np.argmax(speeds))
 
 
 def nearest_feasible(
-    problem: SearchProblem, margins: NDArray, margins_at: Callable[[NDArray], NDArray]
+    problem: SearchProblem,
+    margins: NDArray,
+    margins_at: Callable[[NDArray], NDArray],
+    start: float | None = None,
 ) -> tuple[NDArray, float]:
     """The feasible [ξ, A] of the least cost, and that cost; inf if none is found.
 
     `margins_at` gives the margins of the p speeds at any [ξ, A], `margins` are those at
     [ξ⁻, A⁻]. The search begins with the constraint on a single speed. What is the best for
     some and feasible for all is the best for all; else the one that is violated most joins
-    them.
+    them. `start` is an amplitude that is worth a look.
     """
     allowed = _allowed_amplitudes(problem)
     speeds: list[int] = []
@@ -93,7 +106,7 @@ def nearest_feasible(
             return problem.previous, math.inf
         speeds.append(worst)
         few = _OfFewSpeeds(problem, speeds)
-        is_enough = few.scan(allowed)
+        is_enough = few.scan(allowed, start)
         x, cost = few.best
         if not math.isfinite(cost):
             return x, cost
@@ -137,16 +150,19 @@ class _OfFewSpeeds:
     def best(self) -> tuple[NDArray, float]:
         """The cheapest [ξ, A] that was looked at, and its cost, inf if none was feasible."""
         cost, s, A = self._best
-        return np.array([s / A, A]), cost
+        frequency = min(max(s / A, self._lower[0]), self._upper[0])
+        return np.array([frequency, A]), cost
 
-    def scan(self, allowed: list[tuple[float, float]]) -> bool:
+    def scan(self, allowed: list[tuple[float, float]], start: float | None) -> bool:
         """Looks all over the amplitudes in the `allowed` intervals; whether that was enough.
 
         First at A⁻ (where nothing is feasible there, at the whole range), then at what can
         still be cheaper, |A − A⁻| ≤ √J. It is enough where that is little and smooth.
         """
         for low, high in allowed:
-            self._look(min(max(self._amplitude, low), high))
+            for A in (self._amplitude, start):
+                if A is not None:
+                    self._look(min(max(A, low), high))
         if self._best[0] == math.inf:
             for low, high in allowed:
                 ratio = (high / low) ** (1 / (_WIDE - 1))
@@ -220,7 +236,7 @@ class _OfFewSpeeds:
                 aside = shift + math.copysign(0.5, -shift)
                 foretold = (shift, vertex), (aside, vertex + curvature / 8)
                 if all(
-                    abs(self._look(low + (i + position) * step) - cost_there) <= _SAME_COST * cost
+                    abs(self._look(low + (i + position) * step) - cost_there) <= _AS_FORETOLD * cost
                     for position, cost_there in foretold
                 ):
                     continue
@@ -238,7 +254,10 @@ class _OfFewSpeeds:
                 root = math.sqrt(square)
                 forbidden.append(((-b - root) / a, (root - b) / a))
             if self._max_squared < math.inf:
-                root = math.sqrt(max(b * b - a * (c - self._max_squared), 0.0))
+                square = b * b - a * (c - self._max_squared)
+                if square < 0:
+                    return math.inf  # too fast at any s
+                root = math.sqrt(square)
                 lowest, highest = max(lowest, (-b - root) / a), min(highest, (root - b) / a)
         weight = self._anchor_weight
         s_before = self._frequency * self._amplitude
@@ -287,6 +306,7 @@ def _allowed_amplitudes(problem: SearchProblem) -> list[tuple[float, float]]:
     if problem.amplitude_margins is None:
         return [(low, high)]
     amplitudes = np.geomspace(low, high, _WIDE).clip(low, high)
+    amplitudes = np.sort(np.append(amplitudes, problem.previous[1]))
     is_allowed = problem.amplitude_margins(amplitudes) >= 0
     # Bisects every change between allowed and not, all at once.
     i = np.flatnonzero(is_allowed[1:] != is_allowed[:-1])
@@ -306,7 +326,7 @@ def _allowed_amplitudes(problem: SearchProblem) -> list[tuple[float, float]]:
 
 
 def fastest(problem: SearchProblem) -> NDArray:
-    """The [ξ, A] within the bounds with the largest worst margin, by a grid that zooms in.
+    """The [ξ, A] within the bounds that is `least_bad`, by a grid that zooms in.
 
     Speeds that are the slowest nowhere on the first grid are left out of the others.
     """
@@ -315,47 +335,48 @@ def fastest(problem: SearchProblem) -> NDArray:
     best = problem.previous
     for zoom in range(_GRID_ZOOMS):
         frequencies, amplitudes = np.exp(np.linspace(low, high, _GRID)).T
-        margins = problem.speed_margins(amplitudes, frequencies)
-        worst = margins.min(axis=2)
-        if problem.amplitude_margins is not None:
-            worst = np.minimum(worst, problem.amplitude_margins(amplitudes)[:, None])
-        i, j = np.unravel_index(np.argmax(worst), worst.shape)
+        margins, others = problem.margins(amplitudes, frequencies)
+        i, j = np.unravel_index(least_bad(margins.min(axis=2), others), others.shape)
         best = np.array([frequencies[j], amplitudes[i]])
         step = (high - low) / (_GRID - 1)
         low = np.maximum(np.log(best) - step, lower)
         high = np.minimum(np.log(best) + step, upper)
-        if zoom == 0:
+        if zoom == 0 and not math.isfinite(problem.max_speed):
             slowest = np.unique(margins.argmin(axis=2))
             problem = replace(problem, polynomials=problem.polynomials[:, :, slowest])
     return np.clip(best, problem.lower, problem.upper)
 
 
 def on_grid(
-    problem_at: Callable[[float], SearchProblem], cost: Callable[[NDArray], float]
+    problem_at: Callable[[float], SearchProblem],
+    start: float,
+    cost: Callable[[NDArray], float],
 ) -> tuple[NDArray, float]:
     """The cheapest feasible [ξ, A] of a grid, and its cost.
 
     The grid is laid over the bounds, then over what can still be cheaper, then it zooms in.
-    Where none of its points is feasible the one of the largest worst margin is sought, and
-    the cost is inf. The phases follow ξ: `problem_at` gives the problem of each frequency.
+    Where none of its points is feasible the one that is `least_bad` is sought, and the cost
+    is inf. The phases follow ξ: `problem_at` gives the problem of each frequency, such as
+    `start`.
     """
-    problem = problem_at(1.0)
+    problem = problem_at(start)
     lower, upper, previous = problem.lower, problem.upper, problem.previous
     axes = np.geomspace(lower, upper, _DENSE).T
-    best, best_cost, best_margin = previous, math.inf, -math.inf
+    best, best_cost = previous, math.inf
     for zoom in range(_DENSE_ZOOMS):
         frequencies, amplitudes = axes.clip(lower[:, None], upper[:, None])
-        margins = np.array(
-            [problem_at(f).worst_margins(amplitudes, np.array([f]))[:, 0] for f in frequencies]
-        )
-        i, j = np.unravel_index(np.argmax(margins), margins.shape)
-        if best_cost == math.inf and margins[i, j] > best_margin:
-            best, best_margin = np.array([frequencies[i], amplitudes[j]]), margins[i, j]
-        for i, j in zip(*np.nonzero(margins >= 0), strict=True):
+        rows = [problem_at(f).margins(amplitudes, np.array([f])) for f in frequencies]
+        speeds = np.array([margins.min(axis=2)[:, 0] for margins, _ in rows])
+        others = np.array([worst[:, 0] for _, worst in rows])
+        feasible = np.argwhere((speeds >= 0) & (others >= 0))
+        for i, j in feasible:
             x = np.array([frequencies[i], amplitudes[j]])
             x_cost = cost(x)
             if x_cost < best_cost:
                 best, best_cost = x, x_cost
+        if best_cost == math.inf:
+            i, j = np.unravel_index(least_bad(speeds, others), speeds.shape)
+            best = np.array([frequencies[i], amplitudes[j]])
         if zoom == 0 and best_cost < math.inf:
             # The change of ξ and of A costs at least its square.
             around, size = previous, np.full(2, math.sqrt(best_cost))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop.benchmarks import instances as drawn
-from drake_nonstop.benchmarks.optimizer import PEERS, SOLVERS
+from drake_nonstop.benchmarks.optimizer import PEERS
 from drake_nonstop.cli import BAD_INPUT, main
 from drake_nonstop.speed_program import FEASIBILITY_TOLERANCE, Outcome
 
@@ -60,14 +60,13 @@ def test_search_finds_the_true_optima(instances, truths, programs):
         if np.isfinite(truth.cost):
             assert outcome in (Outcome.KEPT, Outcome.SOLVED)
             assert is_feasible(program, x, data)
-            assert program.cost(x, data) <= truth.cost * (1 + 1e-3)
+            assert program.cost(x, data) == pytest.approx(truth.cost, rel=1e-3)
         else:
             assert outcome in (Outcome.RELAXED, Outcome.HELD)
-            assert program.worst_margin(x, data) >= truth.margin - 1e-3 * abs(truth.margin)
+            assert program.worst_margin(x, data) == pytest.approx(truth.margin, rel=1e-3)
 
 
-def test_truth_is_no_better_than_what_is_possible(instances, truths, programs):
-    """Its cost is that of some point: no feasible point of a third search is cheaper by much."""
+def test_no_random_point_is_better_than_the_truth(instances, truths, programs):
     rng = np.random.default_rng(4)
     for instance, truth in zip(instances[:20], truths, strict=False):
         program, data = programs[instance.system], instance.data
@@ -96,7 +95,7 @@ def test_truths_are_cached(instances, truths, cache):
 def test_peers_solve_what_is_near_by(name, programs):
     program = programs["cycle of 4"]
     solve = PEERS[name](program)
-    solved = 0
+    ratios = []
     for instance in drawn.draw_instances(40, seed=3):
         data = instance.data.copy()
         if instance.system != "cycle of 4":
@@ -106,9 +105,11 @@ def test_peers_solve_what_is_near_by(name, programs):
         data[57:59] = unit
         x, outcome, _ = program.solve(data)
         assert outcome == Outcome.SOLVED
-        if program.feasible_cost(solve(data), data) <= program.cost(x, data) * (1 + 1e-2):
-            solved += 1
-    assert solved >= 3
+        ratios.append(program.feasible_cost(solve(data), data) / program.cost(x, data))
+    # Single starts may miss the optimum, but none is beaten.
+    assert len(ratios) >= 4
+    assert min(ratios) >= 1 - 1e-4
+    assert np.median(ratios) <= 1.01
 
 
 def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
@@ -125,7 +126,9 @@ def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     assert search["feasible_share"] == search["optimal_share"] == 1
     assert 0 < results["quintic"]["layer_share_of_wall_time"] < 0.5
     assert results["quintic"]["updates"] == 1500
-    assert results["instances"]["ranges"]["speed_bound"] == list(drawn.SPEED_BOUND)
+    bounds = results["instances"]["ranges"]["speed_bound_m_s"]
+    assert bounds == list(drawn.RANGES["speed_bound_m_s"])
+    assert results["quintic"]["solvers"]["search"]["optimal_share"] == 1
     assert {path.name for path in out.iterdir()} == {"optimizer.json"}
 
 
@@ -140,7 +143,3 @@ def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
 def test_bad_options_are_named(arguments, message, tmp_path, capsys):
     assert main(["bench", "optimizer", "--out", str(tmp_path), *arguments]) == BAD_INPUT
     assert message in capsys.readouterr().err
-
-
-def test_every_solver_of_the_layer_can_be_benchmarked():
-    drawn.make_programs(**SOLVERS["nlopt"])

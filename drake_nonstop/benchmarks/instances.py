@@ -3,6 +3,7 @@
 import hashlib
 import os
 import tempfile
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,18 +20,23 @@ from drake_nonstop.speed_program import FEASIBILITY_TOLERANCE, SpeedProgram
 from drake_nonstop.speed_search import SearchProblem
 from drake_nonstop.system import Model, PatternConfig, System
 
-# What the instances are drawn from: uniformly, or by their logarithm where it says so.
-TILT = 0.3  # rad, roll and pitch of the load, either way
-LOAD_SPEED = 1.0  # m/s
-ANGULAR_VELOCITY = 0.3  # rad/s, each component
-ACCELERATION = 1.0  # m/s², each component of the reference's
-POSITION_ERROR, VELOCITY_ERROR = 0.02, 0.05  # m and m/s, each component
-TORQUE = 0.1  # of the load's weight times 1 m, each component
-FORCE_RATE, TORQUE_RATE = 2.0, 0.3  # N/s and N m/s, each component
-FREQUENCY = (0.5, 6.0)  # rad/s, of the previous ξ, by the logarithm
-AMPLITUDE = (0.1, 1.5)  # of a cable's share of the weight, of the previous A, by the logarithm
-SPEED_BOUND = (0.1, 20.0)  # m/s, by the logarithm
+# What the instances are drawn from: uniformly, or, a pair, by the logarithm.
+RANGES: dict[str, float | tuple[float, float]] = {
+    "tilt_rad": 0.3,  # roll and pitch of the load, either way
+    "load_speed_m_s": 1.0,  # in any direction
+    "angular_velocity_rad_s": 0.3,  # each component, either way, as all that follow
+    "reference_acceleration_m_s2": 1.0,
+    "position_error_m": 0.02,
+    "velocity_error_m_s": 0.05,
+    "torque_per_weight_m": 0.1,
+    "force_rate_N_s": 2.0,
+    "torque_rate_Nm_s": 0.3,
+    "previous_frequency_rad_s": (0.5, 6.0),
+    "previous_amplitude_per_share_of_weight": (0.1, 1.5),
+    "speed_bound_m_s": (0.1, 20.0),
+}
 
+_ROUND_OFF = 1e-9  # of a margin; more would make a truth of nearly nothing cheaper
 _GRID = (160, 120)  # frequencies and amplitudes of the grid of `truth`
 _ZOOM = 41  # points a side
 _STARTS = 4  # minima of the grid that are looked into
@@ -75,7 +81,10 @@ class Instance:
 
 @dataclass(frozen=True)
 class Truth:
-    """The best answer to an instance: its cost, inf without a feasible one, and margin."""
+    """The least cost of an instance, inf where no point is feasible, and the largest margin.
+
+    The margin of what can be kept is that of the previous point.
+    """
 
     cost: float
     margin: float
@@ -103,32 +112,41 @@ def _draw(rng: np.random.Generator, programs: dict[str, SpeedProgram]) -> Instan
     weight = gravity_wrench(system.load_mass, system.gravity)
     share = weight[5] / _SYSTEMS[name][0]
 
-    def either_way(size: float) -> NDArray:
-        return rng.uniform(-size, size, 3)
+    def either_way(name: str, scale: float = 1.0) -> NDArray:
+        size = RANGES[name]
+        assert isinstance(size, float)
+        return scale * rng.uniform(-size, size, 3)
 
-    def by_logarithm(low: float, high: float) -> float:
-        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    def by_logarithm(name: str) -> float:
+        low, high = np.log(RANGES[name])
+        return float(np.exp(rng.uniform(low, high)))
 
-    tilt = np.array([*rng.uniform(-TILT, TILT, 2), rng.uniform(-np.pi, np.pi)])
+    tilt = either_way("tilt_rad")
+    tilt[2] = rng.uniform(-np.pi, np.pi)
     direction = rng.normal(size=3)
-    velocity = rng.uniform(0, LOAD_SPEED) * direction / np.linalg.norm(direction)
-    omega, acceleration = either_way(ANGULAR_VELOCITY), either_way(ACCELERATION)
+    speed = rng.uniform(0, RANGES["load_speed_m_s"])
+    velocity = speed * direction / np.linalg.norm(direction)
+    omega = either_way("angular_velocity_rad_s")
+    acceleration = either_way("reference_acceleration_m_s2")
     state = np.concatenate([roll_pitch_yaw_to_quaternion(tilt), np.zeros(3), omega, velocity])
     reference = np.concatenate([state, np.zeros(3), acceleration, np.zeros(3)])
-    reference[4:7] += either_way(POSITION_ERROR)
-    reference[10:13] += either_way(VELOCITY_ERROR)
-    wrench = weight + np.array(
-        [*either_way(TORQUE * weight[5]), *(system.load_mass * acceleration)]
-    )
+    reference[4:7] += either_way("position_error_m")
+    reference[10:13] += either_way("velocity_error_m_s")
+    torque = either_way("torque_per_weight_m", weight[5])
     data = programs[name].update_data(
-        previous=np.array([by_logarithm(*FREQUENCY), share * by_logarithm(*AMPLITUDE)]),
+        previous=np.array(
+            [
+                by_logarithm("previous_frequency_rad_s"),
+                share * by_logarithm("previous_amplitude_per_share_of_weight"),
+            ]
+        ),
         phase=np.array([rng.uniform(0, 2 * np.pi), 0.0]),
         load_state=state,
         reference=reference,
-        wrench=wrench,
-        wrench_rate=np.array([*either_way(TORQUE_RATE), *either_way(FORCE_RATE)]),
+        wrench=weight + np.concatenate([torque, system.load_mass * acceleration]),
+        wrench_rate=np.concatenate([either_way("torque_rate_Nm_s"), either_way("force_rate_N_s")]),
         wrench_second_rate=np.zeros(6),
-        speed_bound=by_logarithm(*SPEED_BOUND),
+        speed_bound=by_logarithm("speed_bound_m_s"),
         updates=int(rng.integers(1000)),
     )
     return Instance(name, data)
@@ -141,7 +159,7 @@ def truths(instances: list[Instance], progress: Callable[[int], None] | None = N
     try:
         with np.load(path) as cached:
             return [Truth(*row) for row in cached["truths"].tolist()]
-    except (OSError, KeyError, ValueError):
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile):
         pass
     found = []
     for i, instance in enumerate(instances):
@@ -156,8 +174,8 @@ def truths(instances: list[Instance], progress: Callable[[int], None] | None = N
 
 
 def _cache_path(instances: list[Instance], programs: dict[str, SpeedProgram]) -> Path:
-    """A file named after the problems: their data, and values of what is asked there."""
-    digest = hashlib.sha256()
+    """A file named after this module and the problems: their data, and values of both sides."""
+    digest = hashlib.sha256(Path(__file__).read_bytes())
     for instance in instances:
         program, data = programs[instance.system], instance.data
         digest.update(data.tobytes())
@@ -171,13 +189,14 @@ def _cache_path(instances: list[Instance], programs: dict[str, SpeedProgram]) ->
 
 
 def truth(program: SpeedProgram, data: NDArray) -> Truth:
-    """The better of two searches that share nothing with `speed_search` but the speeds.
+    """The better of two searches that share the speeds with `speed_search`, but no search.
 
+    For the speed bound alone, without other constraints or an anchor.
     One is a dense grid over ξ and A that zooms in on its best local minima, the other a
     dense grid over A alone with the best ξ for each from sorted ends of intervals.
     """
     if program.worst_margin(data[:2], data) >= -FEASIBILITY_TOLERANCE:
-        return Truth(0.0, 0.0)
+        return Truth(0.0, program.worst_margin(data[:2], data))
     problem = program.search_problem(data, data[0])
     costs = [_cheapest_of_grid(program, problem, data), _cheapest_of_amplitudes(problem)]
     return Truth(min(costs), _largest_margin(problem))
@@ -243,15 +262,15 @@ def _zoomed(
 
 def _cheapest_of_grid(program: SpeedProgram, problem: SearchProblem, data: NDArray) -> float:
     def objective(frequencies: NDArray, amplitudes: NDArray) -> NDArray:
-        margins = problem.worst_margins(amplitudes, frequencies)
+        margins = problem.margins(amplitudes, frequencies)[0].min(axis=2)
         costs = _cost(problem, frequencies, amplitudes)
-        return np.where(margins >= -FEASIBILITY_TOLERANCE / 2, costs, np.inf)
+        return np.where(margins >= -_ROUND_OFF, costs, np.inf)
 
     return _zoomed(problem, objective, zooms=4)
 
 
 def _largest_margin(problem: SearchProblem) -> float:
-    return -_zoomed(problem, lambda xi, A: -problem.worst_margins(A, xi), zooms=5)
+    return -_zoomed(problem, lambda xi, A: -problem.margins(A, xi)[0].min(axis=2), zooms=5)
 
 
 def _cheapest_of_amplitudes(problem: SearchProblem) -> float:
@@ -287,7 +306,7 @@ def _best_costs(problem: SearchProblem, amplitudes: NDArray) -> NDArray:
     s = np.concatenate([wanted, (-b - root) / a, (root - b) / a], axis=1)
     s = s.clip(A * problem.lower[0], A * problem.upper[0])
     squares = c[:, None] + s[:, :, None] * (2 * b[:, None] + s[:, :, None] * a[:, None])
-    least = problem.speed_bound**2 * (1 - FEASIBILITY_TOLERANCE / 2)
+    least = problem.speed_bound**2 * (1 - _ROUND_OFF)
     costs = (
         (s / A - problem.previous[0]) ** 2
         + (1 + problem.internal_force_weight * float(cosines @ cosines))

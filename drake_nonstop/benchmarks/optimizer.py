@@ -1,8 +1,10 @@
 """How fast and how good the solvers of the optimization layer are, on the same problems."""
 
+import contextlib
+import importlib.util
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -68,48 +70,41 @@ def benchmark_optimizer(
     Returns:
         What `drake-nonstop bench optimizer` writes as JSON.
     """
-    names = names or [*SOLVERS, *PEERS]
-
-    # Drake's logger tells of every failed solve; they are counted here.
-    logging.getLogger("drake").setLevel(logging.ERROR)
 
     def report(what: str) -> Callable[[int], None] | None:
         if progress is None:
             return None
         return lambda done: progress(what, done / count)
 
+    names = names or [name for name in (*SOLVERS, *PEERS) if is_installed(name)]
     instances = drawn.draw_instances(count, seed)
     truths = drawn.truths(instances, report("true optima"))
     updates, share, model, config = _closed_loop()
+    in_loop = [Instance("quintic", data) for data in updates]
     reference = drawn.make_programs()
+    reference["quintic"] = SpeedProgram(model, config, str)
+    loop_truths = [drawn.truth(reference["quintic"], data) for data in updates]
     random: dict[str, Any] = {}
     sequence: dict[str, Any] = {}
-    for name in names:
-        try:
-            solves = _solves(name, drawn.make_programs(**SOLVERS.get(name, {})))
-        except ModuleNotFoundError:
-            continue
-        answers = _solve_all(instances, solves, reference, report(name))
-        random[name] = _judge(answers, instances, truths, reference)
-        fields = {**vars(config), **SOLVERS.get(name, {})}
-        programs = {"quintic": SpeedProgram(model, NonstopOptimizerConfig(**fields), str)}
-        in_loop = [Instance("quintic", data) for data in updates]
-        answers = _solve_all(in_loop, _solves(name, programs), programs, None)
-        kept = _kept(in_loop, programs)
-        sequence[name] = _times(answers.times, kept)
-    kept = _kept(instances, reference)
-    unreachable = np.array([not np.isfinite(truth.cost) for truth in truths])
+    with _quiet_drake():
+        for name in names:
+            fields = SOLVERS.get(name, {})
+            programs = drawn.make_programs(**fields)
+            in_loop_config = NonstopOptimizerConfig(**{**vars(config), **fields})
+            programs["quintic"] = SpeedProgram(model, in_loop_config, str)
+            solves = _solves(name, programs)
+            answers = _solve_all(instances, solves, reference, report(name))
+            random[name] = _judge(answers, truths)
+            answers = _solve_all(in_loop, solves, reference, None)
+            sequence[name] = _judge(answers, loop_truths)
+    costs = np.array([truth.cost for truth in truths])
     return {
         "instances": {
             "count": count,
             "seed": seed,
-            "ranges": {
-                name.lower(): value
-                for name, value in vars(drawn).items()
-                if name.isupper() and not name.startswith("_")
-            },
-            "infeasible_at_previous_share": float(np.mean(~kept)),
-            "no_feasible_point_share": float(np.mean(unreachable)),
+            "ranges": drawn.RANGES,
+            "infeasible_at_previous_share": float(np.mean(costs > 0)),
+            "no_feasible_point_share": float(np.mean(~np.isfinite(costs))),
             "solvers": random,
         },
         "quintic": {
@@ -117,46 +112,67 @@ def benchmark_optimizer(
             "layer_share_of_wall_time": share,
             "solvers": sequence,
         },
+        "times": f"each the median of {_REPEATS} solves, of one where that took over {_SLOW} s",
         "versions": _versions(),
     }
+
+
+def is_installed(name: str) -> bool:
+    """Whether what a solver needs is there: SciPy comes with the extra `bench`."""
+    return name != "SciPy SLSQP" or importlib.util.find_spec("scipy") is not None
+
+
+@contextlib.contextmanager
+def _quiet_drake() -> Iterator[None]:
+    """Keeps Drake's logger from telling of every failed solve: they are counted here."""
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def table(results: dict[str, Any]) -> str:
     """The results as text, one line per solver."""
     random, sequence = results["instances"], results["quintic"]
-    head = (
-        f"{random['count']} instances, seed {random['seed']}: "
-        f"{random['infeasible_at_previous_share']:.1%} infeasible at the previous point, "
-        f"{random['no_feasible_point_share']:.1%} without any feasible point"
+    return "\n".join(
+        [
+            f"{random['count']} instances, seed {random['seed']}: "
+            f"{random['infeasible_at_previous_share']:.1%} infeasible at the previous point, "
+            f"{random['no_feasible_point_share']:.1%} without any feasible point",
+            *_rows(random["solvers"]),
+            "",
+            f"{sequence['updates']} updates of quintic; the layer took "
+            f"{sequence['layer_share_of_wall_time']:.1%} of the run's wall time",
+            *_rows(sequence["solvers"]),
+            "",
+            f"times in ms: p50 / p99 / max; {results['times']}",
+            "feasible, optimal: of the solved ones; best: of those without a feasible point",
+        ]
     )
-    columns = "kept ms", "solved ms", "feasible", "optimal", "relaxed best"
-    lines = [
-        head,
-        f"{'':16}{columns[0]:>22}{columns[1]:>24}" + "".join(f"{c:>14}" for c in columns[2:]),
-    ]
-    for name, row in random["solvers"].items():
-        shares = (row["feasible_share"], row["optimal_share"], row["relaxed_best_share"])
-        lines.append(
-            f"{name:16}{_triple(row['kept_ms']):>22}{_triple(row['solved_ms']):>24}"
-            + "".join(f"{'-' if s is None else f'{s:.2%}':>14}" for s in shares)
-        )
-    lines += [
-        "",
-        f"{sequence['updates']} updates of quintic; the layer took "
-        f"{sequence['layer_share_of_wall_time']:.1%} of the run's wall time",
-        f"{'':16}{'kept ms':>22}{'solved ms':>24}{'all ms':>24}",
-    ]
-    for name, row in sequence["solvers"].items():
-        triples = [row[key] for key in ("kept_ms", "solved_ms", "all_ms")]
-        lines.append(
-            f"{name:16}{_triple(triples[0]):>22}"
-            + "".join(f"{_triple(triple):>24}" for triple in triples[1:])
-        )
-    return "\n".join([*lines, "times: p50 / p99 / max"])
 
 
-def _triple(times: dict[str, float] | None) -> str:
-    return "-" if times is None else " / ".join(f"{t:.3f}" for t in times.values())
+def _rows(solvers: dict[str, Any]) -> list[str]:
+    times, shares = ("kept", "solved", "relaxed", "all"), ("feasible", "optimal", "best")
+    rows = [" " * 15 + "".join(f"{t:>26}" for t in times) + "".join(f"{s:>10}" for s in shares)]
+    for name, result in solvers.items():
+        cells = [result[f"{time}_ms"] for time in times]
+        rows.append(
+            f"{name:15}"
+            + "".join(f"{'-' if c is None else ' / '.join(_short(c)):>26}" for c in cells)
+            + "".join(_percent(result[f"{share}_share"]) for share in shares)
+        )
+    return rows
+
+
+def _short(quantiles: dict[str, float]) -> list[str]:
+    return [f"{value:.3g}" if value >= 1 else f"{value:.3f}" for value in quantiles.values()]
+
+
+def _percent(share: float | None) -> str:
+    return f"{'-' if share is None else f'{share:.2%}':>10}"
 
 
 def _closed_loop() -> tuple[list[NDArray], float, Model, Any]:
@@ -184,6 +200,7 @@ def _closed_loop() -> tuple[list[NDArray], float, Model, Any]:
     for _ in range(3):
         run = simulate(scenario)
         shares.append(float(np.sum(run.solve_times)) / run.wall_time)
+    # Looking for the equilibrium takes updates, too, before the run's.
     count = round(scenario.duration / config.period)
     return updates[-count:], float(np.median(shares)), models[0], config
 
@@ -235,52 +252,31 @@ def _solve_all(
     return Answers(np.array(times), np.array(costs), np.array(margins))
 
 
-def _kept(instances: list[Instance], programs: dict[str, SpeedProgram]) -> NDArray:
-    """Which problems are fulfilled by their previous parameters."""
-    return np.array(
-        [
-            programs[instance.system].worst_margin(instance.data[:2], instance.data)
-            >= -FEASIBILITY_TOLERANCE
-            for instance in instances
-        ]
-    )
-
-
-def _judge(
-    answers: Answers,
-    instances: list[Instance],
-    truths: list[Truth],
-    reference: dict[str, SpeedProgram],
-) -> dict[str, Any]:
-    kept = _kept(instances, reference)
-    true_costs = np.array([truth.cost for truth in truths])
-    true_margins = np.array([truth.margin for truth in truths])
-    has_feasible = np.isfinite(true_costs)
-    asked, relaxed = has_feasible & ~kept, ~has_feasible
-    optimal = answers.costs[asked] <= true_costs[asked] * (1 + _SAME_COST)
-    best = answers.margins[relaxed] >= true_margins[relaxed] - _SAME_COST * np.abs(
-        true_margins[relaxed]
-    )
+def _judge(answers: Answers, truths: list[Truth]) -> dict[str, Any]:
+    """Times and shares, apart for what is kept, what is solved and what has no feasible point."""
+    costs = np.array([truth.cost for truth in truths])
+    margins = np.array([truth.margin for truth in truths])
+    kept, relaxed = costs == 0, ~np.isfinite(costs)
+    solved = ~kept & ~relaxed
+    optimal = answers.costs[solved] <= costs[solved] * (1 + _SAME_COST)
+    largest = margins[relaxed]
+    best = answers.margins[relaxed] >= largest - _SAME_COST * np.abs(largest)
     return {
-        **_times(answers.times, kept),
-        "feasible_share": _mean(np.isfinite(answers.costs[has_feasible])),
+        "kept_ms": _quantiles(answers.times[kept]),
+        "solved_ms": _quantiles(answers.times[solved]),
+        "relaxed_ms": _quantiles(answers.times[relaxed]),
+        "all_ms": _quantiles(answers.times),
+        "feasible_share": _mean(np.isfinite(answers.costs[solved])),
         "optimal_share": _mean(optimal),
-        "relaxed_best_share": _mean(best),
+        "best_share": _mean(best),
     }
 
 
-def _times(times: NDArray, kept: NDArray) -> dict[str, Any]:
-    def quantiles(of: NDArray) -> dict[str, float] | None:
-        if len(of) == 0:
-            return None
-        values = 1e3 * np.quantile(of, [0.5, 0.99, 1.0])
-        return dict(zip(("p50", "p99", "max"), values.tolist(), strict=True))
-
-    return {
-        "kept_ms": quantiles(times[kept]),
-        "solved_ms": quantiles(times[~kept]),
-        "all_ms": quantiles(times),
-    }
+def _quantiles(times: NDArray) -> dict[str, float] | None:
+    if len(times) == 0:
+        return None
+    values = 1e3 * np.quantile(times, [0.5, 0.99, 1.0])
+    return dict(zip(("p50", "p99", "max"), values.tolist(), strict=True))
 
 
 def _mean(flags: NDArray) -> float | None:

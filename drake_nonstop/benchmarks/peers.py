@@ -14,7 +14,7 @@ Peer = Callable[[NDArray], NDArray]
 def casadi_ipopt(program: SpeedProgram) -> Peer:
     """CasADi's IPOPT, with the exact Hessian of the traced problem, from [ξ⁻, A⁻] on."""
     x, data = casadi.MX.sym("x", 2), casadi.MX.sym("data", DATA_SIZE)
-    cost, margins = (function.expressions(x, data)[0] for function in program.compiled())
+    cost, margins = (function.expressions(x, data)[0] for function in program.functions())
     options = {
         "print_time": False,
         "ipopt.print_level": 0,
@@ -41,7 +41,7 @@ def scipy_slsqp(program: SpeedProgram) -> Peer:
     """
     from scipy.optimize import minimize
 
-    cost, margins = program.compiled(with_gradients=True)
+    cost, margins = program.functions(with_gradients=True)
 
     def solve(data: NDArray) -> NDArray:
         lower, upper = program.bounds(data[:2])

@@ -56,8 +56,8 @@ class NonstopOptimizer(LeafSystem):
         min J(x)  such that  ‖v_i(x, τ)‖² ≥ ((1 + tightening) ε)²,  i = 1 … n,
 
     at `look_ahead_points` instants τ spread over the interval to the next update. In it
-    the phase goes on at ξ⁻, the wrench at its rate, and the load at the acceleration that
-    the wrench gives it; the reference goes on at its own. The paper constrains the
+    the phase goes on at ξ⁻, the wrench at its rate and the rate's last change, and the load
+    at the acceleration that the wrench gives it; the reference goes on at its own. The paper constrains the
     instant of the update only, and the load's measured motion; the carriers are sent
     where the desired motion takes them, so that is constrained unless `load_motion`
     says "measured".
@@ -82,15 +82,16 @@ class NonstopOptimizer(LeafSystem):
     coarser, and what a printed phase needs, which jumps with ξ; or Drake's SNOPT, IPOPT or
     NLopt from x⁻ on, whose answer is compared with that of the search unless `global_search`
     is false: the cheaper feasible one wins. Where no feasible point is found, that of the
-    largest worst margin (the least of speed²/ε² − 1 and of the like for the other
-    constraints) is taken if it is better than x⁻. `Outcome` names the cases, and
-    `diagnostics` counts them. Nothing is carried over from one solve to the next.
+    largest worst speed is taken, or, where the speeds can be kept above ε but not the other
+    constraints, the one among these that misses them least; if it is better than x⁻.
+    `Outcome` names the cases, and `diagnostics` counts them. Nothing is carried over from one
+    solve to the next.
 
     Where `amplitude_bounds` are not given, A stays between 0.004 and 3 times a cable's share
-    of the load's weight, or twice the initial A where that is more: far above its weight a
-    load is shaken rather than held.
+    of the load's weight, or half and twice the initial A where that is wider: far above its
+    weight a load is shaken rather than held.
 
-    **In continuous time** four things separate the simulated speed from the constrained one:
+    **In continuous time** these separate the simulated speed from the constrained one:
 
     - The carriers lag behind their references. A PID on a mass m with the reference's
       position and velocity follows an acceleration a with an error of m a/K_p, and so its
@@ -106,8 +107,11 @@ class NonstopOptimizer(LeafSystem):
       at a damping ratio of 0.5 their speed is off by up to 0.55 √(K_p/m) ∂p/∂A ΔA. Foresight
       along the orbit keeps these steps small, and `max_amplitude_rate` can bound them.
 
-    The first three add up to some 0.3 % of ε on the default scenarios; `tightening` is three
-    times that, 1 %. The fourth has no bound of its own: that it stays within the rest is
+    - Between two instants of the look-ahead the speed can dip by T²/8 times its second rate:
+      2.5e-5 m/s at ξ² v = 2 m/s³.
+
+    All but the step of A add up to some 0.2 % of ε on the default scenarios; `tightening` is
+    five times that, 1 %. The step of A has no bound of its own: that it stays within the rest is
     measured, by tests/evals/test_bound_always_holds.py.
 
     .. pydrake_system::
@@ -128,7 +132,7 @@ class NonstopOptimizer(LeafSystem):
     force]), all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `parameters` (2) = [ξ (rad/s), A (N)];
     `diagnostics` (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest
     speed minus the untightened ε (m/s)]; `solve_time` (1) is the wall time in s that the
-    last update took to solve. All outputs are state: nothing feeds through.
+    last update took, from its inputs to its answer. All outputs are state: nothing feeds through.
 
     Raises:
         ScenarioError: a parameter is out of range, or the period is no multiple of the
@@ -165,7 +169,7 @@ class NonstopOptimizer(LeafSystem):
         last_wrench_rate = wrench_rate
         if diagnostics[1] > 0:
             last_wrench_rate = context.get_discrete_state(self._last_wrench_rate).value()
-        data = self.program.update_data(
+        inputs = (
             previous,
             self._phase.Eval(context),
             self._measured_load_state.Eval(context),
@@ -173,10 +177,11 @@ class NonstopOptimizer(LeafSystem):
             self._wrench.Eval(context),
             wrench_rate,
             (wrench_rate - last_wrench_rate) / self._period,
-            self._speed_bound,
-            updates=int(diagnostics[1]),
         )
         start = time.perf_counter()
+        data = self.program.update_data(
+            *inputs, speed_bound=self._speed_bound, updates=int(diagnostics[1])
+        )
         parameters, outcome, slowest = self.program.solve(data)
         solve_time = time.perf_counter() - start
         diagnostics[0] = outcome
@@ -213,17 +218,19 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         config.speed_bound,
         "give 0 (no bound) or at least 1e-3 m/s",
     )
+    require(config.tightening < 1, f"{owner}.tightening", config.tightening, "give less than 1")
+    tightened = (1 + config.tightening) / (1 - config.tightening)
     for name in ("max_frequency_rate", "max_amplitude_rate", "max_speed", "max_tension"):
         value, least = getattr(config, name), 0.0
         if name == "max_speed":
-            least = config.speed_bound
+            least = tightened * config.speed_bound
         if name == "max_tension":
-            least = config.min_tension
+            least = tightened * config.min_tension
         require(
             (is_number(value) and value > least) or value == math.inf,
             f"{owner}.{name}",
             value,
-            f"give a number greater than {least}, or .inf for no limit",
+            f"give a number greater than {least:g}, or .inf for no limit",
         )
     require(
         isinstance(config.look_ahead_points, int) and 1 <= config.look_ahead_points <= 50,
