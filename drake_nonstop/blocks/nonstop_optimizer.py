@@ -57,10 +57,10 @@ class NonstopOptimizer(LeafSystem):
 
     at `look_ahead_points` instants τ spread over the interval to the next update. In it
     the phase goes on at ξ⁻, the wrench at its rate and the rate's last change, and the load
-    at the acceleration that the wrench gives it; the reference goes on at its own. The paper constrains the
-    instant of the update only, and the load's measured motion; the carriers are sent
-    where the desired motion takes them, so that is constrained unless `load_motion`
-    says "measured".
+    at the acceleration that the wrench gives it; the reference goes on at its own. The
+    paper constrains the instant of the update only, and the load's measured motion; the
+    carriers are sent where the desired motion takes them, so that is constrained unless
+    `load_motion` says "measured".
 
     The bound is asked for, too, at `orbit_points` phases of a whole turn, the load moving
     on as it does; each of `orbit_updates` updates in succession takes its share of them, as
