@@ -105,16 +105,15 @@ class SpeedProgram:
         the anchor, which is let go while the reference is on its way.
         """
         config = self._config
-        is_resting = np.abs(reference[7:19]).max() <= _RESTING
-        anchor_weight = config.anchor_weight if is_resting else 0.0
+        anchor_weight = config.anchor_weight
+        if anchor_weight > 0 and np.abs(reference[7:19]).max() > _RESTING:
+            anchor_weight = 0.0
         turn = 2 * math.pi * (updates % config.orbit_updates) / config.orbit_points
         bound = (1 + config.tightening) * speed_bound
         unit = bound or 1.0  # m/s; without a bound every speed is above it
+        rest = np.array([bound, unit, turn, anchor_weight])
         return np.concatenate(
-            [
-                *(previous, phase, load_state, reference),
-                *(wrench, wrench_rate, wrench_second_rate, [bound, unit, turn, anchor_weight]),
-            ]
+            (previous, phase, load_state, reference, wrench, wrench_rate, wrench_second_rate, rest)
         )
 
     def solve(self, data: NDArray) -> tuple[NDArray, Outcome, float]:

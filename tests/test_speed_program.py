@@ -209,6 +209,17 @@ def test_speeds_stay_below_their_maximum(solver):
     assert np.max(carrier_speeds(found, inputs)) <= limit * (1 - TIGHTENING) * (1 + 1e-6)
 
 
+@pytest.mark.parametrize("seed", range(1, 9))
+def test_no_point_of_a_grid_is_cheaper_within_two_bounds_on_the_speeds(seed):
+    fields = {"max_speed": 1.2, "orbit_points": 16, **WITHIN}
+    data = problem(moving(seed), 0.5)
+    search, grid = (program(solver=solver, **fields) for solver in ("search", "grid"))
+    (found, outcome, _), (other, of_grid, _) = search.solve(data), grid.solve(data)
+    assert outcome == of_grid
+    if outcome == Outcome.SOLVED:
+        assert search.cost(found, data) <= search.cost(other, data)
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_carriers_stay_apart_over_a_whole_orbit(solver):
     def separation(x, turns=720):
