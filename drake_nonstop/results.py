@@ -6,7 +6,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -43,15 +43,23 @@ def require_writable(folder: Path) -> None:
         ) from None
 
 
-def write_json(path: Path, data: Any) -> None:
-    """Writes the data to a file that is never half-written."""
-    with tempfile.NamedTemporaryFile(
-        "w", dir=path.parent, suffix=".json", encoding="utf-8", delete=False
-    ) as file:
-        json.dump(data, file, indent=2)
-        file.write("\n")
+@contextlib.contextmanager
+def replacing_file(path: Path) -> Iterator[BinaryIO]:
+    """A file to write that takes the place of `path` once all is in it, or else is gone."""
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=path.suffix, delete=False) as file:
+        try:
+            yield file  # type: ignore[misc]
+        except BaseException:
+            os.unlink(file.name)
+            raise
     os.chmod(file.name, 0o644)
     os.replace(file.name, path)
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Writes the data to a file that is never half-written."""
+    with replacing_file(path) as file:
+        file.write((json.dumps(data, indent=2) + "\n").encode())
 
 
 def write_results(

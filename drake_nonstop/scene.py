@@ -1,8 +1,6 @@
 """A run to watch: an animated 3D scene in one HTML file that opens offline."""
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,6 +20,7 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
+from drake_nonstop.quiet import quiet_drake
 from drake_nonstop.simulate import SIGNAL_PERIOD, Run
 from drake_nonstop.system import overridden
 
@@ -65,7 +64,7 @@ def record_replay(run: Run, *, frame_rate: float = 25.0) -> str:
         frame_rate: frames per second of simulated time; between them the viewer
             interpolates.
     """
-    with _quiet():
+    with quiet_drake(logging.WARNING):  # Meshcat's address is of no use here
         meshcat = Meshcat(MeshcatParams(host="localhost", port=0))  # any free port
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)
     motion = _motion(run, frame_rate)
@@ -286,15 +285,3 @@ def _view(points: NDArray, *, path: NDArray) -> tuple[NDArray, NDArray]:
 def _rgba(colour: str, opacity: float = 1.0) -> Rgba:
     red, green, blue = bytes.fromhex(colour[1:])
     return Rgba(red / 255, green / 255, blue / 255, opacity)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keeps Meshcat from logging its address, which is of no use here."""
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)

@@ -9,6 +9,7 @@ from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
 
 LENGTH, COMPLIANCE, SHARE = 0.8, 1 / 500, 9.81 / 4  # of the default model, n = 4
 PERIOD, TIGHTENING = 0.01, 0.01
+SOLVERS = ("search", "grid", "snopt", "ipopt", "nlopt")
 START = np.array([2.0, 1.2])
 STILL = {
     "measured_load_state": np.array([1.0, *np.zeros(12)]),

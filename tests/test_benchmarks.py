@@ -17,8 +17,8 @@ def programs():
 
 
 @pytest.fixture(scope="module")
-def instances():
-    return drawn.draw_instances(60, seed=1)
+def instances(programs):
+    return drawn.draw_instances(60, 1, programs)
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +36,12 @@ def is_feasible(program, x, data):
     return program.worst_margin(x, data) >= -FEASIBILITY_TOLERANCE
 
 
-def test_instances_depend_on_the_seed_and_their_number_alone(instances):
-    again = drawn.draw_instances(3, seed=1)
+def test_instances_depend_on_the_seed_and_their_number_alone(instances, programs):
+    again = drawn.draw_instances(3, 1, programs)
     for one, other in zip(instances, again, strict=False):
         assert one.system == other.system
         np.testing.assert_array_equal(one.data, other.data)
-    assert not np.array_equal(drawn.draw_instances(1, seed=2)[0].data, instances[0].data)
+    assert not np.array_equal(drawn.draw_instances(1, 2, programs)[0].data, instances[0].data)
 
 
 def test_instances_are_of_all_kinds(instances, truths, programs):
@@ -79,16 +79,16 @@ def test_no_random_point_is_better_than_the_truth(instances, truths, programs):
         )
 
 
-def test_truths_are_cached(instances, truths, cache):
+def test_truths_are_cached(instances, truths, programs, cache):
     few = instances[:3]
-    assert drawn.truths(few) == truths[:3]
+    assert drawn.truths(few, programs) == truths[:3]
     (file,) = cache.iterdir()
     with np.load(file) as cached:
         np.savez(file, truths=cached["truths"] + 1)
-    changed = drawn.truths(few)
+    changed = drawn.truths(few, programs)
     assert [truth.margin for truth in changed] == [truth.margin + 1 for truth in truths[:3]]
     file.write_bytes(b"no archive")
-    assert drawn.truths(few) == truths[:3]
+    assert drawn.truths(few, programs) == truths[:3]
 
 
 @pytest.mark.parametrize("name", PEERS)
@@ -96,7 +96,7 @@ def test_peers_solve_what_is_near_by(name, programs):
     program = programs["cycle of 4"]
     solve = PEERS[name](program)
     ratios = []
-    for instance in drawn.draw_instances(40, seed=3):
+    for instance in drawn.draw_instances(40, 3, programs):
         data = instance.data.copy()
         if instance.system != "cycle of 4":
             continue

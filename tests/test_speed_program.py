@@ -7,6 +7,7 @@ from helpers import model
 from nonstop_cases import (
     PERIOD,
     SHARE,
+    SOLVERS,
     START,
     STILL,
     TIGHTENING,
@@ -20,7 +21,6 @@ from nonstop_cases import (
 
 from drake_nonstop.speed_program import Outcome, SpeedProgram
 
-SOLVERS = ("search", "grid", "snopt", "ipopt", "nlopt")
 WITHIN = {"frequency_bounds": (0.3, 10.0), "amplitude_bounds": (0.1, 10.0)}
 # Seeds and bounds far above what the start gives; single starts miss some of the optima.
 FAR = {10: 0.8591, 34: 0.7847, 3: 0.6, 7: 0.9}

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from drake_nonstop.mechanics.nonstop import speed_squares
 from drake_nonstop.mechanics.rigid_load import gravity_wrench
 from drake_nonstop.mechanics.rotation import roll_pitch_yaw_to_quaternion
 from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.results import replacing_file
 from drake_nonstop.speed_program import FEASIBILITY_TOLERANCE, SpeedProgram
 from drake_nonstop.speed_search import SearchProblem
 from drake_nonstop.system import Model, PatternConfig, System
@@ -100,9 +100,11 @@ def make_programs(**fields: object) -> dict[str, SpeedProgram]:
     return programs
 
 
-def draw_instances(count: int, seed: int) -> list[Instance]:
-    """Instances from the ranges above; the i-th depends on the seed and i alone."""
-    programs = make_programs()
+def draw_instances(count: int, seed: int, programs: dict[str, SpeedProgram]) -> list[Instance]:
+    """Instances from the ranges above for the programs of `make_programs`.
+
+    The i-th depends on the seed and i alone.
+    """
     return [_draw(np.random.default_rng([seed, i]), programs) for i in range(count)]
 
 
@@ -152,9 +154,12 @@ def _draw(rng: np.random.Generator, programs: dict[str, SpeedProgram]) -> Instan
     return Instance(name, data)
 
 
-def truths(instances: list[Instance], progress: Callable[[int], None] | None = None) -> list[Truth]:
+def truths(
+    instances: list[Instance],
+    programs: dict[str, SpeedProgram],
+    progress: Callable[[int], None] | None = None,
+) -> list[Truth]:
     """The true optima, from the cache where it holds these very problems."""
-    programs = make_programs()
     path = _cache_path(instances, programs)
     try:
         with np.load(path) as cached:
@@ -167,9 +172,8 @@ def truths(instances: list[Instance], progress: Callable[[int], None] | None = N
         if progress is not None:
             progress(i + 1)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
+    with replacing_file(path) as file:
         np.savez(file, truths=np.array([(t.cost, t.margin) for t in found]))
-    os.replace(file.name, path)
     return found
 
 

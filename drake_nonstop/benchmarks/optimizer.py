@@ -1,10 +1,9 @@
 """How fast and how good the solvers of the optimization layer are, on the same problems."""
 
-import contextlib
 import importlib.util
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -14,8 +13,9 @@ from numpy.typing import NDArray
 
 from drake_nonstop.benchmarks import instances as drawn
 from drake_nonstop.benchmarks.instances import Instance, Truth
-from drake_nonstop.benchmarks.peers import casadi_ipopt, scipy_slsqp
+from drake_nonstop.benchmarks.peers import Solve, casadi_ipopt, scipy_slsqp
 from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer, NonstopOptimizerConfig
+from drake_nonstop.quiet import quiet_drake
 from drake_nonstop.scenario import load_scenario
 from drake_nonstop.simulate import simulate
 from drake_nonstop.speed_program import FEASIBILITY_TOLERANCE, Outcome, SpeedProgram
@@ -36,12 +36,10 @@ SOLVERS: dict[str, dict[str, Any]] = {
     "nlopt": {"solver": "nlopt", "global_search": False},
     "grid": {"solver": "grid"},
 }
-PEERS: dict[str, Callable[[SpeedProgram], Callable[[NDArray], NDArray]]] = {
+PEERS: dict[str, Callable[[SpeedProgram], Solve]] = {
     "CasADi + IPOPT": casadi_ipopt,
     "SciPy SLSQP": scipy_slsqp,
 }
-
-Solve = Callable[[NDArray], NDArray]
 
 
 @dataclass(frozen=True)
@@ -77,16 +75,16 @@ def benchmark_optimizer(
         return lambda done: progress(what, done / count)
 
     names = names or [name for name in (*SOLVERS, *PEERS) if is_installed(name)]
-    instances = drawn.draw_instances(count, seed)
-    truths = drawn.truths(instances, report("true optima"))
+    reference = drawn.make_programs()
+    instances = drawn.draw_instances(count, seed, reference)
+    truths = drawn.truths(instances, reference, report("true optima"))
     updates, share, model, config = _closed_loop()
     in_loop = [Instance("quintic", data) for data in updates]
-    reference = drawn.make_programs()
     reference["quintic"] = SpeedProgram(model, config, str)
     loop_truths = [drawn.truth(reference["quintic"], data) for data in updates]
     random: dict[str, Any] = {}
     sequence: dict[str, Any] = {}
-    with _quiet_drake():
+    with quiet_drake(logging.ERROR):  # failed solves are counted here
         for name in names:
             fields = SOLVERS.get(name, {})
             programs = drawn.make_programs(**fields)
@@ -120,18 +118,6 @@ def benchmark_optimizer(
 def is_installed(name: str) -> bool:
     """Whether what a solver needs is there: SciPy comes with the extra `bench`."""
     return name != "SciPy SLSQP" or importlib.util.find_spec("scipy") is not None
-
-
-@contextlib.contextmanager
-def _quiet_drake() -> Iterator[None]:
-    """Keeps Drake's logger from telling of every failed solve: they are counted here."""
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 def table(results: dict[str, Any]) -> str:

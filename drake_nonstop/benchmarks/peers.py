@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from drake_nonstop.speed_program import DATA_SIZE, SpeedProgram
 
-Peer = Callable[[NDArray], NDArray]
+Solve = Callable[[NDArray], NDArray]
 
 
-def casadi_ipopt(program: SpeedProgram) -> Peer:
+def casadi_ipopt(program: SpeedProgram) -> Solve:
     """CasADi's IPOPT, with the exact Hessian of the traced problem, from [ξ⁻, A⁻] on."""
     x, data = casadi.MX.sym("x", 2), casadi.MX.sym("data", DATA_SIZE)
     cost, margins = (function.expressions(x, data)[0] for function in program.functions())
@@ -33,7 +33,7 @@ def casadi_ipopt(program: SpeedProgram) -> Peer:
     return solve
 
 
-def scipy_slsqp(program: SpeedProgram) -> Peer:
+def scipy_slsqp(program: SpeedProgram) -> Solve:
     """SciPy's SLSQP with traced values and exact gradients, from [ξ⁻, A⁻] on.
 
     Raises:

@@ -220,12 +220,13 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
     )
     require(config.tightening < 1, f"{owner}.tightening", config.tightening, "give less than 1")
     tightened = (1 + config.tightening) / (1 - config.tightening)
-    for name in ("max_frequency_rate", "max_amplitude_rate", "max_speed", "max_tension"):
-        value, least = getattr(config, name), 0.0
-        if name == "max_speed":
-            least = tightened * config.speed_bound
-        if name == "max_tension":
-            least = tightened * config.min_tension
+    for name, least in (
+        ("max_frequency_rate", 0.0),
+        ("max_amplitude_rate", 0.0),
+        ("max_speed", tightened * config.speed_bound),
+        ("max_tension", tightened * config.min_tension),
+    ):
+        value = getattr(config, name)
         require(
             (is_number(value) and value > least) or value == math.inf,
             f"{owner}.{name}",

@@ -25,6 +25,26 @@ def grasp_matrix(attachments: NDArray) -> NDArray:
     )
 
 
+def in_load_frame(
+    load_state: NDArray, wrench: NDArray, wrench_rate: NDArray
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """R_LW (3, 3), ω (3,) in L, and a wrench and its rate (6,) in W as seen from L.
+
+    `load_state` (13,) is in W. The rate is that of the components in L:
+    d(Rᵀτ)/dt = Rᵀτ̇ − ω × Rᵀτ, and likewise of the force.
+    """
+    R_LW = rotation_matrix(load_state[:4]).T
+    angular_velocity = R_LW @ load_state[7:10]
+    torque, force = R_LW @ wrench[:3], R_LW @ wrench[3:]
+    wrench_rate_L = np.concatenate(
+        [
+            R_LW @ wrench_rate[:3] - cross(angular_velocity, torque),
+            R_LW @ wrench_rate[3:] - cross(angular_velocity, force),
+        ]
+    )
+    return R_LW, angular_velocity, np.concatenate([torque, force]), wrench_rate_L
+
+
 def cable_forces_and_rates(
     load_state: NDArray,
     wrench: NDArray,
@@ -45,17 +65,7 @@ def cable_forces_and_rates(
 
     exact, with ω in L. Own derivation, equal to Ġ†w + G†ẇ + Ṅλ + Nλ̇ of the paper.
     """
-    R_WL = rotation_matrix(load_state[:4])
-    R_LW = R_WL.T
-    angular_velocity = R_LW @ load_state[7:10]
-    torque, force = R_LW @ wrench[:3], R_LW @ wrench[3:]
-    wrench_L = np.concatenate([torque, force])
-    wrench_rate_L = np.concatenate(
-        [
-            R_LW @ wrench_rate[:3] - cross(angular_velocity, torque),
-            R_LW @ wrench_rate[3:] - cross(angular_velocity, force),
-        ]
-    )
+    R_LW, angular_velocity, wrench_L, wrench_rate_L = in_load_frame(load_state, wrench, wrench_rate)
     m = basis.shape[1]
     forces_L = pseudo_inverse @ wrench_L + offset + basis @ internal_force[:m]
     rates_L = pseudo_inverse @ wrench_rate_L + basis @ internal_force[m:]

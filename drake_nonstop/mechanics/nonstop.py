@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.grasp import in_load_frame
 from drake_nonstop.mechanics.internal_force import ellipse_axes, internal_force
 from drake_nonstop.mechanics.rotation import cross, quaternion_rate, rotation_matrix
 
@@ -97,25 +98,18 @@ def orbit_ahead(
         f₀, d, the levers of the attachments in `load_motion` and their velocities v_b,
         (n, 3) each, and the angular velocity ω (3,) that turns the forces.
     """
-    R_LW = rotation_matrix(load_state[:4]).T
-    omega = R_LW @ load_state[7:10]
     wrench = wrench + time * (wrench_rate + time / 2 * wrench_second_rate)
     wrench_rate = wrench_rate + time * wrench_second_rate
-    torque, force = R_LW @ wrench[:3], R_LW @ wrench[3:]
-    forces = pseudo_inverse @ np.concatenate([torque, force]) + offset
-    rates = pseudo_inverse @ np.concatenate(
-        [
-            R_LW @ wrench_rate[:3] - cross(omega, torque),
-            R_LW @ wrench_rate[3:] - cross(omega, force),
-        ]
-    )
+    R_LW, omega, wrench_L, wrench_rate_L = in_load_frame(load_state, wrench, wrench_rate)
+    forces = pseudo_inverse @ wrench_L + offset
+    rates = pseudo_inverse @ wrench_rate_L
     levers = attachments @ (R_LW @ rotation_matrix(load_motion[:4])).T
     velocities = R_LW @ load_motion[10:13] + cross(R_LW @ load_motion[7:10], levers)
     return forces.reshape(-1, 3), rates.reshape(-1, 3), levers, velocities, omega
 
 
 def orbit_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
-    """P and q (n, 3), in L: the internal force N₀ λ is A (p cos θ + q sin θ)."""
+    """The axes p and q (n, 3), in L: the internal force N₀ λ is A (p cos θ + q sin θ)."""
     cosine_axes, sine_axes = ellipse_axes(basis, phases)
     return cosine_axes, -sine_axes
 

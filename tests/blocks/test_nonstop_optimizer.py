@@ -3,6 +3,7 @@ import pytest
 from helpers import fix, model, output
 from nonstop_cases import (
     PERIOD,
+    SOLVERS,
     START,
     STILL,
     TIGHTENING,
@@ -17,8 +18,6 @@ from pydrake.systems.analysis import Simulator
 from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer, NonstopOptimizerConfig
 from drake_nonstop.speed_program import Outcome
 from drake_nonstop.validation import ScenarioError
-
-SOLVERS = ("search", "grid", "snopt", "ipopt", "nlopt")
 
 
 def test_speeds_from_first_principles_are_those_of_the_still_square():
