@@ -3,13 +3,19 @@
 import argparse
 import contextlib
 import sys
+import threading
 import time
+import webbrowser
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from drake_nonstop.live import run_live
 from drake_nonstop.results import require_writable, write_json, write_results
 from drake_nonstop.scenario import Scenario, load_scenario, scenario_names
-from drake_nonstop.simulate import RunInterrupted, RunStopped, simulate
+from drake_nonstop.scene import start_meshcat
+from drake_nonstop.serving import serve_folder
+from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, simulate
 from drake_nonstop.validation import ScenarioError, require
 from drake_nonstop.version import __version__
 
@@ -53,7 +59,27 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--no-figures", action="store_true", help="write no figures/")
     run.add_argument("--no-replay", action="store_true", help="write no replay.html")
+    run.add_argument(
+        "--live", action="store_true", help="show it in Meshcat while it runs, with controls"
+    )
+    run.add_argument(
+        "--realtime",
+        type=float,
+        metavar="RATE",
+        help="simulated s per s of a live run (1; 0: free)",
+    )
+    run.add_argument("--port", type=int, help="of the live page (any from 7000 that is free)")
     run.add_argument("--quiet", action="store_true", help="print errors only")
+    view = commands.add_parser("view", help="watch the replay of a run")
+    view.set_defaults(action=_view)
+    view.add_argument("folder", type=Path, metavar="DIR", help="the results of `run`")
+    view.add_argument("--port", type=int, default=0, help="to serve it on (any that is free)")
+    view.add_argument("--no-open", action="store_true", help="leave opening it to you")
+    pictures = commands.add_parser("pictures", help="take the README's pictures of the line task")
+    pictures.set_defaults(action=_pictures)
+    pictures.add_argument(
+        "--out", type=Path, metavar="DIR", default=Path("out/pictures"), help="(out/pictures)"
+    )
     bench = commands.add_parser("bench", help="measure speed and quality")
     benches = bench.add_subparsers(required=True, metavar="WHAT")
     optimizer = benches.add_parser(
@@ -82,12 +108,20 @@ def _list(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace) -> int:
     scenario = load_scenario(options.scenario, options.set)
     folder: Path = options.out or Path("out") / scenario.name
-    code, message = 0, ""
+    for name in ("realtime", "port"):
+        value = getattr(options, name)
+        require(options.live or value is None, f"--{name}", value, "give --live with it")
     is_new = not folder.exists()
     bar = None if options.quiet else _RunProgress(scenario)
     try:
         require_writable(folder)
-        run = simulate(scenario, progress=bar)
+        for run in _runs(scenario, options, bar):
+            if bar is not None:
+                bar.close()
+            metrics = _write(run, folder, options)
+            if not options.quiet:
+                _report(metrics, folder)
+        return 0
     except ScenarioError:
         if is_new:
             with contextlib.suppress(OSError):
@@ -96,29 +130,69 @@ def _run(options: argparse.Namespace) -> int:
     except RunStopped as stopped:
         run, code, message = stopped.run, FAILED, str(stopped)
     except RunInterrupted as interrupted:
-        run, code = interrupted.run, INTERRUPTED
-        message = "interrupted"
+        run, code, message = interrupted.run, INTERRUPTED, "interrupted"
     finally:
         if bar is not None:
             bar.close()
-    if message:
-        print(f"drake-nonstop: {message}", file=sys.stderr)
-    if len(run.time) == 0:
-        return code
-    metrics = write_results(
-        run, folder, figures=not options.no_figures, replay=not options.no_replay
-    )
-    if message:
+    print(f"drake-nonstop: {message}", file=sys.stderr)
+    if len(run.time) > 0:
+        metrics = _write(run, folder, options)
         print(
             f"drake-nonstop: the results up to {metrics['simulated_s']:.3f} s are in {folder}",
             file=sys.stderr,
         )
-    elif not options.quiet:
-        print(_table(metrics))
-        for warning in _warnings(metrics):
-            print(f"warning: {warning}")
-        print(f"results: {folder}")
     return code
+
+
+def _runs(
+    scenario: Scenario, options: argparse.Namespace, progress: "_RunProgress | None"
+) -> Iterator[Run]:
+    """The run that was asked for, or, live, all that are asked for in the page."""
+    if not options.live:
+        yield simulate(scenario, progress=progress)
+        return
+    meshcat = start_meshcat(options.port)
+    print(f"watch and steer it at {meshcat.web_url()}", flush=True)
+    rate = 1.0 if options.realtime is None else options.realtime
+    yield from run_live(scenario, meshcat, realtime_rate=rate, progress=progress)
+
+
+def _write(run: Run, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    return write_results(run, folder, figures=not options.no_figures, replay=not options.no_replay)
+
+
+def _report(metrics: dict[str, Any], folder: Path) -> None:
+    print(_table(metrics))
+    for warning in _warnings(metrics):
+        print(f"warning: {warning}")
+    print(f"results: {folder}")
+
+
+def _view(options: argparse.Namespace) -> int:
+    page = options.folder / "replay.html"
+    require(page.is_file(), "DIR", options.folder, "give a folder that `run` left a replay.html in")
+    with serve_folder(options.folder, options.port) as address:
+        address = f"{address}/replay.html"
+        print(f"{address} (Ctrl-C ends it)", flush=True)
+        if not options.no_open:
+            webbrowser.open(address)
+        threading.Event().wait()
+    return 0
+
+
+def _pictures(options: argparse.Namespace) -> int:
+    # Imported here: it needs Pillow and, in the end, a browser.
+    from drake_nonstop.pictures import make_pictures
+
+    require_writable(options.out)
+    line = _ProgressLine()
+    try:
+        paths = make_pictures(options.out, progress=line.show_share)
+    finally:
+        line.close()
+    for path in paths:
+        print(path)
+    return 0
 
 
 def _bench_optimizer(options: argparse.Namespace) -> int:
@@ -144,7 +218,7 @@ def _bench_optimizer(options: argparse.Namespace) -> int:
             options.instances,
             options.seed,
             options.solvers,
-            progress=lambda what, share: line.show(f"{what} {_bar(share)} {share:.0%}"),
+            progress=line.show_share,
         )
     finally:
         line.close()
@@ -237,6 +311,10 @@ class _ProgressLine:
             self._last_line = now
             print(text, file=sys.stderr, flush=True)
         self._used = True
+
+    def show_share(self, what: str, share: float) -> None:
+        """Shows how much of something is done."""
+        self.show(f"{what} {_bar(share)} {share:.0%}")
 
     def close(self) -> None:
         """Ends the line."""

@@ -98,7 +98,7 @@ def _carrier_metrics(run: Run) -> dict[str, Any]:
     time, states = run.steps["time"], run.steps["carrier_state"]
     positions, velocities = _split(states)
     speeds = carrier_speeds(states)
-    bound = run.scenario.optimization_layer.speed_bound
+    bounds = speed_bounds(run)
     sharpest: dict[str, float | None] = {"acceleration": None, "radius": None}
     if len(time) > 2 and np.any(speeds > 0):
         accelerations = np.gradient(velocities, time, axis=0)
@@ -115,8 +115,8 @@ def _carrier_metrics(run: Run) -> dict[str, Any]:
         "speed_min_m_s": float(np.min(speeds)),
         "speed_max_m_s": float(np.max(speeds)),
         "speed_final_m_s": speeds[-1].tolist(),
-        "speed_bound_m_s": bound,
-        "time_below_bound_s": _duration(time, np.any(speeds < bound, axis=1)),
+        "speed_bound_m_s": float(bounds[-1]),
+        "time_below_bound_s": _duration(time, np.any(speeds < bounds[:, None], axis=1)),
         "separation_min_m": min(
             float(np.min(np.linalg.norm(positions[:, i] - positions[:, j], axis=1)))
             for i, j in combinations(range(speeds.shape[1]), 2)
@@ -157,6 +157,13 @@ def _optimizer_metrics(run: Run) -> dict[str, Any]:
         "xi_final_rad_s": float(frequency),
         "A_final_N": float(amplitude),
     }
+
+
+def speed_bounds(run: Run) -> NDArray:
+    """The ε (m/s) that was asked for at every step (steps,); it may change during a live run."""
+    if "speed_bound" in run.steps:
+        return run.steps["speed_bound"][:, 0]
+    return np.full(len(run.steps["time"]), run.scenario.optimization_layer.speed_bound)
 
 
 def attachment_positions(run: Run, load_states: NDArray) -> NDArray:

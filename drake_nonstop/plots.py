@@ -9,7 +9,12 @@ from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
 
-from drake_nonstop.metrics import attachment_positions, carrier_speeds, load_errors
+from drake_nonstop.metrics import (
+    attachment_positions,
+    carrier_speeds,
+    load_errors,
+    speed_bounds,
+)
 from drake_nonstop.simulate import Run
 
 _SIZE = (7.0, 4.2)  # inch
@@ -70,8 +75,8 @@ def _draw_carrier_speeds(run: Run) -> Figure:
     figure, axes = _single()
     speeds = carrier_speeds(run.steps["carrier_state"])
     _plot_each(axes, run.steps["time"], speeds, "carrier")
-    bound = run.scenario.optimization_layer.speed_bound
-    axes.axhline(bound, color="green", linestyle="--", label="bound ε")
+    bounds = speed_bounds(run)
+    axes.plot(run.steps["time"], bounds, color="green", linestyle="--", label="bound ε")
     axes.set_ylim(bottom=0)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("carrier speed (m/s)")

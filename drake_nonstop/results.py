@@ -13,8 +13,8 @@ import numpy as np
 from drake_nonstop.drawing import draw_diagram
 from drake_nonstop.metrics import compute_metrics
 from drake_nonstop.plots import FIGURE_NAMES, make_figures
+from drake_nonstop.replay import record_replay
 from drake_nonstop.scenario import dump_scenario
-from drake_nonstop.scene import record_replay
 from drake_nonstop.simulate import Run
 from drake_nonstop.validation import ScenarioError
 

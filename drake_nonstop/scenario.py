@@ -36,6 +36,7 @@ from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
 from drake_nonstop.blocks.printed_phase import PrintedPhaseConfig
 from drake_nonstop.blocks.wrench_controller import WrenchControllerConfig
 from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.scene import SceneConfig
 from drake_nonstop.system import System, SystemOverrides
 from drake_nonstop.validation import ScenarioError, require, require_positive
 
@@ -87,6 +88,7 @@ class Scenario:
     cables: CablesConfig = field(default_factory=CablesConfig)
     load_disturbance: NoDisturbanceConfig = field(default_factory=NoDisturbanceConfig)
     load_plant: LoadPlantConfig = field(default_factory=LoadPlantConfig)
+    scene: SceneConfig = field(default_factory=SceneConfig)
 
 
 def scenario_names() -> list[str]:

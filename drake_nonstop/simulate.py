@@ -5,12 +5,14 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
@@ -28,6 +30,7 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
+from drake_nonstop.blocks.nonstop_visualizer import NonstopVisualizer
 from drake_nonstop.compiled import LARGEST, NotFiniteError
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.equilibrium import fastest_mode, set_equilibrium
@@ -35,6 +38,7 @@ from drake_nonstop.scenario import Scenario
 from drake_nonstop.validation import ScenarioError, require
 from drake_nonstop.wiring import output_names
 
+_WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
 _REPORT_PERIOD = 0.1  # s of wall time, between two calls of `progress`
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
 
@@ -43,7 +47,14 @@ _STABLE_STEP = 1.6  # rad, the fastest mode's turn in a step; third-order Runge-
 _WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
 
 # What the metrics judge by the step, and where the optimization layer's updates show.
-_EVERY_STEP = ("load_state", "carrier_state", "tensions", "diagnostics", _WALL_TIME)
+_EVERY_STEP = (
+    "load_state",
+    "carrier_state",
+    "tensions",
+    "diagnostics",
+    "speed_bound",
+    _WALL_TIME,
+)
 
 
 @dataclass(kw_only=True)
@@ -74,6 +85,14 @@ class Run:
         raise KeyError(port)
 
 
+class Then(Enum):
+    """What a run does after a step."""
+
+    GO_ON = 1
+    WAIT = 2  # and ask again
+    END = 3
+
+
 class RunStopped(RuntimeError):  # noqa: N818 - a run stopped; the cause is told
     """A run ended before its time; `run` holds the signals up to there."""
 
@@ -94,6 +113,8 @@ def simulate(
     scenario: Scenario,
     *,
     progress: Callable[[float], None] | None = None,
+    viewers: Sequence[Meshcat] = (),
+    after_step: Callable[[Simulator, Diagram], Then] | None = None,
     **replacements: Any,
 ) -> Run:
     """Simulates a scenario from its equilibrium and returns all signals.
@@ -101,6 +122,10 @@ def simulate(
     Args:
         scenario: what to run.
         progress: called with the simulated time now and then.
+        viewers: where to show the run while it goes on; its results are the same without.
+        after_step: called with the simulator and the loop's diagram after every step. It may
+            change parameters of the context, such as the optimization layer's ε, or the
+            simulator's real-time rate, and have the run wait or end.
         replacements: blocks in place of the scenario's, see `make_nonstop`.
 
     Raises:
@@ -130,6 +155,9 @@ def simulate(
         _stacked(builder, stepped), builder, {TriggerType.kPerStep}, publish_period=0.0
     )
     sample_sink = LogVectorOutput(_stacked(builder, sampled), builder, publish_period=SIGNAL_PERIOD)
+    visualizers = [
+        NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat) for meshcat in viewers
+    ]
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
     start = time.perf_counter()
@@ -149,11 +177,13 @@ def simulate(
         ApplySimulatorConfig(
             _stable_config(scenario.simulator, nonstop, nonstop_context), simulator
         )
-        with _Monitor(nonstop, progress) as monitor:
+        with _Monitor(simulator, nonstop, progress, after_step) as monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
             simulator.Initialize()
             simulator.AdvanceTo(scenario.duration)
+            for visualizer in visualizers:  # the last step may have been skipped
+                visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
             if monitor.is_interrupted:
                 raise KeyboardInterrupt
     except ScenarioError:
@@ -192,16 +222,24 @@ def _stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) 
 
 
 class _Monitor:
-    """Reports progress, and ends the run at the step in which Ctrl-C was pressed.
+    """Reports progress, asks what to do, and ends the run at the step of a Ctrl-C.
 
     A KeyboardInterrupt raised wherever Python happens to be may surface, on its way through
     C++, as an error of a block or a solver; so the first Ctrl-C is only noted. A second one
     interrupts at once.
     """
 
-    def __init__(self, nonstop: Diagram, progress: Callable[[float], None] | None):
+    def __init__(
+        self,
+        simulator: Simulator,
+        nonstop: Diagram,
+        progress: Callable[[float], None] | None,
+        after_step: Callable[[Simulator, Diagram], Then] | None,
+    ):
+        self._simulator = simulator
         self._nonstop = nonstop
         self._progress = progress
+        self._after_step = after_step
         self._last_report = 0.0
         self._previous_handler: Any = None
         self.is_interrupted = False
@@ -213,7 +251,18 @@ class _Monitor:
         if self._progress is not None and now - self._last_report > _REPORT_PERIOD:
             self._last_report = now
             self._progress(root_context.get_time())
+        if self._after_step is not None and self._ends():
+            return EventStatus.ReachedTermination(self._nonstop, "ended")
         return EventStatus.DidNothing()
+
+    def _ends(self) -> bool:
+        then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
+        if then is Then.WAIT:
+            while then is Then.WAIT and not self.is_interrupted:
+                time.sleep(_WAITING_PERIOD)
+                then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
+            self._simulator.ResetStatistics()  # the real-time rate is kept from here on
+        return then is Then.END or self.is_interrupted
 
     def __enter__(self) -> "_Monitor":
         if threading.current_thread() is threading.main_thread():

@@ -9,7 +9,10 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw_, RotationMatrix
 from pydrake.systems.framework import Context, LeafSystem
 
+from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
 from drake_nonstop.pattern import HamiltonianCycleConfig
+from drake_nonstop.scenario import Scenario
+from drake_nonstop.simulate import Run
 from drake_nonstop.system import Model, System
 
 INERTIA = np.array([[0.014, 0.001, -0.0005], [0.001, 0.011, 0.002], [-0.0005, 0.002, 0.017]])
@@ -124,3 +127,41 @@ def fix(block: LeafSystem, context: Context, **inputs: NDArray) -> None:
 def output(block: LeafSystem, context: Context, name: str) -> NDArray:
     """A copy of the output of that name."""
     return block.GetOutputPort(name).Eval(context).copy()
+
+
+def circling_run(n=4, duration=0.5, cable_length=0.8):
+    """A made-up run of `n` carriers that circle above a turning load on its way along x.
+
+    All that a scene shows changes all the time, marks and tensions among it.
+    """
+    angles = 2 * np.pi * np.arange(n) / n
+    attachments = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])
+    system = System(attachments=attachments.tolist(), cable_length=cable_length)
+    time = np.arange(0, duration + 1e-9, 0.01)
+    load = np.zeros((len(time), 13))
+    load[:, 0], load[:, 3] = np.cos(time / 4), np.sin(time / 4)
+    load[:, 4] = 0.7 * time
+    reference = np.hstack([load, np.zeros((len(time), 9))])
+    turns = time[:, None] + angles
+    positions = np.stack([np.cos(turns), np.sin(turns), np.full(turns.shape, cable_length)], 2)
+    velocities = np.stack([-np.sin(turns), np.cos(turns), np.zeros(turns.shape)], 2)
+    velocities *= (1 + 0.3 * np.sin(5 * turns))[..., None]
+    carriers = [values.reshape(len(time), -1) for values in (positions, velocities)]
+    return Run(
+        scenario=Scenario(
+            system=system,
+            duration=duration,
+            optimization_layer=NonstopOptimizerConfig(speed_bound=0.7),
+        ),
+        diagram=None,
+        time=time,
+        signals={
+            "load_plant.load_state": load,
+            "load_trajectory.reference": reference,
+            "carrier_dynamics.carrier_state": np.hstack(carriers),
+            "cables.tensions": np.abs(4 * np.sin(3 * turns)),
+        },
+        steps={},
+        solve_times=np.zeros(0),
+        wall_time=0.0,
+    )

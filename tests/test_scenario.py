@@ -111,7 +111,7 @@ def test_a_file_with_defaults_only_needs_no_more_than_its_name(tmp_path):
         ("pattern.phases=[0,0,1,2]", ["pattern.phases", "coincide modulo pi"]),
         ("pattern.phases=[0,1]", ["pattern.phases = [0.0, 1.0]", "4 finite numbers"]),
         ("optimization_layer.period=0.004", ["period = 0.004", "multiple of the control period"]),
-        ("optimization_layer.speed_bound=-0.1", ["speed_bound = -0.1", "not negative"]),
+        ("optimization_layer.speed_bound=-0.1", ["speed_bound = -0.1", "0 (no bound)"]),
         ("optimization_layer.solver=gurobi", ["solver = gurobi", "snopt, ipopt"]),
         ("optimization_layer.look_ahead_points=1.5", ["look_ahead_points = 1.5", "whole number"]),
         ("phase=!Phase {}", ["phase = !Phase", "!AccumulatedPhase, !PrintedPhase"]),

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, LeafSystem, NumericParameterIndex
 
 from drake_nonstop.system import Model
 from drake_nonstop.validation import require_non_negative, require_positive
@@ -26,8 +26,10 @@ class ConstantParameters(LeafSystem):
         name: ConstantParameters
         output_ports:
         - parameters
+        - speed_bound
 
-    `parameters` (2) = [ξ (rad/s), A (N)].
+    `parameters` (2) = [ξ (rad/s), A (N)]; `speed_bound` (1) is ε in m/s, which nothing enforces
+    and `set_speed_bound` changes during a run.
 
     Raises:
         ScenarioError: frequency or amplitude is not positive, or the bound negative.
@@ -44,6 +46,21 @@ class ConstantParameters(LeafSystem):
         self.DeclareVectorOutputPort(
             "parameters", 2, self._calc_parameters, {self.nothing_ticket()}
         )
+        self._speed_bound = self.DeclareNumericParameter(BasicVector([config.speed_bound]))
+        self.DeclareVectorOutputPort(
+            "speed_bound",
+            1,
+            self._calc_speed_bound,
+            {self.numeric_parameter_ticket(NumericParameterIndex(self._speed_bound))},
+        )
+
+    def set_speed_bound(self, context: Context, speed_bound: float) -> None:
+        """Compares with another ε (m/s) from now on; the context is the block's own."""
+        require_non_negative("optimization_layer", speed_bound=speed_bound)
+        context.get_mutable_numeric_parameter(self._speed_bound).SetFromVector([speed_bound])
 
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._parameters)
+
+    def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_numeric_parameter(self._speed_bound).value())

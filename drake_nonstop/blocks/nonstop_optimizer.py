@@ -4,7 +4,14 @@ import math
 import time
 from dataclasses import dataclass, field
 
-from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
+import numpy as np
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteValues,
+    LeafSystem,
+    NumericParameterIndex,
+)
 
 from drake_nonstop.local_solver import LocalSolver
 from drake_nonstop.speed_program import SpeedProgram, amplitude_bounds
@@ -17,6 +24,7 @@ from drake_nonstop.validation import (
     require_positive,
 )
 
+_LEAST_BOUND = 1e-3  # m/s, but for none at all: margins are relative to the bound
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
@@ -44,6 +52,7 @@ class NonstopOptimizerConfig:
     internal_force_rate_weight: float = 1.0  # w_vel of eq. 26
     anchor_weight: float = 0.0  # of the way back to the initial ξ and A, at rest
     period: float = 0.01  # s, between updates
+    change_time: float = 2.0  # s, in which a bound or a switch set during a run takes effect
     solver: str = "search"  # or "grid", "snopt", "ipopt", "nlopt"
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
 
@@ -114,6 +123,12 @@ class NonstopOptimizer(LeafSystem):
     five times that, 1 %. The step of A has no bound of its own: that it stays within the rest is
     measured, by tests/evals/test_bound_always_holds.py.
 
+    **During a run** `set_speed_bound` and `set_enabled` change two parameters of the context,
+    as a live view does. The carriers' commands follow without a jump: a raised bound is asked
+    for little by little, at its height per `change_time`, and so is one that comes back into
+    force; a layer that is switched off leads ξ and A back to where they started, with a time
+    constant of a quarter of that, and counts no updates.
+
     .. pydrake_system::
 
         name: NonstopOptimizer
@@ -127,12 +142,14 @@ class NonstopOptimizer(LeafSystem):
         - parameters
         - diagnostics
         - solve_time
+        - speed_bound
 
     `measured_load_state` (13), `reference` (22), `wrench` and `wrench_rate` (6, [torque;
     force]), all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `parameters` (2) = [ξ (rad/s), A (N)];
     `diagnostics` (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest
     speed minus the untightened ε (m/s)]; `solve_time` (1) is the wall time in s that the
-    last update took, from its inputs to its answer. All outputs are state: nothing feeds through.
+    last update took, from its inputs to its answer; `speed_bound` (1) is the ε that is asked for,
+    in m/s. All outputs are state or parameters: nothing feeds through.
 
     Raises:
         ScenarioError: a parameter is out of range, or the period is no multiple of the
@@ -143,7 +160,6 @@ class NonstopOptimizer(LeafSystem):
         super().__init__()
         config = config or NonstopOptimizerConfig()
         _check(config, model)
-        self._speed_bound = config.speed_bound
         self.program = SpeedProgram(model, config, self.get_name)
         self._measured_load_state = self.DeclareVectorInputPort("measured_load_state", 13)
         self._reference = self.DeclareVectorInputPort("reference", 22)
@@ -154,16 +170,52 @@ class NonstopOptimizer(LeafSystem):
         self._diagnostics = self.DeclareDiscreteState(7)
         self._solve_time = self.DeclareDiscreteState(1)
         self._last_wrench_rate = self.DeclareDiscreteState(6)
-        self._period = config.period
+        self._bound_in_force = self.DeclareDiscreteState([config.speed_bound])
+        self._speed_bound = self.DeclareNumericParameter(BasicVector([config.speed_bound]))
+        self._enabled = self.DeclareNumericParameter(BasicVector([1.0]))
+        self._start = np.array([config.frequency, config.amplitude])
+        self._period, self._change_time = config.period, config.change_time
         self.DeclareStateOutputPort("parameters", self._parameters)
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
+        self.DeclareVectorOutputPort(
+            "speed_bound",
+            1,
+            self._calc_speed_bound,
+            {self.numeric_parameter_ticket(NumericParameterIndex(self._speed_bound))},
+        )
         # Offset = period: with offset 0 the periodic event would repeat the first one.
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         self.DeclarePeriodicDiscreteUpdateEvent(config.period, config.period, self._update)
 
+    def set_speed_bound(self, context: Context, speed_bound: float) -> None:
+        """Asks for another ε (m/s) from the next update on; the context is the block's own.
+
+        Raises:
+            ScenarioError: the bound is neither 0 nor at least 1e-3 m/s.
+        """
+        _check_speed_bound(speed_bound)
+        context.get_mutable_numeric_parameter(self._speed_bound).SetFromVector([speed_bound])
+
+    def set_enabled(self, context: Context, enabled: bool) -> None:
+        """Switches the layer on or off from the next update on; the context is the block's own."""
+        context.get_mutable_numeric_parameter(self._enabled).SetFromVector([float(enabled)])
+
+    def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_numeric_parameter(self._speed_bound).value())
+
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         previous = context.get_discrete_state(self._parameters).CopyToVector()
+        if not context.get_numeric_parameter(self._enabled).value()[0]:
+            share = 1 - math.exp(-4 * self._period / self._change_time)
+            discrete_state.set_value(self._parameters, previous + share * (self._start - previous))
+            discrete_state.set_value(self._bound_in_force, [0.0])
+            return
+        bound = context.get_numeric_parameter(self._speed_bound).value()[0]
+        before = context.get_discrete_state(self._bound_in_force).value()[0]
+        if before < bound:
+            step = bound * self._period / self._change_time
+            bound = min(bound, max(before + step, _LEAST_BOUND))
         diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
         wrench_rate = self._wrench_rate.Eval(context)
         last_wrench_rate = wrench_rate
@@ -179,26 +231,33 @@ class NonstopOptimizer(LeafSystem):
             (wrench_rate - last_wrench_rate) / self._period,
         )
         start = time.perf_counter()
-        data = self.program.update_data(
-            *inputs, speed_bound=self._speed_bound, updates=int(diagnostics[1])
-        )
+        data = self.program.update_data(*inputs, speed_bound=bound, updates=int(diagnostics[1]))
         parameters, outcome, slowest = self.program.solve(data)
         solve_time = time.perf_counter() - start
         diagnostics[0] = outcome
         diagnostics[1] += 1
         diagnostics[1 + outcome] += 1
-        diagnostics[6] = slowest - self._speed_bound
+        diagnostics[6] = slowest - bound
         discrete_state.set_value(self._parameters, parameters)
         discrete_state.set_value(self._diagnostics, diagnostics)
         discrete_state.set_value(self._last_wrench_rate, wrench_rate)
         discrete_state.set_value(self._solve_time, [solve_time])
+        discrete_state.set_value(self._bound_in_force, [bound])
+
+
+def _check_speed_bound(speed_bound: float) -> None:
+    require(
+        speed_bound == 0 or (is_number(speed_bound) and speed_bound >= _LEAST_BOUND),
+        "optimization_layer.speed_bound",
+        speed_bound,
+        f"give 0 (no bound) or at least {_LEAST_BOUND:g} m/s",
+    )
 
 
 def _check(config: NonstopOptimizerConfig, model: Model) -> None:
     owner = "optimization_layer"
     require_non_negative(
         owner,
-        speed_bound=config.speed_bound,
         tightening=config.tightening,
         internal_force_weight=config.internal_force_weight,
         internal_force_rate_weight=config.internal_force_rate_weight,
@@ -212,12 +271,7 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         amplitude=config.amplitude,
         period=config.period,
     )
-    require(
-        config.speed_bound == 0 or config.speed_bound >= 1e-3,
-        f"{owner}.speed_bound",
-        config.speed_bound,
-        "give 0 (no bound) or at least 1e-3 m/s",
-    )
+    _check_speed_bound(config.speed_bound)
     require(config.tightening < 1, f"{owner}.tightening", config.tightening, "give less than 1")
     tightened = (1 + config.tightening) / (1 - config.tightening)
     for name, least in (

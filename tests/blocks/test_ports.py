@@ -67,10 +67,10 @@ BLOCKS = {
     ),
     NonstopOptimizer: (
         ["measured_load_state", "reference", "wrench", "wrench_rate", "phase"],
-        ["parameters", "diagnostics", "solve_time"],
+        ["parameters", "diagnostics", "solve_time", "speed_bound"],
         [],
     ),
-    ConstantParameters: ([], ["parameters"], []),
+    ConstantParameters: ([], ["parameters", "speed_bound"], []),
     AccumulatedPhase: (["parameters"], ["phase"], []),
     PrintedPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
     InternalForceTrajectory: (
@@ -165,6 +165,7 @@ def size(signal, n, m):
         "parameters": 2,
         "diagnostics": 7,
         "solve_time": 1,
+        "speed_bound": 1,
         "phase": 2,
         "internal_force": 2 * m,
         "desired_cable_forces": 3 * n,
@@ -283,8 +284,8 @@ def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, per
     time = 6.25
     context.SetTime(time)
     after = check("time")
-    constant = make in (ConstantParameters, NoDisturbance)
     for name in before:
+        constant = make in (ConstantParameters, NoDisturbance) or name == "speed_bound"
         assert np.array_equal(before[name], after[name]) == constant, name
 
 

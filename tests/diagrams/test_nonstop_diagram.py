@@ -86,7 +86,7 @@ def test_no_input_is_left_open_and_every_output_is_exported(name, request):
 def test_every_signal_is_read_but_those_that_only_report(figure):
     read = {wire.split(" -> ")[0].split(".")[1] for wire in wiring.connections(figure)}
     unread = set(wiring.output_names(figure)) - read
-    assert unread == {"tracking_error", "diagnostics", "solve_time", "tensions"}
+    assert unread == {"tracking_error", "diagnostics", "solve_time", "speed_bound", "tensions"}
 
 
 def test_wire_that_differs_from_the_list_is_an_error(monkeypatch):
