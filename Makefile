@@ -1,9 +1,10 @@
 # make demo: environment, install, one run. make test: the tests. make check: lint and types.
+# make pictures: those of the README; needs Chromium (on Debian: apt-get install chromium).
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check clean
+.PHONY: demo test check pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/drake-nonstop run quintic
@@ -16,6 +17,9 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+pictures: $(VENV)/.installed-dev
+	$(BIN)/drake-nonstop pictures --out examples/pictures
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \

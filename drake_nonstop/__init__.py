@@ -33,14 +33,17 @@ from drake_nonstop.blocks.load_trajectory import (
 )
 from drake_nonstop.blocks.no_disturbance import NoDisturbance, NoDisturbanceConfig
 from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer, NonstopOptimizerConfig
+from drake_nonstop.blocks.nonstop_visualizer import NonstopVisualizer
 from drake_nonstop.blocks.printed_phase import PrintedPhase, PrintedPhaseConfig
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.wrench_controller import WrenchController, WrenchControllerConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.drawing import draw_diagram
 from drake_nonstop.equilibrium import set_equilibrium
+from drake_nonstop.live import run_live
 from drake_nonstop.metrics import compute_metrics
 from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.replay import record_replay
 from drake_nonstop.results import write_results
 from drake_nonstop.scenario import (
     Scenario,
@@ -49,7 +52,8 @@ from drake_nonstop.scenario import (
     parse_scenario,
     scenario_names,
 )
-from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, simulate
+from drake_nonstop.scene import SceneConfig, start_meshcat
+from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, Then, simulate
 from drake_nonstop.speed_program import Outcome
 from drake_nonstop.system import Model, System
 from drake_nonstop.validation import ScenarioError
@@ -108,12 +112,19 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "make_nonstop",
     "set_equilibrium",
     "simulate",
+    "Then",
     "Run",
     "RunStopped",
     "RunInterrupted",
     "compute_metrics",
     "write_results",
     "draw_diagram",
+    # watched
+    "NonstopVisualizer",
+    "SceneConfig",
+    "start_meshcat",
+    "run_live",
+    "record_replay",
     "ScenarioError",
     "__version__",
 ]

@@ -89,7 +89,7 @@ def _overlay(title: str, config: SceneConfig, snapshots: list[Snapshot]) -> str:
         title=html.escape(title),
         legend=legend,
         duration=f"{times[-1]:g}",
-        top=f"{1.1 * max(*slowest, *bounds, 1e-3):.2g}",
+        top=f"{1.1 * max(*slowest, *bounds, 1e-3):.3g}",
         slowest=_polyline(times, slowest),
         bound=_polyline(times, bounds),
     )

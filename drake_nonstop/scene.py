@@ -24,7 +24,13 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix
 from drake_nonstop.quiet import quiet_drake
 from drake_nonstop.system import Model, System
-from drake_nonstop.validation import is_number, require, require_non_negative, require_positive
+from drake_nonstop.validation import (
+    ScenarioError,
+    is_number,
+    require,
+    require_non_negative,
+    require_positive,
+)
 
 
 @dataclass(kw_only=True)
@@ -124,12 +130,14 @@ def start_meshcat(port: int | None = None) -> Meshcat:
     Raises:
         ScenarioError: the port is taken or none.
     """
+    remedy = "give a free port from 1024 to 65535, or 0 for any"
+    # Drake ends the process where the number is none of these.
+    require(port is None or port == 0 or 1024 <= port <= 65535, "--port", port, remedy)
     with quiet_drake(logging.WARNING):
         try:
             return Meshcat(MeshcatParams(host="localhost", port=port))
         except RuntimeError:
-            require(False, "--port", port, "give a free port, 1024 to 65535")
-            raise
+            raise ScenarioError(f"--port = {port}: {remedy}") from None
 
 
 class Canvas(Protocol):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
-from drake_nonstop.validation import require
+from drake_nonstop.validation import ScenarioError
 
 
 class _QuietHandler(SimpleHTTPRequestHandler):
@@ -26,8 +26,7 @@ def serve_folder(folder: Path, port: int = 0) -> Iterator[str]:
     try:
         server = ThreadingHTTPServer(("localhost", port), handler)
     except (OSError, OverflowError):
-        require(False, "--port", port, "give a free port, or 0 for any")
-        raise
+        raise ScenarioError(f"--port = {port}: give a free port, or 0 for any") from None
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
         yield f"http://localhost:{server.server_port}"

@@ -6,12 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.request
 
 import numpy as np
 import pytest
 
 from drake_nonstop.cli import main
 from drake_nonstop.scenario import dump_scenario, load_scenario
+from drake_nonstop.serving import serve_folder
 
 RESULTS = {
     "scenario.yaml",
@@ -171,3 +173,60 @@ def test_quiet_prints_nothing(tmp_path, capsys):
     assert main(["run", "quintic", "--out", str(tmp_path), "--set", "duration=0.1", *BRIEF]) == 0
     shown = capsys.readouterr()
     assert shown.out == shown.err == ""
+
+
+def test_view_serves_the_replay_until_it_is_interrupted(tmp_path):
+    (tmp_path / "replay.html").write_text("<p>hello</p>")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "drake_nonstop.cli", "view", str(tmp_path), "--no-open"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        address = process.stdout.readline().split()[0]
+        with urllib.request.urlopen(address, timeout=10) as page:
+            assert page.read() == b"<p>hello</p>"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=10) == 130
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_view_wants_a_folder_with_a_replay(tmp_path, capsys):
+    assert main(["view", str(tmp_path)]) == 2
+    assert "replay.html" in capsys.readouterr().err
+
+
+def test_a_taken_port_is_told(tmp_path, capsys):
+    (tmp_path / "replay.html").write_text("")
+    with serve_folder(tmp_path) as address:
+        port = address.rsplit(":", 1)[1]
+        assert main(["view", str(tmp_path), "--no-open", "--port", port]) == 2
+    assert f"--port = {port}: give a free port" in capsys.readouterr().err
+    assert main(["view", str(tmp_path), "--no-open", "--port", "99999999"]) == 2
+
+
+def test_a_live_run_that_nobody_watches_ends_with_its_results(tmp_path, capsys):
+    options = ["--live", "--realtime", "0", "--set", "duration=0.2", *BRIEF[1:]]
+    assert main(["run", "quintic", "--out", str(tmp_path), *options]) == 0
+    assert "http://localhost:" in capsys.readouterr().out
+    assert contents(tmp_path) == RESULTS - {"figures", "replay.html"}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--realtime", "2"], "--realtime = 2.0: give --live with it"),
+        (["--port", "7000"], "--port = 7000: give --live with it"),
+        (["--live", "--realtime", "-1"], "--realtime = -1.0"),
+        (["--live", "--port", "80000000"], "--port = 80000000"),
+        (["--live", "--port", "80"], "--port = 80: give a free port from 1024"),
+    ],
+)
+def test_bad_options_of_a_live_run(options, words, tmp_path, capsys):
+    folder = tmp_path / "out"
+    assert main(["run", "quintic", "--out", str(folder), *options]) == 2
+    assert words in capsys.readouterr().err
+    assert not folder.exists()

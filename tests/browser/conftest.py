@@ -1,5 +1,6 @@
 """A real browser for the pages; where there is none the tests are skipped, or in CI fail."""
 
+import contextlib
 import os
 
 import pytest
@@ -25,13 +26,26 @@ class Watched:
             self.errors.append(message.text)
 
 
-@pytest.fixture
-def watched():
-    """A new page of a headless Chromium."""
+@contextlib.contextmanager
+def page_or_skip():
     try:
         with open_browser(480, 320) as page:
-            yield Watched(page)
+            yield page
     except ScenarioError as missing:
         if os.environ.get("CI"):
             raise
         pytest.skip(str(missing))
+
+
+@pytest.fixture
+def watched():
+    """A new page of a headless Chromium."""
+    with page_or_skip() as page:
+        yield Watched(page)
+
+
+@pytest.fixture
+def needs_browser():
+    """For a test whose subject opens a browser of its own."""
+    with page_or_skip():
+        pass
