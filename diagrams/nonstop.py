@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any
 
-from pydrake.systems.framework import Diagram, LeafSystem
+from pydrake.systems.framework import Diagram, System
 
 from drake_nonstop import wiring
 from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase
@@ -26,13 +26,19 @@ from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory
 from drake_nonstop.blocks.constant_parameters import ConstantParameters
 from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
 from drake_nonstop.blocks.ideal_feedback import IdealFeedback
+from drake_nonstop.blocks.individual_cables import IndividualCables
 from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
 from drake_nonstop.blocks.load_plant import LoadPlant
 from drake_nonstop.blocks.load_trajectory import ConstantVelocityMove, RestToRest
+from drake_nonstop.blocks.loaded_carrier_dynamics import LoadedCarrierDynamics
+from drake_nonstop.blocks.loaded_carrier_pid import LoadedCarrierPid
+from drake_nonstop.blocks.multibody_load_plant import MultibodyLoadPlant
 from drake_nonstop.blocks.no_disturbance import NoDisturbance
+from drake_nonstop.blocks.noisy_feedback import NoisyFeedback
 from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer
 from drake_nonstop.blocks.printed_phase import PrintedPhase
 from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
+from drake_nonstop.blocks.wind import Wind
 from drake_nonstop.blocks.wrench_controller import WrenchController
 from drake_nonstop.system import Model, overridden
 from drake_nonstop.validation import ScenarioError, require
@@ -41,20 +47,20 @@ if TYPE_CHECKING:
     from drake_nonstop.scenario import Scenario
 
 # The boxes of the figure, and the blocks that each can be, the default first.
-BLOCKS: dict[str, tuple[type[LeafSystem], ...]] = {
+BLOCKS: dict[str, tuple[type[System], ...]] = {
     "load_trajectory": (RestToRest, ConstantVelocityMove),
-    "load_feedback": (IdealFeedback, DesiredStateFeedback),
+    "load_feedback": (IdealFeedback, DesiredStateFeedback, NoisyFeedback),
     "wrench_controller": (WrenchController,),
     "optimization_layer": (NonstopOptimizer, ConstantParameters),
     "phase": (AccumulatedPhase, PrintedPhase),
     "internal_force": (InternalForceTrajectory,),
     "force_distribution": (CableForceDistribution,),
     "carrier_trajectory": (CarrierTrajectory,),
-    "carrier_controller": (CarrierPid,),
-    "carrier_dynamics": (CarrierDynamics,),
-    "cables": (Cables,),
-    "load_disturbance": (NoDisturbance,),
-    "load_plant": (LoadPlant,),
+    "carrier_controller": (CarrierPid, LoadedCarrierPid),
+    "carrier_dynamics": (CarrierDynamics, LoadedCarrierDynamics),
+    "cables": (Cables, IndividualCables),
+    "load_disturbance": (NoDisturbance, Wind),
+    "load_plant": (LoadPlant, MultibodyLoadPlant),
 }
 
 # What is simulated and not believed: these take the scenario's `simulated` system.
@@ -103,9 +109,7 @@ def figure_wires() -> set[str]:
     return {line for line in WIRES.splitlines() if line}
 
 
-def make_nonstop(
-    scenario: "Scenario", **replacements: Callable[[Model], LeafSystem] | Any
-) -> Diagram:
+def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System] | Any) -> Diagram:
     """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
 
     Every signal is exported under its name: `diagram.GetOutputPort("load_state")`.
@@ -114,7 +118,7 @@ def make_nonstop(
         scenario: the system, the pattern and one config per box.
         replacements: by the name of a box, what to put in its place: a block's config, or
             a function (a block class, for instance) that takes the `Model` and returns a
-            LeafSystem with ports named after the signals it reads and makes.
+            LeafSystem or Diagram with ports named after the signals it reads and makes.
 
     Raises:
         ScenarioError: the scenario or a replacement cannot be built; the message names the
@@ -139,14 +143,14 @@ def make_nonstop(
             callable(make),
             f"replacement {name}",
             entry,
-            "give a block's config, or a function that takes the model and returns a LeafSystem",
+            "give a block's config, or a function that takes the model and returns a system",
         )
         blocks[name] = make(simulated if name in PLANT else believed)
         require(
-            isinstance(blocks[name], LeafSystem),
+            isinstance(blocks[name], System),
             f"replacement {name}",
             blocks[name],
-            "return a LeafSystem from the function",
+            "return a LeafSystem or Diagram from the function",
         )
     replaced_signals = {}
     if scenario.control_period > 0:
@@ -178,7 +182,7 @@ def _without_sampling(wires: list[str]) -> set[str]:
     }
 
 
-def block_class(instance: str, config: Any) -> type[LeafSystem]:
+def block_class(instance: str, config: Any) -> type[System]:
     """The block that a config is for: of class X for a config of class XConfig."""
     name = type(config).__name__.removesuffix("Config")
     for block in BLOCKS[instance]:
@@ -188,6 +192,6 @@ def block_class(instance: str, config: Any) -> type[LeafSystem]:
     raise ScenarioError(f"{instance} = {name}: give one of {choices}")
 
 
-def _constructor(instance: str, config: Any) -> Callable[[Model], LeafSystem]:
+def _constructor(instance: str, config: Any) -> Callable[[Model], System]:
     block = block_class(instance, config)
     return lambda model: block(model, config)

@@ -19,6 +19,7 @@ from drake_nonstop.blocks.desired_state_feedback import (
     DesiredStateFeedbackConfig,
 )
 from drake_nonstop.blocks.ideal_feedback import IdealFeedback, IdealFeedbackConfig
+from drake_nonstop.blocks.individual_cables import IndividualCables, IndividualCablesConfig
 from drake_nonstop.blocks.internal_force_trajectory import (
     InternalForceTrajectory,
     InternalForceTrajectoryConfig,
@@ -31,11 +32,19 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRest,
     RestToRestConfig,
 )
+from drake_nonstop.blocks.loaded_carrier_dynamics import (
+    LoadedCarrierDynamics,
+    LoadedCarrierDynamicsConfig,
+)
+from drake_nonstop.blocks.loaded_carrier_pid import LoadedCarrierPid, LoadedCarrierPidConfig
+from drake_nonstop.blocks.multibody_load_plant import MultibodyLoadPlant, MultibodyLoadPlantConfig
 from drake_nonstop.blocks.no_disturbance import NoDisturbance, NoDisturbanceConfig
+from drake_nonstop.blocks.noisy_feedback import NoisyFeedback, NoisyFeedbackConfig
 from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer, NonstopOptimizerConfig
 from drake_nonstop.blocks.nonstop_visualizer import NonstopVisualizer
 from drake_nonstop.blocks.printed_phase import PrintedPhase, PrintedPhaseConfig
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.blocks.wind import Wind, WindConfig
 from drake_nonstop.blocks.wrench_controller import WrenchController, WrenchControllerConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.drawing import draw_diagram
@@ -80,6 +89,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "IdealFeedbackConfig",
     "DesiredStateFeedback",
     "DesiredStateFeedbackConfig",
+    "NoisyFeedback",
+    "NoisyFeedbackConfig",
     "SampleAndHold",
     "WrenchController",
     "WrenchControllerConfig",
@@ -100,14 +111,24 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "CarrierTrajectoryConfig",
     "CarrierPid",
     "CarrierPidConfig",
+    "LoadedCarrierPid",
+    "LoadedCarrierPidConfig",
     "CarrierDynamics",
     "CarrierDynamicsConfig",
+    "LoadedCarrierDynamics",
+    "LoadedCarrierDynamicsConfig",
     "Cables",
     "CablesConfig",
+    "IndividualCables",
+    "IndividualCablesConfig",
     "NoDisturbance",
     "NoDisturbanceConfig",
+    "Wind",
+    "WindConfig",
     "LoadPlant",
     "LoadPlantConfig",
+    "MultibodyLoadPlant",
+    "MultibodyLoadPlantConfig",
     # put together, simulated, judged
     "make_nonstop",
     "set_equilibrium",

@@ -28,12 +28,18 @@ from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectoryConfig
 from drake_nonstop.blocks.constant_parameters import ConstantParametersConfig
 from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedbackConfig
 from drake_nonstop.blocks.ideal_feedback import IdealFeedbackConfig
+from drake_nonstop.blocks.individual_cables import IndividualCablesConfig
 from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectoryConfig
 from drake_nonstop.blocks.load_plant import LoadPlantConfig
 from drake_nonstop.blocks.load_trajectory import ConstantVelocityMoveConfig, RestToRestConfig
+from drake_nonstop.blocks.loaded_carrier_dynamics import LoadedCarrierDynamicsConfig
+from drake_nonstop.blocks.loaded_carrier_pid import LoadedCarrierPidConfig
+from drake_nonstop.blocks.multibody_load_plant import MultibodyLoadPlantConfig
 from drake_nonstop.blocks.no_disturbance import NoDisturbanceConfig
+from drake_nonstop.blocks.noisy_feedback import NoisyFeedbackConfig
 from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
 from drake_nonstop.blocks.printed_phase import PrintedPhaseConfig
+from drake_nonstop.blocks.wind import WindConfig
 from drake_nonstop.blocks.wrench_controller import WrenchControllerConfig
 from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
 from drake_nonstop.scene import SceneConfig
@@ -66,7 +72,7 @@ class Scenario:
     load_trajectory: RestToRestConfig | ConstantVelocityMoveConfig = field(
         default_factory=RestToRestConfig
     )
-    load_feedback: IdealFeedbackConfig | DesiredStateFeedbackConfig = field(
+    load_feedback: IdealFeedbackConfig | DesiredStateFeedbackConfig | NoisyFeedbackConfig = field(
         default_factory=IdealFeedbackConfig
     )
     wrench_controller: WrenchControllerConfig = field(default_factory=WrenchControllerConfig)
@@ -83,11 +89,15 @@ class Scenario:
         default_factory=CableForceDistributionConfig
     )
     carrier_trajectory: CarrierTrajectoryConfig = field(default_factory=CarrierTrajectoryConfig)
-    carrier_controller: CarrierPidConfig = field(default_factory=CarrierPidConfig)
-    carrier_dynamics: CarrierDynamicsConfig = field(default_factory=CarrierDynamicsConfig)
-    cables: CablesConfig = field(default_factory=CablesConfig)
-    load_disturbance: NoDisturbanceConfig = field(default_factory=NoDisturbanceConfig)
-    load_plant: LoadPlantConfig = field(default_factory=LoadPlantConfig)
+    carrier_controller: CarrierPidConfig | LoadedCarrierPidConfig = field(
+        default_factory=CarrierPidConfig
+    )
+    carrier_dynamics: CarrierDynamicsConfig | LoadedCarrierDynamicsConfig = field(
+        default_factory=CarrierDynamicsConfig
+    )
+    cables: CablesConfig | IndividualCablesConfig = field(default_factory=CablesConfig)
+    load_disturbance: NoDisturbanceConfig | WindConfig = field(default_factory=NoDisturbanceConfig)
+    load_plant: LoadPlantConfig | MultibodyLoadPlantConfig = field(default_factory=LoadPlantConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
 
 

@@ -318,6 +318,7 @@ class SpeedProgram:
             inertia=model.load_inertia,
             inertia_inverse=model.load_inertia_inverse,
             drag=model.load_drag,
+            angular_drag=model.load_angular_drag,
             gravity=model.gravity,
         )
         products = []

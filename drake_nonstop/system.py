@@ -29,6 +29,7 @@ class System:
         default_factory=lambda: [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]]
     )
     load_drag: float = 0.7  # N s/m
+    load_angular_drag: float = 0.0  # N m s/rad
     attachments: list[list[float]] = field(  # m, in L, in the order of the carriers
         default_factory=lambda: [
             [0.75, 0.75, 0.0],
@@ -98,7 +99,12 @@ class Model:
             carrier_mass=system.carrier_mass,
             gravity=system.gravity,
         )
-        require_non_negative(field, load_drag=system.load_drag, cable_damping=system.cable_damping)
+        require_non_negative(
+            field,
+            load_drag=system.load_drag,
+            load_angular_drag=system.load_angular_drag,
+            cable_damping=system.cable_damping,
+        )
         require(
             is_number(control_period) and (control_period == 0 or control_period >= 1e-4),
             "control_period",
@@ -116,6 +122,7 @@ class Model:
         self.control_period = control_period
         self.load_mass = system.load_mass
         self.load_drag = system.load_drag
+        self.load_angular_drag = system.load_angular_drag
         self.cable_length = system.cable_length
         self.cable_stiffness = stiffness
         self.cable_compliance = 1 / stiffness  # m/N, 0 without stretch

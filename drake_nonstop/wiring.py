@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, OutputPort
+from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort, System
 
 from drake_nonstop.validation import ScenarioError
 
@@ -11,18 +11,18 @@ class WiringError(ScenarioError):
     """The blocks do not make a complete diagram."""
 
 
-def output_names(block: LeafSystem) -> list[str]:
+def output_names(block: System) -> list[str]:
     """The names of the block's output ports, in order."""
     return [block.get_output_port(i).get_name() for i in range(block.num_output_ports())]
 
 
-def input_names(block: LeafSystem) -> list[str]:
+def input_names(block: System) -> list[str]:
     """The names of the block's input ports, in order."""
     return [block.get_input_port(i).get_name() for i in range(block.num_input_ports())]
 
 
 def wires(
-    blocks: Mapping[str, LeafSystem], replaced_signals: Mapping[str, str] | None = None
+    blocks: Mapping[str, System], replaced_signals: Mapping[str, str] | None = None
 ) -> list[str]:
     """The wires "block.port -> block.port" that the names of the ports imply.
 
@@ -59,7 +59,7 @@ def wires(
 
 
 def connect(
-    blocks: Mapping[str, LeafSystem],
+    blocks: Mapping[str, System],
     *,
     name: str,
     replaced_signals: Mapping[str, str] | None = None,

@@ -47,6 +47,7 @@ class LoadPlant(LeafSystem):
                 inertia=model.load_inertia,
                 inertia_inverse=model.load_inertia_inverse,
                 drag=model.load_drag,
+                angular_drag=model.load_angular_drag,
                 gravity=model.gravity,
             )
 

@@ -73,6 +73,7 @@ class WrenchController(LeafSystem):
                     inertia=model.load_inertia,
                     inertia_inverse=model.load_inertia_inverse,
                     drag=model.load_drag,
+                    angular_drag=model.load_angular_drag,
                     gravity=model.gravity,
                 ),
                 wrench.tracking_error(state, reference),

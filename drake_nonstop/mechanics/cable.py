@@ -16,14 +16,15 @@ def cable_forces_and_tensions(
     carrier_state: NDArray,
     *,
     attachments: NDArray,
-    rest_length: float,
-    stiffness: float,
-    damping: float,
+    rest_length: float | NDArray,
+    stiffness: float | NDArray,
+    damping: float | NDArray,
 ) -> tuple[NDArray, NDArray]:
     """Cable forces on the load (n, 3), in W, and tensions (n,) (eq. 4).
 
     `load_state` (13,) and `carrier_state` (6n,) = [p_1 … p_n, v_1 … v_n] are in W;
-    `attachments` (n, 3) in L. With s = max(ℓ − L₀, 0),
+    `attachments` (n, 3) in L; lengths, stiffnesses and dampings are one for all or (n, 1).
+    With s = max(ℓ − L₀, 0),
 
         T = min( max(K_c s + B_c ℓ̇, 0), 2 K_c s ):
 

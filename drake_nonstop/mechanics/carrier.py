@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.cable import positive_part
 from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
 
 
@@ -64,3 +65,48 @@ def pid_forces(
 def double_integrator_rate(carrier_state: NDArray, forces: NDArray, *, mass: float) -> NDArray:
     """The rate (6n,) of [positions, velocities] of free masses under forces (3n,), in W."""
     return np.concatenate([carrier_state[len(carrier_state) // 2 :], forces / mass])
+
+
+def loaded_pid_forces(
+    carrier_reference: NDArray,
+    carrier_state: NDArray,
+    desired_cable_forces: NDArray,
+    *,
+    position_gain: float,
+    velocity_gain: float,
+    mass: float,
+    gravity: float,
+) -> NDArray:
+    """Forces (3n,) on carriers that have to carry their weight and pull a cable, in W.
+
+    PD on [positions, velocities] (6n,), plus the weight and the desired cable forces (3n,),
+    both in W.
+    """
+    error = carrier_reference - carrier_state
+    half = len(error) // 2
+    weights = np.tile([0.0, 0.0, mass * gravity], half // 3)
+    return (
+        position_gain * error[:half] + velocity_gain * error[half:] + weights + desired_cable_forces
+    )
+
+
+def loaded_carrier_rate(
+    carrier_state: NDArray,
+    forces: NDArray,
+    cable_forces: NDArray,
+    *,
+    mass: float,
+    gravity: float,
+    max_force: float,
+) -> NDArray:
+    """The rate (6n,) of [positions, velocities] of carriers under weight and cable, in W.
+
+    `cable_forces` (3n,) are those on the load; each of the `forces` (3n,), with u its norm,
+    is cut down to `max_force`, u_max: sat(u) = u u_max / (u_max + max(‖u‖ − u_max, 0)).
+    """
+    each = forces.reshape(-1, 3)
+    if max_force < np.inf:
+        excess = positive_part(norm(each) - max_force)
+        each = each * max_force / (max_force + excess)
+    acceleration = (each - cable_forces.reshape(-1, 3)) / mass - np.array([0.0, 0.0, gravity])
+    return np.concatenate([carrier_state[len(carrier_state) // 2 :], acceleration.ravel()])

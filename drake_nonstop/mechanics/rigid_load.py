@@ -23,16 +23,21 @@ def load_acceleration(
     inertia: NDArray,
     inertia_inverse: NDArray,
     drag: float,
+    angular_drag: float = 0.0,
     gravity: float,
 ) -> tuple[NDArray, NDArray]:
     """Angular and translational acceleration (3,) each, in W, under a wrench (6,) in W.
 
-    m p̈ = f − B_L ṗ − m g e₃ and J ω̇ = τ − ω × J ω in L. `inertia` (3, 3) is about the
-    centre of mass, in L. The drag B_L stands in the paper's Table I only.
+    m p̈ = f − B_L ṗ − m g e₃ and J ω̇ = τ − C_L ω − ω × J ω in L. `inertia` (3, 3) is about the
+    centre of mass, in L. The drag B_L stands in the paper's Table I only, and C_L nowhere in it.
     """
     R_WL = rotation_matrix(load_state[:4])
     angular_velocity = R_WL.T @ load_state[7:10]
-    torque = R_WL.T @ wrench[:3] - cross(angular_velocity, inertia @ angular_velocity)
+    torque = (
+        R_WL.T @ wrench[:3]
+        - angular_drag * angular_velocity
+        - cross(angular_velocity, inertia @ angular_velocity)
+    )
     force = wrench[3:] - drag * load_state[10:13]
     return R_WL @ (inertia_inverse @ torque), force / mass - np.array([0.0, 0.0, gravity])
 
@@ -47,6 +52,7 @@ def load_state_rate(
     inertia: NDArray,
     inertia_inverse: NDArray,
     drag: float,
+    angular_drag: float = 0.0,
     gravity: float,
 ) -> NDArray:
     """The rate (13,) of the load state under cable forces (3n,) at the attachments.
@@ -66,6 +72,7 @@ def load_state_rate(
         inertia=inertia,
         inertia_inverse=inertia_inverse,
         drag=drag,
+        angular_drag=angular_drag,
         gravity=gravity,
     )
     return np.concatenate(

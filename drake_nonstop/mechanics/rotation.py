@@ -70,6 +70,16 @@ def quaternion_rate(quaternion: NDArray, angular_velocity: NDArray) -> NDArray:
     )
 
 
+def turned(quaternion: NDArray, rotation: NDArray) -> NDArray:
+    """The quaternion (4,) of an attitude that is turned by a rotation vector (3,) in W."""
+    angle = np.sqrt((rotation * rotation).sum(keepdims=True) + 1e-300)
+    scalar, vector = np.cos(angle / 2), rotation * (np.sin(angle / 2) / angle)
+    q, p = quaternion[:1], quaternion[1:]
+    return np.concatenate(
+        [scalar * q - (vector * p).sum(keepdims=True), scalar * p + q * vector + cross(vector, p)]
+    )
+
+
 def roll_pitch_yaw_to_quaternion(roll_pitch_yaw: NDArray) -> NDArray:
     """The quaternion (4,) of R = R_z(yaw) R_y(pitch) R_x(roll), angles (3,) in rad."""
     half = roll_pitch_yaw / 2

@@ -47,6 +47,7 @@ def wrench_and_rate(
     inertia: NDArray,
     inertia_inverse: NDArray,
     drag: float,
+    angular_drag: float = 0.0,
     gravity: float,
 ) -> tuple[NDArray, NDArray]:
     """w_d and ẇ_d, each (6,) [torque; force] in W.
@@ -54,7 +55,7 @@ def wrench_and_rate(
     `integrals` (6,) is [∫e_R, ∫e_p]. With k = `feedforward`,
 
         f_d  = m g e₃ − K_p e_p − K_v e_v − K_i ∫e_p + k (m p̈_d + B_L ṗ_d)
-        ᴸτ_d = ω × J ω − K_R e_R − K_ω e_ω − K_iR ∫e_R + k J d(RᵀR_d ω_d)/dt
+        ᴸτ_d = ω × J ω − K_R e_R − K_ω e_ω − K_iR ∫e_R + k (J d(RᵀR_d ω_d)/dt + C_L RᵀR_d ω_d)
 
     The rates are exact where the load moves as the model does under w_d (no numerical
     differentiation); only the reference's angular jerk is taken as zero. Own derivation:
@@ -89,7 +90,7 @@ def wrench_and_rate(
         - orientation_gain * e_R
         - angular_velocity_gain * e_omega
         - orientation_integral_gain * integrals[:3]
-        + feedforward * (inertia @ desired_omega_rate)
+        + feedforward * (inertia @ desired_omega_rate + angular_drag * desired_omega)
     )
     wrench = np.concatenate([R_WL @ torque, force])
 
@@ -100,6 +101,7 @@ def wrench_and_rate(
         inertia=inertia,
         inertia_inverse=inertia_inverse,
         drag=drag,
+        angular_drag=angular_drag,
         gravity=gravity,
     )
     omega_rate = R_LW @ angular
@@ -122,6 +124,6 @@ def wrench_and_rate(
         - orientation_gain * e_R_rate
         - angular_velocity_gain * (omega_rate - desired_omega_rate)
         - orientation_integral_gain * e_R
-        + feedforward * (inertia @ desired_omega_second_rate)
+        + feedforward * (inertia @ desired_omega_second_rate + angular_drag * desired_omega_rate)
     )
     return wrench, np.concatenate([R_WL @ (torque_rate + cross(omega, torque)), force_rate])

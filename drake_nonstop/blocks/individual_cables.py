@@ -1,0 +1,90 @@
+"""Box "Cable Forces" of the figure, each cable with properties of its own."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.mechanics.cable import cable_forces_and_tensions
+from drake_nonstop.system import Model
+from drake_nonstop.validation import require, require_array
+
+
+@dataclass(kw_only=True)
+class IndividualCablesConfig:
+    """A number per cable; none: the system's for all."""
+
+    stiffness: list[float] = field(default_factory=list)  # N/m
+    damping: list[float] = field(default_factory=list)  # N s/m
+    rest_length: list[float] = field(default_factory=list)  # m, unstretched
+
+
+class IndividualCables(LeafSystem):
+    """Massless, tension-only spring-dampers that need not be alike.
+
+    .. pydrake_system::
+
+        name: IndividualCables
+        input_ports:
+        - load_state
+        - carrier_state
+        output_ports:
+        - cable_forces
+        - tensions
+
+    `load_state` (13), `carrier_state` (6n) in W; `cable_forces` (3n) are those on the
+    load, in N, in W; `tensions` (n) in N, 0 where slack. See `mechanics.cable`.
+
+    Raises:
+        ScenarioError: a list has another length than there are cables, or a number in it is
+            out of range.
+    """
+
+    def __init__(self, model: Model, config: IndividualCablesConfig | None = None):
+        super().__init__()
+        config = config or IndividualCablesConfig()
+        stiffness = _each(model, "stiffness", config.stiffness, model.cable_stiffness)
+        damping = _each(model, "damping", config.damping, model.cable_damping)
+        rest_length = _each(model, "rest_length", config.rest_length, model.cable_length)
+        require(np.all(stiffness > 0), "cables.stiffness", config.stiffness, "give no zero")
+        require(np.all(rest_length > 0), "cables.rest_length", config.rest_length, "give no zero")
+
+        def forces(load_state: NDArray, carrier_state: NDArray) -> tuple[NDArray, NDArray]:
+            return cable_forces_and_tensions(
+                load_state,
+                carrier_state,
+                attachments=model.attachments,
+                rest_length=rest_length,
+                stiffness=stiffness,
+                damping=damping,
+            )
+
+        self._cables = CompiledFunction(forces, [13, 6 * model.n], name=self.get_name)
+        self._load_state = self.DeclareVectorInputPort("load_state", 13)
+        self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * model.n)
+        inputs = {self.all_input_ports_ticket()}
+        self.DeclareVectorOutputPort("cable_forces", 3 * model.n, self._calc_forces, inputs)
+        self.DeclareVectorOutputPort("tensions", model.n, self._calc_tensions, inputs)
+
+    def _evaluate(self, context: Context) -> tuple[NDArray, ...]:
+        return self._cables(self._load_state.Eval(context), self._carrier_state.Eval(context))
+
+    def _calc_forces(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._evaluate(context)[0])
+
+    def _calc_tensions(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._evaluate(context)[1])
+
+
+def _each(model: Model, name: str, given: list[float], default: float) -> NDArray:
+    """A column (n, 1) of what is given, or of n times the default."""
+    values = require_array(f"cables.{name}", given or [default] * model.n, [None], "one per cable")
+    require(
+        len(values) == model.n and np.all(values >= 0),
+        f"cables.{name}",
+        given or default,
+        f"give {model.n} numbers that are not negative, one per cable, or none",
+    )
+    return values[:, None]
