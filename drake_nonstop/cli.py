@@ -2,6 +2,8 @@
 
 import argparse
 import contextlib
+import dataclasses
+import os
 import sys
 import threading
 import time
@@ -11,11 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from drake_nonstop.live import run_live
-from drake_nonstop.results import require_writable, write_json, write_results
+from drake_nonstop.plots import make_margins_figure, make_robustness_figure
+from drake_nonstop.results import replacing_file, require_writable, write_json, write_results
+from drake_nonstop.robustness import robustness
 from drake_nonstop.scenario import Scenario, load_scenario, scenario_names
 from drake_nonstop.scene import start_meshcat
 from drake_nonstop.serving import serve_folder
 from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, simulate
+from drake_nonstop.stability import find_margins, linearize
 from drake_nonstop.validation import ScenarioError, require
 from drake_nonstop.version import __version__
 
@@ -34,6 +39,9 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("drake-nonstop: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except BrokenPipeError:  # whoever read the output has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -47,16 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     lister.set_defaults(action=_list)
     run = commands.add_parser("run", help="run a scenario and write its results")
     run.set_defaults(action=_run)
-    run.add_argument("scenario", metavar="NAME|FILE.yaml", help="a scenario's name or file")
-    run.add_argument("--out", type=Path, metavar="DIR", help="results' folder (out/NAME)")
-    run.add_argument(
-        "--set",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="PATH=VALUE",
-        help="change the scenario: system.load_mass=1.2, phase='!PrintedPhase {}'",
-    )
+    _add_scenario(run)
     run.add_argument("--no-figures", action="store_true", help="write no figures/")
     run.add_argument("--no-replay", action="store_true", help="write no replay.html")
     run.add_argument(
@@ -75,6 +74,17 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("folder", type=Path, metavar="DIR", help="the results of `run`")
     view.add_argument("--port", type=int, default=0, help="to serve it on (any that is free)")
     view.add_argument("--no-open", action="store_true", help="leave opening it to you")
+    stability = commands.add_parser(
+        "stability", help="Floquet multipliers of the loop around a resting load, and margins"
+    )
+    stability.set_defaults(action=_stability)
+    _add_scenario(stability)
+    robust = commands.add_parser(
+        "robustness", help="errors that the controllers do not know of, one by one"
+    )
+    robust.set_defaults(action=_robustness)
+    _add_scenario(robust)
+    robust.add_argument("--seed", type=int, default=0, help="of what is random (0)")
     pictures = commands.add_parser("pictures", help="take the README's pictures of the line task")
     pictures.set_defaults(action=_pictures)
     pictures.add_argument(
@@ -95,6 +105,19 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, metavar="DIR", default=Path("out/bench"), help="(out/bench)"
     )
     return parser
+
+
+def _add_scenario(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenario", metavar="NAME|FILE.yaml", help="a scenario's name or file")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="results' folder (out/NAME)")
+    parser.add_argument(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="PATH=VALUE",
+        help="change the scenario: system.load_mass=1.2, phase='!PrintedPhase {}'",
+    )
 
 
 def _list(options: argparse.Namespace) -> int:
@@ -177,6 +200,78 @@ def _view(options: argparse.Namespace) -> int:
         if not options.no_open:
             webbrowser.open(address)
         threading.Event().wait()
+    return 0
+
+
+def _stability(options: argparse.Namespace) -> int:
+    scenario = load_scenario(options.scenario, options.set)
+    folder: Path = options.out or Path("out") / scenario.name
+    require_writable(folder)
+    line = _ProgressLine()
+    try:
+        found = linearize(scenario)
+        margins = find_margins(scenario, progress=line.show_share)
+    finally:
+        line.close()
+    write_json(
+        folder / "stability.json",
+        {
+            "scenario": scenario.name,
+            "period_s": found.period,
+            "largest_multiplier": found.largest,
+            "rate_1_s": found.rate,
+            "margins": [dataclasses.asdict(margin) for margin in margins],
+        },
+    )
+    with replacing_file(folder / "stability.png") as file:
+        make_margins_figure(scenario.name, margins).savefig(file, format="png", dpi=150)
+    verdict = "stable" if found.is_stable else "unstable"
+    print(
+        f"largest multiplier     {found.largest:.4g} in a turn of {found.period:.3g} s "
+        f"({found.rate:+.3g} 1/s): {verdict}"
+    )
+    shares = sorted(found.shares.items(), key=lambda item: -item[1])
+    print(
+        "least stable mode      "
+        + ", ".join(f"{name} {share:.0%}" for name, share in shares if share > 0.005)
+        + f", {found.frequency:.3g} rad/s"
+    )
+    for margin in margins:
+        low, high = (
+            "no end" if value is None else f"{value:.4g}" for value in (margin.low, margin.high)
+        )
+        name = f"{margin.name}, {margin.unit}"
+        print(f"{name:22} {margin.nominal:.4g}, stable from {low} to {high}")
+    print(f"results: {folder}")
+    return 0
+
+
+def _robustness(options: argparse.Namespace) -> int:
+    scenario = load_scenario(options.scenario, options.set)
+    require(options.seed >= 0, "--seed", options.seed, "give 0 or a whole number above it")
+    folder: Path = options.out or Path("out") / scenario.name
+    require_writable(folder)
+    line = _ProgressLine()
+    try:
+        cases = robustness(scenario, seed=options.seed, progress=line.show_share)
+    finally:
+        line.close()
+    write_json(
+        folder / "robustness.json",
+        {"scenario": scenario.name, "cases": [dataclasses.asdict(case) for case in cases]},
+    )
+    with replacing_file(folder / "robustness.png") as file:
+        make_robustness_figure(scenario.name, cases).savefig(file, format="png", dpi=150)
+    columns = "e_p mean / final, mm", "slowest - bound", "below", "slack"
+    print("{:42} {:>20} {:>16} {:>8} {:>8}".format("error", *columns))
+    for case in cases:
+        name = f"{case.error} {case.level:+g} {case.unit}" if case.unit else "none"
+        errors = f"{1e3 * case.position_error_mean:.3g} / {1e3 * case.position_error_final:.3g}"
+        print(
+            f"{name:42} {errors:>20} {case.speed_margin:+12.3f} m/s {case.time_below_bound:6.3g} s "
+            f"{case.slack_time:6.3g} s{'' if case.completed else '  diverged'}"
+        )
+    print(f"results: {folder}")
     return 0
 
 

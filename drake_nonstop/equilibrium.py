@@ -32,8 +32,8 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     load = nonstop.GetSubsystemByName("load_plant")
     carriers = nonstop.GetSubsystemByName("carrier_dynamics")
     trial = nonstop.CreateDefaultContext()
-    trial.SetTime(context.get_time())
-    default = trial.Clone()
+    trial.SetTimeStateAndParametersFrom(context)
+    start = trial.Clone()
     load_context = nonstop.GetMutableSubsystemContext(load, trial)
     carriers_context = nonstop.GetMutableSubsystemContext(carriers, trial)
     simulator = Simulator(nonstop, trial)
@@ -41,7 +41,7 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
 
     def settle(offset: NDArray) -> NDArray:
         """The load's acceleration (6,) at a rotation and shift (6,) from its reference."""
-        trial.SetTimeStateAndParametersFrom(default)
+        trial.SetTimeStateAndParametersFrom(start)
         load_context.SetContinuousState(_moved(reference, offset))
         simulator.Initialize()  # whatever samples or holds takes its first value
         carrier_reference = nonstop.GetOutputPort("carrier_reference").Eval(trial)

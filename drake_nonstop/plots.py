@@ -1,6 +1,6 @@
 """The figures of a run: the paper's own set."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,10 +15,55 @@ from drake_nonstop.metrics import (
     load_errors,
     speed_bounds,
 )
+from drake_nonstop.robustness import Case
 from drake_nonstop.simulate import Run
+from drake_nonstop.stability import Margin
 
 _SIZE = (7.0, 4.2)  # inch
 _OVERLAID = ("solid", (0, (5, 4)), (0, (1, 2)))  # lines of coinciding curves, all to be seen
+
+
+def make_margins_figure(title: str, margins: Sequence[Margin]) -> Figure:
+    """The growth per s of the loop's least stable mode over each parameter, stable below 0."""
+    figure = Figure(figsize=(2.6 * len(margins), 3.4), layout="constrained")
+    for margin, axes in zip(margins, figure.subplots(1, len(margins), sharey=True), strict=True):
+        axes.axhline(0, color="0.6", linewidth=0.8)
+        axes.axvline(margin.nominal, color="0.6", linestyle=":")
+        low = margin.values[0] if margin.low is None else margin.low
+        high = margin.values[-1] if margin.high is None else margin.high
+        axes.axvspan(low, high, color="#18a048", alpha=0.15, linewidth=0)
+        axes.plot(margin.values, margin.rates, "o-", markersize=3, color="C0")
+        if margin.values[0] > 0:
+            axes.set_xscale("log")
+            ticks = [margin.values[0], margin.nominal, margin.values[-1]]
+            axes.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
+            axes.minorticks_off()
+        axes.set_yscale("symlog", linthresh=0.1)
+        axes.set_xlabel(f"{margin.name} ({margin.unit})")
+    figure.axes[0].set_ylabel("growth of the least stable mode (1/s)")
+    figure.suptitle(title)
+    return figure
+
+
+def make_robustness_figure(title: str, cases: Sequence[Case]) -> Figure:
+    """Position error and speed margin over the level of each error, a column per error."""
+    names = list(dict.fromkeys(case.error for case in cases if case.unit))
+    figure = Figure(figsize=(2.1 * len(names), 5.0), layout="constrained")
+    axes = figure.subplots(2, len(names), sharey="row", squeeze=False)
+    for name, (top, bottom) in zip(names, axes.T, strict=True):
+        shown = sorted((c for c in cases if c.error in ("none", name)), key=lambda c: c.level)
+        levels = [case.level for case in shown]
+        top.plot(levels, [1e3 * case.position_error_mean for case in shown], "o-", markersize=3)
+        bottom.plot(levels, [case.speed_margin for case in shown], "o-", markersize=3)
+        bottom.axhline(0, color="green", linestyle="--")
+        top.set_title(name, fontsize="medium")
+        unit = next(case.unit for case in cases if case.error == name)
+        bottom.set_xlabel(unit.split(" (")[0])
+    axes[0, 0].set_ylabel("mean position error (mm)")
+    axes[1, 0].set_ylabel("slowest speed − ε (m/s)")
+    axes[0, 0].set_yscale("log")
+    figure.suptitle(title)
+    return figure
 
 
 def make_figures(run: Run) -> dict[str, Figure]:

@@ -134,8 +134,15 @@ def load_scenario(name_or_file: str | Path, settings: Iterable[str] = ()) -> Sce
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"scenario = {path}: give a file that can be read ({error})") from None
     scenario = parse_scenario(text, str(path))
-    if not settings:
-        return scenario
+    return changed(scenario, settings) if settings else scenario
+
+
+def changed(scenario: Scenario, settings: Iterable[str]) -> Scenario:
+    """A copy of the scenario with changes "path=value", see `load_scenario`.
+
+    Raises:
+        ScenarioError: a path or value cannot be used.
+    """
     tree = _tree(scenario)
     for setting in settings:
         _apply_setting(tree, setting)

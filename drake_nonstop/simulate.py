@@ -174,9 +174,7 @@ def simulate(
     try:
         nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
         set_equilibrium(nonstop, nonstop_context)
-        ApplySimulatorConfig(
-            _stable_config(scenario.simulator, nonstop, nonstop_context), simulator
-        )
+        ApplySimulatorConfig(stable_config(scenario.simulator, nonstop, nonstop_context), simulator)
         with _Monitor(simulator, nonstop, progress, after_step) as monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
@@ -204,7 +202,7 @@ def simulate(
     return finished()
 
 
-def _stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -> SimulatorConfig:
+def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -> SimulatorConfig:
     """The configuration with a step that the fixed-step Runge-Kutta scheme is stable at.
 
     Explicit schemes blow up, at first in silence, where the step is too long for the

@@ -77,18 +77,26 @@ class NoisyFeedback(LeafSystem):
         self._load_state = self.DeclareVectorInputPort("load_state", 13)
         prerequisites = {self.all_input_ports_ticket(), self.time_ticket()}
         if self._periods > 0:
-            # The last samples, the newest first, and how many of them there are.
+            # The last samples, the newest first, how many of them there are, and when it was.
             self._samples = self.DeclareDiscreteState(13 * self._periods)
             self._count = self.DeclareDiscreteState(1)
-            self.DeclarePeriodicDiscreteUpdateEvent(config.period, 0.0, self._sample)
+            self._newest = self.DeclareDiscreteState([-np.inf])
+            self.DeclareInitializationDiscreteUpdateEvent(self._sample)
+            # The same offset as the sample-and-hold's: with another one rounding would have the
+            # two events now together and now one after the other.
+            self.DeclarePeriodicDiscreteUpdateEvent(config.period, config.period, self._sample)
             prerequisites.add(self.xd_ticket())
         self.DeclareVectorOutputPort("measured_load_state", 13, self._calc, prerequisites)
 
     def _sample(self, context: Context, discrete_state: DiscreteValues) -> None:
+        newest = context.get_discrete_state(self._newest).value()[0]
+        if context.get_time() < newest + self._period / 2:
+            return  # a run that starts at the instant of a sample fires both events
         samples = context.get_discrete_state(self._samples).value()
         count = context.get_discrete_state(self._count).value()[0]
-        newest = np.concatenate([self._load_state.Eval(context), samples[:-13]])
-        discrete_state.set_value(self._samples, newest)
+        samples = np.concatenate([self._load_state.Eval(context), samples[:-13]])
+        discrete_state.set_value(self._samples, samples)
+        discrete_state.set_value(self._newest, [context.get_time()])
         discrete_state.set_value(self._count, [min(count + 1, self._periods)])
 
     def _calc(self, context: Context, output: BasicVector) -> None:

@@ -1,0 +1,114 @@
+"""Predicted and simulated stability, on both sides of the boundary."""
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+
+from drake_nonstop.compiled import NotFiniteError
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.equilibrium import set_equilibrium
+from drake_nonstop.scenario import changed, load_scenario
+from drake_nonstop.simulate import stable_config
+from drake_nonstop.stability import at_rest, linearize
+
+
+def growth_per_turn(resting, turns):
+    """By what factor a small disturbance of a simulated loop grows in a turn, median of some.
+
+    Infinite where the loop runs to pieces before. Two runs, one of which starts beside the
+    equilibrium; the linearization has no part in it.
+    """
+    period = 2 * np.pi / resting.optimization_layer.frequency
+    runs = []
+    for size in (0.0, 1e-8):
+        nonstop = make_nonstop(resting)
+        context = nonstop.CreateDefaultContext()
+        set_equilibrium(nonstop, context)
+        config = stable_config(resting.simulator, nonstop, context)
+        for name, seed in (("load_plant", 1), ("carrier_dynamics", 2)):
+            own = nonstop.GetMutableSubsystemContext(nonstop.GetSubsystemByName(name), context)
+            state = own.get_continuous_state_vector().CopyToVector()
+            noise = np.random.default_rng(seed).standard_normal(len(state))
+            own.SetContinuousState(state + size * noise)
+        simulator = Simulator(nonstop, context)
+        ApplySimulatorConfig(config, simulator)
+        states = []
+        # A number of samples of the swinging over the last tenth of each turn.
+        for time in period * np.add.outer(np.arange(turns), np.linspace(0.9, 1.0, 12)).ravel():
+            try:
+                simulator.AdvanceTo(time)
+            except NotFiniteError:
+                return np.inf
+            states.append(
+                np.concatenate(
+                    [
+                        nonstop.GetOutputPort("load_state").Eval(context)[7:],
+                        nonstop.GetOutputPort("carrier_state").Eval(context),
+                    ]
+                )
+            )
+        runs.append(np.array(states).reshape(turns, 12, -1))
+    distances = np.linalg.norm(runs[1] - runs[0], axis=2).max(axis=1)
+    return np.median(distances[1:] / distances[:-1])
+
+
+MASS, K_P = "simulated.carrier_mass={}", "carrier_controller.position_gain={}"
+K_D, PERIOD = "carrier_controller.velocity_gain={}", "control_period={}"
+DELAY = "load_feedback=!NoisyFeedback {{delay: {}}}"
+
+# A few per cent and more off the boundary, on either side of it: the last stable one or two, and
+# the first unstable ones, of each parameter.
+SETTINGS = [
+    ("paper_quintic", MASS, (0.115, 0.124), (0.136, 0.15)),
+    ("paper_quintic", K_P, (240, 1900), (205, 2150)),
+    ("paper_quintic", K_D, (1.21, 1.3), (1.05, 1.11)),
+    ("paper_quintic", DELAY, (0.01,), (0.02,)),
+    ("paper_quintic", PERIOD, (0.018,), (0.0205,)),
+    ("quintic", MASS, (0.42, 0.45), (0.5, 0.53)),
+    ("quintic", DELAY, (0.03,), (0.04,)),
+]
+CASES = [
+    (name, setting.format(value), is_stable)
+    for name, setting, *values in SETTINGS
+    for is_stable, some in zip((True, False), values, strict=True)
+    for value in some
+]
+
+
+@pytest.mark.parametrize(("name", "setting", "is_stable"), CASES)
+def test_prediction_and_simulation_agree(name, setting, is_stable):
+    scenario = at_rest(load_scenario(name))
+    scenario = changed(scenario, [setting])
+    predicted = linearize(scenario)
+    assert predicted.is_stable == is_stable
+    simulated = growth_per_turn(scenario, 4)
+    assert (simulated < 1) == is_stable
+    if 1.3 < predicted.largest < 10 and np.isfinite(simulated):
+        assert simulated == pytest.approx(predicted.largest, rel=0.3)
+
+
+def test_there_are_twenty_settings():
+    assert len(CASES) >= 20
+
+
+def test_printed_gains_are_unstable_on_a_heavy_carrier_and_stable_on_a_light_one():
+    """Theory: 0.1 kg is stable, 0.3 kg and 1 kg diverge, within 4 s."""
+    light, *heavy = (
+        linearize(load_scenario("paper_quintic", [f"system.carrier_mass={mass}"]))
+        for mass in (0.1, 0.3, 1.0)
+    )
+    assert light.is_stable
+    for found in heavy:
+        assert not found.is_stable
+        assert found.rate > 2  # 1/s: in 4 s by more than 3000 times
+        # Carriers that swing slower than the load bounces on its cables, √(4·500/1) rad/s.
+        assert found.shares["carrier_dynamics"] > 0.5
+
+
+def test_a_shorter_step_shows_what_a_long_one_damps():
+    """The printed gains, sampled at 100 Hz, are stable by the damping of the 5 ms step only."""
+    assert linearize(load_scenario("paper_quintic")).is_stable
+    fine = load_scenario("paper_quintic", ["simulator.max_step_size=0.001"])
+    found = linearize(fine)
+    assert found.largest == pytest.approx(growth_per_turn(at_rest(fine), 3), rel=0.1)
+    assert found.largest > 3
