@@ -15,6 +15,7 @@ from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory
 from drake_nonstop.blocks.constant_parameters import ConstantParameters
 from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
 from drake_nonstop.blocks.ideal_feedback import IdealFeedback
+from drake_nonstop.blocks.individual_cables import IndividualCables
 from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
 from drake_nonstop.blocks.load_plant import LoadPlant
 from drake_nonstop.blocks.load_trajectory import (
@@ -22,10 +23,15 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRest,
     RestToRestConfig,
 )
+from drake_nonstop.blocks.loaded_carrier_dynamics import LoadedCarrierDynamics
+from drake_nonstop.blocks.loaded_carrier_pid import LoadedCarrierPid
+from drake_nonstop.blocks.multibody_load_plant import MultibodyLoadPlant
 from drake_nonstop.blocks.no_disturbance import NoDisturbance
+from drake_nonstop.blocks.noisy_feedback import NoisyFeedback, NoisyFeedbackConfig
 from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer
 from drake_nonstop.blocks.printed_phase import PrintedPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.blocks.wind import Wind, WindConfig
 from drake_nonstop.blocks.wrench_controller import WrenchController
 
 
@@ -37,6 +43,14 @@ def moving_reference(model):
 
 def integrating_pid(model):
     return CarrierPid(model, CarrierPidConfig(integral_gain=3.0))
+
+
+def noisy_feedback(model):
+    return NoisyFeedback(model, NoisyFeedbackConfig(position_noise=0.1, orientation_noise=0.1))
+
+
+def gusty_wind(model):
+    return Wind(model, WindConfig(gust_force=1.0))
 
 
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
@@ -112,6 +126,33 @@ BLOCKS = {
         [("carrier_reference", "carrier_forces"), ("carrier_state", "carrier_forces")],
     ),
     CarrierDynamics: (["carrier_forces"], ["carrier_state"], []),
+    LoadedCarrierDynamics: (["carrier_forces", "cable_forces"], ["carrier_state"], []),
+    LoadedCarrierPid: (
+        ["carrier_reference", "carrier_state", "desired_cable_forces"],
+        ["carrier_forces"],
+        [
+            ("carrier_reference", "carrier_forces"),
+            ("carrier_state", "carrier_forces"),
+            ("desired_cable_forces", "carrier_forces"),
+        ],
+    ),
+    IndividualCables: (
+        ["load_state", "carrier_state"],
+        ["cable_forces", "tensions"],
+        [
+            ("load_state", "cable_forces"),
+            ("load_state", "tensions"),
+            ("carrier_state", "cable_forces"),
+            ("carrier_state", "tensions"),
+        ],
+    ),
+    noisy_feedback: (
+        ["load_state"],
+        ["measured_load_state"],
+        [("load_state", "measured_load_state")],
+    ),
+    gusty_wind: ([], ["disturbance_wrench"], []),
+    MultibodyLoadPlant: (["cable_forces", "disturbance_wrench"], ["load_state"], []),
     Cables: (
         ["load_state", "carrier_state"],
         ["cable_forces", "tensions"],

@@ -1,0 +1,97 @@
+"""500 drawn scenarios, valid and invalid: a sound run, or one clear sentence."""
+
+import math
+
+import numpy as np
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from drake_nonstop.scenario import changed, load_scenario, scenario_names
+from drake_nonstop.simulate import RunStopped, simulate
+from drake_nonstop.validation import ScenarioError
+
+# Numbers of every kind: sound, odd and impossible.
+NUMBERS = st.one_of(
+    *[st.floats(0.05, 5.0)] * 3,
+    st.floats(-1.0, 50.0),
+    st.sampled_from([0.0, -0.0, 1e-12, 1e12, 1e300, -1.0]),
+    st.sampled_from([math.nan, math.inf, -math.inf]),
+)
+WORDS = st.sampled_from(["abc", "true", "[1, 2]", "!IdealFeedback {}", "''", "~", "{}"])
+FIELDS = [
+    *("system.load_mass", "system.load_drag", "system.load_angular_drag", "system.cable_length"),
+    *("system.cable_stiffness", "system.cable_damping", "system.carrier_mass", "system.gravity"),
+    *("simulated.load_mass", "simulated.cable_length", "simulated.carrier_mass"),
+    *("control_period", "simulator.max_step_size", "load_trajectory.move_time"),
+    *("wrench_controller.position_gain", "wrench_controller.feedforward"),
+    *("optimization_layer.speed_bound", "optimization_layer.tightening"),
+    *("optimization_layer.frequency", "optimization_layer.amplitude"),
+    *("optimization_layer.period", "optimization_layer.min_tension"),
+    *("optimization_layer.max_speed", "optimization_layer.min_separation"),
+    *("optimization_layer.anchor_weight", "optimization_layer.change_time"),
+    *("carrier_controller.position_gain", "carrier_controller.velocity_gain"),
+    *("scene.wing_span", "scene.mark_range"),
+]
+SWAPS = st.sampled_from(
+    [
+        "phase=!PrintedPhase {}",
+        "optimization_layer=!ConstantParameters {}",
+        "load_plant=!MultibodyLoadPlant {}",
+        "carrier_dynamics=!LoadedCarrierDynamics {max_force: 5}",
+        "carrier_controller=!LoadedCarrierPid {}",
+        "cables=!IndividualCables {stiffness: [100, 200, 300]}",
+        "cables=!IndividualCables {rest_length: [0.8, 0.8, 0.8, 0.81]}",
+        "load_feedback=!NoisyFeedback {position_noise: 0.01, delay: 0.02}",
+        "load_feedback=!NoisyFeedback {delay: 0.005}",
+        "load_disturbance=!Wind {force: [1, 0, 0], gust_force: 0.5}",
+        "load_disturbance=!Wind {force: [1, 0]}",
+        "optimization_layer.solver=snopt",
+        "pattern.phases=[0, 1, 2]",
+        "system.attachments=[[1, 0, 0], [0, 1, 0], [-1, -1, 0]]",
+        "system.attachments=[[1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0]]",
+        "system.load_inertia=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]",
+        "load_plant=!NoSuchPlant {}",
+        "no.such.field=1",
+    ]
+)
+SETTINGS = st.one_of(
+    *[st.builds("{}={}".format, st.sampled_from(FIELDS), NUMBERS)] * 3,
+    st.builds("{}={}".format, st.sampled_from(FIELDS), WORDS),
+    SWAPS,
+)
+
+
+@settings(
+    max_examples=500,
+    deadline=None,
+    derandomize=True,
+    phases=[Phase.explicit, Phase.generate],
+    suppress_health_check=list(HealthCheck),
+)
+@given(
+    name=st.sampled_from(scenario_names()),
+    drawn=st.lists(SETTINGS, min_size=1, max_size=2),
+    duration=st.sampled_from([0.03, 0.03, 0.3]),
+)
+def test_nothing_but_a_clear_error_or_a_sound_run(name, drawn, duration):
+    try:
+        scenario = changed(load_scenario(name), [f"duration={duration}", *drawn])
+        run = simulate(scenario)
+    except ScenarioError as error:
+        message = str(error)
+        assert " = " in message
+        assert ": " in message
+        assert "\n" not in message
+        assert len(message) < 600
+        return
+    except RunStopped as stopped:
+        message = str(stopped)
+        assert message.startswith("the run ")
+        assert "\n" not in message
+        # Its cause is the loop's, not that of a line of ours.
+        for kind in ("TypeError", "IndexError", "KeyError", "AttributeError", "ValueError"):
+            assert kind not in message
+        return
+    assert run.time[-1] == scenario.duration
+    for signal, values in run.signals.items():
+        assert np.isfinite(values).all(), signal
