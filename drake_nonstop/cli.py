@@ -144,6 +144,11 @@ def _run(options: argparse.Namespace) -> int:
             metrics = _write(run, folder, options)
             if not options.quiet:
                 _report(metrics, folder)
+                if options.live:
+                    print(
+                        "while a page is open: restart or stop there; Ctrl-C ends it",
+                        flush=True,
+                    )
         return 0
     except ScenarioError:
         if is_new:
@@ -186,6 +191,8 @@ def _write(run: Run, folder: Path, options: argparse.Namespace) -> dict[str, Any
 
 def _report(metrics: dict[str, Any], folder: Path) -> None:
     print(_table(metrics))
+    if metrics["is_steered"]:
+        print("steered while it ran: scenario.yaml alone does not repeat it")
     for warning in _warnings(metrics):
         print(f"warning: {warning}")
     print(f"results: {folder}")
@@ -199,7 +206,8 @@ def _view(options: argparse.Namespace) -> int:
         print(f"{address} (Ctrl-C ends it)", flush=True)
         if not options.no_open:
             webbrowser.open(address)
-        threading.Event().wait()
+        with contextlib.suppress(KeyboardInterrupt):
+            threading.Event().wait()
     return 0
 
 
@@ -432,7 +440,7 @@ class _RunProgress(_ProgressLine):
 
     def __call__(self, simulated: float) -> None:
         now = time.perf_counter()
-        if self._first is None:
+        if self._first is None or simulated < self._first[1]:  # another run
             self._first = now, simulated
             return
         factor = (simulated - self._first[1]) / (now - self._first[0])

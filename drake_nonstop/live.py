@@ -1,5 +1,6 @@
 """A run to watch and to steer while it goes on, in a Meshcat page."""
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -8,6 +9,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
+from drake_nonstop.blocks.nonstop_optimizer import LEAST_BOUND
 from drake_nonstop.metrics import carrier_speeds
 from drake_nonstop.scenario import Scenario
 from drake_nonstop.simulate import Run, Then, simulate
@@ -22,11 +24,11 @@ BOUND = "bound, m/s"
 SLOWEST = "slowest, m/s"
 ENABLED = "optimize 0/1"
 RATE = "x real time"
-_KEYS = {PAUSE: "Space", RESTART: "KeyR", STOP: "Escape"}
+_KEYS = {PAUSE: "Space", RESTART: "KeyR", STOP: ""}  # what cannot be undone has none
 
 _HIGHEST_BOUND = 3.0  # of the scenario's ε, on the slider
-_LEAST_BOUND = 1e-3  # m/s, what the layers take; below it the slider means none
-_HIGHEST_RATE = 10.0
+_GAUGE_RANGE = 10.0  # of the scenario's ε
+_RATES = 0.1, 10.0
 _GAUGE_PERIOD = 0.1  # s of wall time
 _POLLING_PERIOD = 0.05  # s of wall time, where nothing runs
 
@@ -41,9 +43,9 @@ def run_live(
 ) -> Iterator[Run]:
     """Runs a scenario in view, with controls in the page, and yields every run that ends.
 
-    One ends when its time is over or "stop" is pressed. Then, as long as somebody watches and
-    has not pressed "stop", "restart" begins another; in mid-run it does so too, and what ran
-    before is dropped. The sliders keep their values.
+    One ends when its time is over or "stop" is pressed, after which there is no other. Else,
+    as long as somebody watches, "restart" begins another; in mid-run it does so too, and what
+    ran before is dropped. The sliders keep their values.
 
     Args:
         scenario: what to run.
@@ -72,13 +74,14 @@ def run_live(
                 after_step=controls.after_step,
                 **replacements,
             )
-            if not controls.is_restarted:
+            if controls.is_stopped or not controls.is_restarted:
+                run.is_steered = controls.has_steered
                 yield run
                 controls.wait()
-            if not controls.is_restarted:
+            if controls.is_stopped or not controls.is_restarted:
                 return
     finally:
-        meshcat.DeleteAddedControls()
+        controls.delete()
 
 
 class _Controls:
@@ -89,13 +92,15 @@ class _Controls:
         self._realtime_rate = realtime_rate
         bound = scenario.optimization_layer.speed_bound
         highest = _HIGHEST_BOUND * bound or 1.0
+        gauge = _GAUGE_RANGE * bound or 10.0
         for name, key in _KEYS.items():
             meshcat.AddButton(name, key)
-        # Below one another and to the same scale, so that the two can be compared.
         meshcat.AddSlider(BOUND, 0.0, highest, highest / 300, bound)
-        meshcat.AddSlider(SLOWEST, 0.0, highest, highest / 300, 0.0)
+        meshcat.AddSlider(SLOWEST, 0.0, gauge, gauge / 1000, 0.0)
         meshcat.AddSlider(ENABLED, 0.0, 1.0, 1.0, 1.0)
-        meshcat.AddSlider(RATE, 0.0, max(_HIGHEST_RATE, realtime_rate), 0.1, realtime_rate)
+        low, high = _RATES
+        rate = realtime_rate or high
+        meshcat.AddSlider(RATE, min(low, rate), max(high, rate), 0.1, rate)
         # A slider may round: what it was set to counts only once it is moved.
         self._initial = {name: meshcat.GetSliderValue(name) for name in (BOUND, ENABLED, RATE)}
         self.begin()
@@ -106,6 +111,7 @@ class _Controls:
         self._applied = dict(self._initial)
         self._has_started = False
         self._last_gauge = 0.0
+        self.has_steered = False
 
     @property
     def is_stopped(self) -> bool:
@@ -137,10 +143,13 @@ class _Controls:
                 simulator.set_target_realtime_rate(value)
                 simulator.ResetStatistics()  # the rate is kept from here on
             elif name == BOUND:
-                bound = value if value >= _LEAST_BOUND else 0.0
+                bound = value if value >= LEAST_BOUND else 0.0
+                bound = min(bound, 0.999 * getattr(layer, "highest_speed_bound", math.inf))
                 layer.set_speed_bound(layer.GetMyMutableContextFromRoot(root), bound)
+                self.has_steered = True
             else:
                 layer.set_enabled(layer.GetMyMutableContextFromRoot(root), value > 0)
+                self.has_steered = True
         now = time.perf_counter()
         if now - self._last_gauge > _GAUGE_PERIOD:
             self._last_gauge = now
@@ -160,6 +169,13 @@ class _Controls:
         moved = {name: value for name, value in values.items() if value != self._applied[name]}
         self._applied |= moved
         return moved
+
+    def delete(self) -> None:
+        """Takes the controls off the page, and no others."""
+        for name in set(_KEYS) & set(self._meshcat.GetButtonNames()):
+            self._meshcat.DeleteButton(name)
+        for name in {BOUND, SLOWEST, ENABLED, RATE} & set(self._meshcat.GetSliderNames()):
+            self._meshcat.DeleteSlider(name)
 
     def wait(self) -> None:
         """Waits, after a run, for "restart" or "stop", or for the last viewer to leave."""

@@ -26,6 +26,7 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     simulated = float(run.steps["time"][-1])
     return {
         "scenario": run.scenario.name,
+        "is_steered": run.is_steered,
         "simulated_s": simulated,
         "wall_s": run.wall_time,
         "real_time_factor": simulated / run.wall_time,

@@ -41,6 +41,7 @@ from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
 from drake_nonstop.blocks.printed_phase import PrintedPhaseConfig
 from drake_nonstop.blocks.wind import WindConfig
 from drake_nonstop.blocks.wrench_controller import WrenchControllerConfig
+from drake_nonstop.load_file import read_load
 from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
 from drake_nonstop.scene import SceneConfig
 from drake_nonstop.system import System, SystemOverrides
@@ -246,6 +247,12 @@ def _from_tree(name: str, tree: dict[str, Any]) -> Scenario:
             _check_fields(field_name, tree[field_name], schema)
     scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(tree), defaults=Scenario())
     scenario.name = name
+    for owner in ("system", "simulated"):
+        system = getattr(scenario, owner)
+        if system.load_file:
+            fields = read_load(system.load_file, system.attachment_frames or [])
+            fields |= {"load_file": "", "attachment_frames": []}  # the resolved scenario has both
+            setattr(scenario, owner, dataclasses.replace(system, **fields))
     require_positive(name, duration=scenario.duration)
     simulator = scenario.simulator
     require_positive(

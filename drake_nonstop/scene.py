@@ -340,8 +340,11 @@ class Scene:
         way = path - path[0] if is_long else np.zeros((len(path), 3))  # of the camera
         near = np.linalg.norm(carriers - path[:, None], axis=2) < ASTRAY * self.reach
         rim = path[:, None] + self.radius * np.vstack([np.eye(3), -np.eye(3)])
-        bodies = np.concatenate([carriers[near], rim.reshape(-1, 3)])
-        ways = np.concatenate([np.repeat(way, near.sum(axis=1), axis=0), np.repeat(way, 6, axis=0)])
+        mark = MARK_RADIUS * self.config.wing_span * self.reach * np.vstack([np.eye(3), -np.eye(3)])
+        marks = (carriers[near][:, None] + mark).reshape(-1, 3)
+        bodies = np.concatenate([marks, rim.reshape(-1, 3)])
+        repeats = 6 * near.sum(axis=1)
+        ways = np.concatenate([np.repeat(way, repeats, axis=0), np.repeat(way, 6, axis=0)])
         eye, target = _view(bodies - ways, path=path)
         middle = (path.min(axis=0) + path.max(axis=0)) / 2
         floor = np.array([*middle[:2], bodies[:, 2].min() - GROUND_CLEARANCE * self.reach])

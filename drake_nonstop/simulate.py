@@ -66,7 +66,8 @@ class Run:
     to their values at every step of the integrator, (steps, size), and "time" to the
     steps' times (steps,), from t = 0 on. A value at an instant is that before the
     controllers' update at that instant. `solve_times` (updates,) are the wall times of the
-    optimization layer's updates, `wall_time` that of the whole simulation, in s.
+    optimization layer's updates, `wall_time` that of the whole simulation but for pauses, in s.
+    A run that `is_steered` was changed from outside while it went on.
     """
 
     scenario: Scenario
@@ -76,6 +77,7 @@ class Run:
     steps: dict[str, NDArray]
     solve_times: NDArray
     wall_time: float
+    is_steered: bool = False
 
     def signal(self, port: str) -> NDArray:
         """The signal of that port name, whichever block makes it: (samples, size)."""
@@ -168,14 +170,15 @@ def simulate(
             nonstop,
             _split(sample_sink.FindLog(context), sampled),
             _split(step_sink.FindLog(context), stepped),
-            wall_time=time.perf_counter() - start,
+            wall_time=time.perf_counter() - start - monitor.waited,
         )
 
+    monitor = _Monitor(simulator, nonstop, progress, after_step)
     try:
         nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
         set_equilibrium(nonstop, nonstop_context)
         ApplySimulatorConfig(stable_config(scenario.simulator, nonstop, nonstop_context), simulator)
-        with _Monitor(simulator, nonstop, progress, after_step) as monitor:
+        with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
             simulator.Initialize()
@@ -241,6 +244,7 @@ class _Monitor:
         self._last_report = 0.0
         self._previous_handler: Any = None
         self.is_interrupted = False
+        self.waited = 0.0  # s of wall time
 
     def __call__(self, root_context: Context) -> EventStatus:
         if self.is_interrupted:
@@ -256,9 +260,11 @@ class _Monitor:
     def _ends(self) -> bool:
         then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
         if then is Then.WAIT:
+            start = time.perf_counter()
             while then is Then.WAIT and not self.is_interrupted:
                 time.sleep(_WAITING_PERIOD)
                 then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
+            self.waited += time.perf_counter() - start
             self._simulator.ResetStatistics()  # the real-time rate is kept from here on
         return then is Then.END or self.is_interrupted
 

@@ -152,6 +152,11 @@ class SpeedProgram:
         """The least margin of all constraints."""
         return float(np.min(self._margins(parameters, data)[0]))
 
+    def slowest(self, parameters: NDArray, data: NDArray) -> float:
+        """The slowest speed to come (m/s)."""
+        margins = self._margins(parameters, data)[0]
+        return self._slowest(margins, float(margins.min()), data)
+
     def cost(self, parameters: NDArray, data: NDArray) -> float:
         """The cost of the step to `parameters`."""
         return float(self._cost(parameters, data)[0][0])

@@ -43,6 +43,10 @@ class System:
     cable_damping: float = 0.1  # N s/m
     carrier_mass: float = 0.1  # kg
     gravity: float = 9.81  # m/s²
+    # An SDF or URDF file to take load_mass, load_inertia and attachments from as a scenario is
+    # loaded, and the frames in it that the cables are attached to, in the order of the carriers.
+    load_file: str = ""
+    attachment_frames: list[str] = field(default_factory=list)
 
 
 # `simulated` in a scenario: any field of System, for the simulated plant only.

@@ -73,6 +73,11 @@ def test_a_run_that_nobody_touches_is_that_without_a_page(monkeypatch):
         np.testing.assert_array_equal(values, run.signals[name], err_msg=name)
 
 
+# m, in a sample. A may step by 1.2 N / 2 s x 10 ms = 6 mN, on a cable of 0.8 m under 2.5 N by
+# 1.9 mm along either of the two edges at its attachment; samples themselves make up to 0.6 mm.
+_JUMP = np.sqrt(2) * 1.9e-3 + 0.7e-3
+
+
 def commanded_jumps(run):
     """By how much (m) the carriers' commanded positions leave their own velocity in a sample."""
     commands = run.signal("carrier_reference")
@@ -94,10 +99,25 @@ def test_a_raised_bound_is_kept_after_its_time_and_reached_smoothly(monkeypatch)
     slowest = speeds.min(axis=1)
     assert slowest[run.time < 1.0].min() < 0.88
     assert slowest[run.time > 3.0 + 0.01].min() >= 0.88
-    assert run.steps["diagnostics"][-1, 4:6].max() == 0  # none relaxed or held
+    assert run.steps["diagnostics"][-1, 5] == 0  # none held; those cut short count as relaxed
     untouched = commanded_jumps(simulate(short(6.0))).max()
-    assert commanded_jumps(run).max() < 3e-3
-    assert untouched < 3e-3
+    assert commanded_jumps(run).max() < _JUMP
+    assert untouched < _JUMP
+
+
+@pytest.mark.parametrize("constraint", ["min_separation=0.9", "max_speed=1.3", "min_tension=2.5"])
+def test_with_other_constraints_the_commands_do_not_jump_either(monkeypatch, constraint):
+    scenario = load_scenario("quintic", ["duration=4", f"optimization_layer.{constraint}"])
+    acts = [
+        (0.3, lambda page: page.SetSliderValue(live.ENABLED, 0.0)),
+        (1.0, lambda page: page.SetSliderValue(live.BOUND, 1.5)),
+        (1.8, lambda page: page.SetSliderValue(live.ENABLED, 1.0)),
+    ]
+    (run,) = acted(scenario, acts, monkeypatch)
+    assert commanded_jumps(run).max() < _JUMP
+    assert run.is_steered
+    bound = run.signal("speed_bound")[-1, 0]
+    assert bound == pytest.approx(1.5 if "max_speed" not in constraint else 1.3, rel=0.03)
 
 
 def test_the_switch_leads_to_the_nominal_parameters_and_back(monkeypatch):
@@ -119,12 +139,26 @@ def test_the_switch_leads_to_the_nominal_parameters_and_back(monkeypatch):
     slowest = np.linalg.norm(run.signal("carrier_state")[:, 12:].reshape(-1, 4, 3), axis=2).min(1)
     assert slowest[off].min() < 0.55  # without the layer this scenario falls below its bound
     assert slowest[run.time > 7.01].min() >= 0.55
-    assert commanded_jumps(run).max() < 3e-3
+    assert commanded_jumps(run).max() < _JUMP
 
 
 def test_stop_ends_the_run_and_yields_it(monkeypatch):
     (run,) = acted(short(5.0), [(0.3, lambda page: page.press(live.STOP))], monkeypatch)
+    assert not run.is_steered
     assert run.time[-1] == pytest.approx(0.3, abs=0.011)
+
+
+def test_stop_wins_over_a_restart_at_the_same_instant(monkeypatch):
+    acts = [(0.3, lambda page: page.press(live.RESTART)), (0.3, lambda page: page.press(live.STOP))]
+    (run,) = acted(short(5.0), acts, monkeypatch)
+    assert run.time[-1] == pytest.approx(0.3, abs=0.011)
+
+
+def test_a_users_own_controls_stay():
+    meshcat = start_meshcat()
+    meshcat.AddButton("mine")
+    assert len(list(run_live(short(0.05), meshcat, realtime_rate=0.0))) == 1
+    assert list(meshcat.GetButtonNames()) == ["mine"]
 
 
 def test_restart_drops_what_ran_and_begins_anew_with_the_sliders_as_they_are(monkeypatch):
@@ -166,8 +200,8 @@ def test_pause_holds_the_time_and_the_pace_goes_on_from_there(monkeypatch):
     (run,) = acted(short(1.0), [(0.5, pause)], monkeypatch, realtime_rate=1.0)
     took = time.perf_counter() - start
     assert run.time[-1] == pytest.approx(1.0)
-    assert run.wall_time > 1.7  # 1 s of running, and the pause is not made up for
-    assert took - (paused[0] - start) > 1.2
+    assert 0.9 < run.wall_time < 1.7  # 1 s of running: the pause is neither counted nor made up for
+    assert took - (paused[0] - start) > 1.2  # s: the pause, and the rest of the run
 
 
 def test_the_pace_can_be_changed(monkeypatch):

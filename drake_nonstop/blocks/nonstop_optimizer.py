@@ -14,7 +14,7 @@ from pydrake.systems.framework import (
 )
 
 from drake_nonstop.local_solver import LocalSolver
-from drake_nonstop.speed_program import SpeedProgram, amplitude_bounds
+from drake_nonstop.speed_program import Outcome, SpeedProgram, amplitude_bounds
 from drake_nonstop.system import Model
 from drake_nonstop.validation import (
     is_number,
@@ -24,7 +24,7 @@ from drake_nonstop.validation import (
     require_positive,
 )
 
-_LEAST_BOUND = 1e-3  # m/s, but for none at all: margins are relative to the bound
+LEAST_BOUND = 1e-3  # m/s, but for none at all: margins are relative to the bound
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
@@ -124,10 +124,12 @@ class NonstopOptimizer(LeafSystem):
     measured, by tests/evals/test_bound_always_holds.py.
 
     **During a run** `set_speed_bound` and `set_enabled` change two parameters of the context,
-    as a live view does. The carriers' commands follow without a jump: a raised bound is asked
+    as a live view does. The carriers' commands follow without a jump. A raised bound is asked
     for little by little, at its height per `change_time`, and so is one that comes back into
-    force; a layer that is switched off leads ξ and A back to where they started, with a time
-    constant of a quarter of that, and counts no updates.
+    force; until all constraints are fulfilled again ξ and A change by no more than their initial
+    values per `change_time`, and an update that this cuts short counts as relaxed. A layer that is
+    switched off leads ξ and A back to where they started, with a time constant of a quarter of
+    `change_time`, and counts no updates.
 
     .. pydrake_system::
 
@@ -171,8 +173,10 @@ class NonstopOptimizer(LeafSystem):
         self._solve_time = self.DeclareDiscreteState(1)
         self._last_wrench_rate = self.DeclareDiscreteState(6)
         self._bound_in_force = self.DeclareDiscreteState([config.speed_bound])
+        self._is_changing = self.DeclareDiscreteState(1)
         self._speed_bound = self.DeclareNumericParameter(BasicVector([config.speed_bound]))
         self._enabled = self.DeclareNumericParameter(BasicVector([1.0]))
+        self.highest_speed_bound = config.max_speed / _tightened(config)
         self._start = np.array([config.frequency, config.amplitude])
         self._period, self._change_time = config.period, config.change_time
         self.DeclareStateOutputPort("parameters", self._parameters)
@@ -192,9 +196,16 @@ class NonstopOptimizer(LeafSystem):
         """Asks for another ε (m/s) from the next update on; the context is the block's own.
 
         Raises:
-            ScenarioError: the bound is neither 0 nor at least 1e-3 m/s.
+            ScenarioError: the bound is neither 0 nor at least 1e-3 m/s, or above
+                `highest_speed_bound`.
         """
         _check_speed_bound(speed_bound)
+        require(
+            speed_bound < self.highest_speed_bound,
+            "optimization_layer.speed_bound",
+            speed_bound,
+            f"give less than {self.highest_speed_bound:g} m/s, for the sake of max_speed",
+        )
         context.get_mutable_numeric_parameter(self._speed_bound).SetFromVector([speed_bound])
 
     def set_enabled(self, context: Context, enabled: bool) -> None:
@@ -210,12 +221,16 @@ class NonstopOptimizer(LeafSystem):
             share = 1 - math.exp(-4 * self._period / self._change_time)
             discrete_state.set_value(self._parameters, previous + share * (self._start - previous))
             discrete_state.set_value(self._bound_in_force, [0.0])
+            discrete_state.set_value(self._is_changing, [1.0])
+            discrete_state.set_value(self._last_wrench_rate, self._wrench_rate.Eval(context))
             return
         bound = context.get_numeric_parameter(self._speed_bound).value()[0]
         before = context.get_discrete_state(self._bound_in_force).value()[0]
-        if before < bound:
+        is_changing = context.get_discrete_state(self._is_changing).value()[0] > 0
+        is_rising = before < bound
+        if is_rising:
             step = bound * self._period / self._change_time
-            bound = min(bound, max(before + step, _LEAST_BOUND))
+            bound = min(bound, max(before + step, LEAST_BOUND))
         diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
         wrench_rate = self._wrench_rate.Eval(context)
         last_wrench_rate = wrench_rate
@@ -233,6 +248,14 @@ class NonstopOptimizer(LeafSystem):
         start = time.perf_counter()
         data = self.program.update_data(*inputs, speed_bound=bound, updates=int(diagnostics[1]))
         parameters, outcome, slowest = self.program.solve(data)
+        if is_changing or is_rising:
+            change = parameters - previous
+            longest = self._start * self._period / self._change_time
+            excess = float(np.max(np.abs(change) / longest))
+            if excess > 1:
+                parameters, outcome = previous + change / excess, Outcome.RELAXED
+                slowest = self.program.slowest(parameters, data)
+            is_changing = is_rising or outcome > Outcome.SOLVED
         solve_time = time.perf_counter() - start
         diagnostics[0] = outcome
         diagnostics[1] += 1
@@ -243,14 +266,20 @@ class NonstopOptimizer(LeafSystem):
         discrete_state.set_value(self._last_wrench_rate, wrench_rate)
         discrete_state.set_value(self._solve_time, [solve_time])
         discrete_state.set_value(self._bound_in_force, [bound])
+        discrete_state.set_value(self._is_changing, [float(is_changing)])
+
+
+def _tightened(config: NonstopOptimizerConfig) -> float:
+    """How much further apart a lower and an upper bound on the same have to be than equal."""
+    return (1 + config.tightening) / (1 - config.tightening)
 
 
 def _check_speed_bound(speed_bound: float) -> None:
     require(
-        speed_bound == 0 or (is_number(speed_bound) and speed_bound >= _LEAST_BOUND),
+        speed_bound == 0 or (is_number(speed_bound) and speed_bound >= LEAST_BOUND),
         "optimization_layer.speed_bound",
         speed_bound,
-        f"give 0 (no bound) or at least {_LEAST_BOUND:g} m/s",
+        f"give 0 (no bound) or at least {LEAST_BOUND:g} m/s",
     )
 
 
@@ -270,10 +299,11 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         frequency=config.frequency,
         amplitude=config.amplitude,
         period=config.period,
+        change_time=config.change_time,
     )
     _check_speed_bound(config.speed_bound)
     require(config.tightening < 1, f"{owner}.tightening", config.tightening, "give less than 1")
-    tightened = (1 + config.tightening) / (1 - config.tightening)
+    tightened = _tightened(config)
     for name, least in (
         ("max_frequency_rate", 0.0),
         ("max_amplitude_rate", 0.0),

@@ -77,7 +77,7 @@ class NonstopVisualizer(LeafSystem):
         self._frame_time = 1 / frame_rate
         self._canvas = LiveCanvas(meshcat)
         self._last_time = math.inf  # s, of what is shown
-        self._last_frame = -math.inf  # s of wall time, when it was
+        self._next_frame = -math.inf  # s of wall time, when one is due
         self._n = len(system.attachments)
         self._load_state = self.DeclareVectorInputPort("load_state", 13)
         self._reference = self.DeclareVectorInputPort("reference", 22)
@@ -118,8 +118,7 @@ class NonstopVisualizer(LeafSystem):
         return visualizer
 
     def _publish(self, context: Context) -> EventStatus:
-        is_due = time.perf_counter() - self._last_frame >= self._frame_time
-        if is_due or context.get_time() < self._last_time:
+        if time.perf_counter() >= self._next_frame or context.get_time() < self._last_time:
             return self._show(context)
         return EventStatus.DidNothing()
 
@@ -146,7 +145,11 @@ class NonstopVisualizer(LeafSystem):
             self.scene.set_stage(self._meshcat, path)
             self.scene.draw(self._meshcat)
             self._canvas = LiveCanvas(self._meshcat)
-        self._last_time, self._last_frame = snapshot.time, time.perf_counter()
+        self._last_time = snapshot.time
+        # Counted from when this one was due, so that late ones do not lower the rate.
+        now = time.perf_counter()
+        is_late = now - self._next_frame > self._frame_time
+        self._next_frame = (now if is_late else self._next_frame) + self._frame_time
         self._meshcat.SetSimulationTime(snapshot.time)
         self.scene.show(self._canvas, snapshot)
         return EventStatus.Succeeded()

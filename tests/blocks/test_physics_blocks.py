@@ -30,7 +30,7 @@ LOADED = ["carrier_dynamics=!LoadedCarrierDynamics {}", "carrier_controller=!Loa
 def state(n=4, height=0.85):
     """A level load at the origin, and carriers `height` above its attachments: taut cables."""
     load = np.array([1.0, *[0.0] * 12])
-    points = model(n).attachments + [0.0, 0.0, height]
+    points = model(n).attachments + np.array([0.0, 0.0, height])
     return load, np.concatenate([points.ravel(), np.zeros(3 * n)])
 
 
@@ -51,7 +51,7 @@ def test_carriers_feel_weight_cable_and_their_limit():
     )
     limited = LoadedCarrierDynamics(model(), LoadedCarrierDynamicsConfig(max_force=5.0))
     got = acceleration(limited, carrier_forces=forces, cable_forces=np.zeros(12))
-    applied = mass * (got + [0, 0, gravity])
+    applied = mass * (got + np.array([0, 0, gravity]))
     sizes = np.linalg.norm(forces.reshape(4, 3), axis=1)
     np.testing.assert_allclose(np.linalg.norm(applied, axis=1), np.minimum(sizes, 5.0))
     np.testing.assert_allclose(np.cross(applied, forces.reshape(4, 3)), 0, atol=1e-12)
@@ -106,12 +106,14 @@ def test_a_cable_that_goes_slack_and_taut_does_not_chatter():
     """One cable 3 % too long: it is slack part of each turn, and the tension has no jumps."""
     settings = ["cables=!IndividualCables {rest_length: [0.8, 0.8, 0.8, 0.83]}", "duration=4"]
     run = simulate(load_scenario("quintic", settings))
-    tensions = run.steps["tensions"]
-    assert np.isfinite(tensions).all()
-    changes = np.abs(np.diff(tensions, axis=0)) / np.diff(run.steps["time"])[:, None]
-    late = run.steps["time"][1:] > 1.0
-    # N/s: no more than K_c times what carriers and load move past each other, 2 m/s.
-    assert changes[late & (np.diff(run.steps["time"]) > 1e-4)].max() < 500 * 2.0
+    fine = simulate(load_scenario("quintic", [*settings, "simulator.max_step_size=0.001"]))
+    switches = []
+    for each in (run, fine):
+        slack = each.steps["tensions"][each.steps["time"] > 1.0, 3] <= 0
+        assert 0.05 < slack.mean() < 0.95
+        switches.append(np.count_nonzero(np.diff(slack)))
+    # What chatters does so at every step: five times as often with steps of a fifth.
+    assert switches[1] < 1.5 * switches[0]
 
 
 @pytest.mark.parametrize(

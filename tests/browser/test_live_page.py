@@ -4,27 +4,24 @@ import os
 import re
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
 
 from drake_nonstop import live
+from drake_nonstop.scenario import load_scenario
+from drake_nonstop.simulate import simulate
 
 
 @pytest.fixture
-def flight(tmp_path):
-    """A live run in a process of its own: (process, address, results)."""
-    command = [
-        sys.executable,
-        "-m",
-        "drake_nonstop.cli",
-        "run",
-        "quintic",
-        "--live",
-        "--no-figures",
-    ]
+def flight(tmp_path, request):
+    """A live run of some s in a process of its own: (process, address, results)."""
+    duration = f"duration={getattr(request, 'param', 60)}"
+    options = ["--live", "--quiet", "--no-figures", "--no-replay", "--set", duration]
+    command = [sys.executable, "-m", "drake_nonstop.cli", "run", "quintic", *options]
     process = subprocess.Popen(
-        [*command, "--quiet", "--no-replay", "--out", str(tmp_path), "--set", "duration=60"],
+        [*command, "--out", str(tmp_path)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -81,19 +78,36 @@ def test_sliders_switch_and_stop_do_what_they_say(watched, flight):
     assert [error for error in watched.errors if "WebSocket" not in error] == []
 
 
-def test_a_viewer_may_leave_and_another_come(watched, flight):
-    process, address, _ = flight
+@pytest.mark.parametrize("flight", [4], indirect=True)
+def test_viewers_that_come_and_leave_do_not_change_a_run(watched, flight):
+    process, address, results = flight
     page = opened(watched, address)
     second = page.context.browser.new_page()
     second.goto(address)
-    second.wait_for_function(f"{live.BOUND!r} in viewer.gui_controllers", timeout=60_000)
+    second.wait_for_timeout(500)
     second.close()
-    slide(page, live.RATE, 3.0)
-    page.wait_for_timeout(500)
     assert process.poll() is None
+    page.close()
+    assert process.wait(timeout=60) == 0
+    alone = simulate(load_scenario("quintic", ["duration=4"]))
+    with np.load(results / "signals.npz") as signals:
+        assert len(signals) == len(alone.signals) + 1
+        for name, values in alone.signals.items():
+            np.testing.assert_array_equal(signals[name], values, err_msg=name)
+
+
+def test_restart_and_pace_from_the_page(watched, flight):
+    process, address, results = flight
+    page = opened(watched, address)
+    page.wait_for_timeout(1500)
     page.evaluate("viewer.gui.open()")
+    slide(page, live.RATE, 0.2)
     page.get_by_text(live.RESTART, exact=True).click()
-    page.wait_for_timeout(500)
-    assert process.poll() is None
+    page.wait_for_timeout(1000)
+    start = time.perf_counter()
     page.get_by_text(live.STOP, exact=True).click()
     assert process.wait(timeout=60) == 0
+    with np.load(results / "signals.npz") as signals:
+        simulated = signals["time"][-1]
+    # Anew, and slowly: in a second and what pressing the buttons took.
+    assert 0.05 < simulated < 0.2 * (time.perf_counter() - start + 6)

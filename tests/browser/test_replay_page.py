@@ -73,10 +73,8 @@ def test_the_picture_has_the_load_and_the_carriers_in_it(watched, replay):
     assert 0.3 < background.mean() < 0.97
     for colour in ("#30343b", "#0072b2", "#d55e00"):  # the load, two of the carriers
         wanted = np.frombuffer(bytes.fromhex(colour[1:]), dtype=np.uint8).astype(int)
-        hue = picture - picture.mean(axis=2, keepdims=True)
-        aim = wanted - wanted.mean()
         close = np.abs(picture - wanted).max(axis=2) < 60
-        assert close.sum() > 30, (colour, np.abs(hue - aim).max())
+        assert close.sum() > 30, colour
 
 
 def test_colours_switch_and_trails_fade(watched, tmp_path):
