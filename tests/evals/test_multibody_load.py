@@ -16,10 +16,10 @@ def test_both_plants_agree(name):
         simulate(load_scenario(name, [*settings, f"load_plant=!{plant} {{}}"])).signal("load_state")
         for plant in ("LoadPlant", "MultibodyLoadPlant")
     )
-    assert np.abs(ours[:, 4:7] - drakes[:, 4:7]).max() < 1e-6
+    assert np.abs(ours[:, 4:7] - drakes[:, 4:7]).max() < 1e-10
     a, b = (
         states[:, :4] / np.linalg.norm(states[:, :4], axis=1)[:, None] for states in (ours, drakes)
     )
     angles = 2 * np.linalg.norm(a * np.sign((a * b).sum(1))[:, None] - b, axis=1)
-    assert angles.max() < 1e-6
+    assert angles.max() < 1e-10
     assert np.ptp(ours, axis=0).max() > 1e-4  # something happened
