@@ -104,6 +104,9 @@ def _parser() -> argparse.ArgumentParser:
     optimizer.add_argument(
         "--out", type=Path, metavar="DIR", default=Path("out/bench"), help="(out/bench)"
     )
+    viewer = benches.add_parser("viewer", help="what a live view of a scenario costs")
+    viewer.set_defaults(action=_bench_viewer)
+    _add_scenario(viewer)
     return parser
 
 
@@ -328,6 +331,24 @@ def _bench_optimizer(options: argparse.Namespace) -> int:
     path = options.out / "optimizer.json"
     write_json(path, results)
     print(table(results))
+    print(f"results: {path}")
+    return 0
+
+
+def _bench_viewer(options: argparse.Namespace) -> int:
+    from drake_nonstop.benchmarks.viewer import benchmark_viewer
+
+    scenario = load_scenario(options.scenario, options.set)
+    folder: Path = options.out or Path("out/bench")
+    require_writable(folder)
+    line = _ProgressLine()
+    try:
+        results = benchmark_viewer(scenario, progress=line.show_share)
+    finally:
+        line.close()
+    path = folder / "viewer.json"
+    write_json(path, results)
+    print(f"a view of 30 frames per s takes {results['cost_of_real_time']:.1%} of real time")
     print(f"results: {path}")
     return 0
 

@@ -12,7 +12,7 @@ from pydrake.systems.framework import Diagram
 from drake_nonstop.blocks.nonstop_optimizer import LEAST_BOUND
 from drake_nonstop.metrics import carrier_speeds
 from drake_nonstop.scenario import Scenario
-from drake_nonstop.simulate import Run, Then, simulate
+from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, Then, simulate
 from drake_nonstop.validation import is_number, require
 
 # As the page has them, in ASCII and short: it cuts labels of sliders off, and what it sends back
@@ -80,6 +80,9 @@ def run_live(
                 controls.wait()
             if controls.is_stopped or not controls.is_restarted:
                 return
+    except (RunStopped, RunInterrupted) as ended:
+        ended.run.is_steered = controls.has_steered
+        raise
     finally:
         controls.delete()
 

@@ -258,6 +258,12 @@ def _from_tree(name: str, tree: dict[str, Any]) -> Scenario:
     require_positive(
         "simulator", max_step_size=simulator.max_step_size, accuracy=simulator.accuracy
     )
+    require(
+        simulator.max_step_size >= 1e-5,
+        "simulator.max_step_size",
+        simulator.max_step_size,
+        "give at least 1e-5 s, or the run would not come to an end",
+    )
     require(simulator.start_time == 0, "simulator.start_time", simulator.start_time, "give 0")
     return scenario
 

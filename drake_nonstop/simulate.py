@@ -42,6 +42,7 @@ _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that wa
 _REPORT_PERIOD = 0.1  # s of wall time, between two calls of `progress`
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
 
+_SHORTEST_STEP = 1e-5  # s; with a shorter one a run would not come to an end
 _STABLE_STEP = 1.6  # rad, the fastest mode's turn in a step; third-order Runge-Kutta: 1.73
 
 _WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
@@ -214,7 +215,14 @@ def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -
     """
     if config.integration_scheme != "runge_kutta3" or config.use_error_control:
         return config
-    longest = _STABLE_STEP / fastest_mode(nonstop, context)
+    mode = fastest_mode(nonstop, context)
+    longest = _STABLE_STEP / mode
+    require(
+        longest >= _SHORTEST_STEP,
+        "fastest mode",
+        f"{mode:.3g} rad/s",
+        f"give softer cables or heavier bodies; it asks for steps below {_SHORTEST_STEP:g} s",
+    )
     if config.max_step_size > longest:
         # A whole part of the signals' period, so that no step is cut short by it.
         config = copy.deepcopy(config)

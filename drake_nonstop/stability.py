@@ -24,7 +24,7 @@ from drake_nonstop.simulate import stable_config
 from drake_nonstop.system import overridden
 
 _STEP = 1e-6  # of the differences, in SI units
-_PHASES = 21  # of a turn, at which the loop is linearized
+_PHASES = 15  # of a turn, at which the loop is linearized
 _NEUTRAL = 1 + 1e-4  # a multiplier that slow integrators come near, and rounding over
 _BISECTIONS = 5
 _LOAD = "load_plant"

@@ -19,6 +19,7 @@ def flight(tmp_path, request):
     """A live run of some s in a process of its own: (process, address, results)."""
     duration = f"duration={getattr(request, 'param', 60)}"
     options = ["--live", "--quiet", "--no-figures", "--no-replay", "--set", duration]
+    options += ["scene.trail_pieces=2"]  # a browser without a GPU has enough to draw
     command = [sys.executable, "-m", "drake_nonstop.cli", "run", "quintic", *options]
     process = subprocess.Popen(
         [*command, "--out", str(tmp_path)],

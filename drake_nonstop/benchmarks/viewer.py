@@ -1,0 +1,44 @@
+"""What a live view costs: the processor time of a run with one and of the same without."""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+from drake_nonstop.scenario import Scenario
+from drake_nonstop.scene import start_meshcat
+from drake_nonstop.simulate import Then, simulate
+
+REPEATS = 3
+
+
+def benchmark_viewer(
+    scenario: Scenario, progress: Callable[[str, float], None] = lambda what, share: None
+) -> dict[str, Any]:
+    """Runs a scenario in real time with a view of 30 frames per s and without, in turns.
+
+    The processor time is that of all threads, Meshcat's among them; nobody is connected to it.
+    The cost is the median of the differences, as a share of the time that was simulated.
+    """
+    seconds: dict[bool, list[float]] = {True: [], False: []}
+    for turn in range(REPEATS):
+        for is_watched in (True, False):
+            viewers = [start_meshcat()] if is_watched else []
+            start = time.process_time()
+            simulate(scenario, viewers=viewers, after_step=_in_real_time)
+            seconds[is_watched].append(time.process_time() - start)
+            progress("running in real time", (turn + (1 if is_watched else 2) / 2) / REPEATS)
+    differences = [a - b for a, b in zip(seconds[True], seconds[False], strict=True)]
+    return {
+        "scenario": scenario.name,
+        "simulated_s": scenario.duration,
+        "cpu_s_with": seconds[True],
+        "cpu_s_without": seconds[False],
+        "cost_of_real_time": statistics.median(differences) / scenario.duration,
+    }
+
+
+def _in_real_time(simulator: Any, nonstop: Any) -> Then:
+    if simulator.get_target_realtime_rate() == 0:
+        simulator.set_target_realtime_rate(1.0)
+    return Then.GO_ON
