@@ -16,7 +16,7 @@ from drake_nonstop.live import run_live
 from drake_nonstop.plots import make_margins_figure, make_robustness_figure
 from drake_nonstop.results import replacing_file, require_writable, write_json, write_results
 from drake_nonstop.robustness import robustness
-from drake_nonstop.scenario import Scenario, load_scenario, scenario_names
+from drake_nonstop.scenario import Scenario, changed, load_scenario, scenario_names
 from drake_nonstop.scene import start_meshcat
 from drake_nonstop.serving import serve_folder
 from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, simulate
@@ -25,6 +25,7 @@ from drake_nonstop.validation import ScenarioError, require
 from drake_nonstop.version import __version__
 
 _CLOSE = 0.1  # m, between cables or carriers, that is worth a warning
+_FINE_STEP = 0.001  # s, at which integrators damp nothing that matters here
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes; 130 is the shell's for Ctrl-C
 
 
@@ -218,9 +219,11 @@ def _stability(options: argparse.Namespace) -> int:
     scenario = load_scenario(options.scenario, options.set)
     folder: Path = options.out or Path("out") / scenario.name
     require_writable(folder)
+    fine_step = min(_FINE_STEP, scenario.simulator.max_step_size)
+    fine = changed(scenario, [f"simulator.max_step_size={fine_step}"])
     line = _ProgressLine()
     try:
-        found = linearize(scenario)
+        found, found_finely = linearize(scenario), linearize(fine)
         margins = find_margins(scenario, progress=line.show_share)
     finally:
         line.close()
@@ -231,6 +234,8 @@ def _stability(options: argparse.Namespace) -> int:
             "period_s": found.period,
             "largest_multiplier": found.largest,
             "rate_1_s": found.rate,
+            "largest_multiplier_at_fine_step": found_finely.largest,
+            "fine_step_s": fine_step,
             "margins": [dataclasses.asdict(margin) for margin in margins],
         },
     )
@@ -241,6 +246,12 @@ def _stability(options: argparse.Namespace) -> int:
         f"largest multiplier     {found.largest:.4g} in a turn of {found.period:.3g} s "
         f"({found.rate:+.3g} 1/s): {verdict}"
     )
+    print(
+        f"with steps of {fine_step * 1e3:g} ms     {found_finely.largest:.4g}: "
+        f"{'stable' if found_finely.is_stable else 'unstable'}"
+    )
+    if found.is_stable and not found_finely.is_stable:
+        print("warning: the loop is stable by the damping of the integrator's step alone")
     shares = sorted(found.shares.items(), key=lambda item: -item[1])
     print(
         "least stable mode      "
@@ -252,7 +263,11 @@ def _stability(options: argparse.Namespace) -> int:
             "no end" if value is None else f"{value:.4g}" for value in (margin.low, margin.high)
         )
         name = f"{margin.name}, {margin.unit}"
-        print(f"{name:22} {margin.nominal:.4g}, stable from {low} to {high}")
+        is_stable = found.is_stable
+        print(
+            f"{name:22} {margin.nominal:.4g}, "
+            + (f"stable from {low} to {high}" if is_stable else "unstable here")
+        )
     print(f"results: {folder}")
     return 0
 

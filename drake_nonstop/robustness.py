@@ -1,9 +1,8 @@
 """What a run makes of errors that its controllers do not know of."""
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from drake_nonstop.metrics import compute_metrics
 from drake_nonstop.scenario import Scenario, changed, dump_scenario, parse_scenario
 from drake_nonstop.simulate import RunStopped, simulate
 from drake_nonstop.system import overridden
+from drake_nonstop.workers import worker_processes
 
 
 @dataclass(kw_only=True)
@@ -52,7 +52,7 @@ def robustness(
     errors = list(_errors(scenario, seed))
     text = dump_scenario(scenario)  # which can be sent to a process
     cases: dict[int, Case] = {}
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as executor:
+    with worker_processes() as executor:
         futures = {executor.submit(_case, text, *error): k for k, error in enumerate(errors)}
         for done, future in enumerate(as_completed(futures)):
             cases[futures[future]] = future.result()
@@ -95,7 +95,7 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
     weight = system.load_mass * system.gravity
     for percent in (1.0, 2.0, 5.0, 10.0):
         force = percent / 100 * weight
-        block = f"load_disturbance=!Wind {{force: [0, {force}, 0]}}"
+        block = f"load_disturbance=!Wind {{force: [0, {force}, 0], start_time: 1.0}}"
         yield "constant wind", percent, "% of weight", [block]
     for percent in (0.5, 1.0, 2.0, 5.0):
         force = percent / 100 * weight

@@ -3,9 +3,8 @@
 import dataclasses
 import math
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from pydrake.systems.framework import Context, Diagram, System
 from drake_nonstop.blocks.accumulated_phase import AccumulatedPhaseConfig
 from drake_nonstop.blocks.constant_parameters import ConstantParametersConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig
+from drake_nonstop.blocks.no_disturbance import NoDisturbanceConfig
 from drake_nonstop.blocks.noisy_feedback import NoisyFeedbackConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.equilibrium import set_equilibrium
@@ -22,6 +22,7 @@ from drake_nonstop.mechanics.rotation import cross, turned
 from drake_nonstop.scenario import Scenario, changed, dump_scenario, parse_scenario
 from drake_nonstop.simulate import stable_config
 from drake_nonstop.system import overridden
+from drake_nonstop.workers import worker_processes
 
 _STEP = 1e-6  # of the differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized
@@ -65,14 +66,20 @@ class Stability:
 def at_rest(scenario: Scenario) -> Scenario:
     """The scenario with a load that rests where it starts, and ξ and A constant.
 
-    A printed phase becomes an accumulated one, which is the same while ξ is constant.
+    A printed phase becomes an accumulated one, which is the same while ξ is constant; there is no
+    wind, and of the feedback's errors the delay alone.
     """
     layer, start = scenario.optimization_layer, scenario.load_trajectory
+    feedback = scenario.load_feedback
+    if isinstance(feedback, NoisyFeedbackConfig):
+        feedback = NoisyFeedbackConfig(delay=feedback.delay, period=feedback.period)
     return dataclasses.replace(
         scenario,
         load_trajectory=RestToRestConfig(
             start_position=start.start_position, start_roll_pitch_yaw=start.start_roll_pitch_yaw
         ),
+        load_feedback=feedback,
+        load_disturbance=NoDisturbanceConfig(),
         phase=AccumulatedPhaseConfig(),
         optimization_layer=ConstantParametersConfig(
             frequency=layer.frequency, amplitude=layer.amplitude, speed_bound=layer.speed_bound
@@ -283,7 +290,7 @@ def find_margins(
     resting = dump_scenario(at_rest(scenario))  # as text, which can be sent to a process
     jobs = [(axis, value) for axis in axes for value in sorted({*axis.values, axis.nominal})]
     found: dict[str, dict[float, tuple[float, float]]] = {axis.name: {} for axis in axes}
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as executor:
+    with worker_processes() as executor:
         futures = {
             executor.submit(_measure, resting, axis, value): (axis, value) for axis, value in jobs
         }

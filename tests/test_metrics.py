@@ -11,6 +11,7 @@ KEYS = {
     "": {
         "scenario",
         "simulated_s",
+        "is_steered",
         "wall_s",
         "real_time_factor",
         "load",

