@@ -84,6 +84,8 @@ def _views(page: Any, run: Run, times: list[float]) -> Iterator[NDArray]:
               viewer.animator.pause();
               viewer.gui.domElement.style.display = "none";
               document.getElementById("overlay").style.display = "none";
+              document.getElementById("meshcat-pane").style.height = "100vh";
+              window.dispatchEvent(new Event("resize"));
             }"""
         )
         for time in times:
