@@ -19,14 +19,13 @@ from pydrake.systems.framework import Diagram, System
 from drake_nonstop import wiring
 from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase
 from drake_nonstop.blocks.cable_force_distribution import CableForceDistribution
-from drake_nonstop.blocks.cables import Cables
+from drake_nonstop.blocks.cables import Cables, IndividualCables
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics
 from drake_nonstop.blocks.carrier_pid import CarrierPid
 from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory
 from drake_nonstop.blocks.constant_parameters import ConstantParameters
 from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
 from drake_nonstop.blocks.ideal_feedback import IdealFeedback
-from drake_nonstop.blocks.individual_cables import IndividualCables
 from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
 from drake_nonstop.blocks.load_plant import LoadPlant
 from drake_nonstop.blocks.load_trajectory import ConstantVelocityMove, RestToRest

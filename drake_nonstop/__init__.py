@@ -9,7 +9,12 @@ from drake_nonstop.blocks.cable_force_distribution import (
     CableForceDistribution,
     CableForceDistributionConfig,
 )
-from drake_nonstop.blocks.cables import Cables, CablesConfig
+from drake_nonstop.blocks.cables import (
+    Cables,
+    CablesConfig,
+    IndividualCables,
+    IndividualCablesConfig,
+)
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics, CarrierDynamicsConfig
 from drake_nonstop.blocks.carrier_pid import CarrierPid, CarrierPidConfig
 from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory, CarrierTrajectoryConfig
@@ -19,7 +24,6 @@ from drake_nonstop.blocks.desired_state_feedback import (
     DesiredStateFeedbackConfig,
 )
 from drake_nonstop.blocks.ideal_feedback import IdealFeedback, IdealFeedbackConfig
-from drake_nonstop.blocks.individual_cables import IndividualCables, IndividualCablesConfig
 from drake_nonstop.blocks.internal_force_trajectory import (
     InternalForceTrajectory,
     InternalForceTrajectoryConfig,

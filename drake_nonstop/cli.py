@@ -21,7 +21,7 @@ from drake_nonstop.scene import start_meshcat
 from drake_nonstop.serving import serve_folder
 from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, simulate
 from drake_nonstop.stability import find_margins, linearize
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, require, require_seed
 from drake_nonstop.version import __version__
 
 _CLOSE = 0.1  # m, between cables or carriers, that is worth a warning
@@ -221,12 +221,9 @@ def _stability(options: argparse.Namespace) -> int:
     require_writable(folder)
     fine_step = min(_FINE_STEP, scenario.simulator.max_step_size)
     fine = changed(scenario, [f"simulator.max_step_size={fine_step}"])
-    line = _ProgressLine()
-    try:
+    with contextlib.closing(_ProgressLine()) as line:
         found, found_finely = linearize(scenario), linearize(fine)
         margins = find_margins(scenario, progress=line.show_share)
-    finally:
-        line.close()
     write_json(
         folder / "stability.json",
         {
@@ -274,14 +271,11 @@ def _stability(options: argparse.Namespace) -> int:
 
 def _robustness(options: argparse.Namespace) -> int:
     scenario = load_scenario(options.scenario, options.set)
-    require(options.seed >= 0, "--seed", options.seed, "give 0 or a whole number above it")
+    require_seed("--seed", options.seed)
     folder: Path = options.out or Path("out") / scenario.name
     require_writable(folder)
-    line = _ProgressLine()
-    try:
+    with contextlib.closing(_ProgressLine()) as line:
         cases = robustness(scenario, seed=options.seed, progress=line.show_share)
-    finally:
-        line.close()
     write_json(
         folder / "robustness.json",
         {"scenario": scenario.name, "cases": [dataclasses.asdict(case) for case in cases]},
@@ -306,11 +300,8 @@ def _pictures(options: argparse.Namespace) -> int:
     from drake_nonstop.pictures import make_pictures
 
     require_writable(options.out)
-    line = _ProgressLine()
-    try:
+    with contextlib.closing(_ProgressLine()) as line:
         paths = make_pictures(options.out, progress=line.show_share)
-    finally:
-        line.close()
     for path in paths:
         print(path)
     return 0
@@ -331,18 +322,15 @@ def _bench_optimizer(options: argparse.Namespace) -> int:
         require(name in known, "--solvers", name, f"give some of {', '.join(known)}")
         require(is_installed(name), "--solvers", name, "install SciPy, the extra bench")
     require(options.instances > 0, "--instances", options.instances, "give at least 1")
-    require(options.seed >= 0, "--seed", options.seed, "give 0 or a whole number above it")
+    require_seed("--seed", options.seed)
     require_writable(options.out)
-    line = _ProgressLine()
-    try:
+    with contextlib.closing(_ProgressLine()) as line:
         results = benchmark_optimizer(
             options.instances,
             options.seed,
             options.solvers,
             progress=line.show_share,
         )
-    finally:
-        line.close()
     path = options.out / "optimizer.json"
     write_json(path, results)
     print(table(results))
@@ -356,11 +344,8 @@ def _bench_viewer(options: argparse.Namespace) -> int:
     scenario = load_scenario(options.scenario, options.set)
     folder: Path = options.out or Path("out/bench")
     require_writable(folder)
-    line = _ProgressLine()
-    try:
+    with contextlib.closing(_ProgressLine()) as line:
         results = benchmark_viewer(scenario, progress=line.show_share)
-    finally:
-        line.close()
     path = folder / "viewer.json"
     write_json(path, results)
     print(f"a view of 30 frames per s takes {results['cost_of_real_time']:.1%} of real time")

@@ -21,14 +21,13 @@ from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.blocks.accumulated_phase import AccumulatedPhaseConfig
 from drake_nonstop.blocks.cable_force_distribution import CableForceDistributionConfig
-from drake_nonstop.blocks.cables import CablesConfig
+from drake_nonstop.blocks.cables import CablesConfig, IndividualCablesConfig
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamicsConfig
 from drake_nonstop.blocks.carrier_pid import CarrierPidConfig
 from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectoryConfig
 from drake_nonstop.blocks.constant_parameters import ConstantParametersConfig
 from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedbackConfig
 from drake_nonstop.blocks.ideal_feedback import IdealFeedbackConfig
-from drake_nonstop.blocks.individual_cables import IndividualCablesConfig
 from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectoryConfig
 from drake_nonstop.blocks.load_plant import LoadPlantConfig
 from drake_nonstop.blocks.load_trajectory import ConstantVelocityMoveConfig, RestToRestConfig

@@ -127,7 +127,7 @@ def linearize(scenario: Scenario) -> Stability:
     order = np.argsort(-np.abs(multipliers), kind="stable")
     mode = vectors[:, order[0]]
     # How the mode goes on in the first sample tells its frequency, up to half the sample's rate.
-    turned = np.vdot(mode, steps[0] @ mode)
+    after_a_sample = np.vdot(mode, steps[0] @ mode)
     weights = np.abs(mode) ** 2
     shares = {
         name: float(weights[places].sum() / weights.sum())
@@ -136,7 +136,7 @@ def linearize(scenario: Scenario) -> Stability:
     return Stability(
         period=samples * sample,
         multipliers=multipliers[order],
-        frequency=float(abs(np.angle(turned)) / sample),
+        frequency=float(abs(np.angle(after_a_sample)) / sample),
         shares=shares,
     )
 

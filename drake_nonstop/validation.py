@@ -39,6 +39,12 @@ def require_non_negative(owner: str, **values: float) -> None:
         )
 
 
+def require_seed(field: str, value: Any) -> None:
+    """Raises ScenarioError for what is no seed of a random generator."""
+    is_seed = isinstance(value, int) and value >= 0
+    require(is_seed, field, value, "give 0 or a whole number above it")
+
+
 def require_array(field: str, value: Any, shape: Sequence[int | None], meaning: str) -> NDArray:
     """`value` as a finite float array of the shape, in which None stands for any length."""
     expected = " x ".join("n" if size is None else str(size) for size in shape)

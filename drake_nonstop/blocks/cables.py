@@ -1,27 +1,23 @@
-"""Box "Cable Forces" of the figure."""
+"""Box "Cable Forces" of the figure: cables that are all alike, or that need not be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from drake_nonstop.compiled import CompiledFunction
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.system import Model
-from drake_nonstop.validation import is_number, require
+from drake_nonstop.validation import is_number, require, require_array
 
 
-@dataclass(kw_only=True)
-class CablesConfig:
-    """No parameters: length, stiffness and damping are the system's."""
-
-
-class Cables(LeafSystem):
+class CableForces(LeafSystem):
     """Massless, tension-only spring-dampers from the load to the carriers.
 
     .. pydrake_system::
 
-        name: Cables
+        name: CableForces
         input_ports:
         - load_state
         - carrier_state
@@ -32,28 +28,31 @@ class Cables(LeafSystem):
     `load_state` (13), `carrier_state` (6n) in W; `cable_forces` (3n) are those on the
     load, in N, in W; `tensions` (n) in N, 0 where slack. See `mechanics.cable`.
 
-    Raises:
-        ScenarioError: the simulated stiffness is not finite.
+    Args:
+        model: whose attachments the cables have.
+        rest_length: in m, one for all or (n, 1), as are the others.
+        stiffness: in N/m.
+        damping: in N s/m.
     """
 
-    def __init__(self, model: Model, config: CablesConfig | None = None):
+    def __init__(
+        self,
+        model: Model,
+        *,
+        rest_length: float | NDArray,
+        stiffness: float | NDArray,
+        damping: float | NDArray,
+    ):
         super().__init__()
-        require(
-            is_number(model.cable_stiffness),
-            "simulated.cable_stiffness",
-            model.cable_stiffness,
-            "simulated cables stretch: give a finite number greater than zero here, also where "
-            "system.cable_stiffness is .inf",
-        )
 
         def forces(load_state: NDArray, carrier_state: NDArray) -> tuple[NDArray, NDArray]:
             return cable_forces_and_tensions(
                 load_state,
                 carrier_state,
                 attachments=model.attachments,
-                rest_length=model.cable_length,
-                stiffness=model.cable_stiffness,
-                damping=model.cable_damping,
+                rest_length=rest_length,
+                stiffness=stiffness,
+                damping=damping,
             )
 
         self._cables = CompiledFunction(forces, [13, 6 * model.n], name=self.get_name)
@@ -71,3 +70,70 @@ class Cables(LeafSystem):
 
     def _calc_tensions(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._evaluate(context)[1])
+
+
+@dataclass(kw_only=True)
+class CablesConfig:
+    """No parameters: length, stiffness and damping are the system's."""
+
+
+class Cables(CableForces):
+    """Cables of the system's length, stiffness and damping.
+
+    Raises:
+        ScenarioError: the simulated stiffness is not finite.
+    """
+
+    def __init__(self, model: Model, config: CablesConfig | None = None):
+        require(
+            is_number(model.cable_stiffness),
+            "simulated.cable_stiffness",
+            model.cable_stiffness,
+            "simulated cables stretch: give a finite number greater than zero here, also where "
+            "system.cable_stiffness is .inf",
+        )
+        super().__init__(
+            model,
+            rest_length=model.cable_length,
+            stiffness=model.cable_stiffness,
+            damping=model.cable_damping,
+        )
+
+
+@dataclass(kw_only=True)
+class IndividualCablesConfig:
+    """A number per cable; none: the system's for all."""
+
+    stiffness: list[float] = field(default_factory=list)  # N/m
+    damping: list[float] = field(default_factory=list)  # N s/m
+    rest_length: list[float] = field(default_factory=list)  # m, unstretched
+
+
+class IndividualCables(CableForces):
+    """Cables that need not be alike.
+
+    Raises:
+        ScenarioError: a list has another length than there are cables, or a number in it is
+            out of range.
+    """
+
+    def __init__(self, model: Model, config: IndividualCablesConfig | None = None):
+        config = config or IndividualCablesConfig()
+        stiffness = _each(model, "stiffness", config.stiffness, model.cable_stiffness)
+        damping = _each(model, "damping", config.damping, model.cable_damping)
+        rest_length = _each(model, "rest_length", config.rest_length, model.cable_length)
+        require(np.all(stiffness > 0), "cables.stiffness", config.stiffness, "give no zero")
+        require(np.all(rest_length > 0), "cables.rest_length", config.rest_length, "give no zero")
+        super().__init__(model, rest_length=rest_length, stiffness=stiffness, damping=damping)
+
+
+def _each(model: Model, name: str, given: list[float], default: float) -> NDArray:
+    """A column (n, 1) of what is given, or of n times the default."""
+    values = require_array(f"cables.{name}", given or [default] * model.n, [None], "one per cable")
+    require(
+        len(values) == model.n and np.all(values >= 0),
+        f"cables.{name}",
+        given or default,
+        f"give {model.n} numbers that are not negative, one per cable, or none",
+    )
+    return values[:, None]

@@ -8,7 +8,12 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 
 from drake_nonstop.mechanics.rotation import turned
 from drake_nonstop.system import Model
-from drake_nonstop.validation import require, require_non_negative, require_positive
+from drake_nonstop.validation import (
+    require,
+    require_non_negative,
+    require_positive,
+    require_seed,
+)
 
 
 @dataclass(kw_only=True)
@@ -59,12 +64,7 @@ class NoisyFeedback(LeafSystem):
         }
         require_non_negative(owner, delay=config.delay, **deviations)
         require_positive(owner, period=config.period)
-        require(
-            isinstance(config.seed, int) and config.seed >= 0,
-            f"{owner}.seed",
-            config.seed,
-            "give 0 or a whole number above it",
-        )
+        require_seed(f"{owner}.seed", config.seed)
         self._periods = round(config.delay / config.period)
         require(
             abs(self._periods * config.period - config.delay) < 1e-9 and self._periods <= 1000,

@@ -6,7 +6,12 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from drake_nonstop.system import Model
-from drake_nonstop.validation import require, require_array, require_non_negative, require_positive
+from drake_nonstop.validation import (
+    require_array,
+    require_non_negative,
+    require_positive,
+    require_seed,
+)
 
 _WAVES = 32  # per axis, of a gust
 
@@ -50,12 +55,7 @@ class Wind(LeafSystem):
         torque = require_array(f"{owner}.torque", config.torque, [3], "in W")
         require_non_negative(owner, gust_force=config.gust_force, start_time=config.start_time)
         require_positive(owner, gust_time=config.gust_time)
-        require(
-            isinstance(config.seed, int) and config.seed >= 0,
-            f"{owner}.seed",
-            config.seed,
-            "give 0 or a whole number above it",
-        )
+        require_seed(f"{owner}.seed", config.seed)
         self._constant = np.concatenate([torque, force])
         self._start_time = config.start_time
         random = np.random.default_rng(config.seed)

@@ -82,12 +82,16 @@ def loaded_pid_forces(
     PD on [positions, velocities] (6n,), plus the weight and the desired cable forces (3n,),
     both in W.
     """
-    error = carrier_reference - carrier_state
-    half = len(error) // 2
-    weights = np.tile([0.0, 0.0, mass * gravity], half // 3)
-    return (
-        position_gain * error[:half] + velocity_gain * error[half:] + weights + desired_cable_forces
+    size = len(desired_cable_forces)
+    steering = pid_forces(
+        carrier_reference,
+        carrier_state,
+        np.zeros(size),
+        position_gain=position_gain,
+        velocity_gain=velocity_gain,
+        integral_gain=0.0,
     )
+    return steering + np.tile([0.0, 0.0, mass * gravity], size // 3) + desired_cable_forces
 
 
 def loaded_carrier_rate(

@@ -8,8 +8,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import VectorLogSink
 from scipy.spatial.transform import Rotation
 
-from drake_nonstop.blocks.cables import Cables
-from drake_nonstop.blocks.individual_cables import IndividualCables, IndividualCablesConfig
+from drake_nonstop.blocks.cables import Cables, IndividualCables, IndividualCablesConfig
 from drake_nonstop.blocks.load_plant import LoadPlant
 from drake_nonstop.blocks.loaded_carrier_dynamics import (
     LoadedCarrierDynamics,
