@@ -18,17 +18,36 @@ from pydrake.systems.framework import Diagram, System
 
 from drake_nonstop import wiring
 from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase
-from drake_nonstop.blocks.cable_force_distribution import CableForceDistribution
+from drake_nonstop.blocks.cable_force_distribution import (
+    BoundedTensionDistribution,
+    CableForceDistribution,
+)
 from drake_nonstop.blocks.cables import Cables, IndividualCables
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics
-from drake_nonstop.blocks.carrier_pid import CarrierPid
-from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory
+from drake_nonstop.blocks.carrier_pid import (
+    CarrierPid,
+    FeedforwardCarrierPid,
+    TunedCarrierPid,
+    TunedFeedforwardCarrierPid,
+)
+from drake_nonstop.blocks.carrier_trajectory import (
+    CarrierTrajectory,
+    InextensibleCarrierTrajectory,
+    MeasuredCarrierTrajectory,
+)
 from drake_nonstop.blocks.constant_parameters import ConstantParameters
 from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
+from drake_nonstop.blocks.ideal_carriers import IdealCarriers
 from drake_nonstop.blocks.ideal_feedback import IdealFeedback
 from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
 from drake_nonstop.blocks.load_plant import LoadPlant
-from drake_nonstop.blocks.load_trajectory import ConstantVelocityMove, RestToRest
+from drake_nonstop.blocks.load_trajectory import (
+    Circle,
+    ConstantVelocityMove,
+    RestToRest,
+    SampledTrajectory,
+    Waypoints,
+)
 from drake_nonstop.blocks.loaded_carrier_dynamics import LoadedCarrierDynamics
 from drake_nonstop.blocks.loaded_carrier_pid import LoadedCarrierPid
 from drake_nonstop.blocks.multibody_load_plant import MultibodyLoadPlant
@@ -38,7 +57,13 @@ from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer
 from drake_nonstop.blocks.printed_phase import PrintedPhase
 from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
 from drake_nonstop.blocks.wind import Wind
-from drake_nonstop.blocks.wrench_controller import WrenchController
+from drake_nonstop.blocks.wrench_controller import (
+    GeometricPd,
+    PrintedWrenchController,
+    TunedWrenchController,
+    WrenchController,
+)
+from drake_nonstop.own_blocks import import_path, own_block_class
 from drake_nonstop.system import Model, overridden
 from drake_nonstop.validation import ScenarioError, require
 
@@ -47,16 +72,31 @@ if TYPE_CHECKING:
 
 # The boxes of the figure, and the blocks that each can be, the default first.
 BLOCKS: dict[str, tuple[type[System], ...]] = {
-    "load_trajectory": (RestToRest, ConstantVelocityMove),
+    "load_trajectory": (RestToRest, ConstantVelocityMove, Waypoints, Circle, SampledTrajectory),
     "load_feedback": (IdealFeedback, DesiredStateFeedback, NoisyFeedback),
-    "wrench_controller": (WrenchController,),
+    "wrench_controller": (
+        WrenchController,
+        PrintedWrenchController,
+        GeometricPd,
+        TunedWrenchController,
+    ),
     "optimization_layer": (NonstopOptimizer, ConstantParameters),
     "phase": (AccumulatedPhase, PrintedPhase),
     "internal_force": (InternalForceTrajectory,),
-    "force_distribution": (CableForceDistribution,),
-    "carrier_trajectory": (CarrierTrajectory,),
-    "carrier_controller": (CarrierPid, LoadedCarrierPid),
-    "carrier_dynamics": (CarrierDynamics, LoadedCarrierDynamics),
+    "force_distribution": (CableForceDistribution, BoundedTensionDistribution),
+    "carrier_trajectory": (
+        CarrierTrajectory,
+        InextensibleCarrierTrajectory,
+        MeasuredCarrierTrajectory,
+    ),
+    "carrier_controller": (
+        CarrierPid,
+        FeedforwardCarrierPid,
+        TunedCarrierPid,
+        TunedFeedforwardCarrierPid,
+        LoadedCarrierPid,
+    ),
+    "carrier_dynamics": (CarrierDynamics, LoadedCarrierDynamics, IdealCarriers),
     "cables": (Cables, IndividualCables),
     "load_disturbance": (NoDisturbance, Wind),
     "load_plant": (LoadPlant, MultibodyLoadPlant),
@@ -102,6 +142,45 @@ cables.cable_forces -> load_plant.cable_forces
 load_disturbance.disturbance_wrench -> load_plant.disturbance_wrench
 """
 
+# What comes out of each box: the size of every signal, for n carriers and m coordinates of the
+# internal force. Whatever is put in a box must make its signals, save those that are optional:
+# they are reported where they are there, and nothing in the figure reads them.
+SIGNALS: dict[str, dict[str, str]] = {
+    "load_trajectory": {"reference": "22"},
+    "load_feedback": {"measured_load_state": "13"},
+    "wrench_controller": {"wrench": "6", "wrench_rate": "6", "tracking_error": "12"},
+    "optimization_layer": {
+        "parameters": "2",
+        "diagnostics": "7",
+        "solve_time": "1",
+        "speed_bound": "1",
+    },
+    "phase": {"phase": "2"},
+    "internal_force": {"internal_force": "2m"},
+    "force_distribution": {"desired_cable_forces": "3n", "desired_cable_force_rates": "3n"},
+    "carrier_trajectory": {"carrier_reference": "6n"},
+    "carrier_controller": {"carrier_forces": "3n"},
+    "carrier_dynamics": {"carrier_state": "6n"},
+    "cables": {"cable_forces": "3n", "tensions": "n"},
+    "load_disturbance": {"disturbance_wrench": "6"},
+    "load_plant": {"load_state": "13"},
+    "sample_and_hold": {
+        "held_measured_load_state": "13",
+        "held_reference": "22",
+        "sample_time": "1",
+    },
+}
+OPTIONAL_SIGNALS = ("tracking_error", "diagnostics", "solve_time", "speed_bound")
+
+
+def signal_sizes(box: str, n: int, m: int) -> dict[str, int]:
+    """The sizes of a box's signals for n carriers and m internal-force coordinates."""
+    numbers = {"n": n, "m": m}
+    return {
+        signal: int(size.rstrip("nm") or 1) * numbers.get(size[-1], 1)
+        for signal, size in SIGNALS[box].items()
+    }
+
 
 def figure_wires() -> set[str]:
     """`WIRES` as a set of "block.port -> block.port"."""
@@ -117,11 +196,13 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
         scenario: the system, the pattern and one config per box.
         replacements: by the name of a box, what to put in its place: a block's config, or
             a function (a block class, for instance) that takes the `Model` and returns a
-            LeafSystem or Diagram with ports named after the signals it reads and makes.
+            LeafSystem or Diagram with ports named after the signals it reads and makes; or
+            None to leave the box out: the signals that it has to make become input ports of
+            the diagram, for a bigger one to connect.
 
     Raises:
-        ScenarioError: the scenario or a replacement cannot be built; the message names the
-            field, the value and the remedy.
+        ScenarioError: the scenario or a replacement cannot be built, or the ports of a
+            replacement do not fit; the message names the field, the value and the remedy.
     """
     for name in replacements:
         require(name in BLOCKS, "replacement", name, f"give one of {', '.join(BLOCKS)}")
@@ -134,15 +215,20 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
     simulated = Model(plant, scenario.pattern, scenario.control_period, field="simulated")
-    blocks = {}
+    blocks: dict[str, System] = {}
+    outside: dict[str, int] = {}
     for name in BLOCKS:
         entry = replacements.get(name, getattr(scenario, name))
+        if entry is None:
+            outside |= _signals(name, believed)[0]
+            continue
         make = _constructor(name, entry) if is_dataclass(entry) else entry
         require(
             callable(make),
             f"replacement {name}",
             entry,
-            "give a block's config, or a function that takes the model and returns a system",
+            "give a block's config, a function that takes the model and returns a system, or "
+            "None to leave the box out",
         )
         blocks[name] = make(simulated if name in PLANT else believed)
         require(
@@ -151,12 +237,15 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
             blocks[name],
             "return a LeafSystem or Diagram from the function",
         )
+        wiring.check_outputs(name, blocks[name], *_signals(name, believed))
     replaced_signals = {}
     if scenario.control_period > 0:
         blocks["sample_and_hold"] = SampleAndHold(believed)
         replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
-    diagram = wiring.connect(blocks, name="nonstop", replaced_signals=replaced_signals)
-    if all(type(blocks[name]) is BLOCKS[name][0] for name in BLOCKS):
+    diagram = wiring.connect(
+        blocks, name="nonstop", replaced_signals=replaced_signals, outside=outside
+    )
+    if all(type(blocks.get(name)) is BLOCKS[name][0] for name in BLOCKS):
         difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
         if difference:
             raise wiring.WiringError(
@@ -164,6 +253,13 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
                 "built; mend the list or the ports"
             )
     return diagram
+
+
+def _signals(box: str, model: Model) -> tuple[dict[str, int], dict[str, int]]:
+    """The signals that a box has to make, and those that it may make, with their sizes."""
+    sizes = signal_sizes(box, model.n, model.m)
+    optional = {signal: sizes.pop(signal) for signal in OPTIONAL_SIGNALS if signal in sizes}
+    return sizes, optional
 
 
 def _without_sampling(wires: list[str]) -> set[str]:
@@ -183,6 +279,8 @@ def _without_sampling(wires: list[str]) -> set[str]:
 
 def block_class(instance: str, config: Any) -> type[System]:
     """The block that a config is for: of class X for a config of class XConfig."""
+    if import_path(config):
+        return own_block_class(instance, type(config))
     name = type(config).__name__.removesuffix("Config")
     for block in BLOCKS[instance]:
         if block.__name__ == name:

@@ -4,8 +4,11 @@ The public names, in the order of the figure: what a run is, the boxes and what 
 be swapped for, and how they are put together, simulated and judged.
 """
 
+from drake_nonstop.ablation import ablate, read_grid
 from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase, AccumulatedPhaseConfig
 from drake_nonstop.blocks.cable_force_distribution import (
+    BoundedTensionDistribution,
+    BoundedTensionDistributionConfig,
     CableForceDistribution,
     CableForceDistributionConfig,
 )
@@ -16,13 +19,30 @@ from drake_nonstop.blocks.cables import (
     IndividualCablesConfig,
 )
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics, CarrierDynamicsConfig
-from drake_nonstop.blocks.carrier_pid import CarrierPid, CarrierPidConfig
-from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory, CarrierTrajectoryConfig
+from drake_nonstop.blocks.carrier_pid import (
+    CarrierPid,
+    CarrierPidConfig,
+    FeedforwardCarrierPid,
+    FeedforwardCarrierPidConfig,
+    TunedCarrierPid,
+    TunedCarrierPidConfig,
+    TunedFeedforwardCarrierPid,
+    TunedFeedforwardCarrierPidConfig,
+)
+from drake_nonstop.blocks.carrier_trajectory import (
+    CarrierTrajectory,
+    CarrierTrajectoryConfig,
+    InextensibleCarrierTrajectory,
+    InextensibleCarrierTrajectoryConfig,
+    MeasuredCarrierTrajectory,
+    MeasuredCarrierTrajectoryConfig,
+)
 from drake_nonstop.blocks.constant_parameters import ConstantParameters, ConstantParametersConfig
 from drake_nonstop.blocks.desired_state_feedback import (
     DesiredStateFeedback,
     DesiredStateFeedbackConfig,
 )
+from drake_nonstop.blocks.ideal_carriers import IdealCarriers, IdealCarriersConfig
 from drake_nonstop.blocks.ideal_feedback import IdealFeedback, IdealFeedbackConfig
 from drake_nonstop.blocks.internal_force_trajectory import (
     InternalForceTrajectory,
@@ -30,11 +50,17 @@ from drake_nonstop.blocks.internal_force_trajectory import (
 )
 from drake_nonstop.blocks.load_plant import LoadPlant, LoadPlantConfig
 from drake_nonstop.blocks.load_trajectory import (
+    Circle,
+    CircleConfig,
     ConstantVelocityMove,
     ConstantVelocityMoveConfig,
     LoadTrajectory,
     RestToRest,
     RestToRestConfig,
+    SampledTrajectory,
+    SampledTrajectoryConfig,
+    Waypoints,
+    WaypointsConfig,
 )
 from drake_nonstop.blocks.loaded_carrier_dynamics import (
     LoadedCarrierDynamics,
@@ -49,13 +75,27 @@ from drake_nonstop.blocks.nonstop_visualizer import NonstopVisualizer
 from drake_nonstop.blocks.printed_phase import PrintedPhase, PrintedPhaseConfig
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.wind import Wind, WindConfig
-from drake_nonstop.blocks.wrench_controller import WrenchController, WrenchControllerConfig
+from drake_nonstop.blocks.wrench_controller import (
+    GeometricPd,
+    GeometricPdConfig,
+    PrintedWrenchController,
+    PrintedWrenchControllerConfig,
+    TunedWrenchController,
+    TunedWrenchControllerConfig,
+    WrenchController,
+    WrenchControllerConfig,
+)
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.drawing import draw_diagram
 from drake_nonstop.equilibrium import set_equilibrium
 from drake_nonstop.live import run_live
 from drake_nonstop.metrics import compute_metrics
-from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.pattern import (
+    CarouselConfig,
+    HamiltonianCycleConfig,
+    LinearPatternConfig,
+    SpreadCarouselConfig,
+)
 from drake_nonstop.replay import record_replay
 from drake_nonstop.results import write_results
 from drake_nonstop.scenario import (
@@ -81,6 +121,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "scenario_names",
     "System",
     "HamiltonianCycleConfig",
+    "CarouselConfig",
+    "SpreadCarouselConfig",
     "LinearPatternConfig",
     "Model",
     # the boxes of the figure, each with its config
@@ -89,6 +131,12 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "RestToRestConfig",
     "ConstantVelocityMove",
     "ConstantVelocityMoveConfig",
+    "Waypoints",
+    "WaypointsConfig",
+    "Circle",
+    "CircleConfig",
+    "SampledTrajectory",
+    "SampledTrajectoryConfig",
     "IdealFeedback",
     "IdealFeedbackConfig",
     "DesiredStateFeedback",
@@ -98,6 +146,12 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "SampleAndHold",
     "WrenchController",
     "WrenchControllerConfig",
+    "PrintedWrenchController",
+    "PrintedWrenchControllerConfig",
+    "GeometricPd",
+    "GeometricPdConfig",
+    "TunedWrenchController",
+    "TunedWrenchControllerConfig",
     "NonstopOptimizer",
     "NonstopOptimizerConfig",
     "Outcome",
@@ -111,16 +165,30 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "InternalForceTrajectoryConfig",
     "CableForceDistribution",
     "CableForceDistributionConfig",
+    "BoundedTensionDistribution",
+    "BoundedTensionDistributionConfig",
     "CarrierTrajectory",
     "CarrierTrajectoryConfig",
+    "InextensibleCarrierTrajectory",
+    "InextensibleCarrierTrajectoryConfig",
+    "MeasuredCarrierTrajectory",
+    "MeasuredCarrierTrajectoryConfig",
     "CarrierPid",
     "CarrierPidConfig",
+    "FeedforwardCarrierPid",
+    "FeedforwardCarrierPidConfig",
+    "TunedCarrierPid",
+    "TunedCarrierPidConfig",
+    "TunedFeedforwardCarrierPid",
+    "TunedFeedforwardCarrierPidConfig",
     "LoadedCarrierPid",
     "LoadedCarrierPidConfig",
     "CarrierDynamics",
     "CarrierDynamicsConfig",
     "LoadedCarrierDynamics",
     "LoadedCarrierDynamicsConfig",
+    "IdealCarriers",
+    "IdealCarriersConfig",
     "Cables",
     "CablesConfig",
     "IndividualCables",
@@ -143,6 +211,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "RunInterrupted",
     "compute_metrics",
     "write_results",
+    "ablate",
+    "read_grid",
     "draw_diagram",
     # watched
     "NonstopVisualizer",

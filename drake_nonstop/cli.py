@@ -5,13 +5,24 @@ import contextlib
 import dataclasses
 import os
 import sys
+import textwrap
 import threading
 import time
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from drake_nonstop.ablation import (
+    COMPLETED,
+    DIVERGED,
+    ablate,
+    as_text,
+    grid_names,
+    name_settings,
+    read_grid,
+)
+from drake_nonstop.describe import Parameter, Port, box_names, describe
 from drake_nonstop.live import run_live
 from drake_nonstop.plots import make_margins_figure, make_robustness_figure
 from drake_nonstop.results import replacing_file, require_writable, write_json, write_results
@@ -24,8 +35,8 @@ from drake_nonstop.stability import find_margins, linearize
 from drake_nonstop.validation import ScenarioError, require, require_seed
 from drake_nonstop.version import __version__
 
-_CLOSE = 0.1  # m, between cables or carriers, that is worth a warning
 _FINE_STEP = 0.001  # s, at which integrators damp nothing that matters here
+_LINE, _WIDEST = 100, 30  # characters, of the lines and of a column of `blocks`
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes; 130 is the shell's for Ctrl-C
 
 
@@ -54,6 +65,11 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     lister = commands.add_parser("list", help="list the scenarios")
     lister.set_defaults(action=_list)
+    blocks = commands.add_parser(
+        "blocks", help="what each box of the figure can be: blocks, parameters, ports"
+    )
+    blocks.set_defaults(action=_blocks)
+    blocks.add_argument("box", nargs="?", metavar="BOX", help="this one only, such as phase")
     run = commands.add_parser("run", help="run a scenario and write its results")
     run.set_defaults(action=_run)
     _add_scenario(run)
@@ -86,10 +102,43 @@ def _parser() -> argparse.ArgumentParser:
     robust.set_defaults(action=_robustness)
     _add_scenario(robust)
     robust.add_argument("--seed", type=int, default=0, help="of what is random (0)")
+    ablation = commands.add_parser(
+        "ablate",
+        help="compare variants of a scenario: a table, plots, and all replays on one page",
+        description="Runs the scenario as it is and each variant. Exit code 1 where a variant "
+        "cannot be built or one of its blocks fails; one that diverges is a result like others.",
+    )
+    ablation.set_defaults(action=_ablate)
+    _add_scenario(ablation, "out/ablate/NAME[_GRID]")
+    ablation.add_argument(
+        "--grid", metavar="NAME|FILE.yaml", help=f"variants: {', '.join(grid_names())}, or a file"
+    )
+    ablation.add_argument(
+        "--swap",
+        nargs="+",
+        action="append",
+        default=[],
+        metavar="BOX=BLOCK",
+        help="one more variant, with these settings together (as in --set); may be repeated",
+    )
+    ablation.add_argument("--no-replay", action="store_true", help="write no replays")
     pictures = commands.add_parser("pictures", help="take the README's pictures of the line task")
     pictures.set_defaults(action=_pictures)
     pictures.add_argument(
         "--out", type=Path, metavar="DIR", default=Path("out/pictures"), help="(out/pictures)"
+    )
+    report = commands.add_parser(
+        "report", help="measure every number that the README prints, and take its pictures"
+    )
+    report.set_defaults(action=_report_claims)
+    report.add_argument(
+        "--readme", type=Path, metavar="FILE", default=Path("README.md"), help="(README.md)"
+    )
+    report.add_argument("--out", type=Path, metavar="DIR", default=Path("out/report"))
+    report.add_argument(
+        "--quick",
+        action="store_true",
+        help="the runs only: no pictures, no solvers' benchmark, no tests/evals",
     )
     bench = commands.add_parser("bench", help="measure speed and quality")
     benches = bench.add_subparsers(required=True, metavar="WHAT")
@@ -111,16 +160,21 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_scenario(parser: argparse.ArgumentParser) -> None:
+def _add_scenario(parser: argparse.ArgumentParser, folder: str = "out/NAME") -> None:
     parser.add_argument("scenario", metavar="NAME|FILE.yaml", help="a scenario's name or file")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="results' folder (out/NAME)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help=f"results' folder ({folder})")
     parser.add_argument(
         "--set",
         nargs="+",
         action="extend",
         default=[],
         metavar="PATH=VALUE",
-        help="change the scenario: system.load_mass=1.2, phase='!PrintedPhase {}'",
+        help="change the scenario: system.load_mass=1.2, phase=PrintedPhase",
+    )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="let it import blocks of your own, such as phase=my_blocks.MyPhase",
     )
 
 
@@ -132,8 +186,60 @@ def _list(options: argparse.Namespace) -> int:
     return 0
 
 
+def _blocks(options: argparse.Namespace) -> int:
+    names = box_names() if options.box is None else [options.box]
+    boxes = [describe(name) for name in names]
+    print("Sizes are in brackets, for n carriers and m internal-force coordinates.")
+    for box in boxes:
+        needed = _ports([port for port in box.signals if not port.is_optional])
+        optional = _ports([port for port in box.signals if port.is_optional])
+        signals = f" -> {needed}{f'; optional {optional}' if optional else ''}" if needed else ""
+        print(f"\n{box.name}{signals}")
+        for i, choice in enumerate(box.choices):
+            print(f"\n  {choice.name}{' (default)' if i == 0 else ''}")
+            _print_wrapped(choice.summary, "    ")
+            for label, ports in (("in", choice.inputs), ("out", choice.outputs)):
+                if ports:
+                    _print_wrapped(_ports(ports), f"    {label:3}  ")
+            if choice.unbuildable:
+                _print_wrapped(f"not with its defaults: {choice.unbuildable}", "    ")
+            _print_parameters(choice.parameters)
+    return 0
+
+
+def _ports(ports: Sequence[Port]) -> str:
+    return ", ".join(f"{port.name} ({port.size})" for port in ports)
+
+
+def _print_parameters(parameters: Sequence[Parameter]) -> None:
+    """A line for each parameter, its unit and meaning in a column of their own.
+
+    A name, type or default that is wider than a column pushes them to the next line.
+    """
+    widths = [
+        max((len(text) for text in column if len(text) <= _WIDEST), default=0)
+        for column in zip(*((p.name, p.type, p.default) for p in parameters), strict=True)
+    ]
+    for parameter in parameters:
+        cells = (parameter.name, parameter.type, parameter.default)
+        start = "".join(f"{cell:{width}}  " for cell, width in zip(cells, widths, strict=True))
+        start, indent = f"    {start}", sum(widths) + 10
+        if len(start) > indent:
+            print(start.rstrip())
+            start = " " * indent
+        _print_wrapped(parameter.meaning, start)
+
+
+def _print_wrapped(text: str, start: str) -> None:
+    """The text after its start, in lines that fit, the later ones below the first's text."""
+    lines = textwrap.wrap(text, _LINE - len(start), break_on_hyphens=False) or [""]
+    for line in lines:
+        print(f"{start}{line}".rstrip())
+        start = " " * len(start)
+
+
 def _run(options: argparse.Namespace) -> int:
-    scenario = load_scenario(options.scenario, options.set)
+    scenario = load_scenario(options.scenario, options.set, trust=options.trust)
     folder: Path = options.out or Path("out") / scenario.name
     for name in ("realtime", "port"):
         value = getattr(options, name)
@@ -147,7 +253,7 @@ def _run(options: argparse.Namespace) -> int:
                 bar.close()
             metrics = _write(run, folder, options)
             if not options.quiet:
-                _report(metrics, folder)
+                _report(metrics, run.scenario, folder)
                 if options.live:
                     print(
                         "while a page is open: restart or stop there; Ctrl-C ends it",
@@ -193,11 +299,11 @@ def _write(run: Run, folder: Path, options: argparse.Namespace) -> dict[str, Any
     return write_results(run, folder, figures=not options.no_figures, replay=not options.no_replay)
 
 
-def _report(metrics: dict[str, Any], folder: Path) -> None:
+def _report(metrics: dict[str, Any], scenario: Scenario, folder: Path) -> None:
     print(_table(metrics))
     if metrics["is_steered"]:
         print("steered while it ran: scenario.yaml alone does not repeat it")
-    for warning in _warnings(metrics):
+    for warning in _warnings(metrics, scenario):
         print(f"warning: {warning}")
     print(f"results: {folder}")
 
@@ -216,11 +322,11 @@ def _view(options: argparse.Namespace) -> int:
 
 
 def _stability(options: argparse.Namespace) -> int:
-    scenario = load_scenario(options.scenario, options.set)
+    scenario = load_scenario(options.scenario, options.set, trust=options.trust)
     folder: Path = options.out or Path("out") / scenario.name
     require_writable(folder)
     fine_step = min(_FINE_STEP, scenario.simulator.max_step_size)
-    fine = changed(scenario, [f"simulator.max_step_size={fine_step}"])
+    fine = changed(scenario, [f"simulator.max_step_size={fine_step}"], trust=options.trust)
     with contextlib.closing(_ProgressLine()) as line:
         found, found_finely = linearize(scenario), linearize(fine)
         margins = find_margins(scenario, progress=line.show_share)
@@ -270,7 +376,7 @@ def _stability(options: argparse.Namespace) -> int:
 
 
 def _robustness(options: argparse.Namespace) -> int:
-    scenario = load_scenario(options.scenario, options.set)
+    scenario = load_scenario(options.scenario, options.set, trust=options.trust)
     require_seed("--seed", options.seed)
     folder: Path = options.out or Path("out") / scenario.name
     require_writable(folder)
@@ -293,6 +399,78 @@ def _robustness(options: argparse.Namespace) -> int:
         )
     print(f"results: {folder}")
     return 0
+
+
+def _ablate(options: argparse.Namespace) -> int:
+    require(options.grid or options.swap, "--grid, --swap", "none", "give at least one of them")
+    scenario = load_scenario(options.scenario, options.set, trust=options.trust)
+    variants: list[tuple[str, list[str]]] = []
+    name, title = scenario.name, scenario.name
+    if options.grid:
+        grid = read_grid(options.grid)
+        variants += grid.variants.items()
+        name = f"{name}_{grid.name}"
+        title += f": {grid.description or grid.name}"
+    for settings in options.swap:
+        for setting in settings:
+            remedy = "give BOX=BLOCK, such as phase=PrintedPhase"
+            require("=" in setting[1:], "--swap", setting, remedy)
+        variants.append((name_settings(settings), settings))
+    folder: Path = options.out or Path("out/ablate") / name
+    with contextlib.closing(_ProgressLine()) as line:
+        rows = ablate(
+            scenario,
+            variants,
+            folder,
+            title=title,
+            replay=not options.no_replay,
+            trust=options.trust,
+            progress=line.show_share,
+        )
+    print(as_text(rows))
+    print(f"results: {folder / 'index.html'}")
+    return 0 if all(row.outcome in (COMPLETED, DIVERGED) for row in rows) else FAILED
+
+
+def _report_claims(options: argparse.Namespace) -> int:
+    # Imported here: other commands need none of it.
+    from drake_nonstop import report
+
+    try:
+        text = options.readme.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        remedy = f"run it in a checkout, or give the file ({error})"
+        raise ScenarioError(f"--readme = {options.readme}: {remedy}") from None
+    claims = report.read_claims(text)
+    require_writable(options.out)
+    with contextlib.closing(_ProgressLine()) as line:
+        measured = report.measure(claims, progress=line.show_share)
+    table = report.as_markdown(measured)
+    failed = [
+        f"{claim.arguments}: {claim.quantity} = {value:.4g}, not {claim.printed}"
+        for claim, value in measured.items()
+        if not claim.holds(value)
+    ]
+    if not options.quick:
+        from drake_nonstop.benchmarks.optimizer import benchmark_optimizer
+        from drake_nonstop.benchmarks.optimizer import table as solvers_table
+        from drake_nonstop.pictures import make_pictures
+
+        with contextlib.closing(_ProgressLine()) as line:
+            make_pictures(options.out, progress=line.show_share)
+            results = benchmark_optimizer(1000, 0, [], progress=line.show_share)
+        table += f"\n```\n{solvers_table(results)}\n```\n"
+        failed += report.wrong_shares(text, results)
+        print("running tests/evals, which measure the rest ...", flush=True)
+        failed += report.failing_evals(options.readme.parent)
+    table += "".join(f"\nFails: {line}\n" for line in failed)
+    with replacing_file(options.out / "report.md") as file:
+        file.write(table.encode())
+    for claim in failed:
+        print(claim, file=sys.stderr)
+    print(f"{len(claims)} numbers measured, {len(failed) or 'no'} claims failed")
+    print(f"results: {options.out / 'report.md'}")
+    return FAILED if failed else 0
 
 
 def _pictures(options: argparse.Namespace) -> int:
@@ -341,7 +519,7 @@ def _bench_optimizer(options: argparse.Namespace) -> int:
 def _bench_viewer(options: argparse.Namespace) -> int:
     from drake_nonstop.benchmarks.viewer import benchmark_viewer
 
-    scenario = load_scenario(options.scenario, options.set)
+    scenario = load_scenario(options.scenario, options.set, trust=options.trust)
     folder: Path = options.out or Path("out/bench")
     require_writable(folder)
     with contextlib.closing(_ProgressLine()) as line:
@@ -353,7 +531,7 @@ def _bench_viewer(options: argparse.Namespace) -> int:
     return 0
 
 
-def _warnings(metrics: dict[str, Any]) -> list[str]:
+def _warnings(metrics: dict[str, Any], scenario: Scenario) -> list[str]:
     """What a run did that nobody would want of real carriers, a line each."""
     carriers, cables, optimizer = (metrics[key] for key in ("carriers", "cables", "optimizer"))
     unsolved = optimizer["relaxed"] + optimizer["held"]
@@ -364,11 +542,14 @@ def _warnings(metrics: dict[str, Any]) -> list[str]:
             f"a carrier was below the bound for {carriers['time_below_bound_s']:.3g} s",
         ),
         (unsolved, f"no parameters fulfilled the bound at {unsolved} updates (relaxed, held)"),
-        (
-            cables["separation_min_m"] < _CLOSE,
-            f"cables or carriers came within {cables['separation_min_m']:.2g} m of each other",
-        ),
     ]
+    for what, safe in (
+        ("carriers", scenario.safe_carrier_distance),
+        ("cables", scenario.safe_cable_distance),
+    ):
+        closest = metrics[what]["separation_min_m"]
+        text = f"{what} came within {round(closest, 3):g} m of each other, {safe:g} m is safe"
+        found.append((closest < safe, text))
     return [text for is_so, text in found if is_so]
 
 
@@ -399,8 +580,8 @@ def _table(metrics: dict[str, Any]) -> str:
         ),
         (
             "closest",
-            f"carriers {carriers['separation_min_m']:.3g} m, "
-            f"cables {cables['separation_min_m']:.3g} m",
+            f"carriers {round(carriers['separation_min_m'], 3):g} m, "
+            f"cables {round(cables['separation_min_m'], 3):g} m",
         ),
         (
             "tension",

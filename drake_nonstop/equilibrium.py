@@ -23,6 +23,7 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     the cables then hold it at rest: on its reference where the controllers know the
     cables, lower or higher where they do not. Whatever blocks the loop is made of,
     Newton's method on the built diagram, with its initialization events, finds the pose.
+    Inputs of the loop, where a box was left out, are taken to stay as they are at the start.
     A load whose reference moves at the start gets that motion. Carriers with a state of
     their own beyond positions and velocities start with its default.
 
@@ -31,8 +32,7 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     """
     load = nonstop.GetSubsystemByName("load_plant")
     carriers = nonstop.GetSubsystemByName("carrier_dynamics")
-    trial = nonstop.CreateDefaultContext()
-    trial.SetTimeStateAndParametersFrom(context)
+    trial = _copied(nonstop, context)
     start = trial.Clone()
     load_context = nonstop.GetMutableSubsystemContext(load, trial)
     carriers_context = nonstop.GetMutableSubsystemContext(carriers, trial)
@@ -68,8 +68,7 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
 
 def fastest_mode(nonstop: Diagram, context: Context) -> float:
     """The largest magnitude (rad/s) of the loop's eigenvalues, linearized at the context."""
-    trial = nonstop.CreateDefaultContext()
-    trial.SetTimeStateAndParametersFrom(context)
+    trial = _copied(nonstop, context)
     Simulator(nonstop, trial).Initialize()
     state = trial.get_continuous_state_vector().CopyToVector()
 
@@ -78,6 +77,14 @@ def fastest_mode(nonstop: Diagram, context: Context) -> float:
         return nonstop.EvalTimeDerivatives(trial).CopyToVector()
 
     return float(np.max(np.abs(np.linalg.eigvals(_jacobian(rate, state)))))
+
+
+def _copied(nonstop: Diagram, context: Context) -> Context:
+    """A context of the loop alone; what it gets from a diagram around it stays as it is now."""
+    copy = nonstop.CreateDefaultContext()
+    copy.SetTimeStateAndParametersFrom(context)
+    nonstop.FixInputPortsFrom(nonstop, context, copy)
+    return copy
 
 
 def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> NDArray:

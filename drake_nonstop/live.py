@@ -93,7 +93,7 @@ class _Controls:
     def __init__(self, meshcat: Meshcat, scenario: Scenario, realtime_rate: float):
         self._meshcat = meshcat
         self._realtime_rate = realtime_rate
-        bound = scenario.optimization_layer.speed_bound
+        bound = scenario.speed_bound
         highest = _HIGHEST_BOUND * bound or 1.0
         gauge = _GAUGE_RANGE * bound or 10.0
         for name, key in _KEYS.items():

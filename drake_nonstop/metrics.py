@@ -64,6 +64,31 @@ def carrier_speeds(carrier_state: NDArray) -> NDArray:
     return np.linalg.norm(_split(carrier_state)[1], axis=2)
 
 
+def closest_carriers(positions: NDArray) -> NDArray:
+    """The distance (k,) of the closest two of carriers at `positions` (k, n, 3), m."""
+    return np.min(
+        [
+            np.linalg.norm(positions[:, i] - positions[:, j], axis=1)
+            for i, j in combinations(range(positions.shape[1]), 2)
+        ],
+        axis=0,
+    )
+
+
+def closest_cables(ends: NDArray, carriers: NDArray) -> NDArray:
+    """The distance (k,) of the closest two straight cables from `ends` to `carriers`, m.
+
+    Both (k, n, 3).
+    """
+    return np.min(
+        [
+            segment_distances(ends[:, i], carriers[:, i], ends[:, j], carriers[:, j])
+            for i, j in combinations(range(ends.shape[1]), 2)
+        ],
+        axis=0,
+    )
+
+
 def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray:
     """Distances (k,) between the segments from a to b and from c to d, (k, 3) each.
 
@@ -100,16 +125,7 @@ def _carrier_metrics(run: Run) -> dict[str, Any]:
     positions, velocities = _split(states)
     speeds = carrier_speeds(states)
     bounds = speed_bounds(run)
-    sharpest: dict[str, float | None] = {"acceleration": None, "radius": None}
-    if len(time) > 2 and np.any(speeds > 0):
-        accelerations = np.gradient(velocities, time, axis=0)
-        # v × a is speed × normal acceleration, and stays defined where a carrier stops.
-        crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
-        moving = speeds > 0
-        sharpest = {
-            "acceleration": float(np.max(crossed[moving] / speeds[moving])),
-            "radius": _reciprocal(float(np.max(crossed[moving] / speeds[moving] ** 3))),
-        }
+    normal_acceleration, turn_radius = _sharpest_turn(time, velocities)
     climb = np.arctan2(np.abs(velocities[..., 2]), np.linalg.norm(velocities[..., :2], axis=2))
     return {
         "n": speeds.shape[1],
@@ -118,14 +134,29 @@ def _carrier_metrics(run: Run) -> dict[str, Any]:
         "speed_final_m_s": speeds[-1].tolist(),
         "speed_bound_m_s": float(bounds[-1]),
         "time_below_bound_s": _duration(time, np.any(speeds < bounds[:, None], axis=1)),
-        "separation_min_m": min(
-            float(np.min(np.linalg.norm(positions[:, i] - positions[:, j], axis=1)))
-            for i, j in combinations(range(speeds.shape[1]), 2)
-        ),
-        "normal_acceleration_max_m_s2": sharpest["acceleration"],
+        "separation_min_m": float(np.min(closest_carriers(positions))),
+        "normal_acceleration_max_m_s2": normal_acceleration,
         "climb_angle_max_rad": float(np.max(climb)),
-        "turn_radius_min_m": sharpest["radius"],
+        "turn_radius_min_m": turn_radius,
     }
+
+
+def _sharpest_turn(time: NDArray, velocities: NDArray) -> tuple[float | None, float | None]:
+    """The largest normal acceleration (m/s²) and smallest turn radius (m); None: not measured."""
+    # Where an update or a sample ends a step, another may be a rounding error away.
+    apart = np.append(True, np.diff(time) > 1e-9)
+    time, velocities = time[apart], velocities[apart]
+    speeds = np.linalg.norm(velocities, axis=2)
+    if len(time) < 3 or not np.any(speeds > 0):
+        return None, None
+    accelerations = np.gradient(velocities, time, axis=0)
+    # v × a is speed × normal acceleration, and stays defined where a carrier stops.
+    crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
+    moving = speeds > 0
+    return (
+        float(np.max(crossed[moving] / speeds[moving])),
+        _reciprocal(float(np.max(crossed[moving] / speeds[moving] ** 3))),
+    )
 
 
 def _cable_metrics(run: Run) -> dict[str, Any]:
@@ -136,10 +167,7 @@ def _cable_metrics(run: Run) -> dict[str, Any]:
         "tension_min_N": float(np.min(tensions)),
         "tension_max_N": float(np.max(tensions)),
         "slack_time_s": _duration(time, np.any(tensions <= 0, axis=1)),
-        "separation_min_m": min(
-            float(np.min(segment_distances(ends[:, i], carriers[:, i], ends[:, j], carriers[:, j])))
-            for i, j in combinations(range(tensions.shape[1]), 2)
-        ),
+        "separation_min_m": float(np.min(closest_cables(ends, carriers))),
     }
 
 
@@ -164,7 +192,7 @@ def speed_bounds(run: Run) -> NDArray:
     """The ε (m/s) that was asked for at every step (steps,); it may change during a live run."""
     if "speed_bound" in run.steps:
         return run.steps["speed_bound"][:, 0]
-    return np.full(len(run.steps["time"]), run.scenario.optimization_layer.speed_bound)
+    return np.full(len(run.steps["time"]), run.scenario.speed_bound)
 
 
 def attachment_positions(run: Run, load_states: NDArray) -> NDArray:

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import (
+    carousel,
     ellipse_axes,
     even_phases,
     hamiltonian_cycle,
+    spread,
 )
-from drake_nonstop.validation import require, require_array
+from drake_nonstop.validation import require, require_array, require_positive
 
 _SMALLEST_SINE = 1e-3  # smallest sine of an angle that still counts as an angle
 
@@ -72,6 +74,56 @@ class HamiltonianCycleConfig:
                 "a carrier would stop; set them apart",
             )
         return InternalForcePattern(hamiltonian_cycle(attachments), phases, np.zeros(3 * n))
+
+
+@dataclass(kw_only=True)
+class CarouselConfig:
+    """Forces that turn together: the carriers keep apart at constant speed, cables cross.
+
+    m = 2. On a regular polygon every carrier flies a circle above its attachment, all at the
+    same speed; for other attachments the pattern is projected on the null space.
+    """
+
+    def make(self, attachments: NDArray) -> InternalForcePattern:
+        """The pattern for attachments (n, 3) in L; raises ScenarioError as `check_pattern`."""
+        _require_directions(attachments)
+        phases = np.array([0.0, -np.pi / 2])
+        return InternalForcePattern(carousel(attachments), phases, np.zeros(3 * len(attachments)))
+
+
+@dataclass(kw_only=True)
+class SpreadCarouselConfig:
+    """The carousel with a constant outward pull: neither carriers nor cables meet.
+
+    m = 2. Each carrier circles about an axis of its own that leans outward. Cables do not
+    cross as long as the amplitude A stays below `spread`: bound it there
+    (`optimization_layer.amplitude_bounds`).
+    """
+
+    spread: float = 2.5  # N, the constant outward pull C of every cable
+
+    def make(self, attachments: NDArray) -> InternalForcePattern:
+        """The pattern for attachments (n, 3) in L.
+
+        Raises:
+            ScenarioError: the spread is not positive, or as `check_pattern`.
+        """
+        require_positive("pattern", spread=self.spread)
+        wheel = CarouselConfig().make(attachments)
+        return InternalForcePattern(wheel.basis, wheel.phases, self.spread * spread(attachments))
+
+
+def _require_directions(attachments: NDArray) -> None:
+    """Raises ScenarioError where an attachment has no direction from the middle of all."""
+    from_centre = (attachments - attachments.mean(axis=0))[:, :2]
+    radii = np.linalg.norm(from_centre, axis=1)
+    require(
+        np.all(radii > 1e-6 * np.max(radii)),
+        "system.attachments",
+        attachments.tolist(),
+        "one is in the middle of all, so that a carousel has no direction for its cable; move "
+        "it, or give another pattern",
+    )
 
 
 @dataclass(kw_only=True)

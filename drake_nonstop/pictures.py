@@ -1,4 +1,4 @@
-"""The README's pictures of the line task: with and without optimization, side by side."""
+"""The README's pictures: the line task with and without optimization, and patterns compared."""
 
 import io
 import tempfile
@@ -15,12 +15,13 @@ from PIL import Image
 
 from drake_nonstop.browser import open_browser
 from drake_nonstop.metrics import carrier_speeds, speed_bounds
+from drake_nonstop.plots import make_encounters_figure
 from drake_nonstop.replay import record_replay
 from drake_nonstop.results import replacing_file
 from drake_nonstop.scenario import load_scenario
 from drake_nonstop.simulate import Run, simulate
 
-STILL, ANIMATION = "line.png", "line.gif"
+STILL, ANIMATION, PATTERNS = "line.png", "line.gif", "real_scale.png"
 _VIEW = 640, 460  # pixels, of one page
 _SPAN = 6.0, 11.0  # s, of the animation: the load sets off, and comes to its speed
 _FRAME_RATE = 12  # 1/s
@@ -28,7 +29,7 @@ _STILL_TIME = 8.0  # s, about which the still is of the slowest instant
 
 
 def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[Path]:
-    """Writes a still and a short animation to a folder, and returns where they are.
+    """Writes a still, a short animation and a figure to a folder, and returns where they are.
 
     Raises:
         ScenarioError: there is no browser to take them with.
@@ -60,7 +61,22 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
             duration=round(1000 / _FRAME_RATE),
             loop=0,
         )
-    return [folder / STILL, folder / ANIMATION]
+    with replacing_file(folder / PATTERNS) as file:
+        file.write(_png(make_encounters_figure(_patterns()), dpi=110))
+    return [folder / name for name in (STILL, ANIMATION, PATTERNS)]
+
+
+def _patterns() -> dict[str, Run]:
+    """The real-scale scenarios' patterns above a resting load, for a turn."""
+    settings = ["duration=23", "load_trajectory.start_time=30"]
+    return {
+        title: simulate(load_scenario(name, settings))
+        for name, title in (
+            ("real_scale_cycle", "the paper's cycle"),
+            ("real_scale_carousel", "carousel"),
+            ("real_scale_spread", "spread carousel"),
+        )
+    }
 
 
 def _runs() -> list[Run]:

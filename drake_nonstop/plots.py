@@ -1,6 +1,6 @@
 """The figures of a run: the paper's own set."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +12,8 @@ from pydrake.math import RollPitchYaw
 from drake_nonstop.metrics import (
     attachment_positions,
     carrier_speeds,
+    closest_cables,
+    closest_carriers,
     load_errors,
     speed_bounds,
 )
@@ -20,6 +22,10 @@ from drake_nonstop.simulate import Run
 from drake_nonstop.stability import Margin
 
 _SIZE = (7.0, 4.2)  # inch
+_COLOURS = (  # Okabe and Ito's, made for the colour-blind too, and four darker ones
+    *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"),
+    *("#7f5f3f", "#882255", "#117733", "#332288", "#999933", "#888888"),
+)
 _OVERLAID = ("solid", (0, (5, 4)), (0, (1, 2)))  # lines of coinciding curves, all to be seen
 
 
@@ -63,6 +69,102 @@ def make_robustness_figure(title: str, cases: Sequence[Case]) -> Figure:
     axes[1, 0].set_ylabel("slowest speed − ε (m/s)")
     axes[0, 0].set_yscale("log")
     figure.suptitle(title)
+    return figure
+
+
+def make_overlay_figure(
+    title: str,
+    label: str,
+    curves: Mapping[str, tuple[NDArray, NDArray]],
+    *,
+    framed: Collection[str],
+    bound: tuple[NDArray, NDArray] | None = None,
+    is_logarithmic: bool = False,
+) -> Figure:
+    """The same quantity in several runs: the first black and thick, earlier ones above later.
+
+    Args:
+        title: of the figure.
+        label: of the quantity, with its unit.
+        curves: times (k,) in s and values (k,) by the run's name.
+        framed: the names of those that the axes are made for.
+        bound: times and values of a bound.
+        is_logarithmic: whether the quantity, which is not negative, is better so.
+    """
+    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for i, (name, (times, values)) in enumerate(curves.items()):
+        if i == 0:
+            axes.plot(times, values, color="black", linewidth=3, label=name, zorder=2)
+            continue
+        turn, colour = divmod(i - 1, len(_COLOURS))
+        axes.plot(
+            times,
+            values,
+            color=_COLOURS[colour],
+            linestyle=_OVERLAID[turn % len(_OVERLAID)],
+            linewidth=1.2,
+            label=name,
+            zorder=3 + 1 / i,
+        )
+    if bound is not None:
+        axes.plot(*bound, color="green", linestyle="--", linewidth=1.5, label="bound ε", zorder=9)
+    extremes = [
+        (values.min(), values.max()) for name, (_, values) in curves.items() if name in framed
+    ]
+    lowest, highest = min(low for low, _ in extremes), max(high for _, high in extremes)
+    if is_logarithmic and highest > 0:
+        least = min(np.median(values) for name, (_, values) in curves.items() if name in framed)
+        axes.set_yscale("log")
+        axes.set_ylim(max(least / 5, 1e-6 * highest), 1.5 * highest)
+    else:
+        axes.set_ylim(min(0.0, lowest), 1.05 * max(highest, 1e-9))
+    axes.set_xlim(0, max(times[-1] for times, _ in curves.values()))
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel(label)
+    figure.legend(loc="outside right upper", fontsize="small", frameon=False)
+    return _finished(figure, title)
+
+
+def make_encounters_figure(runs: dict[str, Run]) -> Figure:
+    """Orbits above a resting load and how close carriers and cables come, a column per run.
+
+    `runs` by their titles. The cables are those at the instant at which two of them, or two
+    carriers, are closest.
+    """
+    figure = Figure(figsize=(3.6 * len(runs), 5.6), layout="constrained")
+    grid = figure.add_gridspec(2, len(runs), height_ratios=[1.3, 1])
+    for k, (title, run) in enumerate(runs.items()):
+        states = run.signal("carrier_state")
+        carriers = states[:, : states.shape[1] // 2].reshape(len(states), -1, 3)
+        ends = attachment_positions(run, run.signal("load_state"))
+        closest = closest_carriers(carriers), closest_cables(ends, carriers)
+        instant = int(np.argmin(np.minimum(*closest)))
+        axes: Axes = figure.add_subplot(grid[0, k], projection="3d")
+        for i in range(carriers.shape[1]):
+            axes.plot(*carriers[:, i].T, color=f"C{i}", linewidth=1)
+            cable = np.stack([ends[instant, i], carriers[instant, i]])
+            axes.plot(*cable.T, color="black", linewidth=0.7)
+            axes.plot(*carriers[instant, i], "o", color=f"C{i}", markersize=5)
+        axes.set_aspect("equal")
+        axes.set_box_aspect(None, zoom=1.25)
+        axes.set_title(title, fontsize="medium")
+        axes.set_zlabel("z (m)", fontsize="x-small", labelpad=-4)
+        axes.view_init(elev=22, azim=-60)
+        axes.tick_params(labelsize="x-small")
+        axes.locator_params(nbins=4)
+        lower = figure.add_subplot(grid[1, k])
+        for distances, name, colour in zip(
+            closest, ("carriers", "cables"), ("C0", "C1"), strict=True
+        ):
+            shown = np.maximum(distances, 1e-3)  # m: a logarithmic axis has no zero
+            lower.semilogy(run.time, shown, label=name, color=colour, linewidth=1.2)
+        lower.set_ylim(1e-3, 200)
+        lower.set_xlabel("time (s)")
+        lower.grid(alpha=0.3)
+        if k == 0:
+            lower.set_ylabel("closest two (m)")
+            lower.legend(fontsize="small")
     return figure
 
 

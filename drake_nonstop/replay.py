@@ -50,7 +50,7 @@ def record_replay(run: Run, *, frame_rate: float = 25.0) -> str:
 def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     """The run at the instants of the frames, up to the first that cannot be shown."""
     states = run.signal("carrier_state").reshape(len(run.time), 2, -1, 3)
-    speed_bounds = np.full(len(run.time), run.scenario.optimization_layer.speed_bound)
+    speed_bounds = np.full(len(run.time), run.scenario.speed_bound)
     with contextlib.suppress(KeyError):
         speed_bounds = run.signal("speed_bound")[:, 0]
     frames = np.floor(run.time * frame_rate + 1e-6)
@@ -69,8 +69,8 @@ def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     return list(itertools.takewhile(lambda snapshot: snapshot.is_finite, snapshots))
 
 
-def _overlay(title: str, config: SceneConfig, snapshots: list[Snapshot]) -> str:
-    """A play bar, what the colours mean, and the slowest carrier's speed beside ε."""
+def legend(config: SceneConfig) -> str:
+    """What the scene's colours mean, in HTML whose swatches have a class of that name."""
     colours = (
         (config.mark_colours[::-1], f"carrier's speed, from {config.mark_range:g} ε down to ε"),
         (config.cable_colours, f"tension, up to {config.tension_range:g} shares of the weight"),
@@ -79,7 +79,11 @@ def _overlay(title: str, config: SceneConfig, snapshots: list[Snapshot]) -> str:
         ([config.reference_colour] * 2, "where the load should be"),
     )
     swatch = '<span><span class="swatch" style="background:linear-gradient(to right,{})"></span>{}'
-    legend = "".join(swatch.format(",".join(names), text) + "</span>" for names, text in colours)
+    return "".join(swatch.format(",".join(names), text) + "</span>" for names, text in colours)
+
+
+def _overlay(title: str, config: SceneConfig, snapshots: list[Snapshot]) -> str:
+    """A play bar, what the colours mean, and the slowest carrier's speed beside ε."""
     start = snapshots[0].time
     times = [shot.time - start for shot in snapshots]
     slowest = [float(np.linalg.norm(shot.velocities, axis=1).min()) for shot in snapshots]
@@ -87,7 +91,7 @@ def _overlay(title: str, config: SceneConfig, snapshots: list[Snapshot]) -> str:
     page = resources.files("drake_nonstop").joinpath("replay_overlay.html")
     return Template(page.read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
-        legend=legend,
+        legend=legend(config),
         duration=f"{times[-1]:g}",
         top=f"{1.1 * max(*slowest, *bounds, 1e-3):.3g}",
         slowest=_polyline(times, slowest),

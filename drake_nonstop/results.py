@@ -4,7 +4,7 @@ import contextlib
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,7 +21,7 @@ from drake_nonstop.validation import ScenarioError
 _FIGURES = "figures"
 
 # All that a run may leave; what this run does not write is not left over from another.
-_CONTENTS = (
+RUN_FILES = (
     "scenario.yaml",
     "metrics.json",
     "signals.npz",
@@ -75,7 +75,7 @@ def write_results(
     """
     require_writable(folder)
     metrics = compute_metrics(run)
-    with _replacing(folder) as new:
+    with replacing_files(folder, RUN_FILES) as new:
         (new / "scenario.yaml").write_text(dump_scenario(run.scenario), encoding="utf-8")
         text = json.dumps(metrics, indent=2, allow_nan=False)
         (new / "metrics.json").write_text(text + "\n", encoding="utf-8")
@@ -91,15 +91,22 @@ def write_results(
 
 
 @contextlib.contextmanager
-def _replacing(folder: Path) -> Iterator[Path]:
-    """A new folder whose contents take the place of the results in `folder` at the end."""
+def replacing_files(folder: Path, contents: Iterable[str]) -> Iterator[Path]:
+    """A new folder to write files to that take the place of those in `folder` at the end.
+
+    `contents` are the paths, relative to it, of all that may be there: where there is no new
+    file of that path, the old one is removed.
+
+    Raises:
+        ScenarioError: the folder cannot be written.
+    """
     try:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as name:
             new = Path(name)
             yield new
-            for item in _CONTENTS:
+            for item in contents:
                 if (new / item).exists():
-                    (folder / item).parent.mkdir(exist_ok=True)
+                    (folder / item).parent.mkdir(parents=True, exist_ok=True)
                     os.replace(new / item, folder / item)
                 else:
                     (folder / item).unlink(missing_ok=True)

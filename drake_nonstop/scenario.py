@@ -3,7 +3,7 @@
 A scenario file has one key, the scenario's name, and below it the fields of `Scenario`.
 A box of the figure is chosen by its tag, `phase: !PrintedPhase {}`: block X is configured
 by the dataclass XConfig, whose fields stand below the tag. Fields left out take their
-defaults.
+defaults. A tag with dots is the import path of a block of the user's own (`own_blocks`).
 """
 
 import dataclasses
@@ -20,17 +20,36 @@ from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.blocks.accumulated_phase import AccumulatedPhaseConfig
-from drake_nonstop.blocks.cable_force_distribution import CableForceDistributionConfig
+from drake_nonstop.blocks.cable_force_distribution import (
+    BoundedTensionDistributionConfig,
+    CableForceDistributionConfig,
+)
 from drake_nonstop.blocks.cables import CablesConfig, IndividualCablesConfig
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamicsConfig
-from drake_nonstop.blocks.carrier_pid import CarrierPidConfig
-from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectoryConfig
+from drake_nonstop.blocks.carrier_pid import (
+    CarrierPidConfig,
+    FeedforwardCarrierPidConfig,
+    TunedCarrierPidConfig,
+    TunedFeedforwardCarrierPidConfig,
+)
+from drake_nonstop.blocks.carrier_trajectory import (
+    CarrierTrajectoryConfig,
+    InextensibleCarrierTrajectoryConfig,
+    MeasuredCarrierTrajectoryConfig,
+)
 from drake_nonstop.blocks.constant_parameters import ConstantParametersConfig
 from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedbackConfig
+from drake_nonstop.blocks.ideal_carriers import IdealCarriersConfig
 from drake_nonstop.blocks.ideal_feedback import IdealFeedbackConfig
 from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectoryConfig
 from drake_nonstop.blocks.load_plant import LoadPlantConfig
-from drake_nonstop.blocks.load_trajectory import ConstantVelocityMoveConfig, RestToRestConfig
+from drake_nonstop.blocks.load_trajectory import (
+    CircleConfig,
+    ConstantVelocityMoveConfig,
+    RestToRestConfig,
+    SampledTrajectoryConfig,
+    WaypointsConfig,
+)
 from drake_nonstop.blocks.loaded_carrier_dynamics import LoadedCarrierDynamicsConfig
 from drake_nonstop.blocks.loaded_carrier_pid import LoadedCarrierPidConfig
 from drake_nonstop.blocks.multibody_load_plant import MultibodyLoadPlantConfig
@@ -39,12 +58,28 @@ from drake_nonstop.blocks.noisy_feedback import NoisyFeedbackConfig
 from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
 from drake_nonstop.blocks.printed_phase import PrintedPhaseConfig
 from drake_nonstop.blocks.wind import WindConfig
-from drake_nonstop.blocks.wrench_controller import WrenchControllerConfig
+from drake_nonstop.blocks.wrench_controller import (
+    GeometricPdConfig,
+    PrintedWrenchControllerConfig,
+    TunedWrenchControllerConfig,
+    WrenchControllerConfig,
+)
 from drake_nonstop.load_file import read_load
-from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.own_blocks import import_config, import_path, is_import_path, make_importable
+from drake_nonstop.pattern import (
+    CarouselConfig,
+    HamiltonianCycleConfig,
+    LinearPatternConfig,
+    SpreadCarouselConfig,
+)
 from drake_nonstop.scene import SceneConfig
 from drake_nonstop.system import System, SystemOverrides
-from drake_nonstop.validation import ScenarioError, require, require_positive
+from drake_nonstop.validation import (
+    ScenarioError,
+    require,
+    require_non_negative,
+    require_positive,
+)
 
 SCENARIOS = Path(__file__).parent / "diagrams" / "scenarios"
 
@@ -63,19 +98,30 @@ class Scenario:
     description: str = ""
     duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
+    safe_carrier_distance: float = 0.1  # m; `run` warns where two carriers come closer
+    safe_cable_distance: float = 0.1  # m; `run` warns where two cables come closer
     simulator: SimulatorConfig = field(default_factory=_default_simulator)
     system: System = field(default_factory=System)
     simulated: SystemOverrides = field(default_factory=SystemOverrides)
-    pattern: HamiltonianCycleConfig | LinearPatternConfig = field(
-        default_factory=HamiltonianCycleConfig
-    )
-    load_trajectory: RestToRestConfig | ConstantVelocityMoveConfig = field(
-        default_factory=RestToRestConfig
-    )
+    pattern: (
+        HamiltonianCycleConfig | CarouselConfig | SpreadCarouselConfig | LinearPatternConfig
+    ) = field(default_factory=HamiltonianCycleConfig)
+    load_trajectory: (
+        RestToRestConfig
+        | ConstantVelocityMoveConfig
+        | WaypointsConfig
+        | CircleConfig
+        | SampledTrajectoryConfig
+    ) = field(default_factory=RestToRestConfig)
     load_feedback: IdealFeedbackConfig | DesiredStateFeedbackConfig | NoisyFeedbackConfig = field(
         default_factory=IdealFeedbackConfig
     )
-    wrench_controller: WrenchControllerConfig = field(default_factory=WrenchControllerConfig)
+    wrench_controller: (
+        WrenchControllerConfig
+        | PrintedWrenchControllerConfig
+        | GeometricPdConfig
+        | TunedWrenchControllerConfig
+    ) = field(default_factory=WrenchControllerConfig)
     optimization_layer: NonstopOptimizerConfig | ConstantParametersConfig = field(
         default_factory=NonstopOptimizerConfig
     )
@@ -85,20 +131,33 @@ class Scenario:
     internal_force: InternalForceTrajectoryConfig = field(
         default_factory=InternalForceTrajectoryConfig
     )
-    force_distribution: CableForceDistributionConfig = field(
+    force_distribution: CableForceDistributionConfig | BoundedTensionDistributionConfig = field(
         default_factory=CableForceDistributionConfig
     )
-    carrier_trajectory: CarrierTrajectoryConfig = field(default_factory=CarrierTrajectoryConfig)
-    carrier_controller: CarrierPidConfig | LoadedCarrierPidConfig = field(
-        default_factory=CarrierPidConfig
-    )
-    carrier_dynamics: CarrierDynamicsConfig | LoadedCarrierDynamicsConfig = field(
-        default_factory=CarrierDynamicsConfig
+    carrier_trajectory: (
+        CarrierTrajectoryConfig
+        | InextensibleCarrierTrajectoryConfig
+        | MeasuredCarrierTrajectoryConfig
+    ) = field(default_factory=CarrierTrajectoryConfig)
+    carrier_controller: (
+        CarrierPidConfig
+        | TunedCarrierPidConfig
+        | FeedforwardCarrierPidConfig
+        | TunedFeedforwardCarrierPidConfig
+        | LoadedCarrierPidConfig
+    ) = field(default_factory=CarrierPidConfig)
+    carrier_dynamics: CarrierDynamicsConfig | LoadedCarrierDynamicsConfig | IdealCarriersConfig = (
+        field(default_factory=CarrierDynamicsConfig)
     )
     cables: CablesConfig | IndividualCablesConfig = field(default_factory=CablesConfig)
     load_disturbance: NoDisturbanceConfig | WindConfig = field(default_factory=NoDisturbanceConfig)
     load_plant: LoadPlantConfig | MultibodyLoadPlantConfig = field(default_factory=LoadPlantConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
+
+    @property
+    def speed_bound(self) -> float:
+        """The ε (m/s) that the optimization layer's config states; 0 where it states none."""
+        return getattr(self.optimization_layer, "speed_bound", 0.0)
 
 
 def scenario_names() -> list[str]:
@@ -106,20 +165,27 @@ def scenario_names() -> list[str]:
     return sorted(path.stem for path in SCENARIOS.glob("*.yaml"))
 
 
-def load_scenario(name_or_file: str | Path, settings: Iterable[str] = ()) -> Scenario:
+def load_scenario(
+    name_or_file: str | Path, settings: Iterable[str] = (), *, trust: bool = False
+) -> Scenario:
     """The scenario of that name, or the one in a YAML file.
 
     Args:
         name_or_file: one of `scenario_names()`, or the path of a `.yaml` file.
         settings: changes "path=value", such as "system.load_mass=1.2". A path names a
-            field of the resolved scenario; a value is YAML, and a tagged one
-            ("phase=!PrintedPhase {}") replaces a whole box.
+            field of the resolved scenario; a value is YAML. A box takes a tagged value
+            ("phase=!PrintedPhase {}"), or the name of another block ("phase=PrintedPhase"),
+            which takes over what was set of the parameters that both have.
+        trust: whether blocks of the user's own may be imported, which runs their code; they
+            are looked for in the current folder and the scenario's, too.
 
     Raises:
         ScenarioError: there is no such scenario or file, or its content cannot be used;
             the message names the field, the value and the remedy.
     """
     path = Path(name_or_file)
+    if trust:
+        make_importable(str(Path.cwd()))
     if path.suffix not in (".yaml", ".yml"):
         names = scenario_names()
         require(
@@ -129,28 +195,35 @@ def load_scenario(name_or_file: str | Path, settings: Iterable[str] = ()) -> Sce
             f"give a .yaml file or one of {', '.join(names)}",
         )
         path = SCENARIOS / f"{name_or_file}.yaml"
+    elif trust:
+        make_importable(str(path.parent.absolute()))
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"scenario = {path}: give a file that can be read ({error})") from None
-    scenario = parse_scenario(text, str(path))
-    return changed(scenario, settings) if settings else scenario
+    scenario = parse_scenario(text, str(path), trust=trust)
+    return changed(scenario, settings, trust=trust) if settings else scenario
 
 
-def changed(scenario: Scenario, settings: Iterable[str]) -> Scenario:
+def changed(scenario: Scenario, settings: Iterable[str], *, trust: bool = False) -> Scenario:
     """A copy of the scenario with changes "path=value", see `load_scenario`.
+
+    Blocks of the user's own that the scenario has already are trusted.
 
     Raises:
         ScenarioError: a path or value cannot be used.
     """
     tree = _tree(scenario)
+    trusted = True if trust else {entry["_tag"] for entry in _tagged(tree).values()}
     for setting in settings:
-        _apply_setting(tree, setting)
-    return _from_tree(scenario.name, tree)
+        _apply_setting(tree, setting, trusted)
+    return _from_tree(scenario.name, tree, trusted)
 
 
-def parse_scenario(text: str, source: str = "scenario") -> Scenario:
+def parse_scenario(text: str, source: str = "scenario", *, trust: bool = False) -> Scenario:
     """The scenario in YAML text; `source` is what error messages call the text.
+
+    `trust` as in `load_scenario`.
 
     Raises:
         ScenarioError: see `load_scenario`.
@@ -165,7 +238,7 @@ def parse_scenario(text: str, source: str = "scenario") -> Scenario:
     ((name, content),) = _plain(node, source).items()
     content = {} if content is None else content
     require(isinstance(content, dict), name, content, "give the scenario's fields below its name")
-    return _from_tree(name, content)
+    return _from_tree(name, content, trust)
 
 
 def dump_scenario(scenario: Scenario) -> str:
@@ -177,6 +250,26 @@ def dump_scenario(scenario: Scenario) -> str:
         default_flow_style=None,
         width=96,
     )
+
+
+def parse_plain(text: str, source: str) -> Any:
+    """YAML text as dicts, lists and scalars, read as strictly as a scenario.
+
+    A dict that has a tag holds it under "_tag"; `source` as in `parse_scenario`.
+
+    Raises:
+        ScenarioError: the text is no YAML, or ambiguous.
+    """
+    node = _compose(text, source)
+    return None if node is None else _plain(node, source)
+
+
+def dump_plain(value: Any) -> str:
+    """What `parse_plain` makes of YAML, as YAML in one line: the value of a setting."""
+    text = yaml.dump(
+        value, Dumper=_TreeDumper, sort_keys=False, default_flow_style=True, width=float("inf")
+    )
+    return text.removesuffix("...\n").strip()
 
 
 class _TreeDumper(yaml.SafeDumper):
@@ -193,18 +286,35 @@ _TreeDumper.add_representer(dict, _TreeDumper.represent_tree)
 
 def _tree(scenario: Scenario) -> dict[str, Any]:
     """Nested dicts with every field, each box with its block's name under "_tag"."""
-    tree = yaml_load(data=yaml_dump_typed(scenario, schema=Scenario), private=True)
+    configs = {name: getattr(scenario, name) for name in _choices()}
+    known = {}  # the scenario without blocks of the user's own, which its schema does not know
     for name, choices in _choices().items():
-        block = type(getattr(scenario, name)).__name__.removesuffix("Config")
+        is_own = dataclasses.is_dataclass(configs[name]) and import_path(configs[name])
         require(
-            any(block == _tag(choice) for choice in choices),
+            is_own or type(configs[name]) in choices,
             name,
-            block,
+            type(configs[name]).__name__.removesuffix("Config"),
             f"give one of {', '.join(map(_tag, choices))}",
         )
-        tree[name] = {**tree[name], "_tag": f"!{block}"}
+        if is_own:
+            known[name] = choices[0]()
+    plain = dataclasses.replace(scenario, **known)
+    tree = yaml_load(data=yaml_dump_typed(plain, schema=Scenario), private=True)
+    for name, config in configs.items():
+        fields = tree[name]
+        if name in known:
+            fields = yaml_load(data=yaml_dump_typed(config, schema=type(config)), private=True)
+        tag = import_path(config) or _tag(type(config))
+        tree[name] = {**(fields or {}), "_tag": f"!{tag}"}
     del tree["name"]
     return tree
+
+
+def _tagged(tree: dict[str, Any]) -> dict[str, Any]:
+    """The entries of a tree that have a tag."""
+    return {
+        name: entry for name, entry in tree.items() if isinstance(entry, dict) and "_tag" in entry
+    }
 
 
 def _choices() -> dict[str, tuple[type, ...]]:
@@ -222,8 +332,11 @@ def _tag(config_class: type) -> str:
     return config_class.__name__.removesuffix("Config")
 
 
-def _from_tree(name: str, tree: dict[str, Any]) -> Scenario:
-    """The scenario of nested dicts such as `_tree` makes, of which any may be left out."""
+def _from_tree(name: str, tree: dict[str, Any], trusted: bool | set[str]) -> Scenario:
+    """The scenario of nested dicts such as `_tree` makes, of which any may be left out.
+
+    `trusted` are the tags of blocks of the user's own that may be imported, or True for all.
+    """
     require(
         re.fullmatch(r"[A-Za-z0-9][\w.-]*", name),
         "scenario",
@@ -233,9 +346,15 @@ def _from_tree(name: str, tree: dict[str, Any]) -> Scenario:
     tree = dict(tree)
     _check_fields(name, tree, Scenario)
     require("name" not in tree, f"{name}.name", tree.get("name"), "leave it to the file's one key")
+    own = {}
     for field_name, options in _choices().items():
         if field_name in tree:
-            tree[field_name] = _typed_entry(field_name, tree[field_name], options)
+            config_class, fields = _checked_entry(field_name, tree.pop(field_name), trusted)
+            if config_class not in options:
+                own[field_name] = _loaded(config_class, fields)
+            else:
+                tag = {"_tag": f"!{config_class.__name__}"} if len(options) > 1 else {}
+                tree[field_name] = tag | fields
     for field_name, schema in (
         ("system", System),
         ("simulated", System),
@@ -246,13 +365,22 @@ def _from_tree(name: str, tree: dict[str, Any]) -> Scenario:
             _check_fields(field_name, tree[field_name], schema)
     scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(tree), defaults=Scenario())
     scenario.name = name
+    for field_name, config in own.items():
+        setattr(scenario, field_name, config)
     for owner in ("system", "simulated"):
         system = getattr(scenario, owner)
         if system.load_file:
             fields = read_load(system.load_file, system.attachment_frames or [])
             fields |= {"load_file": "", "attachment_frames": []}  # the resolved scenario has both
             setattr(scenario, owner, dataclasses.replace(system, **fields))
+    if isinstance(scenario.load_trajectory, SampledTrajectoryConfig):
+        scenario.load_trajectory = scenario.load_trajectory.resolved()
     require_positive(name, duration=scenario.duration)
+    require_non_negative(
+        name,
+        safe_carrier_distance=scenario.safe_carrier_distance,
+        safe_cable_distance=scenario.safe_cable_distance,
+    )
     simulator = scenario.simulator
     require_positive(
         "simulator", max_step_size=simulator.max_step_size, accuracy=simulator.accuracy
@@ -267,21 +395,40 @@ def _from_tree(name: str, tree: dict[str, Any]) -> Scenario:
     return scenario
 
 
-def _typed_entry(name: str, entry: Any, options: tuple[type, ...]) -> dict[str, Any]:
-    """A box's entry with its tag turned into what `yaml_load_typed` expects."""
+def _checked_entry(name: str, entry: Any, trusted: bool | set[str]) -> tuple[type, dict[str, Any]]:
+    """The config class of a box's entry, and its fields, which the class has."""
     entry = {} if entry is None else entry
+    default = _tag(_choices()[name][0])
     require(
-        isinstance(entry, dict),
-        name,
-        entry,
-        f"name a block by its tag, such as !{_tag(options[0])} {{}}",
+        isinstance(entry, dict), name, entry, f"name a block by its tag, such as !{default} {{}}"
     )
-    entry = dict(entry)
-    tag = entry.pop("_tag", f"!{_tag(options[0])}").removeprefix("!")
-    matching = [option for option in options if _tag(option) == tag]
-    require(matching, name, f"!{tag}", f"give one of !{', !'.join(map(_tag, options))}")
-    _check_fields(name, entry, matching[0])
-    return ({"_tag": f"!{matching[0].__name__}"} if len(options) > 1 else {}) | entry
+    fields = dict(entry)
+    config_class = _config_class(name, fields.pop("_tag", f"!{default}"), trusted)
+    _check_fields(name, fields, config_class)
+    return config_class, fields
+
+
+def _config_class(name: str, tag: str, trusted: bool | set[str]) -> type:
+    """The config class that a box's tag stands for."""
+    options = _choices()[name]
+    block = tag.removeprefix("!")
+    if is_import_path(block) and name != "scene":
+        require(
+            trusted is True or (trusted and tag in trusted),
+            name,
+            tag,
+            "this scenario runs code of its own, from the module that the tag names; where you "
+            "trust that code, give --trust (in Python: trust=True)",
+        )
+        return import_config(name, block)
+    matching = [option for option in options if _tag(option) == block]
+    require(matching, name, tag, f"give one of !{', !'.join(map(_tag, options))}")
+    return matching[0]
+
+
+def _loaded(config_class: type, fields: dict[str, Any]) -> Any:
+    """A config of the user's own from its fields."""
+    return yaml_load_typed(schema=config_class, data=yaml_dump(fields), defaults=config_class())
 
 
 def _check_fields(name: str, tree: Any, schema: Any) -> None:
@@ -387,7 +534,7 @@ def _is_number_text(text: str) -> bool:
     return True
 
 
-def _apply_setting(tree: dict[str, Any], setting: str) -> None:
+def _apply_setting(tree: dict[str, Any], setting: str, trusted: bool | set[str]) -> None:
     """Changes the resolved tree by one "path=value"."""
     path, separator, text = setting.partition("=")
     require(separator and path, "--set", setting, "give path=value")
@@ -402,4 +549,21 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
         require(key in parts, "--set", path, _unknown(at, parts))
         require(isinstance(branch[key], dict), "--set", path, f"{at} has no parts; set it whole")
         branch = branch[key]
+    if path in _choices() and isinstance(value, str):
+        value = _swapped(path, tree[path], value, trusted)
     branch[last] = value
+
+
+def _swapped(
+    name: str, entry: dict[str, Any], block: str, trusted: bool | set[str]
+) -> dict[str, Any]:
+    """The entry of another block in a box; what both can be told and was set stays as it was."""
+    types = {f.name: f.type for f in dataclasses.fields(_config_class(name, f"!{block}", trusted))}
+    old = _config_class(name, entry["_tag"], trusted)
+    default = dataclasses.asdict(old())
+    kept = {
+        f.name: entry[f.name]
+        for f in dataclasses.fields(old)
+        if f.name in entry and types.get(f.name) == f.type and entry[f.name] != default[f.name]
+    }
+    return {**kept, "_tag": f"!{block}"}

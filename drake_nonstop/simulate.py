@@ -143,6 +143,8 @@ def simulate(
         scenario.simulator.integration_scheme,
         f"give one of {', '.join(schemes)}",
     )
+    for name, block in replacements.items():
+        require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
     nonstop = make_nonstop(scenario, **replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import as_completed
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,22 +70,26 @@ def at_rest(scenario: Scenario) -> Scenario:
     A printed phase becomes an accumulated one, which is the same while ξ is constant; there is no
     wind, and of the feedback's errors the delay alone.
     """
-    layer, start = scenario.optimization_layer, scenario.load_trajectory
     feedback = scenario.load_feedback
     if isinstance(feedback, NoisyFeedbackConfig):
         feedback = NoisyFeedbackConfig(delay=feedback.delay, period=feedback.period)
     return dataclasses.replace(
         scenario,
         load_trajectory=RestToRestConfig(
-            start_position=start.start_position, start_roll_pitch_yaw=start.start_roll_pitch_yaw
+            **_told(scenario.load_trajectory, "start_position", "start_roll_pitch_yaw")
         ),
         load_feedback=feedback,
         load_disturbance=NoDisturbanceConfig(),
         phase=AccumulatedPhaseConfig(),
         optimization_layer=ConstantParametersConfig(
-            frequency=layer.frequency, amplitude=layer.amplitude, speed_bound=layer.speed_bound
+            **_told(scenario.optimization_layer, "frequency", "amplitude", "speed_bound")
         ),
     )
+
+
+def _told(config: Any, *names: str) -> dict[str, Any]:
+    """Those of the parameters that a config, perhaps the user's own, has."""
+    return {name: getattr(config, name) for name in names if hasattr(config, name)}
 
 
 def linearize(scenario: Scenario) -> Stability:
@@ -332,6 +337,14 @@ class _Axis:
     is_continuous: bool = True
 
 
+_CONTROLLER_PARAMETERS = (
+    ("position_gain", "K_p", "N/m"),
+    ("velocity_gain", "K_d", "N s/m"),
+    ("frequency", "carrier frequency", "rad/s"),
+    ("damping", "carrier damping", "of critical"),
+)
+
+
 def _axes(scenario: Scenario) -> list[_Axis]:
     sample = scenario.control_period or 0.01
     controller = scenario.carrier_controller
@@ -351,8 +364,11 @@ def _axes(scenario: Scenario) -> list[_Axis]:
                 "simulated.carrier_mass={}",
                 overridden(scenario.system, scenario.simulated).carrier_mass,
             ),
-            ("K_p", "N/m", "carrier_controller.position_gain={}", controller.position_gain),
-            ("K_d", "N s/m", "carrier_controller.velocity_gain={}", controller.velocity_gain),
+            *(
+                (name, unit, f"carrier_controller.{field}={{}}", getattr(controller, field))
+                for field, name, unit in _CONTROLLER_PARAMETERS
+                if hasattr(controller, field)
+            ),
         )
         if nominal > 0
     ]
@@ -382,7 +398,8 @@ def _axes(scenario: Scenario) -> list[_Axis]:
 
 def _measure(resting: str, axis: _Axis, value: float) -> tuple[float, float]:
     """The largest multiplier's magnitude, and the rate, with a parameter's value."""
-    found = linearize(changed(parse_scenario(resting), [axis.setting.format(value)]))
+    scenario = parse_scenario(resting, trust=True)  # as the one that it is a copy of
+    found = linearize(changed(scenario, [axis.setting.format(value)]))
     return found.largest, found.rate
 
 

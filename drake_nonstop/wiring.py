@@ -2,9 +2,20 @@
 
 from collections.abc import Mapping
 
-from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort, System
+from pydrake.systems.framework import (
+    Diagram,
+    DiagramBuilder,
+    InputPort,
+    OutputPort,
+    PortDataType,
+    System,
+)
 
 from drake_nonstop.validation import ScenarioError
+
+OUTSIDE = "outside"  # what wires call the diagram's own input ports
+
+Sizes = Mapping[str, int | None]  # of ports or signals, by name; None: abstract-valued
 
 
 class WiringError(ScenarioError):
@@ -13,48 +24,109 @@ class WiringError(ScenarioError):
 
 def output_names(block: System) -> list[str]:
     """The names of the block's output ports, in order."""
-    return [block.get_output_port(i).get_name() for i in range(block.num_output_ports())]
+    return list(output_sizes(block))
 
 
 def input_names(block: System) -> list[str]:
     """The names of the block's input ports, in order."""
-    return [block.get_input_port(i).get_name() for i in range(block.num_input_ports())]
+    return list(input_sizes(block))
+
+
+def output_sizes(block: System) -> Sizes:
+    """The sizes of the block's output ports, in order."""
+    ports = [block.get_output_port(i) for i in range(block.num_output_ports())]
+    return {port.get_name(): _size(port) for port in ports}
+
+
+def input_sizes(block: System) -> Sizes:
+    """The sizes of the block's input ports, in order."""
+    ports = [block.get_input_port(i) for i in range(block.num_input_ports())]
+    return {port.get_name(): _size(port) for port in ports}
+
+
+def _size(port: InputPort | OutputPort) -> int | None:
+    return port.size() if port.get_data_type() == PortDataType.kVectorValued else None
+
+
+def check_outputs(name: str, block: System, required: Sizes, optional: Sizes) -> None:
+    """Checks the outputs of the block that goes by that name; it may have others besides.
+
+    Raises:
+        WiringError: a required output is missing, or one of either kind has another size.
+    """
+    given = output_sizes(block)
+    expected = {**optional, **required}
+    lacks = required.keys() - given.keys()
+    differs = any(given[port] != expected[port] for port in given.keys() & expected.keys())
+    if lacks or differs:
+        besides = f", optional {_listed(optional)}" if optional else ""
+        raise WiringError(
+            f"{name} = {type(block).__name__} with outputs {_listed(given)}: expected "
+            f"{_listed(required)}{besides}; rename or resize the ports"
+        )
+
+
+def _listed(sizes: Sizes) -> str:
+    """The ports or signals as "force (3), pose (7)"."""
+    named = [f"{name} ({'abstract' if size is None else size})" for name, size in sizes.items()]
+    return ", ".join(named) or "none"
 
 
 def wires(
-    blocks: Mapping[str, System], replaced_signals: Mapping[str, str] | None = None
+    blocks: Mapping[str, System],
+    replaced_signals: Mapping[str, str] | None = None,
+    outside: Sizes | None = None,
 ) -> list[str]:
     """The wires "block.port -> block.port" that the names of the ports imply.
 
     Every output port is a signal with a name of its own, and an input port named after a
     signal is connected to it. `replaced_signals` maps a signal to the one that readers
     get in its place, save those that make a signal or its replacement: what is upstream
-    of a replacement must not read it.
+    of a replacement must not read it. `outside` are signals that no block makes: their wires
+    come from "outside.port".
 
     Raises:
-        WiringError: two blocks make the same signal, or an input names none.
+        WiringError: two blocks make the same signal, a replacement is made by none, or an
+            input names no signal, or one of another size.
     """
-    sources: dict[str, str] = {}
+    outside = outside or {}
+    sources: dict[str, str] = dict.fromkeys(outside, OUTSIDE)
+    sizes: dict[str, int | None] = dict(outside)
     for block_name, block in blocks.items():
-        for signal in output_names(block):
+        for signal, size in output_sizes(block).items():
             if signal in sources:
                 raise WiringError(
                     f"{block_name}.{signal} = output: {sources[signal]} has an output port of "
                     "that name already; rename one of the two"
                 )
-            sources[signal] = block_name
+            sources[signal], sizes[signal] = block_name, size
     result = []
     replaced_signals = replaced_signals or {}
+    for signal, replacement in replaced_signals.items():
+        if replacement not in sources:
+            raise WiringError(
+                f"replacement of {signal} = {replacement}: no block has an output port of that "
+                f"name; give one of {', '.join(sorted(sources))}"
+            )
     upstream = {sources.get(signal) for signal in (*replaced_signals, *replaced_signals.values())}
     for block_name, block in blocks.items():
-        for port in input_names(block):
-            signal = port if block_name in upstream else replaced_signals.get(port, port)
-            if signal not in sources:
-                raise WiringError(
-                    f"{block_name}.{port} = input: no block has an output port of that name; "
-                    f"name the port after one of {', '.join(sorted(sources))}"
-                )
-            result.append(f"{sources[signal]}.{signal} -> {block_name}.{port}")
+        given = input_sizes(block)
+        replaced = {} if block_name in upstream else replaced_signals
+        read = {port: replaced.get(port, port) for port in given}
+        wrong = {
+            port: given[port]
+            for port, signal in read.items()
+            if signal not in sources or sizes[signal] != given[port]
+        }
+        if wrong:
+            raise WiringError(
+                f"{block_name} = {type(block).__name__} with inputs {_listed(given)}: "
+                f"{_listed(wrong)} {'is' if len(wrong) == 1 else 'are'} not among the signals "
+                f"{_listed(dict(sorted(sizes.items())))}; rename or resize the ports"
+            )
+        result += [
+            f"{sources[signal]}.{signal} -> {block_name}.{port}" for port, signal in read.items()
+        ]
     return result
 
 
@@ -63,28 +135,31 @@ def connect(
     *,
     name: str,
     replaced_signals: Mapping[str, str] | None = None,
+    outside: Sizes | None = None,
 ) -> Diagram:
     """Wires the blocks (see `wires`) to a diagram that exports every signal by its name.
 
-    The blocks become subsystems named after their keys.
+    The blocks become subsystems named after their keys, and the signals that come from
+    `outside` input ports of the diagram.
 
     Raises:
-        WiringError: as `wires`, or the sizes of two connected ports differ.
+        WiringError: as `wires`.
     """
     builder = DiagramBuilder()
     for block_name, block in blocks.items():
         block.set_name(block_name)
         builder.AddSystem(block)
-    for wire in wires(blocks, replaced_signals):
-        source, target = (end.split(".") for end in wire.split(" -> "))
-        output = blocks[source[0]].GetOutputPort(source[1])
-        target_port = blocks[target[0]].GetInputPort(target[1])
-        if output.size() != target_port.size():
-            raise WiringError(
-                f"{target[0]}.{target[1]} = input of size {target_port.size()}: "
-                f"{source[0]}.{source[1]} has size {output.size()}; give the port that size"
-            )
-        builder.Connect(output, target_port)
+    exported = set()
+    for wire in wires(blocks, replaced_signals, outside):
+        (source, signal), target = (end.split(".") for end in wire.split(" -> "))
+        port = blocks[target[0]].GetInputPort(target[1])
+        if source != OUTSIDE:
+            builder.Connect(blocks[source].GetOutputPort(signal), port)
+        elif signal in exported:
+            builder.ConnectInput(signal, port)
+        else:
+            builder.ExportInput(port, signal)
+            exported.add(signal)
     for block in blocks.values():
         for signal in output_names(block):
             builder.ExportOutput(block.GetOutputPort(signal), signal)

@@ -2,32 +2,55 @@
 
 import importlib.util
 import re
+import shlex
+import sys
 from pathlib import Path
 
 import pytest
 
+from drake_nonstop.cli import main
+
 ROOT = Path(__file__).parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-README_BLOCKS = re.findall(
-    r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL
-)
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+README_BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+FILES = [code for code in README_BLOCKS if code.startswith("# ")]  # and the file's name
+SCRIPTS = [code for code in README_BLOCKS if code not in FILES]
 
 
 def test_there_are_examples_and_blocks():
     assert EXAMPLES
-    assert len(README_BLOCKS) >= 2
+    assert len(SCRIPTS) >= 2
+    assert len(FILES) == 1
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs(path, capsys):
+def test_example_runs(path, capsys, monkeypatch):
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, path.stem, module)
     spec.loader.exec_module(module)
     module.main(duration=1.0)
-    assert "mean load error" in capsys.readouterr().out
+    assert "load error" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("code", README_BLOCKS)
+@pytest.mark.parametrize("code", SCRIPTS)
 def test_readme_block_runs(code, capsys):
     exec(compile(code, "README.md", "exec"), {})
     assert capsys.readouterr().out
+
+
+def test_readme_layer_runs_in_an_ablation(tmp_path, monkeypatch):
+    """The custom optimization layer, as a file in the current folder, and the README's command."""
+    (code,) = FILES
+    assert len(code.splitlines()) < 40
+    (tmp_path / code.split()[1]).write_text(code)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    after = README[README.index(code) :]
+    command = re.search(r"drake-nonstop (ablate .*?)```", after, re.DOTALL).group(1)
+    arguments = shlex.split(command.replace("\\\n", " "))
+    assert main([*arguments, "--no-replay", "--out", "out", "--set", "duration=0.5"]) == 0
+    table = (tmp_path / "out" / "table.md").read_text()
+    assert "Faster" in table
+    assert "ConstantParameters" in table

@@ -6,9 +6,11 @@ from drake_nonstop.blocks.constant_parameters import ConstantParametersConfig
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
 from drake_nonstop.pattern import (
+    CarouselConfig,
     HamiltonianCycleConfig,
     InternalForcePattern,
     LinearPatternConfig,
+    SpreadCarouselConfig,
     check_pattern,
 )
 from drake_nonstop.scenario import Scenario
@@ -213,3 +215,46 @@ def test_spread_carousel_is_in_the_null_space(n):
     grasp = grasp_matrix(regular(n))
     np.testing.assert_allclose(grasp @ pattern.basis, 0, rtol=0, atol=1e-14)
     np.testing.assert_allclose(grasp @ pattern.offset, 0, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 8])
+def test_carousel_turns_all_forces_of_a_regular_polygon_together(n):
+    pattern = CarouselConfig().make(regular(n))
+    angles = 2 * np.pi * np.arange(n) / n
+    for theta in (0.0, 0.7, 2.9):
+        forces = (pattern.basis @ np.cos(theta + pattern.phases)).reshape(n, 3)
+        expected = [np.cos(theta - angles), np.sin(theta - angles), 0 * angles]
+        np.testing.assert_allclose(forces, np.transpose(expected), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 8])
+def test_spread_pulls_outward(n):
+    pattern = SpreadCarouselConfig(spread=3.0).make(regular(n, 1.5))
+    np.testing.assert_allclose(pattern.offset.reshape(n, 3), 2 * regular(n, 1.5), atol=1e-13)
+    np.testing.assert_array_equal(pattern.basis, CarouselConfig().make(regular(n, 1.5)).basis)
+
+
+@pytest.mark.parametrize("attachments", [irregular(5), spatial(4), spatial(7), regular(4) + 0.3])
+@pytest.mark.parametrize("config", [CarouselConfig(), SpreadCarouselConfig(spread=2.0)])
+def test_carousels_for_other_attachments_are_the_nearest_without_a_wrench(attachments, config):
+    pattern = config.make(attachments)
+    check_pattern(pattern, attachments, weight_shares(attachments))
+    grasp = grasp_matrix(attachments)
+    from_centre = (attachments - attachments.mean(axis=0))[:, :2]
+    x, y = (from_centre / np.linalg.norm(from_centre, axis=1, keepdims=True)).T
+    ideal = np.stack([x, -y, 0 * x], axis=1).ravel()
+    change = pattern.basis[:, 0] - ideal
+    row_space = np.linalg.lstsq(grasp.T, change, rcond=None)[0]
+    np.testing.assert_allclose(grasp.T @ row_space, change, rtol=0, atol=1e-12)
+
+
+def test_carousel_needs_a_direction_for_every_cable():
+    attachments = np.vstack([regular(4), [[0.0, 0.0, 0.4]]])
+    with pytest.raises(ScenarioError, match=r"system\.attachments = .*in the middle of all"):
+        CarouselConfig().make(attachments)
+
+
+@pytest.mark.parametrize("spread", [0.0, -1.0, float("nan")])
+def test_spread_has_to_be_positive(spread):
+    with pytest.raises(ScenarioError, match=r"pattern\.spread = .*greater than zero"):
+        SpreadCarouselConfig(spread=spread).make(regular(4))

@@ -15,7 +15,7 @@ from drake_nonstop import (
 )
 
 
-def test_the_shipped_scenarios_are_those_of_the_paper_and_their_better_twins():
+def test_the_shipped_scenarios():
     assert scenario_names() == [
         "line",
         "line_without_optimization",
@@ -23,6 +23,9 @@ def test_the_shipped_scenarios_are_those_of_the_paper_and_their_better_twins():
         "paper_line_without_optimization",
         "paper_quintic",
         "quintic",
+        "real_scale_carousel",
+        "real_scale_cycle",
+        "real_scale_spread",
         "static_hold_open_loop",
         "three_carriers",
     ]
@@ -72,6 +75,13 @@ def test_a_setting_swaps_a_block_with_or_without_braces():
     for text in ("phase=!PrintedPhase {}", "phase=!PrintedPhase"):
         scenario = load_scenario("quintic", [text])
         assert type(scenario.phase).__name__ == "PrintedPhaseConfig"
+
+
+def test_a_setting_that_swaps_a_block_keeps_only_what_the_new_one_calls_the_same():
+    settings = ["load_trajectory.start_position=[1, 2, 3]", "load_trajectory=Waypoints"]
+    way = load_scenario("quintic", settings).load_trajectory
+    assert way.start_position == [1.0, 2.0, 3.0]
+    assert way.roll_pitch_yaw == []  # a change of the angles before, and a list of them now
 
 
 def test_a_setting_overrides_the_simulated_system_alone():
@@ -155,6 +165,26 @@ def test_a_bad_file_ends_with_one_sentence(text, words):
     assert "\n" not in str(caught.value)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_a_trajectory_from_a_file_is_in_the_resolved_scenario(tmp_path):
+    path = tmp_path / "way.csv"
+    path.write_text("t,x,y,z\n0,0,0,1\n4,0.25,0,1\n9,1,0,1e-1\n")
+    setting = f"load_trajectory=!SampledTrajectory {{file: '{path}'}}"
+    scenario = load_scenario("quintic", [setting, "optimization_layer=ConstantParameters"])
+    path.unlink()
+    way = scenario.load_trajectory
+    assert way.file == ""
+    assert way.samples == [[0, 0, 0, 1], [4, 0.25, 0, 1], [9, 1, 0, 0.1]]
+    again = parse_scenario(dump_scenario(scenario))
+    assert again.load_trajectory == way
+    nonstop = make_nonstop(again)
+    context = nonstop.CreateDefaultContext()
+    context.SetTime(4.0)
+    reference = nonstop.GetOutputPort("reference").Eval(context)
+    np.testing.assert_allclose(reference[4:7], [0.25, 0, 1], rtol=0, atol=1e-14)
+    with pytest.raises(ScenarioError, match=r"load_trajectory\.file = .*way\.csv: give"):
+        load_scenario("quintic", [setting])
 
 
 def test_an_unknown_scenario_lists_the_known_ones():

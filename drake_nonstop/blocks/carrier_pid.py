@@ -3,29 +3,26 @@
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, ContinuousState, LeafSystem
 
 from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.mechanics.carrier import pid_forces
+from drake_nonstop.mechanics.carrier import carrier_acceleration, pid_forces
+from drake_nonstop.mechanics.internal_force import internal_force_acceleration
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.system import Model
-from drake_nonstop.validation import require_non_negative
+from drake_nonstop.validation import require_non_negative, require_positive
+
+_OWNER = "carrier_controller"
 
 
-@dataclass(kw_only=True)
-class CarrierPidConfig:
-    """Gains on each axis; the paper prints 1000 and 1.5 and names no integral gain."""
-
-    position_gain: float = 1000.0  # N/m
-    velocity_gain: float = 10.0  # N s/m; 1.5 as printed is a damping ratio of 0.075
-    integral_gain: float = 0.0  # N/(m s)
-
-
-class CarrierPid(LeafSystem):
+class CarrierPositionPid(LeafSystem):
     """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), for every carrier.
 
     .. pydrake_system::
 
-        name: CarrierPid
+        name: CarrierPositionPid
         input_ports:
         - carrier_reference
         - carrier_state
@@ -36,28 +33,25 @@ class CarrierPid(LeafSystem):
     `carrier_forces` (3n) in N, in W. The integrals are the state, where their gain is
     not zero.
 
-    Raises:
-        ScenarioError: a gain is negative or not finite.
+    Args:
+        model: how many carriers there are.
+        gains: position_gain (N/m), velocity_gain (N s/m) and integral_gain (N/(m s)).
     """
 
-    def __init__(self, model: Model, config: CarrierPidConfig | None = None):
+    def __init__(self, model: Model, gains: dict[str, float]):
         super().__init__()
-        config = config or CarrierPidConfig()
-        require_non_negative("carrier_controller", **asdict(config))
         n = model.n
         self._n = n
         self._no_integral = np.zeros(3 * n)
         self._forces = CompiledFunction(
-            lambda reference, state, integral: pid_forces(
-                reference, state, integral, **asdict(config)
-            ),
+            lambda reference, state, integral: pid_forces(reference, state, integral, **gains),
             [6 * n, 6 * n, 3 * n],
             name=self.get_name,
         )
         self._carrier_reference = self.DeclareVectorInputPort("carrier_reference", 6 * n)
         self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * n)
         prerequisites = {self.all_input_ports_ticket()}
-        self._integrates = config.integral_gain > 0
+        self._integrates = gains["integral_gain"] > 0
         if self._integrates:
             self.DeclareContinuousState(3 * n)
             prerequisites.add(self.xc_ticket())
@@ -80,3 +74,179 @@ class CarrierPid(LeafSystem):
             self._carrier_reference.Eval(context)[:half] - self._carrier_state.Eval(context)[:half]
         )
         derivatives.get_mutable_vector().SetFromVector(error)
+
+
+@dataclass(kw_only=True)
+class CarrierPidConfig:
+    """Gains on each axis; the paper prints 1000 and 1.5 and names no integral gain."""
+
+    position_gain: float = 1000.0  # N/m
+    velocity_gain: float = 10.0  # N s/m; 1.5 as printed is a damping ratio of 0.075
+    integral_gain: float = 0.0  # N/(m s)
+
+
+class CarrierPid(CarrierPositionPid):
+    """PID on the position of every carrier, as printed.
+
+    Ports as `CarrierPositionPid`.
+
+    Raises:
+        ScenarioError: a gain is negative or not finite.
+    """
+
+    def __init__(self, model: Model, config: CarrierPidConfig | None = None):
+        gains = asdict(config or CarrierPidConfig())
+        require_non_negative(_OWNER, **gains)
+        super().__init__(model, gains)
+
+
+class CarrierFeedforwardPd(LeafSystem):
+    """u = K_p (p_d − p) + K_d (v_d − v) + m_c a_d, for every carrier.
+
+    The references' acceleration a_d is that of the internal forces' turning, exact where the
+    wrench on the load changes slowly: f̈_d = R N₀ λ̈. It frees the carriers from the lag of
+    m_c a_d/K_p that a PID needs to keep its circle.
+
+    .. pydrake_system::
+
+        name: CarrierFeedforwardPd
+        input_ports:
+        - carrier_reference
+        - carrier_state
+        - reference
+        - desired_cable_forces
+        - desired_cable_force_rates
+        - internal_force
+        - parameters
+        output_ports:
+        - carrier_forces
+
+    `carrier_reference` and `carrier_state` (6n) = [positions, velocities], `reference` (22),
+    `desired_cable_forces` and their rates (3n), all in W; `internal_force` (2m) = [λ; λ̇],
+    `parameters` (2) = [ξ, A]; `carrier_forces` (3n) in N, in W.
+
+    Args:
+        model: carriers, cables and pattern.
+        gains: position_gain (N/m) and velocity_gain (N s/m).
+    """
+
+    def __init__(self, model: Model, gains: dict[str, float]):
+        super().__init__()
+        n = model.n
+
+        def forces(
+            carrier_reference: NDArray,
+            state: NDArray,
+            reference: NDArray,
+            cable_forces: NDArray,
+            rates: NDArray,
+            internal_force: NDArray,
+            parameters: NDArray,
+        ) -> NDArray:
+            second_rates = internal_force_acceleration(parameters, internal_force)
+            R_WL = rotation_matrix(reference[:4])
+            acceleration = carrier_acceleration(
+                reference,
+                cable_forces.reshape(n, 3),
+                rates.reshape(n, 3),
+                (model.pattern.basis @ second_rates).reshape(n, 3) @ R_WL.T,
+                attachments=model.attachments,
+                rest_length=model.cable_length,
+                compliance=model.cable_compliance,
+            )
+            steering = pid_forces(
+                carrier_reference, state, np.zeros(3 * n), **gains, integral_gain=0.0
+            )
+            return steering + model.carrier_mass * acceleration.reshape(3 * n)
+
+        sizes = {
+            "carrier_reference": 6 * n,
+            "carrier_state": 6 * n,
+            "reference": 22,
+            "desired_cable_forces": 3 * n,
+            "desired_cable_force_rates": 3 * n,
+            "internal_force": 2 * model.m,
+            "parameters": 2,
+        }
+        self._forces = CompiledFunction(forces, list(sizes.values()), name=self.get_name)
+        self._ports = [self.DeclareVectorInputPort(*port) for port in sizes.items()]
+        self.DeclareVectorOutputPort(
+            "carrier_forces", 3 * n, self._calc_forces, {self.all_input_ports_ticket()}
+        )
+
+    def _calc_forces(self, context: Context, output: BasicVector) -> None:
+        (forces,) = self._forces(*[port.Eval(context) for port in self._ports])
+        output.SetFromVector(forces)
+
+
+@dataclass(kw_only=True)
+class FeedforwardCarrierPidConfig:
+    """Gains on each axis."""
+
+    position_gain: float = 1000.0  # N/m
+    velocity_gain: float = 10.0  # N s/m
+
+
+class FeedforwardCarrierPid(CarrierFeedforwardPd):
+    """PD with the acceleration that a turning cable asks for.
+
+    Ports as `CarrierFeedforwardPd`.
+
+    Raises:
+        ScenarioError: a gain is negative or not finite.
+    """
+
+    def __init__(self, model: Model, config: FeedforwardCarrierPidConfig | None = None):
+        gains = asdict(config or FeedforwardCarrierPidConfig())
+        require_non_negative(_OWNER, **gains)
+        super().__init__(model, gains)
+
+
+@dataclass(kw_only=True)
+class TunedCarrierPidConfig:
+    """Where the poles of every carrier are to be; the default is that of `CarrierPid`'s gains."""
+
+    frequency: float = 100.0  # rad/s, natural frequency of a carrier about its reference
+    damping: float = 0.5  # damping ratio
+
+
+class TunedCarrierPid(CarrierPositionPid):
+    """PD whose gains follow from a natural frequency and the carriers' mass.
+
+    Ports as `CarrierPositionPid`, gains from `mechanics.tuning.pid_gains`.
+
+    Raises:
+        ScenarioError: the frequency is not positive, or the damping is negative.
+    """
+
+    def __init__(self, model: Model, config: TunedCarrierPidConfig | None = None):
+        config = config or TunedCarrierPidConfig()
+        super().__init__(model, _tuned_gains(model, config) | {"integral_gain": 0.0})
+
+
+@dataclass(kw_only=True)
+class TunedFeedforwardCarrierPidConfig(TunedCarrierPidConfig):
+    """Where the poles of every carrier are to be."""
+
+
+class TunedFeedforwardCarrierPid(CarrierFeedforwardPd):
+    """`FeedforwardCarrierPid` whose gains follow from a natural frequency and the carriers' mass.
+
+    Ports as `CarrierFeedforwardPd`, gains from `mechanics.tuning.pid_gains`.
+
+    Raises:
+        ScenarioError: the frequency is not positive, or the damping is negative.
+    """
+
+    def __init__(self, model: Model, config: TunedFeedforwardCarrierPidConfig | None = None):
+        super().__init__(model, _tuned_gains(model, config or TunedFeedforwardCarrierPidConfig()))
+
+
+def _tuned_gains(model: Model, config: TunedCarrierPidConfig) -> dict[str, float]:
+    require_non_negative(_OWNER, damping=config.damping)
+    require_positive(_OWNER, frequency=config.frequency)
+    position, velocity, _ = pid_gains(config.frequency, config.damping, 0.0)
+    return {
+        "position_gain": model.carrier_mass * position,
+        "velocity_gain": model.carrier_mass * velocity,
+    }

@@ -10,56 +10,54 @@ from drake_nonstop.compiled import CompiledFunction
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.system import Model
 
-
-@dataclass(kw_only=True)
-class CarrierTrajectoryConfig:
-    """No parameters: cable length and stiffness are the system's."""
-
-
 _NO_TIME = np.zeros(1)
 
 
-class CarrierTrajectory(LeafSystem):
+class CarrierMotion(LeafSystem):
     """Where each carrier has to be for its cable to pull as desired (eqs. 1, 22).
 
-    The desired load pose carries the cables; they are as long as the system's cable
-    length and stiffness make them under the desired force (stiffness .inf: L_i = L₀, as
-    printed). Behind a sampled controller the references go on along their velocity
-    between the samples.
+    A load pose carries the cables. Behind a sampled controller the references go on along
+    their velocity between the samples.
 
     .. pydrake_system::
 
-        name: CarrierTrajectory
+        name: CarrierMotion
         input_ports:
-        - reference
+        - (the load's pose)
         - desired_cable_forces
         - desired_cable_force_rates
         - sample_time (where the model has a control period)
         output_ports:
         - carrier_reference
 
-    `reference` (22), `desired_cable_forces` and `desired_cable_force_rates` (3n) in W;
-    `sample_time` (1) in s; `carrier_reference` (6n) = [positions, velocities] in W.
+    `desired_cable_forces` and `desired_cable_force_rates` (3n) in W; `sample_time` (1) in s;
+    `carrier_reference` (6n) = [positions, velocities] in W.
+
+    Args:
+        model: attachments and cables.
+        pose: the signal of the pose that carries the cables, and its size: a load state, or
+            what begins with one.
+        compliance: 1/K_c (m/N), by which the cables are taken to stretch.
     """
 
-    def __init__(self, model: Model, config: CarrierTrajectoryConfig | None = None):
+    def __init__(self, model: Model, *, pose: tuple[str, int], compliance: float):
         super().__init__()
 
-        def motion(reference: NDArray, forces: NDArray, rates: NDArray, ahead: NDArray) -> NDArray:
+        def motion(state: NDArray, forces: NDArray, rates: NDArray, ahead: NDArray) -> NDArray:
             positions, velocities = carrier_motion(
-                reference,
+                state,
                 forces.reshape(-1, 3),
                 rates.reshape(-1, 3),
                 attachments=model.attachments,
                 rest_length=model.cable_length,
-                compliance=model.cable_compliance,
+                compliance=compliance,
             )
             return np.concatenate([positions + ahead * velocities, velocities])
 
         self._motion = CompiledFunction(
-            motion, [22, 3 * model.n, 3 * model.n, 1], name=self.get_name
+            motion, [pose[1], 3 * model.n, 3 * model.n, 1], name=self.get_name
         )
-        self._reference = self.DeclareVectorInputPort("reference", 22)
+        self._pose = self.DeclareVectorInputPort(*pose)
         self._forces = self.DeclareVectorInputPort("desired_cable_forces", 3 * model.n)
         self._rates = self.DeclareVectorInputPort("desired_cable_force_rates", 3 * model.n)
         self._sample_time = None
@@ -76,9 +74,57 @@ class CarrierTrajectory(LeafSystem):
         if self._sample_time is not None:
             ahead = context.get_time() - self._sample_time.Eval(context)
         (motion,) = self._motion(
-            self._reference.Eval(context),
+            self._pose.Eval(context),
             self._forces.Eval(context),
             self._rates.Eval(context),
             ahead,
         )
         output.SetFromVector(motion)
+
+
+@dataclass(kw_only=True)
+class CarrierTrajectoryConfig:
+    """No parameters: cable length and stiffness are the system's."""
+
+
+class CarrierTrajectory(CarrierMotion):
+    """Cables on the desired load pose, as long as they are under the desired forces.
+
+    Ports as `CarrierMotion`, with the `reference` (22) as the load's pose. The cables stretch
+    by the system's stiffness (.inf: L_i = L₀, as printed).
+    """
+
+    def __init__(self, model: Model, config: CarrierTrajectoryConfig | None = None):
+        super().__init__(model, pose=("reference", 22), compliance=model.cable_compliance)
+
+
+@dataclass(kw_only=True)
+class InextensibleCarrierTrajectoryConfig:
+    """No parameters: the cable length is the system's."""
+
+
+class InextensibleCarrierTrajectory(CarrierMotion):
+    """Cables on the desired load pose that never stretch, L_i = L₀, as printed.
+
+    Ports as `CarrierMotion`, with the `reference` (22) as the load's pose. Cables that do
+    stretch then let the load hang lower, until the wrench controller's integral lifts it.
+    """
+
+    def __init__(self, model: Model, config: InextensibleCarrierTrajectoryConfig | None = None):
+        super().__init__(model, pose=("reference", 22), compliance=0.0)
+
+
+@dataclass(kw_only=True)
+class MeasuredCarrierTrajectoryConfig:
+    """No parameters: cable length and stiffness are the system's."""
+
+
+class MeasuredCarrierTrajectory(CarrierMotion):
+    """Cables on the measured load pose: the carriers follow the load wherever it is.
+
+    Ports as `CarrierMotion`, with the `measured_load_state` (13) as the load's pose. Only the
+    wrench controller then leads the load back.
+    """
+
+    def __init__(self, model: Model, config: MeasuredCarrierTrajectoryConfig | None = None):
+        super().__init__(model, pose=("measured_load_state", 13), compliance=model.cable_compliance)

@@ -1,5 +1,8 @@
 """Box "Load Desired Trajectory" of the figure."""
 
+import dataclasses
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,14 +12,19 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.mechanics.circle import circular_motion
 from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_quaternion
+from drake_nonstop.pose_samples import read_samples, sample_array
 from drake_nonstop.system import Model
 from drake_nonstop.validation import (
+    is_number,
     require,
     require_array,
     require_non_negative,
     require_positive,
 )
+
+_OWNER = "load_trajectory"  # what error messages call the box
 
 
 class LoadTrajectory(LeafSystem):
@@ -32,23 +40,33 @@ class LoadTrajectory(LeafSystem):
     acceleration, acceleration, jerk], in W.
 
     Args:
-        trajectory: six rows [roll, pitch, yaw (rad), x, y, z (m)], twice continuously
-            differentiable where the load is to follow closely. Before its start and after
-            its end the load rests at its first and last pose.
+        trajectory: the rows [roll, pitch, yaw (rad), x, y, z (m)], or other coordinates for
+            `pose` to turn into these, twice continuously differentiable where the load is to
+            follow closely. Before its start and after its end the load rests at its first and
+            last pose.
+        pose: takes the coordinates and their three derivatives (4, rows) to those of [roll,
+            pitch, yaw, x, y, z], (4, 6), and runs on object arrays. None: they are these.
     """
 
-    def __init__(self, trajectory: PiecewisePolynomial):
+    def __init__(
+        self, trajectory: PiecewisePolynomial, pose: Callable[[NDArray], NDArray] | None = None
+    ):
         super().__init__()
         self._start, self._end = trajectory.start_time(), trajectory.end_time()
+        self._rows = trajectory.rows()
         self._trajectory = _with_derivatives(trajectory, 3)
-        self._reference = CompiledFunction(_reference, [24], name=self.get_name)
+        self._reference = CompiledFunction(
+            lambda values: _reference(pose(values.reshape(4, -1)) if pose else values),
+            [4 * self._rows],
+            name=self.get_name,
+        )
         self.DeclareVectorOutputPort("reference", 22, self._calc_reference, {self.time_ticket()})
 
     def _calc_reference(self, context: Context, output: BasicVector) -> None:
         time = context.get_time()
         value = self._trajectory.value(time)[:, 0]
         if not self._start <= time <= self._end:
-            value[6:] = 0
+            value[self._rows :] = 0
         output.SetFromVector(self._reference(value)[0])
 
 
@@ -83,32 +101,67 @@ def _reference(values: NDArray) -> NDArray:
 _SMOOTH_STEP = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # quintic from 0 to 1 on [0, 1]
 
 
-def _segment(coefficients: NDArray, scale: NDArray, duration: float) -> NDArray:
-    """A column of polynomials scale_i p(t / duration); p has the given coefficients."""
+def _segment(coefficients: NDArray, scale: NDArray, duration: float, start: NDArray) -> NDArray:
+    """A column of polynomials start_i + scale_i p(t / duration); p has the given coefficients."""
     powers = duration ** np.arange(len(coefficients))
-    return np.array([[Polynomial(s * coefficients / powers)] for s in scale])
-
-
-def _pose(config: "RestToRestConfig | ConstantVelocityMoveConfig", owner: str) -> NDArray:
-    return np.concatenate(
-        [
-            require_array(
-                f"{owner}.start_roll_pitch_yaw",
-                config.start_roll_pitch_yaw,
-                [3],
-                "angles in rad",
-            ),
-            require_array(f"{owner}.start_position", config.start_position, [3], "metres"),
-        ]
+    return np.array([[Polynomial(s * coefficients / powers)] for s in scale]) + np.array(
+        [[Polynomial(c)] for c in start]
     )
 
 
+def _rest_to_rest(
+    starts: Iterable[NDArray],
+    changes: Iterable[NDArray],
+    rest_times: Iterable[float],
+    move_times: Iterable[float],
+) -> PiecewisePolynomial:
+    """Legs in which each coordinate rests, and then runs a quintic from rest to rest."""
+    segments: list[NDArray] = []
+    breaks: list[float] = []
+    for start, change, rest, move in zip(starts, changes, rest_times, move_times, strict=True):
+        if not breaks:  # the rest before the first leg is what is before the trajectory
+            breaks = [rest]
+        elif rest > 0:
+            segments.append(_segment(np.zeros(1), change, rest, start))
+            breaks.append(breaks[-1] + rest)
+        segments.append(_segment(_SMOOTH_STEP, change, move, start))
+        breaks.append(breaks[-1] + move)
+    return _joined(segments, breaks)
+
+
+def _joined(segments: list[NDArray], breaks: list[float]) -> PiecewisePolynomial:
+    """The segments one after the other, between the times at which they meet."""
+    require(
+        np.all(np.diff(breaks) >= np.finfo(float).eps),  # Drake would end the process
+        f"{_OWNER} (instants in s)",
+        breaks,
+        "give times that are not lost in the rounding of others",
+    )
+    return PiecewisePolynomial(segments, breaks)
+
+
 @dataclass(kw_only=True)
-class RestToRestConfig:
-    """Rest, a move in which each coordinate runs a quintic from rest to rest, and rest."""
+class _StartPose:
+    """Where the load starts, for the configs of several blocks."""
 
     start_position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
     start_roll_pitch_yaw: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # rad
+
+    def start_pose(self) -> NDArray:
+        """[roll, pitch, yaw, x, y, z] (6,), checked."""
+        angles, position = self.start_roll_pitch_yaw, self.start_position
+        return np.concatenate(
+            [
+                require_array(f"{_OWNER}.start_roll_pitch_yaw", angles, [3], "angles in rad"),
+                require_array(f"{_OWNER}.start_position", position, [3], "metres"),
+            ]
+        )
+
+
+@dataclass(kw_only=True)
+class RestToRestConfig(_StartPose):
+    """Rest, a move in which each coordinate runs a quintic from rest to rest, and rest."""
+
     displacement: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
     roll_pitch_yaw: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # rad, change
     start_time: float = 0.0  # s
@@ -120,32 +173,24 @@ class RestToRest(LoadTrajectory):
 
     def __init__(self, model: Model, config: RestToRestConfig | None = None):
         config = config or RestToRestConfig()
-        require_non_negative("load_trajectory", start_time=config.start_time)
-        require_positive("load_trajectory", move_time=config.move_time)
-        start = _pose(config, "load_trajectory")
+        require_non_negative(_OWNER, start_time=config.start_time)
+        require_positive(_OWNER, move_time=config.move_time)
+        start = config.start_pose()
         change = np.concatenate(
             [
                 require_array(
-                    "load_trajectory.roll_pitch_yaw", config.roll_pitch_yaw, [3], "angles in rad"
+                    f"{_OWNER}.roll_pitch_yaw", config.roll_pitch_yaw, [3], "angles in rad"
                 ),
-                require_array("load_trajectory.displacement", config.displacement, [3], "metres"),
+                require_array(f"{_OWNER}.displacement", config.displacement, [3], "metres"),
             ]
         )
-        segment = _segment(_SMOOTH_STEP, change, config.move_time)
-        segment = segment + np.array([[Polynomial(c)] for c in start])
-        super().__init__(
-            PiecewisePolynomial(
-                [segment], [config.start_time, config.start_time + config.move_time]
-            )
-        )
+        super().__init__(_rest_to_rest([start], [change], [config.start_time], [config.move_time]))
 
 
 @dataclass(kw_only=True)
-class ConstantVelocityMoveConfig:
+class ConstantVelocityMoveConfig(_StartPose):
     """Rest, a straight move at constant velocity, and rest."""
 
-    start_position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
-    start_roll_pitch_yaw: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # rad
     velocity: list[float] = field(default_factory=lambda: [0.7, 0.0, 0.0])  # m/s
     start_time: float = 5.0  # s
     move_time: float = 20.0  # s
@@ -162,22 +207,21 @@ class ConstantVelocityMove(LoadTrajectory):
 
     def __init__(self, model: Model, config: ConstantVelocityMoveConfig | None = None):
         config = config or ConstantVelocityMoveConfig()
-        owner = "load_trajectory"
-        require_non_negative(owner, start_time=config.start_time, blend_time=config.blend_time)
-        require_positive(owner, move_time=config.move_time)
+        require_non_negative(_OWNER, start_time=config.start_time, blend_time=config.blend_time)
+        require_positive(_OWNER, move_time=config.move_time)
         half = config.blend_time / 2
         require(
             half <= config.start_time and config.blend_time <= config.move_time,
-            f"{owner}.blend_time",
+            f"{_OWNER}.blend_time",
             config.blend_time,
             "give at most twice start_time and at most move_time, since a blend is centred "
             "on the step in velocity that it replaces",
         )
-        start = _pose(config, owner)
+        start = config.start_pose()
         velocity = np.concatenate(
             [
                 np.zeros(3),
-                require_array(f"{owner}.velocity", config.velocity, [3], "m/s"),
+                require_array(f"{_OWNER}.velocity", config.velocity, [3], "m/s"),
             ]
         )
         # The integral of the velocity's smooth step: from rest to one unit of velocity.
@@ -192,8 +236,181 @@ class ConstantVelocityMove(LoadTrajectory):
         for duration, coefficients, distance in pieces:
             if duration == 0:
                 continue
-            segment = _segment(coefficients, distance * velocity, duration)
-            segments.append(segment + np.array([[Polynomial(c)] for c in position]))
+            segments.append(_segment(coefficients, distance * velocity, duration, position))
             breaks.append(breaks[-1] + duration)
             position = position + distance * velocity * coefficients.sum()
-        super().__init__(PiecewisePolynomial(segments, breaks))
+        super().__init__(_joined(segments, breaks))
+
+
+@dataclass(kw_only=True)
+class WaypointsConfig(_StartPose):
+    """Moves from pose to pose, each from rest to rest, with rests between them."""
+
+    positions: list[list[float]] = field(  # m, in W, a row per waypoint
+        default_factory=lambda: [[1.0, 0.0, 0.0]]
+    )
+    roll_pitch_yaw: list[list[float]] = field(  # rad, a row per waypoint; empty: the start's
+        default_factory=list
+    )
+    move_times: list[float] = field(default_factory=lambda: [10.0])  # s, of each leg
+    rest_times: list[float] = field(default_factory=list)  # s, before each leg; empty: none
+
+
+class Waypoints(LoadTrajectory):
+    """The load goes from waypoint to waypoint, and rests at each of them.
+
+    On each leg the coordinates of the pose run a quintic from rest to rest, together, as in
+    `RestToRest`: velocity and acceleration are continuous and are zero at each waypoint.
+    The angles run as given: from yaw 3 to yaw −3 the load turns back by 6 rad.
+
+    Raises:
+        ScenarioError: the config's lists do not hold a finite row, and a time, per waypoint;
+            a move time is not above zero, or a rest time is below.
+    """
+
+    def __init__(self, model: Model, config: WaypointsConfig | None = None):
+        config = config or WaypointsConfig()
+        start = config.start_pose()
+        positions = require_array(
+            f"{_OWNER}.positions", config.positions, [None, 3], "metres, a row per waypoint"
+        )
+        count = len(positions)
+        angles, rests = np.tile(start[:3], (count, 1)), np.zeros(count)
+        if len(config.roll_pitch_yaw) > 0:
+            angles = require_array(
+                f"{_OWNER}.roll_pitch_yaw",
+                config.roll_pitch_yaw,
+                [count, 3],
+                "angles in rad, a row per waypoint, or none at all",
+            )
+        moves = require_array(
+            f"{_OWNER}.move_times", config.move_times, [count], "seconds, one per waypoint"
+        )
+        if len(config.rest_times) > 0:
+            rests = require_array(
+                f"{_OWNER}.rest_times",
+                config.rest_times,
+                [count],
+                "seconds, one per waypoint, or none at all",
+            )
+        require(
+            np.all(moves > 0),
+            f"{_OWNER}.move_times",
+            config.move_times,
+            "give times greater than zero",
+        )
+        require(
+            np.all(rests >= 0),
+            f"{_OWNER}.rest_times",
+            config.rest_times,
+            "give times that are not negative",
+        )
+        poses = np.vstack([start, np.hstack([angles, positions])])
+        super().__init__(_rest_to_rest(poses[:-1], np.diff(poses, axis=0), rests, moves))
+
+
+@dataclass(kw_only=True)
+class CircleConfig(_StartPose):
+    """Rest, a level circle or a part of it, and rest; it begins at the start position."""
+
+    radius: float = 1.0  # m
+    centre_direction: float = math.pi / 2  # rad, of the centre seen from the start, x to y
+    turns: float = 1.0  # how often round, counter-clockwise seen from above; negative: clockwise
+    turns_with_path: bool = False  # whether the load's yaw turns as much as its path does
+    start_time: float = 0.0  # s
+    move_time: float = 20.0  # s
+
+
+class Circle(LoadTrajectory):
+    """The load goes round a level circle, at its start's height, from rest to rest.
+
+    The angle of the way round runs a quintic, so that velocity and acceleration are continuous,
+    and the position is on the circle to rounding: p = c + r (cos θ, sin θ), with its
+    derivatives by the chain rule.
+
+    Raises:
+        ScenarioError: radius or move_time is not above zero, start_time is negative, or
+            another number is not finite.
+    """
+
+    def __init__(self, model: Model, config: CircleConfig | None = None):
+        config = config or CircleConfig()
+        require_positive(_OWNER, radius=config.radius, move_time=config.move_time)
+        require_non_negative(_OWNER, start_time=config.start_time)
+        direction, turns = config.centre_direction, config.turns
+        for name, value in (("centre_direction", direction), ("turns", turns)):
+            require(is_number(value), f"{_OWNER}.{name}", value, "give a finite number")
+        start = config.start_pose()
+        radius = config.radius
+        centre = start[3:5] + radius * np.array([np.cos(direction), np.sin(direction)])
+        offset = np.vstack([centre, np.zeros((3, 2))])
+
+        def pose(values: NDArray) -> NDArray:
+            """[roll, pitch, yaw, x, y, z] of [roll, pitch, yaw, θ, z], each with derivatives."""
+            around = offset + circular_motion(values[:, 3], radius)
+            return np.concatenate([values[:, :3], around, values[:, 4:]], axis=1)
+
+        begin = np.array([*start[:3], direction + np.pi, start[5]])
+        turn = 2 * np.pi * turns
+        change = np.array([0.0, 0.0, turn if config.turns_with_path else 0.0, turn, 0.0])
+        super().__init__(
+            _rest_to_rest([begin], [change], [config.start_time], [config.move_time]), pose
+        )
+
+
+@dataclass(kw_only=True)
+class SampledTrajectoryConfig:
+    """A smooth curve through poses at given times, from a file or in the scenario itself."""
+
+    # A CSV file to take the samples from as a scenario is loaded; the first line names the columns
+    # t, x, y, z or t, x, y, z, roll, pitch, yaw. Empty: the samples are given here.
+    file: str = ""
+    # Rows of t, x, y, z or of t, x, y, z, roll, pitch, yaw; angles left out are 0.
+    samples: list[list[float]] = field(  # s, m, rad
+        default_factory=lambda: [[0.0, 0.0, 0.0, 0.0], [10.0, 1.0, 0.0, 0.0]]
+    )
+
+    def resolved(self) -> "SampledTrajectoryConfig":
+        """The config with the file's rows for samples, and without the file."""
+        if not self.file:
+            return self
+        samples = read_samples(self.file, f"{_OWNER}.file")
+        return dataclasses.replace(self, file="", samples=samples)
+
+    def sample_array(self) -> NDArray:
+        """The samples (n, 7), [t, x, y, z, roll, pitch, yaw], checked."""
+        samples = self.resolved().samples
+        return sample_array(samples, f"{_OWNER}.samples", samples)
+
+    @property
+    def start_position(self) -> list[float]:
+        """The first sample's position in m."""
+        return self.sample_array()[0, 1:4].tolist()
+
+    @property
+    def start_roll_pitch_yaw(self) -> list[float]:
+        """The first sample's angles in rad."""
+        return self.sample_array()[0, 4:].tolist()
+
+
+class SampledTrajectory(LoadTrajectory):
+    """The load passes given poses at given times, along cubic splines through its coordinates.
+
+    Velocity and acceleration are continuous between the first sample and the last. There the
+    velocity is zero, and the acceleration steps: samples that begin and end at rest for a while
+    make these steps small. The jerk steps at each sample. Angles left out are zero; those
+    given are taken as they are, so that a yaw that jumps by 2π makes the load turn round.
+
+    Raises:
+        ScenarioError: the file cannot be read, or the samples cannot be used: see
+            `pose_samples.read_samples` and `pose_samples.sample_array`.
+    """
+
+    def __init__(self, model: Model, config: SampledTrajectoryConfig | None = None):
+        samples = (config or SampledTrajectoryConfig()).sample_array()
+        rest = np.zeros((6, 1))
+        super().__init__(
+            PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+                samples[:, 0], samples[:, [4, 5, 6, 1, 2, 3]].T, rest, rest
+            )
+        )

@@ -13,6 +13,7 @@ from pydrake.systems.framework import (
     NumericParameterIndex,
 )
 
+from drake_nonstop.compiled import LARGEST
 from drake_nonstop.local_solver import LocalSolver
 from drake_nonstop.speed_program import Outcome, SpeedProgram, amplitude_bounds
 from drake_nonstop.system import Model
@@ -302,6 +303,14 @@ def _check(config: NonstopOptimizerConfig, model: Model) -> None:
         change_time=config.change_time,
     )
     _check_speed_bound(config.speed_bound)
+    for name in ("min_tension", "max_tension", "max_speed", "min_separation", "speed_bound"):
+        value = getattr(config, name)
+        require(
+            value <= LARGEST or value == math.inf,
+            f"{owner}.{name}",
+            value,
+            f"give at most {LARGEST:g}, in SI units",
+        )
     require(config.tightening < 1, f"{owner}.tightening", config.tightening, "give less than 1")
     tightened = _tightened(config)
     for name, least in (

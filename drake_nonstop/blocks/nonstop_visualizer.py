@@ -107,7 +107,7 @@ class NonstopVisualizer(LeafSystem):
                 meshcat,
                 scenario.scene,
                 path=_path(nonstop, scenario.duration),
-                speed_bound=scenario.optimization_layer.speed_bound,
+                speed_bound=scenario.speed_bound,
                 frame_rate=frame_rate,
             )
         )

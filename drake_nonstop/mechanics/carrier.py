@@ -43,6 +43,42 @@ def carrier_motion(
     )
 
 
+def carrier_acceleration(
+    reference: NDArray,
+    forces: NDArray,
+    rates: NDArray,
+    second_rates: NDArray,
+    *,
+    attachments: NDArray,
+    rest_length: float,
+    compliance: float,
+) -> NDArray:
+    """Accelerations (n, 3), in W, of the motion of `carrier_motion`.
+
+    `reference` (22,) is the load's, `forces`, `rates` and `second_rates` are f, ḟ and f̈ (n, 3),
+    all in W; the others as there. With T = ‖f‖, a = f·ḟ/T² and b = (ḟ·ḟ + f·f̈)/T² − 3 a²,
+
+        p̈ = p̈_L + ω̇ × R b + ω × (ω × R b) + (L₀/T) (f̈ − 2 a ḟ − b f) + f̈/K_c.
+
+    Own derivation.
+    """
+    levers = attachments @ rotation_matrix(reference[:4]).T
+    angular_velocity = reference[7:10]
+    tension = norm(forces)
+    squared = tension * tension
+    shrinking = (forces * rates).sum(axis=1, keepdims=True) / squared
+    both = (rates * rates + forces * second_rates).sum(axis=1, keepdims=True) / squared
+    bending = both - 3 * shrinking * shrinking
+    swing = second_rates - 2 * shrinking * rates - bending * forces
+    return (
+        reference[16:19]
+        + cross(reference[13:16], levers)
+        + cross(angular_velocity, cross(angular_velocity, levers))
+        + rest_length / tension * swing
+        + compliance * second_rates
+    )
+
+
 def pid_forces(
     carrier_reference: NDArray,
     carrier_state: NDArray,

@@ -71,3 +71,34 @@ def cable_forces_and_rates(
     rates_L = pseudo_inverse @ wrench_rate_L + basis @ internal_force[m:]
     forces_L, rates_L = forces_L.reshape(-1, 3), rates_L.reshape(-1, 3)
     return forces_L @ R_LW, (rates_L + cross(angular_velocity, forces_L)) @ R_LW
+
+
+def null_space_correction(
+    directions: NDArray,
+    direction_rates: NDArray,
+    shortfalls: NDArray,
+    shortfall_rates: NDArray,
+    null_space: NDArray,
+) -> tuple[NDArray, NDArray]:
+    """The smallest forces (n, 3) without a wrench that mend some tensions, and their rates.
+
+    Of all y, the least with q_iᵀ(Z y)_i = s_i for the k cables in question, and its exact rate
+    while these stay the same: y = Aᵀμ and ẏ = Ȧᵀμ + Aᵀμ̇ with A Aᵀ μ = s. Own derivation.
+
+    Args:
+        directions: q (k, n, 3), the unit direction of a cable in its row i and zero elsewhere.
+        direction_rates: q̇, of the same shape.
+        shortfalls: s (k,), N, what the tensions lack along the directions.
+        shortfall_rates: ṡ (k,), N/s.
+        null_space: Z (3n, 3n − 6), an orthonormal basis of the null space of the grasp matrix.
+    """
+    count = len(directions)
+    rows = directions.reshape(count, -1) @ null_space
+    row_rates = direction_rates.reshape(count, -1) @ null_space
+    inverse = np.linalg.pinv(rows @ rows.T)
+    multipliers = inverse @ shortfalls
+    change = row_rates @ rows.T
+    multiplier_rates = inverse @ (shortfall_rates - (change + change.T) @ multipliers)
+    step = rows.T @ multipliers
+    rate = row_rates.T @ multipliers + rows.T @ multiplier_rates
+    return (null_space @ step).reshape(-1, 3), (null_space @ rate).reshape(-1, 3)

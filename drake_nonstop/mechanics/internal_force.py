@@ -8,6 +8,8 @@ all in L, with G₀ N₀ = 0 and G₀ f̃⁰ = 0. The internal cable forces are 
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.grasp import grasp_matrix
+
 
 def hamiltonian_cycle(attachments: NDArray) -> NDArray:
     """N₀ (3n, n): pairs of opposite unit forces along the cycle 1 → 2 → … → n → 1.
@@ -21,6 +23,39 @@ def hamiltonian_cycle(attachments: NDArray) -> NDArray:
     units = edges / np.sqrt((edges * edges).sum(axis=1, keepdims=True))
     signs = np.eye(n) - np.roll(np.eye(n), 1, axis=0)  # of column k at cable i
     return (signs[:, None, :] * units.T[None]).reshape(3 * n, n)
+
+
+def carousel(attachments: NDArray) -> NDArray:
+    """Forces (3n, 2) that turn like a wheel of fixed directions, as near as the null space has.
+
+    For attachments (n, 3) at the angles β_i about the load's vertical, columns for the phases 0
+    and −π/2 of (cos(θ − β_i), sin(θ − β_i), 0). On a regular polygon they have no wrench; for
+    other attachments they are projected on the null space of the grasp matrix.
+    """
+    x, y = _outward(attachments)
+    zero = 0 * x
+    columns = (np.stack([x, -y, zero], axis=1), np.stack([y, x, zero], axis=1))
+    return _without_wrench(attachments, np.stack([column.ravel() for column in columns], axis=1))
+
+
+def spread(attachments: NDArray) -> NDArray:
+    """Outward forces (3n,) of about 1 N each, (cos β_i, sin β_i, 0), projected likewise."""
+    x, y = _outward(attachments)
+    outward = np.stack([x, y, 0 * x], axis=1)
+    return _without_wrench(attachments, outward.reshape(-1, 1))[:, 0]
+
+
+def _outward(attachments: NDArray) -> tuple[NDArray, NDArray]:
+    """The cosines and sines (n,) of the angles β_i of attachments (n, 3), about the mean of all."""
+    from_centre = attachments - attachments.sum(axis=0) / len(attachments)
+    radius = np.sqrt((from_centre[:, :2] * from_centre[:, :2]).sum(axis=1))
+    return from_centre[:, 0] / radius, from_centre[:, 1] / radius
+
+
+def _without_wrench(attachments: NDArray, forces: NDArray) -> NDArray:
+    """The part of forces (3n, m) in the null space of the grasp matrix."""
+    grasp = grasp_matrix(attachments)
+    return forces - np.linalg.pinv(grasp) @ (grasp @ forces)
 
 
 def even_phases(count: int) -> NDArray:
@@ -38,6 +73,12 @@ def internal_force(
     frequency, amplitude = parameters[:1], parameters[1:]
     angles = phase + phases
     return amplitude * np.cos(angles), -amplitude * frequency * np.sin(angles)
+
+
+def internal_force_acceleration(parameters: NDArray, internal_force: NDArray) -> NDArray:
+    """λ̈ = −ξ² λ (m,), for constant ξ and A, of [ξ, A] (2,) and [λ; λ̇] (2m,)."""
+    frequency = parameters[:1]
+    return -frequency * frequency * internal_force[: len(internal_force) // 2]
 
 
 def ellipse_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:

@@ -39,9 +39,9 @@ def wrench_and_rate(
     position_gain: float,
     velocity_gain: float,
     position_integral_gain: float,
-    orientation_gain: float,
-    angular_velocity_gain: float,
-    orientation_integral_gain: float,
+    orientation_gain: float | NDArray,
+    angular_velocity_gain: float | NDArray,
+    orientation_integral_gain: float | NDArray,
     feedforward: float,
     mass: float,
     inertia: NDArray,
@@ -52,7 +52,8 @@ def wrench_and_rate(
 ) -> tuple[NDArray, NDArray]:
     """w_d and ẇ_d, each (6,) [torque; force] in W.
 
-    `integrals` (6,) is [∫e_R, ∫e_p]. With k = `feedforward`,
+    `integrals` (6,) is [∫e_R, ∫e_p]; the orientation's gains are numbers or (3, 3), in L. With
+    k = `feedforward`,
 
         f_d  = m g e₃ − K_p e_p − K_v e_v − K_i ∫e_p + k (m p̈_d + B_L ṗ_d)
         ᴸτ_d = ω × J ω − K_R e_R − K_ω e_ω − K_iR ∫e_R + k (J d(RᵀR_d ω_d)/dt + C_L RᵀR_d ω_d)
@@ -87,9 +88,9 @@ def wrench_and_rate(
     )
     torque = (
         cross(omega, momentum)
-        - orientation_gain * e_R
-        - angular_velocity_gain * e_omega
-        - orientation_integral_gain * integrals[:3]
+        - np.dot(orientation_gain, e_R)
+        - np.dot(angular_velocity_gain, e_omega)
+        - np.dot(orientation_integral_gain, integrals[:3])
         + feedforward * (inertia @ desired_omega_rate + angular_drag * desired_omega)
     )
     wrench = np.concatenate([R_WL @ torque, force])
@@ -121,9 +122,9 @@ def wrench_and_rate(
     torque_rate = (
         cross(omega_rate, momentum)
         + cross(omega, inertia @ omega_rate)
-        - orientation_gain * e_R_rate
-        - angular_velocity_gain * (omega_rate - desired_omega_rate)
-        - orientation_integral_gain * e_R
+        - np.dot(orientation_gain, e_R_rate)
+        - np.dot(angular_velocity_gain, omega_rate - desired_omega_rate)
+        - np.dot(orientation_integral_gain, e_R)
         + feedforward * (inertia @ desired_omega_second_rate + angular_drag * desired_omega_rate)
     )
     return wrench, np.concatenate([R_WL @ (torque_rate + cross(omega, torque)), force_rate])

@@ -1,14 +1,24 @@
+import dataclasses
+import itertools
+
 import numpy as np
 import pytest
 from helpers import difference, model, output, rotation
 from pydrake.math import RollPitchYaw
 
 from drake_nonstop.blocks.load_trajectory import (
+    Circle,
+    CircleConfig,
     ConstantVelocityMove,
     ConstantVelocityMoveConfig,
     RestToRest,
     RestToRestConfig,
+    SampledTrajectory,
+    SampledTrajectoryConfig,
+    Waypoints,
+    WaypointsConfig,
 )
+from drake_nonstop.diagrams.nonstop import block_class
 from drake_nonstop.validation import ScenarioError
 
 START = {"start_position": [0.5, -1.0, 2.0], "start_roll_pitch_yaw": [0.2, -0.3, 0.4]}
@@ -31,6 +41,25 @@ def move(blend_time, move_time=6.0):
     )
 
 
+WAYPOINTS = WaypointsConfig(
+    **START,
+    positions=[[1.5, -1.0, 2.5], [1.5, 1.0, 2.5], [0.5, -1.0, 2.0]],
+    roll_pitch_yaw=[[0.0, 0.0, 0.4], [0.1, -0.2, 1.4], [0.2, -0.3, 0.4]],
+    move_times=[2.5, 4.0, 3.0],
+    rest_times=[0.5, 0.0, 1.0],
+)
+CIRCLE = CircleConfig(
+    **START, radius=0.6, centre_direction=2.0, turns=-1.25, start_time=1.0, move_time=9.0
+)
+FOLLOWING_CIRCLE = dataclasses.replace(CIRCLE, turns=0.7, turns_with_path=True)
+SAMPLES = [  # the first pose is START
+    [1.0, 0.5, -1.0, 2.0, 0.2, -0.3, 0.4],
+    [2.5, 0.7, -0.8, 2.1, 0.2, -0.1, 0.5],
+    [4.5, 0.9, -0.1, 2.3, 0.1, 0.1, 0.9],
+    [6.0, 0.6, 0.3, 2.2, 0.0, 0.1, 1.3],
+    [9.0, 0.5, 0.4, 2.0, 0.0, 0.0, 1.5],
+]
+
 # config: (block, breaks between polynomials)
 CASES = {
     "rest to rest": (RestToRest, REST_TO_REST, [1, 5]),
@@ -38,6 +67,14 @@ CASES = {
     "blend 1": (ConstantVelocityMove, move(1.0), [2, 3, 8, 9]),
     "blend 4": (ConstantVelocityMove, move(4.0), [0.5, 4.5, 6.5, 10.5]),
     "no cruise": (ConstantVelocityMove, move(4.0, 4.0), [0.5, 4.5, 8.5]),
+    "waypoints": (Waypoints, WAYPOINTS, [0.5, 3, 7, 8, 11]),
+    "circle": (Circle, CIRCLE, [1, 10]),
+    "following circle": (Circle, FOLLOWING_CIRCLE, [1, 10]),
+    "samples": (
+        SampledTrajectory,
+        SampledTrajectoryConfig(samples=SAMPLES),
+        [row[0] for row in SAMPLES],
+    ),
 }
 
 
@@ -157,6 +194,168 @@ def test_unblended_move_steps_in_velocity_and_nothing_else():
         np.testing.assert_allclose(jump, 0, rtol=0, atol=1e-8)
 
 
+def check_pose(now, position, angles):
+    R = RollPitchYaw(angles).ToRotationMatrix().matrix()
+    np.testing.assert_allclose(now[4:7], position, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rotation(now[:4]), R, rtol=0, atol=1e-12)
+
+
+def test_waypoints_are_reached_and_rested_at():
+    reference = reference_of(Waypoints, WAYPOINTS)
+    at = [(0.0, 0.5), (3.0, 3.0), (7.0, 8.0), (11.0, 50.0)]  # from when to when
+    positions = [START["start_position"], *WAYPOINTS.positions]
+    angles = [START["start_roll_pitch_yaw"], *WAYPOINTS.roll_pitch_yaw]
+    for (first, last), position, angle in zip(at, positions, angles, strict=True):
+        for time in np.linspace(first, last, 5):
+            check_pose(reference(time), position, angle)
+            np.testing.assert_allclose(reference(time)[7:19], 0, rtol=0, atol=1e-11)
+    for before, after in itertools.pairwise(range(4)):  # halfway at half time
+        half = (at[before][1] + at[after][0]) / 2
+        middle = (np.array(positions[before]) + positions[after]) / 2
+        np.testing.assert_allclose(reference(half)[4:7], middle, rtol=0, atol=1e-12)
+        assert np.linalg.norm(reference(half)[10:13]) > 0.5
+
+
+def test_one_waypoint_is_a_move_from_rest_to_rest():
+    start, end = np.array(START["start_position"]), [1.5, -3.0, 2.5]
+    waypoint = WaypointsConfig(
+        **START, positions=[end], roll_pitch_yaw=[[0.5, 0.2, 0.0]], move_times=[4], rest_times=[1]
+    )
+    move = dataclasses.replace(
+        REST_TO_REST, displacement=(end - start).tolist(), roll_pitch_yaw=[0.3, 0.5, -0.4]
+    )
+    one, other = reference_of(Waypoints, waypoint), reference_of(RestToRest, move)
+    for time in np.linspace(0, 6, 13):
+        np.testing.assert_allclose(one(time), other(time), rtol=0, atol=1e-13)
+
+
+def test_waypoints_without_angles_and_rests_keep_the_attitude_and_go_on_at_once():
+    config = WaypointsConfig(**START, positions=[[1, 0, 2], [2, 0, 2]], move_times=[2, 3])
+    reference = reference_of(Waypoints, config)
+    for time, position in ((0.0, START["start_position"]), (2.0, [1, 0, 2]), (5.0, [2, 0, 2])):
+        check_pose(reference(time), position, START["start_roll_pitch_yaw"])
+    for time in (0.1, 1.9, 2.1, 4.9):
+        assert np.linalg.norm(reference(time)[10:13]) > 0.01
+        np.testing.assert_array_equal(reference(time)[7:10], 0)
+
+
+@pytest.mark.parametrize("config", [CIRCLE, FOLLOWING_CIRCLE])
+def test_circle_keeps_its_radius_height_and_sense(config):
+    reference = reference_of(Circle, config)
+    start = np.array(START["start_position"])
+    centre = start + 0.6 * np.array([np.cos(2.0), np.sin(2.0), 0])
+    for time in np.linspace(1.1, 9.9, 23):
+        now = reference(time)
+        arm, velocity = now[4:7] - centre, now[10:13]
+        assert arm[2] == now[12] == now[18] == now[21] == 0
+        assert np.linalg.norm(arm) == pytest.approx(0.6, abs=1e-15)
+        assert arm @ velocity == pytest.approx(0, abs=1e-15)
+        assert np.cross(arm, velocity)[2] * config.turns > 0
+    for time, share in ((1.0, 0.0), (5.5, 0.5), (10.0, 1.0)):
+        angle = 2.0 + np.pi + share * config.turns * 2 * np.pi
+        expected = centre + 0.6 * np.array([np.cos(angle), np.sin(angle), 0])
+        np.testing.assert_allclose(reference(time)[4:7], expected, rtol=0, atol=1e-13)
+        still = reference(time)[7:19]
+        assert share == 0.5 or np.max(np.abs(still)) < 1e-12
+    speed = np.linalg.norm(reference(5.5)[10:13])  # 15/8 of the mean speed
+    assert speed == pytest.approx(15 / 8 * 2 * np.pi * 0.6 * abs(config.turns) / 9)
+
+
+def test_load_turns_with_its_circle_where_asked():
+    straight, following = reference_of(Circle, CIRCLE), reference_of(Circle, FOLLOWING_CIRCLE)
+    roll, pitch, yaw = START["start_roll_pitch_yaw"]
+    for time, share in ((0.0, 0.0), (5.5, 0.5), (20.0, 1.0)):
+        turned = RollPitchYaw(roll, pitch, yaw + share * 0.7 * 2 * np.pi).ToRotationMatrix()
+        R = rotation(following(time)[:4])
+        np.testing.assert_allclose(R, turned.matrix(), rtol=0, atol=1e-13)
+        np.testing.assert_array_equal(straight(time)[:4], straight(0.0)[:4])
+    now = following(4.0)
+    np.testing.assert_allclose(now[7:9], 0, atol=1e-15)
+    assert now[9] == pytest.approx(np.linalg.norm(now[10:13]) / 0.6)
+
+
+def test_samples_are_passed_by_a_curve_that_begins_and_ends_without_velocity():
+    reference = reference_of(SampledTrajectory, SampledTrajectoryConfig(samples=SAMPLES))
+    for row in SAMPLES:
+        check_pose(reference(row[0]), row[1:4], row[4:])
+    for time in (1.0, 9.0):
+        np.testing.assert_allclose(reference(time)[7:13], 0, rtol=0, atol=1e-13)
+    for row in SAMPLES[1:-1]:
+        jump = reference(row[0] + 1e-9) - reference(row[0] - 1e-9)
+        np.testing.assert_allclose(jump[:19], 0, rtol=0, atol=1e-8)  # all but the jerk
+        assert np.linalg.norm(jump[19:]) > 0.01
+    for (before, *_), (after, *_) in itertools.pairwise(SAMPLES):  # cubic: a constant jerk
+        quarter, half = (reference(before + share * (after - before)) for share in (0.25, 0.5))
+        np.testing.assert_allclose(quarter[19:], half[19:], rtol=0, atol=1e-12)
+
+
+def test_samples_without_angles_keep_the_load_level():
+    samples = [[0.0, 0.0, 0.0, 1.0], [3.0, 3.0, 0.0, 2.0]]
+    reference = reference_of(SampledTrajectory, SampledTrajectoryConfig(samples=samples))
+    for time in np.linspace(0, 3, 7):
+        np.testing.assert_array_equal(reference(time)[:4], [1, 0, 0, 0])
+    np.testing.assert_allclose(reference(1.5)[4:7], [1.5, 0, 1.5], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("columns", [4, 7])
+def test_samples_from_a_file_are_those_in_it(tmp_path, columns):
+    names = ["t", "x", "y", "z", "roll", "pitch", "yaw"][:columns]
+    rows = [row[:columns] for row in SAMPLES]
+    lines = [", ".join(names), *[",".join(map(repr, row)) for row in rows]]
+    path = tmp_path / "way.csv"
+    path.write_text("\ufeff" + "\r\n".join([*lines[:3], "", *lines[3:], ""]), encoding="utf-8")
+    config = SampledTrajectoryConfig(file=str(path))
+    resolved = config.resolved()
+    assert resolved == SampledTrajectoryConfig(samples=rows)
+    assert config.start_position == resolved.start_position == [0.5, -1.0, 2.0]
+    assert resolved.start_roll_pitch_yaw == ([0.2, -0.3, 0.4] if columns == 7 else [0.0, 0.0, 0.0])
+    one, other = (reference_of(SampledTrajectory, c) for c in (config, resolved))
+    for time in np.linspace(0, 10, 11):
+        np.testing.assert_array_equal(one(time), other(time))
+
+
+def test_a_relative_file_is_in_the_current_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "way.csv").write_text("t,x,y,z\n0,0,0,0\n1,1,0,0\n")
+    samples = SampledTrajectoryConfig(file="way.csv").resolved().samples
+    assert samples == [[0, 0, 0, 0], [1, 1, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "can be read"),
+        (b"t,x,y,z\n0,0,0,\xff\n", "can be read"),
+        ("", "not none"),
+        ("t,x,y\n0,0,0\n1,0,0\n", "not t, x, y"),
+        ("x,t,y,z\n0,0,0,0\n1,0,0,0\n", "t, x, y, z or t, x, y, z, roll, pitch, yaw in its first"),
+        ("0,0,0,0\n1,0,0,0\n", "not 0, 0, 0, 0"),
+        ("t;x;y;z\n0;0;0;0\n", "not t;x;y;z"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0\n", "4 numbers in line 3, not 1, 0, 0"),
+        ("t,x,y,z\n0,0,0,0\n\n1,0,zero,0\n", "4 numbers in line 4, not 1, 0, zero, 0"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0,\n", "4 numbers in line 3"),
+        ("t,x,y,z\n0,0,0,0\n1,0,nan,0\n", "finite numbers up to 1e6 in row 2"),
+        ("t,x,y,z\n0,0,0,0\n1,inf,0,0\n", "finite numbers up to 1e6 in row 2"),
+        ("t,x,y,z\n0,0,0,0\n1e300,1,0,0\n", "finite numbers up to 1e6 in row 2"),
+        ("t,x,y,z\n0,0,0,0\n2,0,0,0\n2,1,0,0\n", "row 3 has 2 after 2"),
+        ("t,x,y,z\n0,0,0,0\n2,0,0,0\n1.5,1,0,0\n", "row 3 has 1.5 after 2"),
+        ("t,x,y,z\n-1,0,0,0\n2,0,0,0\n", "from 0 up, not -1 in row 1"),
+        ("t,x,y,z\n0,0,0,0\n", "2 or more rows"),
+        ("t,x,y,z\n", "2 or more rows"),
+    ],
+)
+def test_a_bad_file_is_told_in_a_sentence(tmp_path, text, words):
+    path = tmp_path / "way.csv"
+    if text is not None:
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+    with pytest.raises(ScenarioError) as caught:
+        SampledTrajectory(model(), SampledTrajectoryConfig(file=str(path)))
+    message = str(caught.value)
+    assert message.startswith(f"load_trajectory.file = {path}: give ")
+    assert words in message
+    assert "\n" not in message
+
+
 @pytest.mark.parametrize(
     ("config", "field"),
     [
@@ -174,10 +373,46 @@ def test_unblended_move_steps_in_velocity_and_nothing_else():
         (ConstantVelocityMoveConfig(start_time=0.4, blend_time=1.0), "blend_time = 1.0"),
         (ConstantVelocityMoveConfig(move_time=0.9, blend_time=1.0), "blend_time = 1.0"),
         (ConstantVelocityMoveConfig(start_time=np.inf), "start_time = inf"),
+        (WaypointsConfig(start_position=[1.0]), r"start_position = \[1.0\]"),
+        (WaypointsConfig(positions=[[1.0, 2.0]]), r"positions = \[\[1.0, 2.0\]\]"),
+        (WaypointsConfig(positions=[]), r"positions = \[\]"),
+        (WaypointsConfig(positions=[[1.0, 2.0, np.nan]]), "positions"),
+        (WaypointsConfig(roll_pitch_yaw=[[0, 0, 0], [0, 0, 1]]), "roll_pitch_yaw"),
+        (WaypointsConfig(move_times=[1.0, 2.0]), r"move_times = \[1.0, 2.0\]"),
+        (WaypointsConfig(move_times=[0.0]), r"move_times = \[0.0\]"),
+        (WaypointsConfig(rest_times=[1.0, 2.0]), r"rest_times = \[1.0, 2.0\]"),
+        (WaypointsConfig(rest_times=[-1.0]), r"rest_times = \[-1.0\]"),
+        (CircleConfig(radius=0.0), "radius = 0.0"),
+        (CircleConfig(centre_direction=np.nan), "centre_direction = nan"),
+        (CircleConfig(turns=np.inf), "turns = inf"),
+        (CircleConfig(start_time=-1.0), "start_time = -1.0"),
+        (CircleConfig(move_time=0.0), "move_time = 0.0"),
+        (CircleConfig(start_roll_pitch_yaw=[0.0]), r"start_roll_pitch_yaw = \[0.0\]"),
+        (SampledTrajectoryConfig(samples=[]), r"samples = \[\]"),
+        (SampledTrajectoryConfig(samples=[[0.0] * 4]), r"samples = \[\[0.0"),
+        (SampledTrajectoryConfig(samples=[[0.0] * 4, [1.0] * 7]), "samples"),
+        (SampledTrajectoryConfig(samples=[[0.0] * 5, [1.0] * 5]), "samples"),
+        (SampledTrajectoryConfig(samples=[[0.0] * 4, [1.0, 0, 0, np.nan]]), "samples"),
+        (SampledTrajectoryConfig(samples=[[0.0] * 4, [0.0] * 4]), "samples"),
+        (SampledTrajectoryConfig(samples=[0.0, 1.0]), "samples"),
     ],
     ids=str,
 )
 def test_bad_parameter_is_named(config, field):
-    block = RestToRest if isinstance(config, RestToRestConfig) else ConstantVelocityMove
     with pytest.raises(ScenarioError, match=f"load_trajectory.{field}.*: give"):
-        block(model(), config)
+        block_class("load_trajectory", config)(model(), config)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        RestToRestConfig(start_time=1e10, move_time=1e-9),
+        WaypointsConfig(positions=[[1, 0, 0]] * 2, move_times=[1, 1], rest_times=[0, 1e-17]),
+        CircleConfig(move_time=1e-17),
+        ConstantVelocityMoveConfig(start_time=1e10, blend_time=1e-9),
+    ],
+    ids=lambda config: type(config).__name__,
+)
+def test_times_lost_in_rounding_end_with_a_sentence(config):
+    with pytest.raises(ScenarioError, match=r"load_trajectory \(instants in s\) = .*: give times"):
+        block_class("load_trajectory", config)(model(), config)

@@ -7,20 +7,38 @@ import pytest
 from helpers import Motion, fix, model, output
 
 from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase
-from drake_nonstop.blocks.cable_force_distribution import CableForceDistribution
+from drake_nonstop.blocks.cable_force_distribution import (
+    BoundedTensionDistribution,
+    BoundedTensionDistributionConfig,
+    CableForceDistribution,
+)
 from drake_nonstop.blocks.cables import Cables, IndividualCables
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics
-from drake_nonstop.blocks.carrier_pid import CarrierPid, CarrierPidConfig
-from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory
+from drake_nonstop.blocks.carrier_pid import (
+    CarrierPid,
+    CarrierPidConfig,
+    FeedforwardCarrierPid,
+    TunedCarrierPid,
+    TunedFeedforwardCarrierPid,
+)
+from drake_nonstop.blocks.carrier_trajectory import (
+    CarrierTrajectory,
+    InextensibleCarrierTrajectory,
+    MeasuredCarrierTrajectory,
+)
 from drake_nonstop.blocks.constant_parameters import ConstantParameters
 from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
+from drake_nonstop.blocks.ideal_carriers import IdealCarriers
 from drake_nonstop.blocks.ideal_feedback import IdealFeedback
 from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
 from drake_nonstop.blocks.load_plant import LoadPlant
 from drake_nonstop.blocks.load_trajectory import (
+    Circle,
     ConstantVelocityMove,
     RestToRest,
     RestToRestConfig,
+    SampledTrajectory,
+    Waypoints,
 )
 from drake_nonstop.blocks.loaded_carrier_dynamics import LoadedCarrierDynamics
 from drake_nonstop.blocks.loaded_carrier_pid import LoadedCarrierPid
@@ -31,7 +49,13 @@ from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer
 from drake_nonstop.blocks.printed_phase import PrintedPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.wind import Wind, WindConfig
-from drake_nonstop.blocks.wrench_controller import WrenchController
+from drake_nonstop.blocks.wrench_controller import (
+    GeometricPd,
+    PrintedWrenchController,
+    TunedWrenchController,
+    WrenchController,
+)
+from drake_nonstop.diagrams.nonstop import SIGNALS, signal_sizes
 
 
 def moving_reference(model):
@@ -52,10 +76,56 @@ def gusty_wind(model):
     return Wind(model, WindConfig(gust_force=1.0))
 
 
+def bounded_distribution(model):
+    return BoundedTensionDistribution(model, BoundedTensionDistributionConfig(min_tension=2.9))
+
+
+def everything(inputs, outputs):
+    """Ports of which every output depends on every input."""
+    return inputs, outputs, [(source, target) for source in inputs for target in outputs]
+
+
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
 BLOCKS = {
     moving_reference: ([], ["reference"], []),
     ConstantVelocityMove: ([], ["reference"], []),
+    **dict.fromkeys(
+        (PrintedWrenchController, GeometricPd, TunedWrenchController),
+        everything(
+            ["measured_load_state", "reference"], ["wrench", "wrench_rate", "tracking_error"]
+        ),
+    ),
+    bounded_distribution: everything(
+        ["measured_load_state", "wrench", "wrench_rate", "internal_force"],
+        ["desired_cable_forces", "desired_cable_force_rates"],
+    ),
+    InextensibleCarrierTrajectory: everything(
+        ["reference", "desired_cable_forces", "desired_cable_force_rates"], ["carrier_reference"]
+    ),
+    MeasuredCarrierTrajectory: everything(
+        ["measured_load_state", "desired_cable_forces", "desired_cable_force_rates"],
+        ["carrier_reference"],
+    ),
+    TunedCarrierPid: everything(["carrier_reference", "carrier_state"], ["carrier_forces"]),
+    **dict.fromkeys(
+        (FeedforwardCarrierPid, TunedFeedforwardCarrierPid),
+        everything(
+            [
+                "carrier_reference",
+                "carrier_state",
+                "reference",
+                "desired_cable_forces",
+                "desired_cable_force_rates",
+                "internal_force",
+                "parameters",
+            ],
+            ["carrier_forces"],
+        ),
+    ),
+    IdealCarriers: everything(["carrier_reference"], ["carrier_state"]),
+    Waypoints: ([], ["reference"], []),
+    Circle: ([], ["reference"], []),
+    SampledTrajectory: ([], ["reference"], []),
     IdealFeedback: (
         ["load_state"],
         ["measured_load_state"],
@@ -170,6 +240,8 @@ BLOCKS = {
 SAMPLED = {
     PrintedPhase: ("sample_time", "phase"),
     CarrierTrajectory: ("sample_time", "carrier_reference"),
+    InextensibleCarrierTrajectory: ("sample_time", "carrier_reference"),
+    MeasuredCarrierTrajectory: ("sample_time", "carrier_reference"),
 }
 
 CASES = [(block, period) for block in BLOCKS for period in (0.0, 0.01)]
@@ -194,32 +266,8 @@ def expected_ports(make, period):
 
 
 def size(signal, n, m):
-    """The contract's sizes, for n carriers and m internal-force coordinates."""
-    return {
-        "reference": 22,
-        "load_state": 13,
-        "measured_load_state": 13,
-        "wrench": 6,
-        "wrench_rate": 6,
-        "tracking_error": 12,
-        "parameters": 2,
-        "diagnostics": 7,
-        "solve_time": 1,
-        "speed_bound": 1,
-        "phase": 2,
-        "internal_force": 2 * m,
-        "desired_cable_forces": 3 * n,
-        "desired_cable_force_rates": 3 * n,
-        "carrier_reference": 6 * n,
-        "carrier_forces": 3 * n,
-        "carrier_state": 6 * n,
-        "cable_forces": 3 * n,
-        "tensions": n,
-        "disturbance_wrench": 6,
-        "sample_time": 1,
-        "held_reference": 22,
-        "held_measured_load_state": 13,
-    }[signal]
+    """The contract's size, for n carriers and m internal-force coordinates."""
+    return {s: k for box in SIGNALS for s, k in signal_sizes(box, n, m).items()}[signal]
 
 
 def values(signal, seed, n):

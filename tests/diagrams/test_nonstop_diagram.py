@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers import output, regular
+from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
@@ -19,15 +20,19 @@ from drake_nonstop.blocks.desired_state_feedback import (
 from drake_nonstop.blocks.load_trajectory import ConstantVelocityMoveConfig, RestToRestConfig
 from drake_nonstop.blocks.printed_phase import PrintedPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.describe import config_class
 from drake_nonstop.diagrams import nonstop
 from drake_nonstop.diagrams.nonstop import (
     BLOCKS,
+    OPTIONAL_SIGNALS,
     PLANT,
+    SIGNALS,
     block_class,
     figure_wires,
     make_nonstop,
+    signal_sizes,
 )
-from drake_nonstop.scenario import Scenario
+from drake_nonstop.scenario import Scenario, dump_scenario
 from drake_nonstop.system import System, SystemOverrides
 from drake_nonstop.validation import ScenarioError
 
@@ -87,6 +92,29 @@ def test_every_signal_is_read_but_those_that_only_report(figure):
     read = {wire.split(" -> ")[0].split(".")[1] for wire in wiring.connections(figure)}
     unread = set(wiring.output_names(figure)) - read
     assert unread == {"tracking_error", "diagnostics", "solve_time", "speed_bound", "tensions"}
+
+
+def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
+    built = {b.get_name(): wiring.output_sizes(b) for b in sampled_figure.GetSystems()}
+    assert {box: signal_sizes(box, 4, 4) for box in SIGNALS} == built
+    assert list(SIGNALS) == [*BLOCKS, "sample_and_hold"]
+
+
+def test_contract_asks_for_what_is_read_and_for_the_tensions():
+    asked = {
+        f"{box}.{signal}"
+        for box in BLOCKS
+        for signal in SIGNALS[box]
+        if signal not in OPTIONAL_SIGNALS
+    }
+    assert asked == {wire.split(" -> ")[0] for wire in figure_wires()} | {"cables.tensions"}
+
+
+def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
+    assert signal_sizes("carrier_trajectory", 5, 3) == {"carrier_reference": 30}
+    assert signal_sizes("internal_force", 5, 3) == {"internal_force": 6}
+    assert signal_sizes("cables", 5, 3) == {"cable_forces": 15, "tensions": 5}
+    assert signal_sizes("load_trajectory", 5, 3) == {"reference": 22}
 
 
 def test_wire_that_differs_from_the_list_is_an_error(monkeypatch):
@@ -181,29 +209,128 @@ def test_swapped_in_block_gets_the_signals_that_it_names():
     assert wrench[0] > 1
 
 
-class Misspelt(LeafSystem):
-    def __init__(self, model):
+class Ports(LeafSystem):
+    """A block that has ports of the given sizes and computes nothing; None: abstract ones."""
+
+    def __init__(self, inputs, outputs):
         super().__init__()
-        self.DeclareVectorInputPort("tension", model.n)
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, lambda c, o: None)
+        for name, size in inputs.items():
+            if size is None:
+                self.DeclareAbstractInputPort(name, Value(""))
+            else:
+                self.DeclareVectorInputPort(name, size)
+        for name, size in outputs.items():
+            if size is None:
+                self.DeclareAbstractOutputPort(name, lambda: Value(""), lambda c, o: None)
+            else:
+                self.DeclareVectorOutputPort(name, size, lambda c, o: None)
 
 
-def test_misspelt_port_of_a_swapped_in_block_is_told_the_signals():
-    with pytest.raises(
-        wiring.WiringError, match=r"load_disturbance\.tension = .*tensions.*wrench_rate"
-    ):
-        make_nonstop(plain(), load_disturbance=Misspelt)
+def with_ports(inputs, outputs):
+    return lambda model: Ports(inputs, outputs)
 
 
-class Silent(LeafSystem):
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareVectorOutputPort("nothing", 6, lambda c, o: None)
+LAYER = "expected parameters (2), optional diagnostics (7), solve_time (1), speed_bound (1)"
 
 
-def test_block_that_does_not_make_its_signal_leaves_a_reader_unconnected():
-    with pytest.raises(wiring.WiringError, match=r"load_plant\.disturbance_wrench"):
-        make_nonstop(plain(), load_disturbance=Silent)
+@pytest.mark.parametrize(
+    ("box", "outputs", "said"),
+    [
+        ("optimization_layer", {"parameter": 2}, f"parameter (2): {LAYER}"),
+        ("optimization_layer", {"parameters": 3}, f"parameters (3): {LAYER}"),
+        ("optimization_layer", {"parameters": None}, f"parameters (abstract): {LAYER}"),
+        (
+            "optimization_layer",
+            {"parameters": 2, "solve_time": 2},
+            f"parameters (2), solve_time (2): {LAYER}",
+        ),
+        (
+            "cables",
+            {"cable_forces": 12},
+            "cable_forces (12): expected cable_forces (12), tensions (4)",
+        ),
+        ("load_disturbance", {}, "none: expected disturbance_wrench (6)"),
+        (
+            "internal_force",
+            {"internal_force": 4},
+            "internal_force (4): expected internal_force (8)",
+        ),
+        (
+            "wrench_controller",
+            {"wrench": 6},
+            "wrench (6): expected wrench (6), wrench_rate (6), optional tracking_error (12)",
+        ),
+    ],
+)
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_block_with_other_outputs_is_told_those_of_its_box(box, outputs, said, period):
+    with pytest.raises(wiring.WiringError) as error:
+        make_nonstop(plain(period), **{box: with_ports({}, outputs)})
+    assert str(error.value) == f"{box} = Ports with outputs {said}; rename or resize the ports"
+
+
+@pytest.mark.parametrize("box", list(BLOCKS))
+def test_every_box_asks_for_its_signals_at_their_sizes(box):
+    sizes = signal_sizes(box, 4, 4)
+    make_nonstop(plain(), **{box: with_ports({}, sizes)})
+    for signal in sizes:
+        others = {name: size for name, size in sizes.items() if name != signal}
+        with pytest.raises(wiring.WiringError, match=f"^{box} = Ports with outputs .*: expected"):
+            make_nonstop(plain(), **{box: with_ports({}, others | {signal: sizes[signal] + 1})})
+        if signal in OPTIONAL_SIGNALS:
+            make_nonstop(plain(), **{box: with_ports({}, others)})
+        else:
+            with pytest.raises(wiring.WiringError, match=rf"expected .*{signal} \({sizes[signal]}"):
+                make_nonstop(plain(), **{box: with_ports({}, others)})
+
+
+@pytest.mark.parametrize(
+    ("inputs", "given", "wrong"),
+    [
+        ({"tension": 4}, "tension (4)", "tension (4) is"),
+        ({"tensions": 5}, "tensions (5)", "tensions (5) is"),
+        ({"tensions": None}, "tensions (abstract)", "tensions (abstract) is"),
+        ({"reference": 7}, "reference (7)", "reference (7) is"),
+        (
+            {"pose": 7, "wrench": 6, "phase": 1},
+            "pose (7), wrench (6), phase (1)",
+            "pose (7), phase (1) are",
+        ),
+    ],
+)
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_block_with_other_inputs_is_told_the_signals_that_there_are(inputs, given, wrong, period):
+    block = with_ports(inputs, {"disturbance_wrench": 6})
+    with pytest.raises(wiring.WiringError) as error:
+        make_nonstop(plain(period), load_disturbance=block)
+    message = str(error.value)
+    start = f"load_disturbance = Ports with inputs {given}: {wrong} not among the signals "
+    end = "; rename or resize the ports"
+    assert message.startswith(start)
+    assert message.endswith(end)
+    signals = {signal: size for box in SIGNALS for signal, size in signal_sizes(box, 4, 4).items()}
+    absent = {"diagnostics", "solve_time"}  # of the optimizer, which is not there
+    if period == 0:
+        absent |= {"held_measured_load_state", "held_reference", "sample_time"}
+    listed = [f"{signal} ({signals[signal]})" for signal in sorted(signals.keys() - absent)]
+    assert message[len(start) : -len(end)] == ", ".join(listed)
+
+
+def test_two_blocks_may_share_a_signal_of_their_own_even_an_abstract_one():
+    diagram = make_nonstop(
+        plain(),
+        load_disturbance=with_ports({}, {"disturbance_wrench": 6, "weather": None, "gust": 3}),
+        phase=with_ports({"weather": None, "gust": 3}, {"phase": 2}),
+    )
+    assert {
+        "load_disturbance.weather -> phase.weather",
+        "load_disturbance.gust -> phase.gust",
+    } < set(wiring.connections(diagram))
+
+
+def test_exception_of_a_blocks_constructor_is_left_as_it_is():
+    with pytest.raises(ZeroDivisionError):
+        make_nonstop(plain(), phase=lambda model: 1 / 0)
 
 
 def test_box_can_be_replaced_by_a_config_and_by_a_class():
@@ -220,12 +347,44 @@ def test_box_can_be_replaced_by_a_config_and_by_a_class():
     np.testing.assert_array_equal(output(diagram, context, "parameters"), [3.0, 1.2])
 
 
-@pytest.mark.parametrize("period", [0.0, 0.01])
-@pytest.mark.parametrize(("name", "block"), [(n, b) for n, bs in BLOCKS.items() for b in bs[1:]])
-def test_every_alternative_block_builds_a_complete_diagram(name, block, period):
-    diagram = make_nonstop(plain(period), **{name: block})
-    assert type(diagram.GetSubsystemByName(name)) is block
+def others_than(name, diagram):
+    blocks = {block.get_name(): type(block) for block in diagram.GetSystems()}
+    del blocks[name]
+    return blocks
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.01])
+def scenario_and_diagram(request):
+    """A scenario without the optimizer, and its diagram; nothing changes either."""
+    scenario = plain(request.param)
+    return scenario, make_nonstop(scenario)
+
+
+@pytest.mark.parametrize(
+    ("name", "block"),
+    [(n, b) for n, bs in BLOCKS.items() for b in bs],
+    ids=lambda value: value if isinstance(value, str) else value.__name__,
+)
+def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
+    """It is in its box, reads the signals it names and is read, and nothing else changes."""
+    scenario, before = scenario_and_diagram
+    text = dump_scenario(scenario)
+    diagram = make_nonstop(scenario, **{name: config_class(block)()})
+    swapped = diagram.GetSubsystemByName(name)
+    assert type(swapped) is block
+    assert others_than(name, diagram) == others_than(name, before)
+    assert dump_scenario(scenario) == text
     assert diagram.num_input_ports() == 0
+
+    wires = [wire.split(" -> ") for wire in wiring.connections(diagram)]
+    read = {source for source, target in wires if target.split(".")[0] != name}
+    needed = {wire.split(" -> ")[0] for wire in figure_wires() if wire.startswith(f"{name}.")}
+    assert needed
+    assert needed <= read
+    sources = dict(reversed(wire) for wire in wires)
+    for port in wiring.input_names(swapped):
+        source = sources[f"{name}.{port}"].split(".")[1]
+        assert source.removeprefix("held_") == port
 
 
 def test_only_the_plant_takes_the_simulated_system():

@@ -14,8 +14,10 @@ from drake_nonstop.simulate import simulate
 @pytest.mark.parametrize("name", scenario_names())
 def test_both_plants_agree(name):
     settings = [] if name in ("quintic", "line") else ["duration=7"]  # all that move do by then
-    settings += ["simulated.load_inertia=[[0.012,0.001,0],[0.001,0.01,0.002],[0,0.002,0.015]]"]
-    settings += ["simulated.load_angular_drag=0.01"]
+    size = load_scenario(name).system.load_inertia[0][0]
+    inertia = size * np.array([[1.2, 0.1, 0.0], [0.1, 1.0, 0.2], [0.0, 0.2, 1.5]])
+    settings += [f"simulated.load_inertia={inertia.tolist()}"]
+    settings += [f"simulated.load_angular_drag={size}"]
     ours, drakes = (
         simulate(load_scenario(name, [*settings, f"load_plant=!{plant} {{}}"])).signal("load_state")
         for plant in ("LoadPlant", "MultibodyLoadPlant")

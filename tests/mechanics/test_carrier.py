@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 from helpers import SHAPES, Motion, difference, regular, rotation
 
-from drake_nonstop.mechanics.carrier import carrier_motion, double_integrator_rate, pid_forces
+from drake_nonstop.mechanics.carrier import (
+    carrier_acceleration,
+    carrier_motion,
+    double_integrator_rate,
+    pid_forces,
+)
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates, grasp_matrix
 from drake_nonstop.mechanics.internal_force import (
     even_phases,
@@ -127,3 +132,35 @@ def test_double_integrator_rate_in_closed_form():
     state = np.array([9.0, 9, 9, 9, 9, 9, 1, 2, 3, 4, 5, 6])
     rate = double_integrator_rate(state, np.array([2.0, 4, 6, -2, -4, -6]), mass=0.5)
     np.testing.assert_array_equal(rate, [1, 2, 3, 4, 5, 6, 4, 8, 12, -4, -8, -12])
+
+
+@pytest.mark.parametrize("compliance", [0.0, 1 / 50])
+@pytest.mark.parametrize("shape", ["regular-4", "spatial-5"])
+def test_acceleration_is_the_rate_of_the_velocity(shape, compliance):
+    attachments = SHAPES[shape]
+    load, pulls = Motion(9), [Motion(30 + i) for i in range(len(attachments))]
+
+    def cables(t):
+        """f, ḟ and f̈ (n, 3) each, about an upward pull."""
+        references = np.array([pull.reference(t) for pull in pulls])
+        return references[:, 4:7] + UP, references[:, 10:13], references[:, 16:19]
+
+    def velocity(t):
+        forces, rates, _ = cables(t)
+        return carrier_motion(
+            load.state(t),
+            forces,
+            rates,
+            attachments=attachments,
+            rest_length=LENGTH,
+            compliance=compliance,
+        )[1]
+
+    acceleration = carrier_acceleration(
+        load.reference(0.4),
+        *cables(0.4),
+        attachments=attachments,
+        rest_length=LENGTH,
+        compliance=compliance,
+    )
+    np.testing.assert_allclose(acceleration, difference(velocity, 0.4), rtol=0, atol=1e-9)

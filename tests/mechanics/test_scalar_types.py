@@ -10,6 +10,7 @@ from drake_nonstop.compiled import CompiledFunction
 from drake_nonstop.mechanics import (
     cable,
     carrier,
+    circle,
     grasp,
     internal_force,
     nonstop,
@@ -80,12 +81,17 @@ EQUATIONS = {
     "quaternion_rate": (rotation.quaternion_rate, [4, 3]),
     "roll_pitch_yaw_to_quaternion": (rotation.roll_pitch_yaw_to_quaternion, [3]),
     "angular_motion": (rotation.angular_motion, [3, 3, 3]),
+    "circular_motion": (lambda angle: circle.circular_motion(angle, 1.3), [4]),
     "grasp_matrix": (lambda b: grasp.grasp_matrix(b.reshape(-1, 3)), [9]),
     "cable_forces_and_rates": (
         lambda *a: grasp.cable_forces_and_rates(*a, **GRASP),
         [13, 6, 6, 2 * N],
     ),
     "internal_force": (lambda *a: internal_force.internal_force(*a, phases=PHASES), [2, 1]),
+    "internal_force_acceleration": (
+        internal_force.internal_force_acceleration,
+        [2, 2 * N],
+    ),
     "ellipse_axes": (
         lambda basis, phases: internal_force.ellipse_axes(basis.reshape(9, 3), phases),
         [27, 3],
@@ -110,6 +116,12 @@ EQUATIONS = {
             state, forces.reshape(-1, 3), rates.reshape(-1, 3), compliance=0.002, **CABLES
         ),
         [13, 3 * N, 3 * N],
+    ),
+    "carrier_acceleration": (
+        lambda reference, *pulls: carrier.carrier_acceleration(
+            reference, *(pull.reshape(-1, 3) for pull in pulls), compliance=0.002, **CABLES
+        ),
+        [22, 3 * N, 3 * N, 3 * N],
     ),
     "pid_forces": (
         lambda *a: carrier.pid_forces(

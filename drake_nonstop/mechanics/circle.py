@@ -1,0 +1,27 @@
+"""Motion on a circle."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.rotation import components
+
+
+def circular_motion(angle: NDArray, radius: float) -> NDArray:
+    """A point that goes round the origin of a plane, and its three derivatives, (4, 2) in m.
+
+    `angle` (4,) is θ, from the first axis towards the second, with its three derivatives in
+    rad, s. With e = (cos θ, sin θ) and n = (−sin θ, cos θ), so that ė = θ̇ n and ṅ = −θ̇ e,
+
+        p = r e,   ṗ = r θ̇ n,   p̈ = r (θ̈ n − θ̇² e),   p⃛ = r ((θ⃛ − θ̇³) n − 3 θ̇ θ̈ e).
+    """
+    theta, rate, acceleration, jerk = components(angle)
+    outward = np.concatenate([np.cos(theta), np.sin(theta)])
+    onward = np.concatenate([-np.sin(theta), np.cos(theta)])
+    return radius * np.stack(
+        [
+            outward,
+            rate * onward,
+            acceleration * onward - rate * rate * outward,
+            (jerk - rate * rate * rate) * onward - 3 * rate * acceleration * outward,
+        ]
+    )

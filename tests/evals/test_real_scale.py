@@ -1,0 +1,60 @@
+"""10 kg on 60 m cables below carriers of 6 kg that must not fall below 8 m/s."""
+
+import numpy as np
+import pytest
+from helpers import regular
+
+from drake_nonstop import compute_metrics, load_scenario, simulate
+from drake_nonstop.metrics import load_errors
+
+RADIUS = 1.5  # m, of the circle of the attachments
+
+
+def spread(n):
+    """The shipped scenario with n attachments, and nothing else changed."""
+    return load_scenario("real_scale_spread", [f"system.attachments={regular(n, RADIUS).tolist()}"])
+
+
+@pytest.fixture(scope="module", params=[3, 4, 6, 8])
+def flown(request):
+    run = simulate(spread(request.param))
+    return request.param, run, compute_metrics(run)
+
+
+def test_spread_carousel_flies_any_number_of_carriers_apart(flown):
+    n, run, metrics = flown
+    carriers, cables = metrics["carriers"], metrics["cables"]
+    assert metrics["optimizer"]["solved"] > 0
+    assert metrics["optimizer"]["relaxed"] == 0
+    assert carriers["n"] == n
+    assert carriers["time_below_bound_s"] == 0
+    assert carriers["separation_min_m"] >= 15
+    spacing = 2 * RADIUS * np.sin(np.pi / n)
+    assert 0.9 * spacing <= cables["separation_min_m"] <= spacing * 1.001
+    assert cables["slack_time_s"] == 0
+    error = np.linalg.norm(load_errors(run)[0], axis=1)
+    assert np.mean(error) <= 0.05
+    at_rest = (run.time <= 5) | (run.time >= 60)
+    assert np.mean(error[at_rest]) <= 0.02
+    assert np.linalg.norm(run.signal("load_state")[-1, 4:7] - [100, 0, 10]) <= 0.02
+
+
+def test_without_the_optimization_carriers_are_too_slow():
+    scenario = load_scenario(
+        "real_scale_spread", ["optimization_layer=ConstantParameters", "duration=12"]
+    )
+    carriers = compute_metrics(simulate(scenario))["carriers"]
+    assert carriers["speed_bound_m_s"] == 8
+    assert carriers["speed_min_m_s"] < 7.5
+    assert carriers["time_below_bound_s"] > 1
+
+
+@pytest.mark.parametrize(
+    ("name", "carriers_meet", "cables_cross"),
+    [("real_scale_cycle", True, True), ("real_scale_carousel", False, True)],
+)
+def test_other_patterns_bring_carriers_or_cables_together(name, carriers_meet, cables_cross):
+    metrics = compute_metrics(simulate(load_scenario(name, ["duration=24"])))
+    assert metrics["carriers"]["time_below_bound_s"] == 0
+    assert (metrics["carriers"]["separation_min_m"] < 0.5) == carriers_meet
+    assert (metrics["cables"]["separation_min_m"] < 0.05) == cables_cross

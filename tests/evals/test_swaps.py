@@ -1,0 +1,53 @@
+"""Any block can be swapped alone: the rest stays as it was, and the loop runs."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import SimulatorConfig
+
+from drake_nonstop import load_scenario, simulate
+from drake_nonstop.diagrams.nonstop import BLOCKS
+from drake_nonstop.scenario import changed
+
+PAIRS = [
+    (box, old.__name__, new.__name__)
+    for box, blocks in BLOCKS.items()
+    for old, new in itertools.permutations(blocks, 2)
+]
+ALTERNATIVES = [
+    *((box, block.__name__) for box, blocks in BLOCKS.items() for block in blocks[1:]),
+    ("pattern", "Carousel"),
+    ("pattern", "SpreadCarousel"),
+]
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    """The quintic task for 2 s, without the optimization, which takes the longest to build."""
+    return load_scenario("quintic", ["duration=2", "optimization_layer=ConstantParameters"])
+
+
+@pytest.mark.parametrize(("box", "old", "new"), PAIRS)
+def test_swap_changes_nothing_but_the_box(scenario, box, old, new):
+    before = changed(scenario, [f"{box}={old}"])
+    after = changed(before, [f"{box}={new}"])
+    assert type(getattr(after, box)).__name__ == f"{new}Config"
+    for field in dataclasses.fields(scenario):
+        if field.name not in (box, "simulator"):
+            assert getattr(after, field.name) == getattr(before, field.name), field.name
+    for field in SimulatorConfig.__fields__:
+        values = [getattr(each.simulator, field.name) for each in (before, after)]
+        assert values[0] == values[1], field.name
+
+
+@pytest.mark.parametrize(("box", "block"), ALTERNATIVES)
+def test_swapped_loop_runs(scenario, box, block):
+    run = simulate(changed(scenario, [f"{box}={block}"]))
+    assert run.time[-1] == pytest.approx(2)
+    for name, values in run.signals.items():
+        assert np.all(np.isfinite(values)), name
+    assert np.linalg.norm(run.signal("load_state")[-1, 4:7]) < 2
+    if box in BLOCKS:
+        assert type(run.diagram.GetSubsystemByName(box)).__name__ == block
