@@ -63,7 +63,7 @@ from drake_nonstop.blocks.wrench_controller import (
     TunedWrenchController,
     WrenchController,
 )
-from drake_nonstop.own_blocks import import_path, own_block_class
+from drake_nonstop.own_blocks import import_path, make_own_block, own_block_class
 from drake_nonstop.system import Model, overridden
 from drake_nonstop.validation import ScenarioError, require
 
@@ -290,5 +290,7 @@ def block_class(instance: str, config: Any) -> type[System]:
 
 
 def _constructor(instance: str, config: Any) -> Callable[[Model], System]:
+    if import_path(config):
+        return lambda model: make_own_block(instance, model, config)
     block = block_class(instance, config)
     return lambda model: block(model, config)

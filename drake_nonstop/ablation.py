@@ -257,7 +257,8 @@ def ablate(
 
     The folder gets table.md, table.csv (every metric), plots, and index.html with all replays
     side by side; the results of each variant stand in a folder of their own in it. All of it
-    takes the place of what was there once all is done. A variant that cannot be built, or
+    takes the place of what was there once all is done; variants of earlier calls keep their
+    folders. A variant that cannot be built, or
     whose run ends before its time, is a row like the others, and says why.
 
     Args:

@@ -157,11 +157,59 @@ def _parser() -> argparse.ArgumentParser:
     viewer = benches.add_parser("viewer", help="what a live view of a scenario costs")
     viewer.set_defaults(action=_bench_viewer)
     _add_scenario(viewer)
+    running = benches.add_parser(
+        "run",
+        help="how fast a scenario runs and where the time goes, or faster than with what",
+        description="Times a scenario and its blocks. With --against or --against-revision it is "
+        "run in turns with itself otherwise, for a ratio that other load on the machine spares.",
+    )
+    running.set_defaults(action=_bench_run)
+    _add_scenario(running, "out/bench")
+    _add_repeats(running, 5)
+    running.add_argument(
+        "--against",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="PATH=VALUE",
+        help="compare with these settings besides, as in --set",
+    )
+    running.add_argument(
+        "--against-revision",
+        metavar="REV",
+        help="compare with this git revision of the checkout",
+    )
+    scale = benches.add_parser(
+        "scale", help="how a scenario's speed falls with the number of carriers"
+    )
+    scale.set_defaults(action=_bench_scale)
+    _add_scenario(scale, "out/bench", default="quintic")
+    _add_repeats(scale, 3)
+    scale.add_argument("--max-n", type=int, default=64, metavar="N", help="carriers, at most (64)")
+    scale.add_argument("--duration", type=float, default=3.0, metavar="S", help="of a run (3)")
     return parser
 
 
-def _add_scenario(parser: argparse.ArgumentParser, folder: str = "out/NAME") -> None:
-    parser.add_argument("scenario", metavar="NAME|FILE.yaml", help="a scenario's name or file")
+def _add_repeats(parser: argparse.ArgumentParser, default: int) -> None:
+    parser.add_argument(
+        "--repeats",
+        type=int,
+        default=default,
+        metavar="N",
+        help=f"of each run; medians are taken ({default})",
+    )
+
+
+def _add_scenario(
+    parser: argparse.ArgumentParser, folder: str = "out/NAME", default: str | None = None
+) -> None:
+    parser.add_argument(
+        "scenario",
+        metavar="NAME|FILE.yaml",
+        nargs=None if default is None else "?",
+        default=default,
+        help=f"a scenario's name or file{'' if default is None else f' ({default})'}",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help=f"results' folder ({folder})")
     parser.add_argument(
         "--set",
@@ -529,6 +577,80 @@ def _bench_viewer(options: argparse.Namespace) -> int:
     print(f"a view of 30 frames per s takes {results['cost_of_real_time']:.1%} of real time")
     print(f"results: {path}")
     return 0
+
+
+def _bench_run(options: argparse.Namespace) -> int:
+    from drake_nonstop.benchmarks import comparing, running
+    from drake_nonstop.plots import make_run_time_figure
+
+    _require_repeats(options)
+    folder: Path = options.out or Path("out/bench")
+    source = comparing.Source(options.scenario, options.set, options.trust)
+    source.load()  # what is wrong with it is said before a folder is made
+    require_writable(folder)
+    is_comparison = options.against or options.against_revision is not None
+    try:
+        with contextlib.closing(_ProgressLine()) as line:
+            if is_comparison:
+                results = comparing.compare(
+                    source,
+                    options.against,
+                    options.against_revision,
+                    repeats=options.repeats,
+                    progress=line.show_share,
+                )
+            else:
+                results = running.benchmark_run(
+                    source, repeats=options.repeats, progress=line.show_share
+                )
+    except RunStopped as stopped:
+        return _failed(stopped)
+    path = folder / ("comparison.json" if is_comparison else "run.json")
+    write_json(path, results)
+    if not is_comparison:
+        with replacing_file(folder / "run.png") as file:
+            make_run_time_figure(results).savefig(file, format="png", dpi=150)
+    print(comparing.table(results) if is_comparison else running.table(results))
+    print(f"results: {path}")
+    return 0
+
+
+def _bench_scale(options: argparse.Namespace) -> int:
+    from drake_nonstop.benchmarks.scaling import benchmark_scale, table
+    from drake_nonstop.plots import make_scale_figure
+
+    _require_repeats(options)
+    require(options.duration > 0, "--duration", options.duration, "give more than 0 s")
+    scenario = load_scenario(options.scenario, options.set, trust=options.trust)
+    folder: Path = options.out or Path("out/bench")
+    require_writable(folder)
+    try:
+        with contextlib.closing(_ProgressLine()) as line:
+            results = benchmark_scale(
+                scenario,
+                max_n=options.max_n,
+                duration=options.duration,
+                repeats=options.repeats,
+                progress=line.show_share,
+            )
+    except RunStopped as stopped:
+        return _failed(stopped)
+    path = folder / "scale.json"
+    write_json(path, results)
+    with replacing_file(folder / "scale.png") as file:
+        make_scale_figure(results).savefig(file, format="png", dpi=150)
+    print(table(results))
+    print(f"results: {path}")
+    return 0
+
+
+def _failed(stopped: RunStopped) -> int:
+    print(f"drake-nonstop: {stopped}", file=sys.stderr)
+    return FAILED
+
+
+def _require_repeats(options: argparse.Namespace) -> None:
+    require(options.repeats > 0, "--repeats", options.repeats, "give at least 1")
 
 
 def _warnings(metrics: dict[str, Any], scenario: Scenario) -> list[str]:

@@ -5,11 +5,16 @@ evaluated by CasADi's virtual machine, about ten times faster than NumPy on arra
 this size. CasADi is used here, and for comparison in `benchmarks.peers`, and nowhere else.
 """
 
+import pickle
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
+
+_MOST_TRACES = 32  # that are kept
+_traces: dict[bytes, casadi.Function] = {}  # by their keys, the one used last at the end
 
 LARGEST = 1e6  # SI units; no rate or force on these cables comes near it
 
@@ -31,6 +36,8 @@ class CompiledFunction:
         jacobian_of: if given, the index of the input with respect to which the exact
             Jacobian of the outputs, flattened and stacked, is one more output (rows,
             columns).
+        key: if given, all that `function` depends on besides its arguments, as what pickle
+            takes: a second function of an equal key is not traced again.
 
     A call returns the outputs in a tuple, each flat but for the Jacobian. They are views
     of buffers that the next call overwrites: copy what is to be kept.
@@ -48,34 +55,31 @@ class CompiledFunction:
         name: Callable[[], str],
         largest: float = LARGEST,
         jacobian_of: int | None = None,
+        key: Any = None,
     ):
-        symbol = casadi.SX.sym("inputs", sum(input_sizes))
-        ends = np.cumsum([0, *input_sizes])
-        outputs = function(*np.split(_object_array(symbol), ends[1:-1]))
-        if not isinstance(outputs, tuple):
-            outputs = (outputs,)
-        expressions = [casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs]
-        stacked = casadi.vertcat(*expressions)
-        expressions.append(casadi.densify(casadi.sumsqr(stacked)))
-        if jacobian_of is not None:
-            columns = slice(ends[jacobian_of], ends[jacobian_of + 1])
-            jacobian = casadi.jacobian(stacked, symbol)[:, columns]
-            expressions.append(casadi.densify(jacobian))
+        self._function = _traced(function, input_sizes, jacobian_of, key)
+        self._count = self._function.n_out() - (2 if jacobian_of is not None else 1)
         # The buffer borrows the function and the arrays: all must live as long as it.
-        self._function = casadi.Function("mechanics", [symbol], expressions)
         self._buffer, self._evaluate = self._function.buffer()
-        self._input = np.zeros(ends[-1])
-        self._outputs = [np.zeros(expression.shape, order="F") for expression in expressions]
+        self._input = np.zeros(sum(input_sizes))
+        self._outputs = [
+            np.zeros(self._function.size_out(i), order="F") for i in range(self._function.n_out())
+        ]
         self._buffer.set_arg(0, self._input.data)
         for i, array in enumerate(self._outputs):
             self._buffer.set_res(i, array.reshape(-1, order="F").data)
-        self._count = count = len(outputs)
+        count = self._count
         self._results = tuple(
             [array[:, 0] for array in self._outputs[:count]] + self._outputs[count + 1 :]
         )
         self._squared_norm = self._outputs[count][:, 0]
         self._largest_squared = largest**2
         self._name = name
+
+    def traced(self, *inputs: NDArray) -> tuple[NDArray, ...]:
+        """The outputs, each flat, for inputs of symbols: a part of another trace, at no cost."""
+        outputs = self._function(casadi.vertcat(*np.concatenate(inputs)))
+        return tuple(_object_array(output) for output in outputs[: self._count])
 
     def expressions(self, *inputs: casadi.MX) -> tuple[casadi.MX, ...]:
         """The outputs as expressions of CasADi's, for its solvers."""
@@ -86,8 +90,39 @@ class CompiledFunction:
         np.concatenate(inputs, out=self._input)
         self._evaluate()
         if not self._squared_norm[0] < self._largest_squared:
-            raise NotFiniteError(self._name())
+            # A block that is given such a value is named as well; which made it, nobody knows.
+            did = "made" if np.all(np.isfinite(self._input)) else "was given"
+            raise NotFiniteError(f"{self._name()} {did}")
         return self._results
+
+
+def _traced(
+    function: Callable, input_sizes: Sequence[int], jacobian_of: int | None, key: Any
+) -> casadi.Function:
+    """The outputs, the square of their norm and the Jacobian that was asked for, of one input."""
+    if key is not None:
+        pickled = pickle.dumps((list(input_sizes), jacobian_of, key))
+        if pickled in _traces:
+            _traces[pickled] = found = _traces.pop(pickled)
+            return found
+    symbol = casadi.SX.sym("inputs", sum(input_sizes))
+    ends = np.cumsum([0, *input_sizes])
+    outputs = function(*np.split(_object_array(symbol), ends[1:-1]))
+    if not isinstance(outputs, tuple):
+        outputs = (outputs,)
+    expressions = [casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs]
+    stacked = casadi.vertcat(*expressions)
+    expressions.append(casadi.densify(casadi.sumsqr(stacked)))
+    if jacobian_of is not None:
+        columns = slice(ends[jacobian_of], ends[jacobian_of + 1])
+        jacobian = casadi.jacobian(stacked, symbol)[:, columns]
+        expressions.append(casadi.densify(jacobian))
+    result = casadi.Function("mechanics", [symbol], expressions)
+    if key is not None:
+        _traces[pickled] = result
+        if len(_traces) > _MOST_TRACES:
+            del _traces[next(iter(_traces))]
+    return result
 
 
 def _object_array(symbol: casadi.SX) -> NDArray:

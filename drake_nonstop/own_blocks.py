@@ -9,8 +9,10 @@ import importlib
 import sys
 from typing import Any
 
+from pydrake.common.yaml import yaml_dump_typed
 from pydrake.systems.framework import System
 
+from drake_nonstop.system import Model
 from drake_nonstop.validation import ScenarioError, require
 
 
@@ -43,10 +45,9 @@ def import_config(field: str, path: str) -> type:
     try:
         module = importlib.import_module(module_name)
     except Exception as error:  # whatever a user's module may raise
-        cause = " ".join(f"{type(error).__name__}: {error}".split())
         raise ScenarioError(
-            f"{field} = !{path}: the module {module_name} cannot be imported ({cause}); mend it, "
-            "or put it into the current folder, the scenario's or PYTHONPATH"
+            f"{field} = !{path}: the module {module_name} cannot be imported ({_cause(error)}); "
+            "mend it, or put it into the current folder, the scenario's or PYTHONPATH"
         ) from error
     config = getattr(module, f"{name}Config", None)
     require(
@@ -56,9 +57,38 @@ def import_config(field: str, path: str) -> type:
         f"give {module_name} a dataclass {name}Config with the parameters",
     )
     assert isinstance(config, type)
+    remedy = f"give every field of {name}Config a type such as float or list[float] and a default"
+    try:
+        yaml_dump_typed(config())
+    except Exception as error:  # whatever a user's dataclass may raise
+        raise ScenarioError(f"{field} = !{path}: {remedy} ({_cause(error)})") from error
     if field != "pattern":
         own_block_class(field, config)
+    require(
+        field != "optimization_layer" or hasattr(config(), "speed_bound"),
+        field,
+        f"!{path}",
+        f"give {name}Config a field speed_bound (m/s), which its runs are judged by",
+    )
     return config
+
+
+def make_own_block(field: str, model: Model, config: Any) -> System:
+    """The block of a config of the user's own.
+
+    Raises:
+        ScenarioError: its constructor raised an error.
+    """
+    block = own_block_class(field, type(config))
+    try:
+        return block(model, config)
+    except ScenarioError:
+        raise
+    except Exception as error:  # whatever a user's constructor may raise
+        raise ScenarioError(
+            f"{field} = !{import_path(config)}: mend its constructor, which takes the model and "
+            f"the config ({_cause(error)})"
+        ) from error
 
 
 def own_block_class(field: str, config_class: type) -> type[System]:
@@ -77,3 +107,7 @@ def own_block_class(field: str, config_class: type) -> type[System]:
         f"give {config_class.__module__} a LeafSystem or Diagram of the name {name}",
     )
     return block  # type: ignore[return-value]
+
+
+def _cause(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())

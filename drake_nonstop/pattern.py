@@ -130,17 +130,23 @@ def _require_directions(attachments: NDArray) -> None:
 class LinearPatternConfig:
     """A pattern of the user's own: any matrix and offset in the null space, any phases."""
 
-    basis: list[list[float]] = field(default_factory=list)  # N₀, 3n rows of m numbers, in L
-    phases: list[float] = field(default_factory=list)  # φ, m numbers, rad
+    # N₀, 3n rows of m numbers, in L; none: that of the cycle
+    basis: list[list[float]] = field(default_factory=list)
+    phases: list[float] = field(default_factory=list)  # φ, m numbers, rad; none: 2π (k-1)/m
     offset: list[float] = field(default_factory=list)  # f̃⁰, 3n numbers, N, in L; none: 0
 
     def make(self, attachments: NDArray) -> InternalForcePattern:
         """The pattern for attachments (n, 3) in L; raises ScenarioError for wrong shapes."""
         rows = 3 * len(attachments)
-        phases = require_array("pattern.phases", self.phases, [None], "one phase per column")
-        basis = require_array(
-            "pattern.basis", self.basis, [rows, len(phases)], "3n rows, a column per phase"
-        )
+        basis = hamiltonian_cycle(attachments)
+        if self.basis:
+            basis = require_array(
+                "pattern.basis", self.basis, [rows, None], "3n rows, a column per phase"
+            )
+        phases = even_phases(basis.shape[1])
+        if self.phases:
+            columns = [basis.shape[1]]
+            phases = require_array("pattern.phases", self.phases, columns, "one per column")
         offset = np.zeros(rows)
         if self.offset:
             offset = require_array("pattern.offset", self.offset, [rows], "3 per cable")

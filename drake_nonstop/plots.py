@@ -1,6 +1,7 @@
 """The figures of a run: the paper's own set."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -166,6 +167,109 @@ def make_encounters_figure(runs: dict[str, Run]) -> Figure:
             lower.set_ylabel("closest two (m)")
             lower.legend(fontsize="small")
     return figure
+
+
+def make_run_time_figure(results: Mapping[str, Any]) -> Figure:
+    """Where the wall time of a run goes: who calls whom, and the time in each block itself.
+
+    In the upper panel a box's bar stands below the one whose call led to it, as wide as it
+    took with all that it called; what is bare below a bar is time in the box itself.
+
+    Args:
+        results: of `benchmarks.running.benchmark_run`.
+    """
+    blocks, frames = results["blocks"], results["frames"]
+    names = [block["name"] for block in blocks]
+    colours = dict.fromkeys(names, "0.55") | dict(zip(names, _COLOURS, strict=False))
+    total, root = results["timed_s"], frames["box"]
+    figure = Figure(figsize=(10.0, 1.2 + 0.35 * (_depth(frames) + len(names) + 1)))
+    figure.set_layout_engine("constrained")
+    upper, lower = figure.subplots(2, 1, height_ratios=[_depth(frames), len(names) + 1])
+    _draw_frame(upper, frames, {root: "0.8"} | colours, total, start=0.0, row=0)
+    upper.set_ylim(_depth(frames), 0)
+    upper.set_yticks([])
+    upper.set_xlim(0, 100)
+    upper.set_xlabel("of the time with timers (%), each bar with all that it called")
+    shares = [100 * block["share"] for block in blocks] + [100 * results["outside_share"]]
+    bars = lower.barh(
+        [*names, "Drake, logs"], shares, color=[*(colours[name] for name in names), "0.8"]
+    )
+    times = [1e6 * total * share / 100 / results["steps"] for share in shares]
+    texts = [f"{share:.1f} %, {us:.0f} µs" for share, us in zip(shares, times, strict=True)]
+    lower.bar_label(bars, texts, padding=3, fontsize="small")
+    lower.set_xlim(0, 1.18 * max(shares))
+    lower.invert_yaxis()
+    lower.set_xlabel("of the time with timers (%), in the block itself; per step of the integrator")
+    figure.suptitle(
+        f"{results['scenario']}: {results['real_time_factor']['median']:.1f} × real time"
+    )
+    return figure
+
+
+def _depth(frame: Mapping[str, Any]) -> int:
+    return 1 + max(map(_depth, frame["children"]), default=0)
+
+
+def _draw_frame(
+    axes: Axes,
+    frame: Mapping[str, Any],
+    colours: Mapping[str, str],
+    total: float,
+    *,
+    start: float,
+    row: int,
+) -> None:
+    """A bar from `start` (%) on, and what it called in the rows below it."""
+    width = 100 * _seconds(frame) / total
+    axes.barh(
+        row + 0.5,
+        width,
+        height=1.0,
+        left=start,
+        color=colours[frame["box"]],
+        edgecolor="white",
+        linewidth=0.7,
+    )
+    name = frame["box"] if row else "the run"
+    if width > 0.85 * len(name):  # % that its characters take
+        axes.text(start + width / 2, row + 0.5, name, ha="center", va="center", fontsize="small")
+    for child in frame["children"]:
+        _draw_frame(axes, child, colours, total, start=start, row=row + 1)
+        start += 100 * _seconds(child) / total
+
+
+def _seconds(frame: Mapping[str, Any]) -> float:
+    return frame["seconds"] + sum(map(_seconds, frame["children"]))
+
+
+def make_scale_figure(results: Mapping[str, Any]) -> Figure:
+    """Wall time per step and real-time factor over the number of carriers.
+
+    Args:
+        results: of `benchmarks.scaling.benchmark_scale`.
+    """
+    runs = results["runs"]
+    counts = np.array([run["n"] for run in runs])
+    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    costs, low, high = (
+        np.array([1e6 * run[f"{which}wall_per_step_s"] for run in runs])
+        for which in ("", "lowest_", "highest_")
+    )
+    left.errorbar(counts, costs, [costs - low, high - costs], fmt="o-", capsize=3, label="measured")
+    left.plot(counts, costs[0] * counts / counts[0], ":", color="0.5", label="in proportion to n")
+    left.set_ylabel("wall time per step (µs)")
+    left.legend(fontsize="small")
+    right.plot(counts, [run["real_time_factor"] for run in runs], "o-")
+    right.axhline(1, color="green", linestyle="--")
+    right.set_ylabel("real-time factor")
+    for axes in (left, right):
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xticks(counts, [str(n) for n in counts])
+        axes.minorticks_off()
+        axes.set_xlabel("carriers")
+    return _finished(figure, f"{results['scenario']}, scaled: n^{results['exponent']:.2f}")
 
 
 def make_figures(run: Run) -> dict[str, Figure]:

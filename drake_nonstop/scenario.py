@@ -175,7 +175,7 @@ def load_scenario(
         settings: changes "path=value", such as "system.load_mass=1.2". A path names a
             field of the resolved scenario; a value is YAML. A box takes a tagged value
             ("phase=!PrintedPhase {}"), or the name of another block ("phase=PrintedPhase"),
-            which takes over what was set of the parameters that both have.
+            which takes over the parameters that both have (a trajectory: those not default).
         trust: whether blocks of the user's own may be imported, which runs their code; they
             are looked for in the current folder and the scenario's, too.
 
@@ -557,13 +557,12 @@ def _apply_setting(tree: dict[str, Any], setting: str, trusted: bool | set[str])
 def _swapped(
     name: str, entry: dict[str, Any], block: str, trusted: bool | set[str]
 ) -> dict[str, Any]:
-    """The entry of another block in a box; what both can be told and was set stays as it was."""
-    types = {f.name: f.type for f in dataclasses.fields(_config_class(name, f"!{block}", trusted))}
+    """The entry of another block in a box; parameters that both have stay as they were."""
     old = _config_class(name, entry["_tag"], trusted)
-    default = dataclasses.asdict(old())
-    kept = {
-        f.name: entry[f.name]
-        for f in dataclasses.fields(old)
-        if f.name in entry and types.get(f.name) == f.type and entry[f.name] != default[f.name]
-    }
+    types = typing.get_type_hints(_config_class(name, f"!{block}", trusted))
+    shared = [key for key, kind in typing.get_type_hints(old).items() if types.get(key) == kind]
+    kept = {key: entry[key] for key in shared if key in entry}
+    if name == "load_trajectory":  # each task has times of its own, unless they were set
+        default = dataclasses.asdict(old())
+        kept = {key: value for key, value in kept.items() if value != default[key]}
     return {**kept, "_tag": f"!{block}"}

@@ -5,9 +5,11 @@ import math
 import signal
 import threading
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,7 @@ from pydrake.systems.framework import (
     Diagram,
     DiagramBuilder,
     EventStatus,
+    LeafSystem,
     OutputPort,
     PortDataType,
     TriggerType,
@@ -196,16 +199,26 @@ def simulate(
         raise RunInterrupted(finished()) from None
     except NotFiniteError as error:
         raise RunStopped(
-            f"the run diverged at t = {context.get_time():.4f} s: {error} was the first block "
-            f"with a value that is not finite, or beyond {LARGEST:.0e} in SI units; the loop may "
-            "be unstable, or simulator.max_step_size too large",
+            f"the run diverged at t = {context.get_time():.4f} s: {error} a value that is not "
+            f"finite, or beyond {LARGEST:.0e} in SI units; the loop may be unstable, or "
+            "simulator.max_step_size too large",
             finished(),
         ) from None
     except Exception as error:
-        cause = " ".join(f"{type(error).__name__}: {error}".split())
+        cause = " ".join(f"{_blame(error)}{type(error).__name__}: {error}".split())
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished()) from error
     return finished()
+
+
+def _blame(error: BaseException) -> str:
+    """Which block raised the error, where one did, and in which line."""
+    blamed = ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        block = frame.f_locals.get("self")
+        if isinstance(block, LeafSystem):
+            blamed = f"{block.get_name()} ({Path(frame.f_code.co_filename).name}:{line}): "
+    return blamed
 
 
 def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -> SimulatorConfig:

@@ -77,8 +77,8 @@ class SpeedProgram:
 
         self._cables = {"rest_length": model.cable_length, "compliance": model.cable_compliance}
 
-        self._margins = self._compiled(self._trace_margins)
         self._terms = self._compiled(self._trace_terms)
+        self._margins = self._compiled(self._trace_margins)
         self._cost = self._compiled(self._trace_cost)
         self._local: LocalSolver | None = None
         if config.solver in LocalSolver.NAMES:
@@ -309,7 +309,12 @@ class SpeedProgram:
     def _compiled(self, function: Callable, jacobian_of: int | None = None) -> CompiledFunction:
         # A solver may try the far ends of the bounds, where values are huge and sound.
         return CompiledFunction(
-            function, [2, DATA_SIZE], name=self._name, largest=1e100, jacobian_of=jacobian_of
+            function,
+            [2, DATA_SIZE],
+            name=self._name,
+            largest=1e100,
+            jacobian_of=jacobian_of,
+            key=(function.__name__, vars(self._model), self._config),
         )
 
     def _trace_orbits(self, data: NDArray) -> tuple[NDArray, NDArray, NDArray]:
@@ -366,7 +371,9 @@ class SpeedProgram:
         return polynomials.reshape(10, 3, -1), forces, levers, angles
 
     def _trace_margins(self, x: NDArray, data: NDArray) -> NDArray:
-        polynomials, forces, levers, _ = self._trace_terms(x, data)
+        polynomials, forces, levers, _ = self._terms.traced(x, data)
+        polynomials = polynomials.reshape(10, 3, -1)
+        forces, levers = forces.reshape(-1, 3), levers.reshape(-1, 3)
         c, b, a, tension_squares = nonstop.speed_squares(x[1:, None], polynomials, **self._cables)
         s = x[:1] * x[1:]
         squares = c + s * (2 * b + s * a)

@@ -72,6 +72,19 @@ def _listed(sizes: Sizes) -> str:
     return ", ".join(named) or "none"
 
 
+def _expected(wrong: Sizes, signals: Sizes) -> str:
+    """What input ports would have to be that no signal can be connected to."""
+    expected = {name: signals[name] for name in wrong if name in signals}
+    unknown = {name: size for name, size in wrong.items() if name not in signals}
+    parts = [f"expected {_listed(expected)}"] if expected else []
+    if unknown:
+        parts.append(
+            f"{_listed(unknown)} {'is' if len(unknown) == 1 else 'are'} not among the signals "
+            f"{_listed(dict(sorted(signals.items())))}"
+        )
+    return " and ".join(parts)
+
+
 def wires(
     blocks: Mapping[str, System],
     replaced_signals: Mapping[str, str] | None = None,
@@ -121,8 +134,7 @@ def wires(
         if wrong:
             raise WiringError(
                 f"{block_name} = {type(block).__name__} with inputs {_listed(given)}: "
-                f"{_listed(wrong)} {'is' if len(wrong) == 1 else 'are'} not among the signals "
-                f"{_listed(dict(sorted(sizes.items())))}; rename or resize the ports"
+                f"{_expected(wrong, sizes)}; rename or resize the ports"
             )
         result += [
             f"{sources[signal]}.{signal} -> {block_name}.{port}" for port, signal in read.items()

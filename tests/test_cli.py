@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -105,10 +106,14 @@ def test_what_nobody_wants_is_warned_of(tmp_path, capsys):
     settings = ["--set", "optimization_layer.speed_bound=0.8", "duration=0.3"]
     settings += ["optimization_layer.frequency_bounds=[1, 2.05]"]
     settings += ["optimization_layer.amplitude_bounds=[1, 1.25]"]
+    settings += ["safe_carrier_distance=5", "safe_cable_distance=0.01"]
     assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF[1:], *settings]) == 0
     warnings = [s for s in capsys.readouterr().out.splitlines() if s.startswith("warning: ")]
     assert any("below the bound" in line for line in warnings)
     assert any("no parameters fulfilled the bound" in line for line in warnings)
+    close = [line for line in warnings if "came within" in line]
+    assert len(close) == 1
+    assert re.fullmatch(r"warning: carriers came within \S+ m of each other, 5 m is safe", close[0])
 
 
 @pytest.mark.parametrize(

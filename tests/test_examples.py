@@ -54,3 +54,10 @@ def test_readme_layer_runs_in_an_ablation(tmp_path, monkeypatch):
     table = (tmp_path / "out" / "table.md").read_text()
     assert "Faster" in table
     assert "ConstantParameters" in table
+
+
+def test_readme_links_lead_somewhere():
+    links = re.findall(r"\]\((?!http)([^)#]+)", README)
+    assert len(links) >= 5
+    for link in links:
+        assert (ROOT / link).exists(), link

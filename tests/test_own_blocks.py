@@ -5,7 +5,14 @@ import textwrap
 
 import pytest
 
-from drake_nonstop import compute_metrics, dump_scenario, load_scenario, parse_scenario, simulate
+from drake_nonstop import (
+    RunStopped,
+    compute_metrics,
+    dump_scenario,
+    load_scenario,
+    parse_scenario,
+    simulate,
+)
 from drake_nonstop.cli import main
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario import changed
@@ -22,6 +29,7 @@ MODULE = """
 
     @dataclass(kw_only=True)
     class SteadyConfig:
+        speed_bound: float = 0.5  # m/s
         frequency: float = 1.0  # rad/s
         amplitude: float = 1.0  # N
         others: list[float] = field(default_factory=list)
@@ -43,6 +51,46 @@ MODULE = """
     @dataclass
     class OrphanConfig:
         pass
+
+
+    @dataclass
+    class BoundlessConfig:
+        gain: float = 1.0
+
+
+    class Boundless(LeafSystem):
+        pass
+
+
+    @dataclass
+    class NeedyConfig:
+        speed_bound: float
+
+
+    @dataclass
+    class OneArgumentConfig:
+        speed_bound: float = 0.5
+
+
+    class OneArgument(LeafSystem):
+        def __init__(self, model):
+            super().__init__()
+
+
+    @dataclass
+    class FailingConfig(SteadyConfig):
+        pass
+
+
+    class Failing(LeafSystem):
+        def __init__(self, model, config):
+            super().__init__()
+            self.DeclareVectorOutputPort("parameters", 2, self.calc)
+
+        def calc(self, context, output):
+            if context.get_time() > 0.1:
+                raise ZeroDivisionError("nothing to divide by")
+            output.SetFromVector([2.0, 1.2])
 
 
     @dataclass(kw_only=True)
@@ -76,7 +124,7 @@ def test_scenario_with_a_block_of_its_own_runs_where_it_is_trusted(folder):
     assert scenario.optimization_layer.frequency == 1.5
     run = simulate(scenario)
     assert run.signal("parameters")[-1].tolist() == [1.5, 1.0]
-    assert compute_metrics(run)["carriers"]["speed_bound_m_s"] == 0  # it states none
+    assert compute_metrics(run)["carriers"]["speed_bound_m_s"] == 0.5
     assert type(run.diagram.GetSubsystemByName("optimization_layer")).__name__ == "Steady"
 
 
@@ -117,7 +165,7 @@ def test_swap_takes_over_what_was_set(folder):
         trust=True,
     )
     layer = scenario.optimization_layer
-    assert (layer.amplitude, layer.frequency) == (1.3, 1.0)  # ξ was left at its default
+    assert (layer.speed_bound, layer.amplitude, layer.frequency) == (0.55, 1.3, 2.0)
 
 
 def test_pattern_of_its_own(folder):
@@ -132,6 +180,8 @@ def test_pattern_of_its_own(folder):
         ("no_such_module.Steady", "no_such_module cannot be imported .*No module named"),
         ("own_test_blocks.Bare", "give own_test_blocks a dataclass BareConfig"),
         ("own_test_blocks.Orphan", "a LeafSystem or Diagram of the name Orphan"),
+        ("own_test_blocks.Boundless", "give BoundlessConfig a field speed_bound"),
+        ("own_test_blocks.Needy", r"every field of NeedyConfig .* a default \(TypeError"),
         ("broken_test_blocks.Steady", "cannot be imported .ZeroDivisionError: division by zero"),
     ],
 )
@@ -152,3 +202,20 @@ def test_fields_of_its_config_are_checked(folder, setting, message):
     scenario = load_scenario(folder / "mine.yaml", trust=True)
     with pytest.raises(ScenarioError, match=message):
         changed(scenario, [setting])
+
+
+def test_constructor_that_fails_is_told_in_a_sentence(folder):
+    setting = "optimization_layer=own_test_blocks.OneArgument"
+    scenario = load_scenario("quintic", [setting], trust=True)
+    with pytest.raises(ScenarioError, match=r"own_test_blocks.OneArgument: mend its constructor"):
+        make_nonstop(scenario)
+
+
+def test_error_during_a_run_names_block_and_line(folder):
+    setting = "optimization_layer=own_test_blocks.Failing"
+    scenario = load_scenario("quintic", ["duration=0.3", setting], trust=True)
+    with pytest.raises(
+        RunStopped,
+        match=r"optimization_layer \(own_test_blocks.py:\d+\): ZeroDivisionError: nothing",
+    ):
+        simulate(scenario)

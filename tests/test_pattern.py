@@ -100,10 +100,10 @@ def test_linear_pattern_takes_any_width():
     ("field", "value"),
     [
         ("basis", np.ones((11, 2)).tolist()),
-        ("basis", np.ones((12, 3)).tolist()),
+        ("phases", [0.0, 1.0, 2.0]),
         ("basis", np.full((12, 2), np.nan).tolist()),
         ("basis", [[1.0, 2.0], [1.0]]),
-        ("basis", []),
+        ("basis", 3.0),
         ("phases", [0.0, np.inf]),
         ("phases", [[0.0, 1.0]]),
         ("offset", [1.0] * 11),
@@ -258,3 +258,9 @@ def test_carousel_needs_a_direction_for_every_cable():
 def test_spread_has_to_be_positive(spread):
     with pytest.raises(ScenarioError, match=r"pattern\.spread = .*greater than zero"):
         SpreadCarouselConfig(spread=spread).make(regular(4))
+
+
+def test_linear_pattern_is_the_cycle_unless_it_is_told_otherwise():
+    plain, cycle_pattern = LinearPatternConfig().make(regular(5)), HamiltonianCycleConfig()
+    np.testing.assert_array_equal(plain.basis, cycle_pattern.make(regular(5)).basis)
+    np.testing.assert_array_equal(plain.phases, cycle_pattern.make(regular(5)).phases)

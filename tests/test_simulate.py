@@ -77,7 +77,7 @@ def test_a_load_that_the_cables_cannot_hold_is_an_error_before_the_run():
 
 def test_a_diverging_run_stops_with_time_and_block_and_keeps_its_signals():
     scenario = short("quintic", "simulator.integration_scheme=explicit_euler", duration=2)
-    with pytest.raises(RunStopped, match=r"diverged at t = 0\.\d+ s: \w+ was the first") as caught:
+    with pytest.raises(RunStopped, match=r"diverged at t = 0\.\d+ s: \w+ made a value") as caught:
         simulate(scenario)
     run = caught.value.run
     assert 0 < run.time[-1] < 2
@@ -100,7 +100,7 @@ class FailsAt(LeafSystem):
 
 
 def test_a_nan_from_a_users_block_stops_the_run_where_it_is_first_seen():
-    with pytest.raises(RunStopped, match="internal_force was the first block") as caught:
+    with pytest.raises(RunStopped, match="internal_force was given a value that is not") as caught:
         simulate(short("quintic"), optimization_layer=lambda model: FailsAt(0.2, None))
     assert 0.15 < caught.value.run.time[-1] <= 0.2
 

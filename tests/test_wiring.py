@@ -102,8 +102,7 @@ def test_sizes_that_differ_are_both_given():
     with pytest.raises(WiringError) as error:
         connect(blocks, name="loop")
     assert str(error.value) == (
-        "plant = Box with inputs command (3): command (3) is not among the signals command (2), "
-        "force (2), pose (2), state (3); rename or resize the ports"
+        "plant = Box with inputs command (3): expected command (2); rename or resize the ports"
     )
 
 

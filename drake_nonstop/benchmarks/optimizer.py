@@ -111,7 +111,7 @@ def benchmark_optimizer(
             "solvers": sequence,
         },
         "times": f"each the median of {_REPEATS} solves, of one where that took over {_SLOW} s",
-        "versions": _versions(),
+        "versions": versions(),
     }
 
 
@@ -269,7 +269,8 @@ def _mean(flags: NDArray) -> float | None:
     return float(np.mean(flags)) if len(flags) > 0 else None
 
 
-def _versions() -> dict[str, str | None]:
+def versions() -> dict[str, str | None]:
+    """The versions of the package and of what it computes with; None: not installed."""
     found: dict[str, str | None] = {"drake_nonstop": __version__}
     for package in ("drake", "numpy", "casadi", "scipy"):
         try:

@@ -59,7 +59,12 @@ class CableForceDistribution(LeafSystem):
                 offset=model.pattern.offset,
             )
 
-        self._distribute = CompiledFunction(distribute, [13, 6, 6, 2 * model.m], name=self.get_name)
+        self._distribute = CompiledFunction(
+            distribute,
+            [13, 6, 6, 2 * model.m],
+            name=self.get_name,
+            key=("distribution", vars(model)),
+        )
         self._ports = [
             self.DeclareVectorInputPort("measured_load_state", 13),
             self.DeclareVectorInputPort("wrench", 6),

@@ -100,8 +100,8 @@ class CarrierPid(CarrierPositionPid):
         super().__init__(model, gains)
 
 
-class CarrierFeedforwardPd(LeafSystem):
-    """u = K_p (p_d − p) + K_d (v_d − v) + m_c a_d, for every carrier.
+class CarrierFeedforwardPid(CarrierPositionPid):
+    """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d, for every carrier.
 
     The references' acceleration a_d is that of the internal forces' turning, exact where the
     wrench on the load changes slowly: f̈_d = R N₀ λ̈. It frees the carriers from the lag of
@@ -109,7 +109,7 @@ class CarrierFeedforwardPd(LeafSystem):
 
     .. pydrake_system::
 
-        name: CarrierFeedforwardPd
+        name: CarrierFeedforwardPid
         input_ports:
         - carrier_reference
         - carrier_state
@@ -123,20 +123,19 @@ class CarrierFeedforwardPd(LeafSystem):
 
     `carrier_reference` and `carrier_state` (6n) = [positions, velocities], `reference` (22),
     `desired_cable_forces` and their rates (3n), all in W; `internal_force` (2m) = [λ; λ̇],
-    `parameters` (2) = [ξ, A]; `carrier_forces` (3n) in N, in W.
+    `parameters` (2) = [ξ, A]; `carrier_forces` (3n) in N, in W. The integrals are the state,
+    where their gain is not zero.
 
     Args:
         model: carriers, cables and pattern.
-        gains: position_gain (N/m) and velocity_gain (N s/m).
+        gains: as of `CarrierPositionPid`.
     """
 
     def __init__(self, model: Model, gains: dict[str, float]):
-        super().__init__()
+        super().__init__(model, gains)
         n = model.n
 
-        def forces(
-            carrier_reference: NDArray,
-            state: NDArray,
+        def inertial_forces(
             reference: NDArray,
             cable_forces: NDArray,
             rates: NDArray,
@@ -154,43 +153,36 @@ class CarrierFeedforwardPd(LeafSystem):
                 rest_length=model.cable_length,
                 compliance=model.cable_compliance,
             )
-            steering = pid_forces(
-                carrier_reference, state, np.zeros(3 * n), **gains, integral_gain=0.0
-            )
-            return steering + model.carrier_mass * acceleration.reshape(3 * n)
+            return model.carrier_mass * acceleration.reshape(3 * n)
 
         sizes = {
-            "carrier_reference": 6 * n,
-            "carrier_state": 6 * n,
             "reference": 22,
             "desired_cable_forces": 3 * n,
             "desired_cable_force_rates": 3 * n,
             "internal_force": 2 * model.m,
             "parameters": 2,
         }
-        self._forces = CompiledFunction(forces, list(sizes.values()), name=self.get_name)
-        self._ports = [self.DeclareVectorInputPort(*port) for port in sizes.items()]
-        self.DeclareVectorOutputPort(
-            "carrier_forces", 3 * n, self._calc_forces, {self.all_input_ports_ticket()}
+        self._inertial_forces = CompiledFunction(
+            inertial_forces, list(sizes.values()), name=self.get_name
         )
+        self._desired = [self.DeclareVectorInputPort(*port) for port in sizes.items()]
 
     def _calc_forces(self, context: Context, output: BasicVector) -> None:
-        (forces,) = self._forces(*[port.Eval(context) for port in self._ports])
-        output.SetFromVector(forces)
+        super()._calc_forces(context, output)
+        (inertial,) = self._inertial_forces(*[port.Eval(context) for port in self._desired])
+        value = output.get_mutable_value()
+        value += inertial
 
 
 @dataclass(kw_only=True)
-class FeedforwardCarrierPidConfig:
+class FeedforwardCarrierPidConfig(CarrierPidConfig):
     """Gains on each axis."""
 
-    position_gain: float = 1000.0  # N/m
-    velocity_gain: float = 10.0  # N s/m
 
+class FeedforwardCarrierPid(CarrierFeedforwardPid):
+    """PID with the acceleration that a turning cable asks for.
 
-class FeedforwardCarrierPid(CarrierFeedforwardPd):
-    """PD with the acceleration that a turning cable asks for.
-
-    Ports as `CarrierFeedforwardPd`.
+    Ports as `CarrierFeedforwardPid`.
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -208,20 +200,20 @@ class TunedCarrierPidConfig:
 
     frequency: float = 100.0  # rad/s, natural frequency of a carrier about its reference
     damping: float = 0.5  # damping ratio
+    integral_rate: float = 0.0  # rad/s, of the pole that an integral adds; 0: no integral
 
 
 class TunedCarrierPid(CarrierPositionPid):
-    """PD whose gains follow from a natural frequency and the carriers' mass.
+    """PID whose gains follow from a natural frequency and the carriers' mass.
 
     Ports as `CarrierPositionPid`, gains from `mechanics.tuning.pid_gains`.
 
     Raises:
-        ScenarioError: the frequency is not positive, or the damping is negative.
+        ScenarioError: the frequency is not positive, or another parameter is negative.
     """
 
     def __init__(self, model: Model, config: TunedCarrierPidConfig | None = None):
-        config = config or TunedCarrierPidConfig()
-        super().__init__(model, _tuned_gains(model, config) | {"integral_gain": 0.0})
+        super().__init__(model, _tuned_gains(model, config or TunedCarrierPidConfig()))
 
 
 @dataclass(kw_only=True)
@@ -229,13 +221,13 @@ class TunedFeedforwardCarrierPidConfig(TunedCarrierPidConfig):
     """Where the poles of every carrier are to be."""
 
 
-class TunedFeedforwardCarrierPid(CarrierFeedforwardPd):
+class TunedFeedforwardCarrierPid(CarrierFeedforwardPid):
     """`FeedforwardCarrierPid` whose gains follow from a natural frequency and the carriers' mass.
 
-    Ports as `CarrierFeedforwardPd`, gains from `mechanics.tuning.pid_gains`.
+    Ports as `CarrierFeedforwardPid`, gains from `mechanics.tuning.pid_gains`.
 
     Raises:
-        ScenarioError: the frequency is not positive, or the damping is negative.
+        ScenarioError: the frequency is not positive, or another parameter is negative.
     """
 
     def __init__(self, model: Model, config: TunedFeedforwardCarrierPidConfig | None = None):
@@ -243,10 +235,8 @@ class TunedFeedforwardCarrierPid(CarrierFeedforwardPd):
 
 
 def _tuned_gains(model: Model, config: TunedCarrierPidConfig) -> dict[str, float]:
-    require_non_negative(_OWNER, damping=config.damping)
+    require_non_negative(_OWNER, **asdict(config))
     require_positive(_OWNER, frequency=config.frequency)
-    position, velocity, _ = pid_gains(config.frequency, config.damping, 0.0)
-    return {
-        "position_gain": model.carrier_mass * position,
-        "velocity_gain": model.carrier_mass * velocity,
-    }
+    names = ("position_gain", "velocity_gain", "integral_gain")
+    poles = pid_gains(config.frequency, config.damping, config.integral_rate)
+    return {name: model.carrier_mass * gain for name, gain in zip(names, poles, strict=True)}

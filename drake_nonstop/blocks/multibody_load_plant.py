@@ -88,7 +88,7 @@ class _LoadForces(LeafSystem):
         cables = self._cable_forces.Eval(context).reshape(-1, 3)
         values = np.concatenate([state, wrench, cables.ravel()])
         if not values @ values < LARGEST**2:
-            raise NotFiniteError("load_plant")
+            raise NotFiniteError("load_plant was given")
         spatial = [SpatialForce(np.zeros(3), force) for force in cables]
         applied = []
         for point, force in zip(

@@ -26,7 +26,7 @@ class NoisyFeedbackConfig:
     angular_velocity_noise: float = 0.0  # rad/s
     delay: float = 0.0  # s, a multiple of the period
     period: float = 0.01  # s, between samples of the noise and of what is delayed
-    seed: int = 0
+    seed: int = 0  # of the noise
 
 
 class NoisyFeedback(LeafSystem):

@@ -70,7 +70,9 @@ class LoadWrenchPid(LeafSystem):
                 wrench.tracking_error(state, reference),
             )
 
-        self._control = CompiledFunction(outputs, [13, 22, 6], name=self.get_name)
+        self._control = CompiledFunction(
+            outputs, [13, 22, 6], name=self.get_name, key=("wrench", vars(model), gains)
+        )
         self._integrates = any(
             np.any(gains[name]) for name in ("position_integral_gain", "orientation_integral_gain")
         )

@@ -288,13 +288,15 @@ def test_every_box_asks_for_its_signals_at_their_sizes(box):
     ("inputs", "given", "wrong"),
     [
         ({"tension": 4}, "tension (4)", "tension (4) is"),
-        ({"tensions": 5}, "tensions (5)", "tensions (5) is"),
-        ({"tensions": None}, "tensions (abstract)", "tensions (abstract) is"),
-        ({"reference": 7}, "reference (7)", "reference (7) is"),
+        (
+            {"pose": 7, "wrench": 6, "phases": 1},
+            "pose (7), wrench (6), phases (1)",
+            "pose (7), phases (1) are",
+        ),
         (
             {"pose": 7, "wrench": 6, "phase": 1},
             "pose (7), wrench (6), phase (1)",
-            "pose (7), phase (1) are",
+            "expected phase (2) and pose (7) is",
         ),
     ],
 )
@@ -314,6 +316,24 @@ def test_block_with_other_inputs_is_told_the_signals_that_there_are(inputs, give
         absent |= {"held_measured_load_state", "held_reference", "sample_time"}
     listed = [f"{signal} ({signals[signal]})" for signal in sorted(signals.keys() - absent)]
     assert message[len(start) : -len(end)] == ", ".join(listed)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "given", "expected"),
+    [
+        ({"tensions": 5}, "tensions (5)", "tensions (4)"),
+        ({"tensions": None}, "tensions (abstract)", "tensions (4)"),
+        ({"reference": 7, "phase": 2}, "reference (7), phase (2)", "reference (22)"),
+    ],
+)
+def test_block_with_an_input_of_another_size_is_told_the_size(inputs, given, expected):
+    block = with_ports(inputs, {"disturbance_wrench": 6})
+    with pytest.raises(wiring.WiringError) as error:
+        make_nonstop(plain(), load_disturbance=block)
+    assert str(error.value) == (
+        f"load_disturbance = Ports with inputs {given}: expected {expected}; rename or resize the "
+        "ports"
+    )
 
 
 def test_two_blocks_may_share_a_signal_of_their_own_even_an_abstract_one():

@@ -11,15 +11,16 @@ from drake_nonstop import load_scenario, simulate
 from drake_nonstop.diagrams.nonstop import BLOCKS
 from drake_nonstop.scenario import changed
 
+PATTERNS = ("HamiltonianCycle", "Carousel", "SpreadCarousel", "LinearPattern")
+NAMES = {box: [block.__name__ for block in blocks] for box, blocks in BLOCKS.items()}
 PAIRS = [
-    (box, old.__name__, new.__name__)
-    for box, blocks in BLOCKS.items()
-    for old, new in itertools.permutations(blocks, 2)
+    (box, old, new)
+    for box, names in (NAMES | {"pattern": PATTERNS}).items()
+    for old, new in itertools.permutations(names, 2)
 ]
 ALTERNATIVES = [
     *((box, block.__name__) for box, blocks in BLOCKS.items() for block in blocks[1:]),
-    ("pattern", "Carousel"),
-    ("pattern", "SpreadCarousel"),
+    *(("pattern", name) for name in PATTERNS[1:]),
 ]
 
 

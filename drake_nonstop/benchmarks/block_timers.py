@@ -1,0 +1,224 @@
+"""Exact wall times of the blocks of a run: every callback that Drake makes is timed.
+
+Samples of a profiler would be biased, since Python changes hands only between its own
+instructions. So while a run is timed, the blocks' classes are changed in place: each of
+their functions tells the timers when it begins and ends. All that a run does is the same,
+and so are its results, to the bit.
+"""
+
+import contextlib
+import functools
+import inspect
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from time import perf_counter
+from types import FunctionType
+from typing import Any
+
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Diagram, LeafSystem, System
+
+from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.simulate import Then
+
+OUTSIDE = "outside"  # the blocks: Drake's own work, the logs
+
+
+@dataclass(slots=True)
+class Frame:
+    """What a box did where it was called by the same boxes, one within the other.
+
+    `seconds` are those in the box itself, not in the boxes whose outputs it asked for, which
+    are `children`. `calls` counts the entries into the box by the function that was called,
+    and `evaluations` the traced functions that the box evaluated.
+    """
+
+    box: str
+    seconds: float = 0.0
+    calls: dict[str, int] = field(default_factory=dict)
+    evaluations: int = 0
+    children: dict[str, "Frame"] = field(default_factory=dict)
+
+    @property
+    def total(self) -> float:
+        """The seconds in the box and in all that it called."""
+        return self.seconds + sum(child.total for child in self.children.values())
+
+    def walk(self) -> Iterator["Frame"]:
+        """This frame and all below it."""
+        yield self
+        for child in self.children.values():
+            yield from child.walk()
+
+
+class BlockTimers:
+    """Times the blocks of the one run that gets `after_step`, within `installed`.
+
+    The time runs from the end of the simulator's initialization to the end of its last step.
+    `root` is what was neither in a block nor below one; the seconds of all frames add up to
+    `seconds`. `blocks` maps the boxes of the run's diagram to the names of their classes.
+    """
+
+    def __init__(self) -> None:
+        self.root = Frame(OUTSIDE)
+        self.blocks: dict[str, str] = {}
+        self.seconds = 0.0
+        self._stack = [self.root]
+        self._boxes: dict[int, str] = {}  # by the id of a system; empty until the first step
+        self._systems: list[System] = []  # keeps the ids theirs
+        self._integrator: Any = None
+        self._first_steps = 0
+        self._start = self._last = 0.0
+
+    @property
+    def steps(self) -> int:
+        """The integrator's steps since the time began."""
+        return self._integrator.get_num_steps_taken() - self._first_steps
+
+    def after_step(self, simulator: Simulator, nonstop: Diagram) -> Then:
+        """What `simulate` calls after every step, for the first time before the first."""
+        now = perf_counter()
+        if self._integrator is None:
+            for block in nonstop.GetSystems():
+                self.blocks[block.get_name()] = type(block).__name__
+                self._add(block, block.get_name())
+            self._integrator = simulator.get_integrator()
+            self._first_steps = self._integrator.get_num_steps_taken()
+            self._start = self._last = perf_counter()
+            return Then.GO_ON
+        self.root.seconds += now - self._last
+        self._last = now
+        self.seconds = now - self._start
+        return Then.GO_ON
+
+    def _add(self, system: System, box: str) -> None:
+        self._boxes[id(system)] = box
+        self._systems.append(system)
+        if isinstance(system, Diagram):
+            for part in system.GetSystems():
+                self._add(part, box)
+
+    @contextlib.contextmanager
+    def installed(self) -> Iterator["BlockTimers"]:
+        """Has all blocks that are built within it report to these timers."""
+        replaced: list[tuple[type, str, Any]] = []
+
+        def replace(owner: type, name: str, value: Any) -> None:
+            replaced.append((owner, name, vars(owner)[name]))
+            setattr(owner, name, value)
+
+        try:
+            for owner in _python_classes(System):
+                for name, function in list(vars(owner).items()):
+                    if isinstance(function, FunctionType) and not name.startswith("__"):
+                        replace(owner, name, self._timed_method(function))
+            for name in [name for name in vars(LeafSystem) if name.startswith("Declare")]:
+                replace(LeafSystem, name, self._timed_declaration(vars(LeafSystem)[name]))
+            replace(CompiledFunction, "__call__", self._counted(CompiledFunction.__call__))
+            yield self
+        finally:
+            for owner, name, value in reversed(replaced):
+                setattr(owner, name, value)
+
+    def _timed_method(self, function: FunctionType) -> Callable:
+        """The method of a block, timed where the block is in the diagram of the run."""
+        if _is_callback(function):
+            return functools.wraps(function)(self._timed(function, function.__name__))
+
+        def packed(system: System, arguments: Any, named: Any) -> Any:
+            return function(system, *arguments, **named)
+
+        inner = self._timed(packed, function.__name__)
+
+        @functools.wraps(function)
+        def timed(system: System, *arguments: Any, **named: Any) -> Any:
+            return inner(system, arguments, named)
+
+        return timed
+
+    def _timed(self, function: Callable, name: str) -> Callable:
+        """A function of a system and two more, timed.
+
+        All in one, with a fixed number of arguments: a call of it is what timers cost.
+        """
+        boxes, stack = self._boxes, self._stack
+
+        def timed(system: System, first: Any, second: Any, /) -> Any:
+            box, caller = boxes.get(id(system)), stack[-1]
+            if box is None or box == caller.box:  # a block's own functions call each other
+                return function(system, first, second)
+            frame = caller.children.get(box)
+            if frame is None:
+                frame = caller.children[box] = Frame(box)
+            frame.calls[name] = frame.calls.get(name, 0) + 1
+            stack.append(frame)
+            start = perf_counter()
+            caller.seconds += start - self._last
+            self._last = start
+            try:
+                return function(system, first, second)
+            finally:
+                end = perf_counter()
+                frame.seconds += end - self._last
+                self._last = end
+                stack.pop()
+
+        return timed
+
+    def _timed_declaration(self, declare: Callable) -> Callable:
+        """A Declare... that also times functions that are no methods, such as lambdas."""
+
+        @functools.wraps(declare)
+        def declared(system: System, *arguments: Any, **named: Any) -> Any:
+            def timed(value: Any) -> Any:
+                if not isinstance(value, FunctionType):
+                    return value
+                inner = self._timed(lambda _, given, named: value(*given, **named), value.__name__)
+                return lambda *given, **named: inner(system, given, named)
+
+            return declare(
+                system,
+                *(timed(value) for value in arguments),
+                **{name: timed(value) for name, value in named.items()},
+            )
+
+        return declared
+
+    def _counted(self, evaluate: Callable) -> Callable:
+        stack = self._stack
+
+        @functools.wraps(evaluate)
+        def counted(function: CompiledFunction, *inputs: Any) -> Any:
+            stack[-1].evaluations += 1
+            return evaluate(function, *inputs)
+
+        return counted
+
+
+def _is_callback(function: FunctionType) -> bool:
+    """Whether this is a function of the package's that is called as Drake calls: by position.
+
+    Those of a user's own may look alike and be called otherwise, by that user.
+    """
+    code = function.__code__
+    return (
+        function.__module__.startswith("drake_nonstop.blocks.")
+        and code.co_varnames[: code.co_argcount][1:2] == ("context",)
+        and code.co_argcount == 3
+        and code.co_kwonlyargcount == 0
+        and not code.co_flags & (inspect.CO_VARARGS | inspect.CO_VARKEYWORDS)
+        and not function.__defaults__
+    )
+
+
+def _python_classes(base: type) -> Iterator[type]:
+    """The classes below `base`, each once, that are not Drake's."""
+    found: dict[type, None] = {}
+    waiting = [base]
+    while waiting:
+        below: type
+        for below in waiting.pop().__subclasses__():
+            if below not in found:
+                found[below] = None
+                waiting.append(below)
+    return (kind for kind in found if not kind.__module__.startswith("pydrake"))

@@ -1,0 +1,141 @@
+"""How the wall time of a step grows with the number of carriers."""
+
+import dataclasses
+import statistics
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.scenario import Scenario
+from drake_nonstop.simulate import simulate
+from drake_nonstop.validation import require
+
+COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # carriers
+
+
+def scaled(scenario: Scenario, n: int) -> Scenario:
+    """The scenario with n carriers, each with the share of the load that it has now.
+
+    The attachments are on a regular polygon of the present ones' mean radius, the load's mass,
+    inertia and drag grow in proportion to n, and the pattern takes its default phases.
+
+    Raises:
+        ScenarioError: the pattern is a `LinearPattern`, which is for one n alone.
+    """
+    pattern = scenario.pattern
+    require(
+        not isinstance(pattern, LinearPatternConfig),
+        "pattern",
+        "LinearPattern",
+        "give one that can be made for any number of carriers, such as HamiltonianCycle",
+    )
+    if isinstance(pattern, HamiltonianCycleConfig):
+        pattern = HamiltonianCycleConfig()
+    present = np.array(scenario.system.attachments)
+    ratio = n / len(present)
+    system = dataclasses.replace(
+        scenario.system, attachments=_polygon(present, n), **_loads(scenario.system, ratio)
+    )
+    simulated = dataclasses.replace(
+        scenario.simulated, attachments=None, **_loads(scenario.simulated, ratio)
+    )
+    return dataclasses.replace(scenario, system=system, simulated=simulated, pattern=pattern)
+
+
+def _loads(system: Any, ratio: float) -> dict[str, Any]:
+    """What of a system (or of overrides, with None for the rest) grows with the carriers."""
+    names = ("load_mass", "load_inertia", "load_drag", "load_angular_drag")
+    values = {name: getattr(system, name) for name in names}
+    return {
+        name: None if value is None else (ratio * np.array(value)).tolist()
+        for name, value in values.items()
+    }
+
+
+def _polygon(attachments: NDArray, n: int) -> list[list[float]]:
+    """The corners (n, 3) in m of a regular polygon about the attachments' middle."""
+    middle = attachments.mean(axis=0)
+    radius = np.mean(np.linalg.norm((attachments - middle)[:, :2], axis=1))
+    angles = 2 * np.pi * np.arange(n) / n
+    circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(n)], axis=1)
+    return (middle + radius * circle).tolist()
+
+
+def benchmark_scale(
+    scenario: Scenario,
+    *,
+    max_n: int = COUNTS[-1],
+    duration: float = 3.0,
+    repeats: int = 3,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> dict[str, Any]:
+    """Runs `scaled` scenarios with 3 to `max_n` carriers, all of them in turns.
+
+    Args:
+        scenario: what to scale.
+        max_n: the largest number of carriers, of those in `COUNTS`.
+        duration: of a run, in s.
+        repeats: of each; medians are taken.
+        progress: called with what is going on and the share of it that is done.
+
+    Returns:
+        What `drake-nonstop bench scale` writes as JSON. `exponent` is that of the power of n
+        which fits the wall time per step best, over all n; `last_exponent` that from the last
+        n but one to the last.
+
+    Raises:
+        ScenarioError: the scenario cannot be scaled, or run with some n.
+    """
+    counts = [n for n in COUNTS if n <= max_n]
+    require(len(counts) > 1, "--max-n", max_n, f"give at least {COUNTS[1]}")
+    scenarios = [dataclasses.replace(scaled(scenario, n), duration=duration) for n in counts]
+    walls: list[list[float]] = [[] for _ in counts]
+    rows = []
+    for turn in range(repeats):
+        for i, (n, one) in enumerate(zip(counts, scenarios, strict=True)):
+            run = simulate(one)
+            walls[i].append(run.wall_time)
+            if turn == repeats - 1:
+                wall = statistics.median(walls[i])
+                steps = len(run.steps["time"]) - 1
+                rows.append(
+                    {
+                        "n": n,
+                        "real_time_factor": duration / wall,
+                        "wall_per_step_s": wall / steps,
+                        "lowest_wall_per_step_s": min(walls[i]) / steps,
+                        "highest_wall_per_step_s": max(walls[i]) / steps,
+                        "steps": steps,
+                        "solving_share": float(run.solve_times.sum()) / run.wall_time,
+                    }
+                )
+            progress(f"{n} carriers", (turn * len(counts) + i + 1) / (repeats * len(counts)))
+    costs = np.log([row["wall_per_step_s"] for row in rows])
+    logarithms = np.log(counts)
+    return {
+        "scenario": scenario.name,
+        "simulated_s": duration,
+        "repeats": repeats,
+        "runs": rows,
+        "exponent": float(np.polyfit(logarithms, costs, 1)[0]),
+        "last_exponent": float(np.diff(costs[-2:])[0] / np.diff(logarithms[-2:])[0]),
+    }
+
+
+def table(results: dict[str, Any]) -> str:
+    """The results as text."""
+    rows = [f"{'n':>4}{'real-time factor':>20}{'us/step':>12}{'steps':>8}{'solving':>10}"]
+    for row in results["runs"]:
+        rows.append(
+            f"{row['n']:4}{row['real_time_factor']:20.2f}{1e6 * row['wall_per_step_s']:12.0f}"
+            f"{row['steps']:8}{row['solving_share']:10.1%}"
+        )
+    last = [row["n"] for row in results["runs"][-2:]]
+    rows.append(
+        f"a step's wall time grows as n^{results['exponent']:.2f}, from {last[0]} to {last[1]} "
+        f"carriers as n^{results['last_exponent']:.2f}"
+    )
+    return "\n".join(rows)
