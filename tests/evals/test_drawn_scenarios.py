@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from functools import cache
 
 import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
@@ -11,6 +12,7 @@ from drake_nonstop.scenario import changed, load_scenario, scenario_names
 from drake_nonstop.simulate import RunStopped, simulate
 from drake_nonstop.validation import ScenarioError
 
+loaded = cache(load_scenario)
 counts: Counter[str] = Counter()  # of the draws, by how they ended
 
 # Numbers of every kind: sound, odd and impossible.
@@ -80,12 +82,14 @@ SETTINGS = st.one_of(
 )
 @given(
     name=st.sampled_from(scenario_names()),
+    optimized=st.booleans(),  # the optimizer takes the longest to build
     drawn=st.lists(SETTINGS, min_size=1, max_size=2),
     duration=st.sampled_from([0.03, 0.03, 0.03, 0.1]),
 )
-def draw_and_run(name, drawn, duration):
+def draw_and_run(name, optimized, drawn, duration):
+    layer = [] if optimized else ["optimization_layer=ConstantParameters"]
     try:
-        scenario = changed(load_scenario(name), [f"duration={duration}", *drawn])
+        scenario = changed(loaded(name), [*layer, f"duration={duration}", *drawn])
         run = simulate(scenario)
     except ScenarioError as error:
         counts["invalid"] += 1
