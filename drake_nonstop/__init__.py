@@ -108,6 +108,8 @@ from drake_nonstop.scenario import (
 from drake_nonstop.scene import SceneConfig, start_meshcat
 from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, Then, simulate
 from drake_nonstop.speed_program import Outcome
+from drake_nonstop.sweep import Sweep, SweepInterrupted, sweep
+from drake_nonstop.sweep_spec import PlannedRun, SweepSpec, read_sweep
 from drake_nonstop.system import Model, System
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.version import __version__
@@ -213,6 +215,12 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "write_results",
     "ablate",
     "read_grid",
+    "sweep",
+    "read_sweep",
+    "SweepSpec",
+    "PlannedRun",
+    "Sweep",
+    "SweepInterrupted",
     "draw_diagram",
     # watched
     "NonstopVisualizer",

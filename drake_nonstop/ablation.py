@@ -20,29 +20,24 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.metrics import carrier_speeds, load_errors, speed_bounds
+from drake_nonstop.metrics import carrier_speeds, flattened, load_errors, speed_bounds
+from drake_nonstop.outcomes import COMPLETED, UNBUILDABLE, attempt
 from drake_nonstop.plots import make_overlay_figure
 from drake_nonstop.replay import legend
 from drake_nonstop.results import RUN_FILES, replacing_files, require_writable, write_results
-from drake_nonstop.scenario import (
-    Scenario,
-    changed,
-    dump_plain,
-    dump_scenario,
-    parse_plain,
-    parse_scenario,
+from drake_nonstop.scenario import Scenario, changed, dump_scenario, parse_scenario
+from drake_nonstop.settings import (
+    as_setting,
+    combinations,
+    read_mapping,
+    require_choices,
+    require_setting,
 )
-from drake_nonstop.simulate import RunInterrupted, RunStopped, Then, simulate
 from drake_nonstop.validation import ScenarioError, require
-from drake_nonstop.workers import is_ending, worker_processes
+from drake_nonstop.workers import worker_processes
 
 GRIDS = Path(__file__).parent / "diagrams" / "grids"
 BASE = "as it is"  # the name of the scenario without any change
-
-COMPLETED = "completed"
-DIVERGED = "diverged"
-FAILED = "failed"  # a block raised an error during the run
-UNBUILDABLE = "unbuildable"
 
 _ERROR = "load.position_error_mean_m"
 _BELOW = "carriers.time_below_bound_s"
@@ -160,22 +155,9 @@ def read_grid(name_or_file: str | Path) -> Grid:
             f"give a .yaml file or one of {', '.join(names)}",
         )
         path = GRIDS / f"{name_or_file}.yaml"
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"--grid = {path}: give a file that can be read ({error})") from None
-    return _parse_grid(text, path.name)
-
-
-def _parse_grid(text: str, source: str) -> Grid:
-    content = parse_plain(text, source)
     known = ("description", "variants", "grid")
     remedy = "give variants or grid, and a description if you like"
-    require(isinstance(content, dict), source, content, remedy)
-    for key in content:
-        require(key in known, f"{source}.{key}", content[key], remedy)
-    description = content.get("description", "")
-    require(isinstance(description, str), f"{source}.description", description, "give a text")
+    content, source = read_mapping(path, "--grid", known, remedy), path.name
     given = [key for key in known[1:] if key in content]
     require(len(given) == 1, source, " and ".join(given) or "neither", "give variants or grid")
     entries = content[given[0]]
@@ -191,7 +173,7 @@ def _parse_grid(text: str, source: str) -> Grid:
         variants = _listed(entries, f"{source}.variants")
     else:
         variants = _combined(entries, f"{source}.grid")
-    return Grid(name=Path(source).stem, description=description, variants=variants)
+    return Grid(name=path.stem, description=content.get("description", ""), variants=variants)
 
 
 def _listed(entries: Mapping[str, Any], source: str) -> dict[str, list[str]]:
@@ -203,28 +185,16 @@ def _listed(entries: Mapping[str, Any], source: str) -> dict[str, list[str]]:
             isinstance(settings, list) and settings, where, settings, "give a list of path=value"
         )
         for setting in settings:
-            _require_setting(setting, where)
+            require_setting(setting, where)
     return {" ".join(name.split()): settings for name, settings in entries.items()}
-
-
-def _require_setting(setting: Any, where: str) -> None:
-    is_setting = isinstance(setting, str) and not setting.startswith("=") and "=" in setting
-    remedy = "give path=value, such as phase=PrintedPhase, in quotes where it has a colon"
-    require(is_setting, where, setting, remedy)
 
 
 def _combined(entries: Mapping[str, Any], source: str) -> dict[str, list[str]]:
     """Every combination of the values."""
     for path, values in entries.items():
-        where = f"{source}.{path}"
-        require(isinstance(values, list) and values, where, values, "give a list of values in [ ]")
-        texts = [dump_plain(value) for value in values]
-        for text, count in Counter(texts).items():
-            require(count == 1, where, text, "give each value once")
-    choices = [
-        [f"{path}={dump_plain(value)}" for value in values] for path, values in entries.items()
-    ]
-    return {name_settings(settings): list(settings) for settings in itertools.product(*choices)}
+        require_choices(values, f"{source}.{path}")
+    variants = ([as_setting(*item) for item in c.items()] for c in combinations(entries))
+    return {name_settings(settings): settings for settings in variants}
 
 
 def name_settings(settings: Sequence[str]) -> str:
@@ -363,30 +333,17 @@ def _numbered(name: str, ending: str) -> Iterable[str]:
 
 def _run(text: str, folder: Path, replay: bool) -> tuple[str, str, _Curves | None] | None:
     """Outcome, message and curves of a variant, whose results it writes; None: interrupted."""
-    outcome, message = COMPLETED, ""
-    try:
-        # A copy of a scenario that was trusted when it was loaded.
-        run = simulate(
-            parse_scenario(text, trust=True),
-            after_step=lambda simulator, diagram: Then.END if is_ending() else Then.GO_ON,
-        )
-    except RunStopped as stopped:
-        run, message = stopped.run, str(stopped)
-        outcome = DIVERGED if stopped.__cause__ is None else FAILED
-    except RunInterrupted:
+    # A copy of a scenario that was trusted when it was loaded.
+    tried = attempt(lambda: parse_scenario(text, trust=True))
+    if tried is None:
         return None
-    except ScenarioError as error:
-        return UNBUILDABLE, str(error), None
-    except (Exception, SystemExit) as error:  # whatever a block of the user's may raise
-        return UNBUILDABLE, " ".join(f"{type(error).__name__}: {error}".split()), None
-    if is_ending():
-        return None
-    if len(run.time) == 0:
-        return outcome, message, None
+    run = tried.run
+    if run is None:
+        return tried.outcome, tried.message, None
     write_results(run, folder, figures=False, replay=replay)
     return (
-        outcome,
-        message,
+        tried.outcome,
+        tried.message,
         _Curves(
             sample_times=run.time,
             position_error=np.linalg.norm(load_errors(run)[0], axis=1),
@@ -444,14 +401,11 @@ def as_csv(rows: Sequence[Row]) -> str:
     return text.getvalue()
 
 
-def _flattened(metrics: Mapping[str, Any], path: str = "") -> Iterable[tuple[str, str]]:
+def _flattened(metrics: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
     """Paths and values, written as in JSON but for texts and what was not measured."""
-    for key, value in metrics.items():
-        if isinstance(value, dict):
-            yield from _flattened(value, f"{path}{key}.")
-        elif not isinstance(value, list):
-            text = value if isinstance(value, str) else json.dumps(value)
-            yield f"{path}{key}", "" if value is None else text
+    for path, value in flattened(metrics).items():
+        text = value if isinstance(value, str) else json.dumps(value)
+        yield path, "" if value is None else text
 
 
 def as_markdown(rows: Sequence[Row]) -> str:

@@ -13,17 +13,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from drake_nonstop.ablation import (
-    COMPLETED,
-    DIVERGED,
-    ablate,
-    as_text,
-    grid_names,
-    name_settings,
-    read_grid,
-)
+from drake_nonstop.ablation import ablate, as_text, grid_names, name_settings, read_grid
 from drake_nonstop.describe import Parameter, Port, box_names, describe
 from drake_nonstop.live import run_live
+from drake_nonstop.outcomes import COMPLETED, DIVERGED
 from drake_nonstop.plots import make_margins_figure, make_robustness_figure
 from drake_nonstop.results import replacing_file, require_writable, write_json, write_results
 from drake_nonstop.robustness import robustness
@@ -32,8 +25,11 @@ from drake_nonstop.scene import start_meshcat
 from drake_nonstop.serving import serve_folder
 from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, simulate
 from drake_nonstop.stability import find_margins, linearize
+from drake_nonstop.sweep import SweepInterrupted, sweep
+from drake_nonstop.sweep_spec import read_sweep
 from drake_nonstop.validation import ScenarioError, require, require_seed
 from drake_nonstop.version import __version__
+from drake_nonstop.workers import SerialExecutor
 
 _FINE_STEP = 0.001  # s, at which integrators damp nothing that matters here
 _LINE, _WIDEST = 100, 30  # characters, of the lines and of a column of `blocks`
@@ -122,6 +118,29 @@ def _parser() -> argparse.ArgumentParser:
         help="one more variant, with these settings together (as in --set); may be repeated",
     )
     ablation.add_argument("--no-replay", action="store_true", help="write no replays")
+    sweeper = commands.add_parser(
+        "sweep",
+        help="many runs over grids and random draws of any fields: one table, a row each",
+        description="Runs all that SPEC.yaml asks for; what is there of it already is not run "
+        "again. Exit code 1 where a run cannot be built or one of its blocks fails; one that "
+        "diverges is a result like others.",
+    )
+    sweeper.set_defaults(action=_sweep, live=False, quiet=False, realtime=None, port=None)
+    sweeper.set_defaults(no_figures=False, no_replay=False)
+    _add_scenario(sweeper, "out/sweep/NAME_SPEC")
+    sweeper.add_argument("spec", type=Path, metavar="SPEC.yaml", help="grid, draws; see README")
+    sweeper.add_argument(
+        "--run",
+        type=int,
+        metavar="K",
+        help="only this run, as `run` does it (results' folder: .../run_K)",
+    )
+    sweeper.add_argument(
+        "--restart", action="store_true", help="drop what the folder has of a sweep"
+    )
+    sweeper.add_argument(
+        "--serial", action="store_true", help="in this process, not in one per core"
+    )
     pictures = commands.add_parser("pictures", help="take the README's pictures of the line task")
     pictures.set_defaults(action=_pictures)
     pictures.add_argument(
@@ -288,10 +307,13 @@ def _print_wrapped(text: str, start: str) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     scenario = load_scenario(options.scenario, options.set, trust=options.trust)
-    folder: Path = options.out or Path("out") / scenario.name
     for name in ("realtime", "port"):
         value = getattr(options, name)
         require(options.live or value is None, f"--{name}", value, "give --live with it")
+    return _run_into(options.out or Path("out") / scenario.name, scenario, options)
+
+
+def _run_into(folder: Path, scenario: Scenario, options: argparse.Namespace) -> int:
     is_new = not folder.exists()
     bar = None if options.quiet else _RunProgress(scenario)
     try:
@@ -478,6 +500,34 @@ def _ablate(options: argparse.Namespace) -> int:
     print(as_text(rows))
     print(f"results: {folder / 'index.html'}")
     return 0 if all(row.outcome in (COMPLETED, DIVERGED) for row in rows) else FAILED
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    scenario = load_scenario(options.scenario, options.set, trust=options.trust)
+    spec = read_sweep(options.spec)
+    folder: Path = options.out or Path("out/sweep") / f"{scenario.name}_{options.spec.stem}"
+    if options.run is not None:
+        planned = spec.run(options.run)
+        print(f"run {planned.number}: {', '.join(planned.settings)}", flush=True)
+        scenario = changed(scenario, planned.settings, trust=options.trust)
+        return _run_into(options.out or folder / f"run_{planned.number}", scenario, options)
+    try:
+        with contextlib.closing(_ProgressLine()) as line:
+            done = sweep(
+                scenario,
+                spec,
+                folder,
+                executor=SerialExecutor() if options.serial else None,
+                restart=options.restart,
+                trust=options.trust,
+                progress=line.show_share,
+            )
+    except SweepInterrupted as interrupted:
+        print(f"drake-nonstop: interrupted: {interrupted}", file=sys.stderr)
+        return INTERRUPTED
+    print(", ".join(f"{count} {outcome}" for outcome, count in sorted(done.outcomes.items())))
+    print(f"results: {done.table}")
+    return 0 if done.outcomes.keys() <= {COMPLETED, DIVERGED} else FAILED
 
 
 def _report_claims(options: argparse.Namespace) -> int:

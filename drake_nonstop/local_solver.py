@@ -16,6 +16,7 @@ from pydrake.solvers import (
 )
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import weakly
 
 _CONSTRAINT_TOLERANCE = 1e-7  # on a margin
 
@@ -55,8 +56,8 @@ class LocalSolver:
         self._nearest = MathematicalProgram()
         x = self._nearest.NewContinuousVariables(2, "x")
         self._nearest_box = self._nearest.AddBoundingBoxConstraint(nothing, nothing, x)
-        self._nearest.AddCost(self._evaluate_cost, vars=x)
-        self._nearest.AddConstraint(self._evaluate_margins, zero, infinity, vars=x)
+        self._nearest.AddCost(weakly(self._evaluate_cost), vars=x)
+        self._nearest.AddConstraint(weakly(self._evaluate_margins), zero, infinity, vars=x)
 
         self._fastest = MathematicalProgram()
         x = self._fastest.NewContinuousVariables(2, "x")
@@ -64,7 +65,7 @@ class LocalSolver:
         self._fastest_box = self._fastest.AddBoundingBoxConstraint(nothing, nothing, x)
         self._fastest.AddLinearCost(-worst[0])
         self._fastest.AddConstraint(
-            self._evaluate_speed_margins_above_worst,
+            weakly(self._evaluate_speed_margins_above_worst),
             zero[:speed_count],
             infinity[:speed_count],
             vars=[*x, *worst],

@@ -1,5 +1,6 @@
 """The figures that judge a run, as written to metrics.json."""
 
+from collections.abc import Mapping
 from importlib.metadata import version
 from itertools import combinations
 from typing import Any
@@ -40,6 +41,22 @@ def compute_metrics(run: Run) -> dict[str, Any]:
             "numpy": version("numpy"),
         },
     }
+
+
+def flattened(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """The metrics that are one value, by their paths, such as "load.position_error_mean_m"."""
+    flat: dict[str, Any] = {}
+    for key, value in metrics.items():
+        if isinstance(value, Mapping):
+            flat |= {f"{key}.{path}": inner for path, inner in flattened(value).items()}
+        elif not isinstance(value, list):
+            flat[key] = value
+    return flat
+
+
+def is_wall_time(path: str) -> bool:
+    """Whether the metric of that path was measured with a clock, and differs from run to run."""
+    return path in ("wall_s", "real_time_factor") or path.startswith("optimizer.solve_time_ms.")
 
 
 def load_errors(run: Run) -> tuple[NDArray, NDArray]:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
@@ -191,9 +192,8 @@ def make_run_time_figure(results: Mapping[str, Any]) -> Figure:
     upper.set_xlim(0, 100)
     upper.set_xlabel("of the time with timers (%), each bar with all that it called")
     shares = [100 * block["share"] for block in blocks] + [100 * results["outside_share"]]
-    bars = lower.barh(
-        [*names, "Drake, logs"], shares, color=[*(colours[name] for name in names), "0.8"]
-    )
+    shades = [*(colours[name] for name in names), "0.8"]
+    bars = lower.barh([*names, "Drake, logs"], shares, color=shades, alpha=0.7)
     times = [1e6 * total * share / 100 / results["steps"] for share in shares]
     texts = [f"{share:.1f} %, {us:.0f} µs" for share, us in zip(shares, times, strict=True)]
     lower.bar_label(bars, texts, padding=3, fontsize="small")
@@ -227,6 +227,7 @@ def _draw_frame(
         height=1.0,
         left=start,
         color=colours[frame["box"]],
+        alpha=0.7,
         edgecolor="white",
         linewidth=0.7,
     )
@@ -268,8 +269,60 @@ def make_scale_figure(results: Mapping[str, Any]) -> Figure:
         axes.set_yscale("log")
         axes.set_xticks(counts, [str(n) for n in counts])
         axes.minorticks_off()
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
         axes.set_xlabel("carriers")
     return _finished(figure, f"{results['scenario']}, scaled: n^{results['exponent']:.2f}")
+
+
+def make_success_figure(
+    title: str,
+    succeeded: NDArray,
+    *,
+    across: tuple[str, NDArray],
+    up: tuple[str, NDArray],
+    panels: tuple[str, NDArray],
+    bins: int = 5,
+) -> Figure:
+    """The share of runs that succeeded over two drawn values, in a map for each third.
+
+    Args:
+        title: of the figure.
+        succeeded: whether each run did (runs,).
+        across: label and values (runs,) of the horizontal axis; values are put into bins.
+        up: likewise of the vertical axis.
+        panels: label and values (runs,), a map for each that there is.
+        bins: along each axis.
+    """
+    levels = np.unique(panels[1])
+    figure = Figure(figsize=(2.6 * len(levels) + 1.4, 3.6), layout="constrained")
+    edges = [np.linspace(values.min(), values.max(), bins + 1) for _, values in (across, up)]
+    all_axes = figure.subplots(1, len(levels), sharey=True, squeeze=False)[0]
+    for axes, level in zip(all_axes, levels, strict=True):
+        chosen = panels[1] == level
+        counts, hits = (
+            np.histogram2d(across[1][which], up[1][which], bins=edges)[0].T
+            for which in (chosen, chosen & succeeded)
+        )
+        shares = np.ma.masked_array(hits / np.maximum(counts, 1), counts == 0)
+        shown = axes.pcolormesh(*edges, shares, cmap="viridis", vmin=0, vmax=1)
+        centres = [(edge[:-1] + edge[1:]) / 2 for edge in edges]
+        for i, j in np.argwhere(counts > 0):
+            axes.text(
+                centres[0][j],
+                centres[1][i],
+                f"{shares[i, j]:.0%}\nof {counts[i, j]:.0f}",
+                ha="center",
+                va="center",
+                fontsize="xx-small",
+                color="black" if shares[i, j] > 0.6 else "white",
+            )
+        axes.set_title(f"{panels[0]}: {level:g}", fontsize="medium")
+        axes.set_xlabel(across[0], fontsize="small")
+    all_axes[0].set_ylabel(up[0], fontsize="small")
+    figure.colorbar(shown, ax=list(all_axes), label="share that succeeded")
+    figure.suptitle(title)
+    return figure
 
 
 def make_figures(run: Run) -> dict[str, Figure]:

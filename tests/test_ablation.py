@@ -16,9 +16,6 @@ from PIL import Image
 from drake_nonstop import ablation, cli
 from drake_nonstop.ablation import (
     BASE,
-    COMPLETED,
-    DIVERGED,
-    UNBUILDABLE,
     Row,
     ablate,
     as_csv,
@@ -31,6 +28,7 @@ from drake_nonstop.ablation import (
 )
 from drake_nonstop.cli import main
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.outcomes import COMPLETED, DIVERGED, UNBUILDABLE
 from drake_nonstop.scenario import changed, load_scenario
 from drake_nonstop.validation import ScenarioError
 

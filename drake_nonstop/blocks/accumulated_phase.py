@@ -7,10 +7,10 @@ from pydrake.systems.framework import (
     BasicVector,
     Context,
     ContinuousState,
-    LeafSystem,
     State,
 )
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 
 
@@ -19,7 +19,7 @@ class AccumulatedPhaseConfig:
     """No parameters."""
 
 
-class AccumulatedPhase(LeafSystem):
+class AccumulatedPhase(LeafBlock):
     """θ̇ = ξ: the phase goes on smoothly whatever ξ does.
 
     The paper prints cos(ξ(t) t + φ), which jumps by t Δξ when ξ changes; `PrintedPhase`

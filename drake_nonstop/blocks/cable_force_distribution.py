@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
-from pydrake.systems.framework import BasicVector, Context, LeafSystem, ValueProducer
+from pydrake.systems.framework import BasicVector, Context, ValueProducer
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock, weakly
 from drake_nonstop.mechanics.grasp import (
     cable_forces_and_rates,
     grasp_matrix,
@@ -29,7 +30,7 @@ class CableForceDistributionConfig:
     """No parameters: the pattern is the scenario's."""
 
 
-class CableForceDistribution(LeafSystem):
+class CableForceDistribution(LeafBlock):
     """f_d = G† w_d + f̃⁰ + N λ and its exact rate (eqs. 16, 19-21).
 
     .. pydrake_system::
@@ -72,10 +73,11 @@ class CableForceDistribution(LeafSystem):
             self.DeclareVectorInputPort("internal_force", 2 * model.m),
         ]
         inputs = {self.all_input_ports_ticket()}
-        self._forces_and_rates = self.DeclareCacheEntry(
-            "forces and rates", ValueProducer(Value(()).Clone, self._calc), inputs
+        entry = self.DeclareCacheEntry(
+            "forces and rates", ValueProducer(Value(()).Clone, weakly(self._calc)), inputs
         )
-        result = {self._forces_and_rates.ticket()}
+        self._entry_index = entry.cache_index()  # the entry would keep this block for ever
+        result = {entry.ticket()}
         self.DeclareVectorOutputPort("desired_cable_forces", 3 * model.n, self._calc_forces, result)
         self.DeclareVectorOutputPort(
             "desired_cable_force_rates", 3 * model.n, self._calc_rates, result
@@ -89,11 +91,14 @@ class CableForceDistribution(LeafSystem):
         forces, rates = self._distribute(*[port.Eval(context) for port in self._ports])
         return forces.copy(), rates.copy()
 
+    def _forces_and_rates(self, context: Context) -> tuple[NDArray, NDArray]:
+        return self.get_cache_entry(self._entry_index).Eval(context)
+
     def _calc_forces(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._forces_and_rates.Eval(context)[0])
+        output.SetFromVector(self._forces_and_rates(context)[0])
 
     def _calc_rates(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._forces_and_rates.Eval(context)[1])
+        output.SetFromVector(self._forces_and_rates(context)[1])
 
 
 @dataclass(kw_only=True)

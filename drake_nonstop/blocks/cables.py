@@ -4,15 +4,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.system import Model
 from drake_nonstop.validation import is_number, require, require_array
 
 
-class CableForces(LeafSystem):
+class CableForces(LeafBlock):
     """Massless, tension-only spring-dampers from the load to the carriers.
 
     .. pydrake_system::

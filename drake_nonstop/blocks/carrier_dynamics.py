@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
-from pydrake.systems.framework import Context, ContinuousState, LeafSystem
+from pydrake.systems.framework import Context, ContinuousState
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.carrier import double_integrator_rate
 from drake_nonstop.system import Model
 
@@ -14,7 +15,7 @@ class CarrierDynamicsConfig:
     """No parameters: the carrier mass is the system's."""
 
 
-class CarrierDynamics(LeafSystem):
+class CarrierDynamics(LeafBlock):
     """Double integrators: m_c p̈ = u, without weight or cable reaction, as in the paper.
 
     .. pydrake_system::

@@ -4,9 +4,10 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, ContinuousState, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, ContinuousState
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.carrier import carrier_acceleration, pid_forces
 from drake_nonstop.mechanics.internal_force import internal_force_acceleration
 from drake_nonstop.mechanics.rotation import rotation_matrix
@@ -17,7 +18,7 @@ from drake_nonstop.validation import require_non_negative, require_positive
 _OWNER = "carrier_controller"
 
 
-class CarrierPositionPid(LeafSystem):
+class CarrierPositionPid(LeafBlock):
     """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), for every carrier.
 
     .. pydrake_system::

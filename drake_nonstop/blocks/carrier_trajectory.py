@@ -4,16 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.system import Model
 
 _NO_TIME = np.zeros(1)
 
 
-class CarrierMotion(LeafSystem):
+class CarrierMotion(LeafBlock):
     """Where each carrier has to be for its cable to pull as desired (eqs. 1, 22).
 
     A load pose carries the cables. Behind a sampled controller the references go on along

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem, NumericParameterIndex
+from pydrake.systems.framework import BasicVector, Context, NumericParameterIndex
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 from drake_nonstop.validation import require_non_negative, require_positive
 
@@ -18,7 +19,7 @@ class ConstantParametersConfig:
     speed_bound: float = 0.2  # m/s, ε; reported, not enforced
 
 
-class ConstantParameters(LeafSystem):
+class ConstantParameters(LeafBlock):
     """Constant ξ and A: the loop without optimization.
 
     .. pydrake_system::

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 
 
@@ -12,7 +13,7 @@ class DesiredStateFeedbackConfig:
     """No parameters."""
 
 
-class DesiredStateFeedback(LeafSystem):
+class DesiredStateFeedback(LeafBlock):
     """Opens the loop: what the controllers take for the load's state is its reference.
 
     With it the wrench controller asks for the wrench of the desired motion alone, which

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 
 
@@ -12,7 +13,7 @@ class IdealCarriersConfig:
     """No parameters."""
 
 
-class IdealCarriers(LeafSystem):
+class IdealCarriers(LeafBlock):
     """Ideal tracking: the carriers are always where they should be, whatever steers them.
 
     What is left of the load's error with them is none of the carriers' fault. Behind sampled

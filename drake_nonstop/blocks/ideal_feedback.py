@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 
 
@@ -12,7 +13,7 @@ class IdealFeedbackConfig:
     """No parameters."""
 
 
-class IdealFeedback(LeafSystem):
+class IdealFeedback(LeafBlock):
     """Passes the load's state on, unchanged and at once.
 
     .. pydrake_system::

@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.system import Model
 
@@ -14,7 +15,7 @@ class InternalForceTrajectoryConfig:
     """No parameters: the phases belong to the scenario's pattern."""
 
 
-class InternalForceTrajectory(LeafSystem):
+class InternalForceTrajectory(LeafBlock):
     """λ_k = A cos(θ + φ_k) and its rate (eq. 23).
 
     .. pydrake_system::

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, ContinuousState, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, ContinuousState
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.rigid_load import load_state_rate
 from drake_nonstop.system import Model
 
@@ -16,7 +17,7 @@ class LoadPlantConfig:
     """No parameters: mass, inertia, drag and attachments are the system's."""
 
 
-class LoadPlant(LeafSystem):
+class LoadPlant(LeafBlock):
     """The rigid load: Newton-Euler with linear drag (eqs. 5-6).
 
     .. pydrake_system::

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.polynomial import Polynomial
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.circle import circular_motion
 from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_quaternion
 from drake_nonstop.pose_samples import read_samples, sample_array
@@ -27,7 +28,7 @@ from drake_nonstop.validation import (
 _OWNER = "load_trajectory"  # what error messages call the box
 
 
-class LoadTrajectory(LeafSystem):
+class LoadTrajectory(LeafBlock):
     """The desired pose of the load, its derivatives up to jerk, from a piecewise polynomial.
 
     .. pydrake_system::

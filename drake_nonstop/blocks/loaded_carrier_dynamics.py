@@ -3,9 +3,10 @@
 import math
 from dataclasses import dataclass
 
-from pydrake.systems.framework import Context, ContinuousState, LeafSystem
+from pydrake.systems.framework import Context, ContinuousState
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.carrier import loaded_carrier_rate
 from drake_nonstop.system import Model
 from drake_nonstop.validation import is_number, require
@@ -18,7 +19,7 @@ class LoadedCarrierDynamicsConfig:
     max_force: float = math.inf  # N, of a carrier
 
 
-class LoadedCarrierDynamics(LeafSystem):
+class LoadedCarrierDynamics(LeafBlock):
     """Carriers that feel their weight and their cable: m_c p̈ = sat(u) − m_c g e₃ − f.
 
     A controller that knows of neither lets them sag; see `LoadedCarrierPid`.

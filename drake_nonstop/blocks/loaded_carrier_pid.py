@@ -2,9 +2,10 @@
 
 from dataclasses import asdict, dataclass
 
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.carrier import loaded_pid_forces
 from drake_nonstop.system import Model
 from drake_nonstop.validation import require_non_negative
@@ -18,7 +19,7 @@ class LoadedCarrierPidConfig:
     velocity_gain: float = 10.0  # N s/m
 
 
-class LoadedCarrierPid(LeafSystem):
+class LoadedCarrierPid(LeafBlock):
     """u = K_p (p_d − p) + K_d (v_d − v) + m_c g e₃ + f_d, for every carrier.
 
     It carries the weight and the desired pull of the cable beforehand; the load's wrench

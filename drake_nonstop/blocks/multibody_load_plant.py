@@ -7,9 +7,10 @@ from pydrake.common.value import AbstractValue
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, SpatialInertia, UnitInertia
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from drake_nonstop.compiled import LARGEST, NotFiniteError
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 
 
@@ -39,6 +40,8 @@ class MultibodyLoadPlant(Diagram):
     angular velocity, velocity], in W, is the plant's state.
     """
 
+    __slots__ = ()  # see leaf_block
+
     def __init__(self, model: Model, config: MultibodyLoadPlantConfig | None = None):
         super().__init__()
         builder = DiagramBuilder()
@@ -63,7 +66,7 @@ class MultibodyLoadPlant(Diagram):
         builder.BuildInto(self)
 
 
-class _LoadForces(LeafSystem):
+class _LoadForces(LeafBlock):
     """All but gravity that acts on the load, each force where it does."""
 
     def __init__(self, model: Model, body: BodyIndex):

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 
 
@@ -13,7 +14,7 @@ class NoDisturbanceConfig:
     """No parameters."""
 
 
-class NoDisturbance(LeafSystem):
+class NoDisturbance(LeafBlock):
     """No wrench on the load but that of the cables and gravity.
 
     .. pydrake_system::

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.rotation import turned
 from drake_nonstop.system import Model
 from drake_nonstop.validation import (
@@ -29,7 +30,7 @@ class NoisyFeedbackConfig:
     seed: int = 0  # of the noise
 
 
-class NoisyFeedback(LeafSystem):
+class NoisyFeedback(LeafBlock):
     """Passes the load's state on with noise, after a delay.
 
     The noise is white and normal: a sample per `period`, held to the next, drawn from the

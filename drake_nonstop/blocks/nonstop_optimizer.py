@@ -9,11 +9,11 @@ from pydrake.systems.framework import (
     BasicVector,
     Context,
     DiscreteValues,
-    LeafSystem,
     NumericParameterIndex,
 )
 
 from drake_nonstop.compiled import LARGEST
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.local_solver import LocalSolver
 from drake_nonstop.speed_program import Outcome, SpeedProgram, amplitude_bounds
 from drake_nonstop.system import Model
@@ -58,7 +58,7 @@ class NonstopOptimizerConfig:
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
 
 
-class NonstopOptimizer(LeafSystem):
+class NonstopOptimizer(LeafBlock):
     """Changes ξ and A as little as keeps every carrier at or above ε (eqs. 23-26).
 
     At each update, with x = [ξ, A] and x⁻ the previous value,

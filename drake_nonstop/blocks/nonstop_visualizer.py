@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.scene import LiveCanvas, Scene, SceneConfig, Snapshot
 from drake_nonstop.system import Model, System, overridden
 from drake_nonstop.validation import is_number, require
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 FRAME_RATE = 30.0  # 1/s of wall time
 
 
-class NonstopVisualizer(LeafSystem):
+class NonstopVisualizer(LeafBlock):
     """Shows the load, its carriers, cables and reference (see `Scene`) while they move.
 
     It looks at every step and shows one as often as `frame_rate` asks for, in wall time, so

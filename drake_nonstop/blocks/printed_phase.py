@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 
 
@@ -12,7 +13,7 @@ class PrintedPhaseConfig:
     """No parameters."""
 
 
-class PrintedPhase(LeafSystem):
+class PrintedPhase(LeafBlock):
     """θ = ξ(t) t (eq. 23), for the current frequency ξ.
 
     .. pydrake_system::

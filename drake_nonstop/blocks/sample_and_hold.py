@@ -1,13 +1,14 @@
 """What a sampled controller sees: its inputs, held from one sample to the next."""
 
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import Context, State
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 
 HELD_SIGNALS = {"measured_load_state": 13, "reference": 22}  # name -> size
 
 
-class SampleAndHold(LeafSystem):
+class SampleAndHold(LeafBlock):
     """Samples what enters the controllers every `control_period`, and holds it.
 
     The block stands once, in front of all controllers, instead of a hold in each, which

@@ -3,8 +3,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
+from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 from drake_nonstop.validation import (
     require_array,
@@ -28,7 +29,7 @@ class WindConfig:
     seed: int = 0  # of the gust
 
 
-class Wind(LeafSystem):
+class Wind(LeafBlock):
     """A wrench on the load that is constant but for a seeded, coloured gust.
 
     The gust is a sum of waves with random phases, whose spectrum is that of first-order

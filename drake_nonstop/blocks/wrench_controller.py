@@ -11,11 +11,11 @@ from pydrake.systems.framework import (
     Context,
     ContinuousState,
     DiscreteValues,
-    LeafSystem,
     ValueProducer,
 )
 
 from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.leaf_block import LeafBlock, weakly
 from drake_nonstop.mechanics import wrench
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.system import Model
@@ -24,7 +24,7 @@ from drake_nonstop.validation import require, require_non_negative, require_posi
 _OWNER = "wrench_controller"
 
 
-class LoadWrenchPid(LeafSystem):
+class LoadWrenchPid(LeafBlock):
     """PID on the load's pose with feedforward, and the exact rate of its wrench.
 
     Equations 14-15 and `mechanics.wrench`. The integrals are the block's state, where one of
@@ -89,12 +89,13 @@ class LoadWrenchPid(LeafSystem):
         elif self._integrates:
             self.DeclareContinuousState(6)
             prerequisites.add(self.xc_ticket())
-        self._result = self.DeclareCacheEntry(
+        entry = self.DeclareCacheEntry(
             "wrench, its rate and the error",
-            ValueProducer(Value(()).Clone, self._calc),
+            ValueProducer(Value(()).Clone, weakly(self._calc)),
             prerequisites,
         )
-        result = {self._result.ticket()}
+        self._entry_index = entry.cache_index()  # the entry would keep this block for ever
+        result = {entry.ticket()}
         self.DeclareVectorOutputPort("wrench", 6, self._calc_wrench, result)
         self.DeclareVectorOutputPort("wrench_rate", 6, self._calc_wrench_rate, result)
         self.DeclareVectorOutputPort("tracking_error", 12, self._calc_tracking_error, result)
@@ -114,21 +115,24 @@ class LoadWrenchPid(LeafSystem):
         )
         value.set_value(tuple(result.copy() for result in results))
 
+    def _results(self, context: Context) -> tuple[NDArray, ...]:
+        return self.get_cache_entry(self._entry_index).Eval(context)
+
     def _calc_wrench(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._result.Eval(context)[0])
+        output.SetFromVector(self._results(context)[0])
 
     def _calc_wrench_rate(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._result.Eval(context)[1])
+        output.SetFromVector(self._results(context)[1])
 
     def _calc_tracking_error(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._result.Eval(context)[2])
+        output.SetFromVector(self._results(context)[2])
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
         if self._integrates and self._period == 0:
-            derivatives.get_mutable_vector().SetFromVector(self._result.Eval(context)[2][:6])
+            derivatives.get_mutable_vector().SetFromVector(self._results(context)[2][:6])
 
     def _update_integrals(self, context: Context, discrete_state: DiscreteValues) -> None:
-        error = self._result.Eval(context)[2][:6]
+        error = self._results(context)[2][:6]
         discrete_state.set_value(self._integrals(context) + self._period * error)
 
 

@@ -1,0 +1,69 @@
+"""The LeafSystem that all blocks are: one that Python can let go of.
+
+A run that is over has to give its memory back, or a sweep of many does not fit into it. Two
+things keep a LeafSystem written in Python for ever, and with it all of its diagram, some 7 MB a
+run (https://github.com/RobotLocomotion/drake/issues/22515):
+
+- Where pydrake is bound by pybind11, a Python class below its classes gets a dictionary that
+  Python 3.11's garbage collector counts twice, so that it takes it for held from outside. A class
+  with empty `__slots__` has the dictionary of the class above it only, where attributes go, too.
+- What C++ calls back is a bound method, which holds the system that holds it, where the
+  collector cannot see it. A function that finds the system by a weak reference does not.
+
+Pydrake bound by nanobind needs neither.
+"""
+
+import types
+import weakref
+from typing import Any
+
+from pydrake.systems.framework import Diagram, LeafSystem, OutputPort
+
+
+def _type_of_blocks() -> Any:
+    """The type of systems, or one whose classes have empty `__slots__` where that is needed."""
+    kind: Any = type(LeafSystem)
+    if not kind.__module__.startswith("pybind11"):
+        return kind
+
+    class Slotted(kind):
+        def __new__(cls, name: str, bases: tuple[type, ...], members: dict[str, Any]) -> type:
+            return super().__new__(cls, name, bases, {"__slots__": (), **members})
+
+    return Slotted
+
+
+class LeafBlock(LeafSystem, metaclass=_type_of_blocks()):  # type: ignore[metaclass]
+    """A LeafSystem whose methods may be given to its Declare functions, and that is freed."""
+
+    def DeclareVectorOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
+        """As LeafSystem's."""
+        return super().DeclareVectorOutputPort(*map(weakly, arguments), **named)
+
+    def DeclareAbstractOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
+        """As LeafSystem's."""
+        return super().DeclareAbstractOutputPort(*map(weakly, arguments), **named)
+
+
+def weakly(callback: Any) -> Any:
+    """A bound method as a function that does not hold its object; anything else as it is."""
+    if not isinstance(callback, types.MethodType):
+        return callback
+    function, owner = callback.__func__, weakref.ref(callback.__self__)
+
+    def call(*arguments: Any) -> Any:
+        return function(owner(), *arguments)
+
+    return call
+
+
+def let_go(diagram: Diagram) -> None:
+    """Has the blocks of the user's own, that are no LeafBlocks, hold nothing any more.
+
+    Nothing may use the diagram after that; the rest of it can be freed, but for their shells.
+    """
+    for system in diagram.GetSystems():
+        if isinstance(system, Diagram):
+            let_go(system)
+        if type(system).__module__.split(".")[0] not in ("pydrake", "drake_nonstop"):
+            vars(system).clear()
