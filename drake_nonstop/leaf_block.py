@@ -1,6 +1,6 @@
 """The LeafSystem that all blocks are: one that Python can let go of.
 
-A run that is over has to give its memory back, or a sweep of many does not fit into it. Two
+A run that is over has to give its memory back, or a sweep of many does not fit into it. Three
 things keep a LeafSystem written in Python for ever, and with it all of its diagram, some 7 MB a
 run (https://github.com/RobotLocomotion/drake/issues/22515):
 
@@ -9,8 +9,9 @@ run (https://github.com/RobotLocomotion/drake/issues/22515):
   with empty `__slots__` has the dictionary of the class above it only, where attributes go, too.
 - What C++ calls back is a bound method, which holds the system that holds it, where the
   collector cannot see it. A function that finds the system by a weak reference does not.
+- A CacheEntry holds its system, too, unseen: a block keeps its index, and not the entry.
 
-Pydrake bound by nanobind needs neither.
+Pydrake bound by nanobind does without the first two.
 """
 
 import types

@@ -284,7 +284,7 @@ def make_success_figure(
     panels: tuple[str, NDArray],
     bins: int = 5,
 ) -> Figure:
-    """The share of runs that succeeded over two drawn values, in a map for each third.
+    """The share of runs that succeeded over two drawn values, a map for each value of a third.
 
     Args:
         title: of the figure.

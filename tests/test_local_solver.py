@@ -24,7 +24,8 @@ def solved_once(inputs, **fields):
 @pytest.mark.parametrize("which", ["_nearest", "_fastest"])
 def test_solvers_get_values_and_gradients_that_are_differences(which):
     inputs = moving(3, 3.0)
-    mathematical_program = getattr(solved_once(inputs), which)
+    solver = solved_once(inputs)  # which the program does not hold
+    mathematical_program = getattr(solver, which)
     bindings = mathematical_program.GetAllCosts() + mathematical_program.generic_constraints()
     assert len(bindings) == 2
     size = mathematical_program.num_vars()
