@@ -58,7 +58,7 @@ class CompiledFunction:
         key: Any = None,
     ):
         self._function = _traced(function, input_sizes, jacobian_of, key)
-        self._count = self._function.n_out() - (2 if jacobian_of is not None else 1)
+        self._count = count = self._function.n_out() - (2 if jacobian_of is not None else 1)
         # The buffer borrows the function and the arrays: all must live as long as it.
         self._buffer, self._evaluate = self._function.buffer()
         self._input = np.zeros(sum(input_sizes))
@@ -68,7 +68,6 @@ class CompiledFunction:
         self._buffer.set_arg(0, self._input.data)
         for i, array in enumerate(self._outputs):
             self._buffer.set_res(i, array.reshape(-1, order="F").data)
-        count = self._count
         self._results = tuple(
             [array[:, 0] for array in self._outputs[:count]] + self._outputs[count + 1 :]
         )
@@ -87,7 +86,10 @@ class CompiledFunction:
 
     def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs for flat inputs of the declared sizes."""
-        np.concatenate(inputs, out=self._input)
+        if len(inputs) == 1:
+            self._input[:] = inputs[0]
+        else:
+            np.concatenate(inputs, out=self._input)
         self._evaluate()
         if not self._squared_norm[0] < self._largest_squared:
             # A block that is given such a value is named as well; which made it, nobody knows.

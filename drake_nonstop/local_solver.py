@@ -15,8 +15,8 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
+from drake_nonstop.block import weakly
 from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import weakly
 
 _CONSTRAINT_TOLERANCE = 1e-7  # on a margin
 

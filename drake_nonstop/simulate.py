@@ -33,6 +33,7 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
+from drake_nonstop.block import LeafBlock
 from drake_nonstop.blocks.nonstop_visualizer import NonstopVisualizer
 from drake_nonstop.compiled import LARGEST, NotFiniteError
 from drake_nonstop.diagrams.nonstop import make_nonstop
@@ -217,7 +218,8 @@ def _blame(error: BaseException) -> str:
     for frame, line in traceback.walk_tb(error.__traceback__):
         block = frame.f_locals.get("self")
         if isinstance(block, LeafSystem):
-            blamed = f"{block.get_name()} ({Path(frame.f_code.co_filename).name}:{line}): "
+            name = block.box() if isinstance(block, LeafBlock) else block.get_name()
+            blamed = f"{name} ({Path(frame.f_code.co_filename).name}:{line}): "
     return blamed
 
 

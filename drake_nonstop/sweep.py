@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from drake_nonstop.leaf_block import let_go
+from drake_nonstop.block import let_go
 from drake_nonstop.metrics import compute_metrics, flattened, is_wall_time
 from drake_nonstop.outcomes import FAILED, attempt, one_line
 from drake_nonstop.results import replacing_file, require_writable

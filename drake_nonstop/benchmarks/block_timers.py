@@ -21,7 +21,7 @@ from pydrake.systems.framework import Diagram, LeafSystem, System
 from drake_nonstop.compiled import CompiledFunction
 from drake_nonstop.simulate import Then
 
-OUTSIDE = "outside"  # the blocks: Drake's own work, the logs
+OUTSIDE = "outside"  # the blocks' Python: Drake's own work, in its systems too, the logs
 
 
 @dataclass(slots=True)
@@ -202,7 +202,7 @@ def _is_callback(function: FunctionType) -> bool:
     """
     code = function.__code__
     return (
-        function.__module__.startswith("drake_nonstop.blocks.")
+        function.__module__.startswith("drake_nonstop.")
         and code.co_varnames[: code.co_argcount][1:2] == ("context",)
         and code.co_argcount == 3
         and code.co_kwonlyargcount == 0

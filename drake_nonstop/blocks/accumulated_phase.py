@@ -10,7 +10,7 @@ from pydrake.systems.framework import (
     State,
 )
 
-from drake_nonstop.leaf_block import LeafBlock
+from drake_nonstop.block import LeafBlock
 from drake_nonstop.system import Model
 
 

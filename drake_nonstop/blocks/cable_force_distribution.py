@@ -7,10 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
-from pydrake.systems.framework import BasicVector, Context, ValueProducer
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiagramBuilder,
+    ValueProducer,
+)
 
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import LeafBlock, weakly
+from drake_nonstop.block import DiagramBlock, LeafBlock, weakly
 from drake_nonstop.mechanics.grasp import (
     cable_forces_and_rates,
     grasp_matrix,
@@ -18,7 +22,11 @@ from drake_nonstop.mechanics.grasp import (
 )
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import TracedBlock
 from drake_nonstop.validation import is_number, require, require_non_negative
+from drake_nonstop.wiring import input_names
+
+_OUTPUTS = ("desired_cable_forces", "desired_cable_force_rates")
 
 _ACCURACY = 1e-12  # of the quadratic program's cost, in units of the largest bound that is missed
 _SLACK = 1.01  # of a tension over its bound: the program bounds the part along a direction
@@ -30,7 +38,7 @@ class CableForceDistributionConfig:
     """No parameters: the pattern is the scenario's."""
 
 
-class CableForceDistribution(LeafBlock):
+class CableForceDistribution(TracedBlock):
     """f_d = G† w_d + f̃⁰ + N λ and its exact rate (eqs. 16, 19-21).
 
     .. pydrake_system::
@@ -50,8 +58,6 @@ class CableForceDistribution(LeafBlock):
     """
 
     def __init__(self, model: Model, config: CableForceDistributionConfig | None = None):
-        super().__init__()
-
         def distribute(*inputs: NDArray) -> tuple[NDArray, NDArray]:
             return cable_forces_and_rates(
                 *inputs,
@@ -60,45 +66,17 @@ class CableForceDistribution(LeafBlock):
                 offset=model.pattern.offset,
             )
 
-        self._distribute = CompiledFunction(
+        super().__init__(
             distribute,
-            [13, 6, 6, 2 * model.m],
-            name=self.get_name,
+            inputs={
+                "measured_load_state": 13,
+                "wrench": 6,
+                "wrench_rate": 6,
+                "internal_force": 2 * model.m,
+            },
+            outputs=dict.fromkeys(_OUTPUTS, 3 * model.n),
             key=("distribution", vars(model)),
         )
-        self._ports = [
-            self.DeclareVectorInputPort("measured_load_state", 13),
-            self.DeclareVectorInputPort("wrench", 6),
-            self.DeclareVectorInputPort("wrench_rate", 6),
-            self.DeclareVectorInputPort("internal_force", 2 * model.m),
-        ]
-        inputs = {self.all_input_ports_ticket()}
-        entry = self.DeclareCacheEntry(
-            "forces and rates", ValueProducer(Value(()).Clone, weakly(self._calc)), inputs
-        )
-        self._entry_index = entry.cache_index()  # the entry would keep this block for ever
-        result = {entry.ticket()}
-        self.DeclareVectorOutputPort("desired_cable_forces", 3 * model.n, self._calc_forces, result)
-        self.DeclareVectorOutputPort(
-            "desired_cable_force_rates", 3 * model.n, self._calc_rates, result
-        )
-
-    def _calc(self, context: Context, value: AbstractValue) -> None:
-        value.set_value(self._least_forces(context))
-
-    def _least_forces(self, context: Context) -> tuple[NDArray, NDArray]:
-        """Forces and rates (3n,) each: the least for the wrench, and the pattern's."""
-        forces, rates = self._distribute(*[port.Eval(context) for port in self._ports])
-        return forces.copy(), rates.copy()
-
-    def _forces_and_rates(self, context: Context) -> tuple[NDArray, NDArray]:
-        return self.get_cache_entry(self._entry_index).Eval(context)
-
-    def _calc_forces(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._forces_and_rates(context)[0])
-
-    def _calc_rates(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._forces_and_rates(context)[1])
 
 
 @dataclass(kw_only=True)
@@ -109,7 +87,7 @@ class BoundedTensionDistributionConfig:
     max_tension: float = math.inf  # N
 
 
-class BoundedTensionDistribution(CableForceDistribution):
+class BoundedTensionDistribution(DiagramBlock):
     """The pseudo-inverse's forces, changed as little as bounds on the tensions ask for.
 
     A quadratic program: of all cable forces with the wrench that is asked for, those nearest
@@ -128,8 +106,27 @@ class BoundedTensionDistribution(CableForceDistribution):
     """
 
     def __init__(self, model: Model, config: BoundedTensionDistributionConfig | None = None):
-        super().__init__(model)
-        self._config = config = config or BoundedTensionDistributionConfig()
+        super().__init__()
+        builder = DiagramBuilder()
+        least = builder.AddNamedSystem("least", CableForceDistribution(model))
+        bounds = builder.AddNamedSystem(
+            "bounds", _TensionBounds(model, config or BoundedTensionDistributionConfig())
+        )
+        for name in _OUTPUTS:
+            builder.Connect(least.GetOutputPort(name), bounds.GetInputPort(name))
+            builder.ExportOutput(bounds.GetOutputPort(name), name)
+        for name in input_names(least):
+            builder.ExportInput(least.GetInputPort(name), name)
+        builder.ConnectInput("measured_load_state", bounds.GetInputPort("measured_load_state"))
+        builder.BuildInto(self)
+
+
+class _TensionBounds(LeafBlock):
+    """Cable forces and rates, changed as little as the bounds ask for."""
+
+    def __init__(self, model: Model, config: BoundedTensionDistributionConfig):
+        super().__init__()
+        self._config = config
         owner = "force_distribution"
         require_non_negative(owner, min_tension=config.min_tension)
         limit = config.max_tension
@@ -141,14 +138,37 @@ class BoundedTensionDistribution(CableForceDistribution):
         )
         # The last rows of Vᵀ span what the grasp matrix, of rank 6, takes to zero.
         self._null_space = np.linalg.svd(grasp_matrix(model.attachments))[2][6:].T
+        self._measured_load_state = self.DeclareVectorInputPort("measured_load_state", 13)
+        self._desired = [self.DeclareVectorInputPort(name, 3 * model.n) for name in _OUTPUTS]
+        entry = self.DeclareCacheEntry(
+            "forces and rates",
+            ValueProducer(Value(()).Clone, weakly(self._calc)),
+            {self.all_input_ports_ticket()},
+        )
+        self._entry_index = entry.cache_index()  # the entry would keep this block for ever
+        for name, calc in zip(_OUTPUTS, (self._calc_forces, self._calc_rates), strict=True):
+            self.DeclareVectorOutputPort(name, 3 * model.n, calc, {entry.ticket()})
 
-    def _least_forces(self, context: Context) -> tuple[NDArray, NDArray]:
-        forces, rates = (values.reshape(-1, 3) for values in super()._least_forces(context))
+    def _forces_and_rates(self, context: Context) -> tuple[NDArray, NDArray]:
+        return self.get_cache_entry(self._entry_index).Eval(context)
+
+    def _calc_forces(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._forces_and_rates(context)[0])
+
+    def _calc_rates(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._forces_and_rates(context)[1])
+
+    def _calc(self, context: Context, value: AbstractValue) -> None:
+        forces, rates = (port.Eval(context).reshape(-1, 3) for port in self._desired)
+        state = self._measured_load_state.Eval(context)
+        forces, rates = self._bounded(forces, rates, state)
+        value.set_value((forces.ravel(), rates.ravel()))
+
+    def _bounded(self, forces: NDArray, rates: NDArray, state: NDArray) -> tuple[NDArray, NDArray]:
         tensions = np.linalg.norm(forces, axis=1)
         low, high = self._config.min_tension - tensions, self._config.max_tension - tensions
         if np.all(low <= 0) and np.all(high >= 0):
-            return forces.ravel(), rates.ravel()
-        state = self._ports[0].Eval(context)
+            return forces, rates
         R_WL, angular_velocity = rotation_matrix(state[:4]), state[7:10]
         # In the load frame, where the null space is constant.
         forces_L = forces @ R_WL
@@ -168,7 +188,7 @@ class BoundedTensionDistribution(CableForceDistribution):
             raise RuntimeError(self._failure())
         forces = (forces_L + change) @ R_WL.T
         rates = (rates_L + change_rate) @ R_WL.T + np.cross(angular_velocity, forces)
-        return forces.ravel(), rates.ravel()
+        return forces, rates
 
     def _failure(self) -> str:
         return (

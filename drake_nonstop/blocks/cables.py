@@ -4,16 +4,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context
 
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import TracedBlock
 from drake_nonstop.validation import is_number, require, require_array
 
 
-class CableForces(LeafBlock):
+class CableForces(TracedBlock):
     """Massless, tension-only spring-dampers from the load to the carriers.
 
     .. pydrake_system::
@@ -44,8 +42,6 @@ class CableForces(LeafBlock):
         stiffness: float | NDArray,
         damping: float | NDArray,
     ):
-        super().__init__()
-
         def forces(load_state: NDArray, carrier_state: NDArray) -> tuple[NDArray, NDArray]:
             return cable_forces_and_tensions(
                 load_state,
@@ -56,21 +52,11 @@ class CableForces(LeafBlock):
                 damping=damping,
             )
 
-        self._cables = CompiledFunction(forces, [13, 6 * model.n], name=self.get_name)
-        self._load_state = self.DeclareVectorInputPort("load_state", 13)
-        self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * model.n)
-        inputs = {self.all_input_ports_ticket()}
-        self.DeclareVectorOutputPort("cable_forces", 3 * model.n, self._calc_forces, inputs)
-        self.DeclareVectorOutputPort("tensions", model.n, self._calc_tensions, inputs)
-
-    def _evaluate(self, context: Context) -> tuple[NDArray, ...]:
-        return self._cables(self._load_state.Eval(context), self._carrier_state.Eval(context))
-
-    def _calc_forces(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._evaluate(context)[0])
-
-    def _calc_tensions(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._evaluate(context)[1])
+        super().__init__(
+            forces,
+            inputs={"load_state": 13, "carrier_state": 6 * model.n},
+            outputs={"cable_forces": 3 * model.n, "tensions": model.n},
+        )
 
 
 @dataclass(kw_only=True)

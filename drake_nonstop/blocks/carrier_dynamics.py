@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass
 
-from pydrake.systems.framework import Context, ContinuousState
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Gain, Integrator, Multiplexer
 
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import LeafBlock
-from drake_nonstop.mechanics.carrier import double_integrator_rate
+from drake_nonstop.block import DiagramBlock
 from drake_nonstop.system import Model
 
 
@@ -15,7 +14,7 @@ class CarrierDynamicsConfig:
     """No parameters: the carrier mass is the system's."""
 
 
-class CarrierDynamics(LeafBlock):
+class CarrierDynamics(DiagramBlock):
     """Double integrators: m_c p̈ = u, without weight or cable reaction, as in the paper.
 
     .. pydrake_system::
@@ -32,20 +31,17 @@ class CarrierDynamics(LeafBlock):
 
     def __init__(self, model: Model, config: CarrierDynamicsConfig | None = None):
         super().__init__()
-        n = model.n
-        self._rate = CompiledFunction(
-            lambda state, forces: double_integrator_rate(state, forces, mass=model.carrier_mass),
-            [6 * n, 3 * n],
-            name=self.get_name,
-        )
-        self._carrier_forces = self.DeclareVectorInputPort("carrier_forces", 3 * n)
-        # q and v apart: Drake's semi-explicit integrators need to know.
-        index = self.DeclareContinuousState(3 * n, 3 * n, 0)
-        self._carrier_state = self.DeclareStateOutputPort("carrier_state", index)
-
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        (rate,) = self._rate(
-            self._carrier_state.Eval(context),
-            self._carrier_forces.Eval(context),
-        )
-        derivatives.get_mutable_vector().SetFromVector(rate)
+        size = 3 * model.n
+        builder = DiagramBuilder()
+        # In the order of the state.
+        positions = builder.AddNamedSystem("positions", Integrator(size))
+        velocities = builder.AddNamedSystem("velocities", Integrator(size))
+        accelerations = builder.AddNamedSystem("accelerations", Gain(1 / model.carrier_mass, size))
+        state = builder.AddNamedSystem("state", Multiplexer([size, size]))
+        builder.ExportInput(accelerations.get_input_port(), "carrier_forces")
+        builder.Connect(accelerations.get_output_port(), velocities.get_input_port())
+        builder.Connect(velocities.get_output_port(), positions.get_input_port())
+        for i, part in enumerate((positions, velocities)):
+            builder.Connect(part.get_output_port(), state.get_input_port(i))
+        builder.ExportOutput(state.get_output_port(), "carrier_state")
+        builder.BuildInto(self)

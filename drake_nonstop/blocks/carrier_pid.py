@@ -4,21 +4,23 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, ContinuousState
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Adder, Gain, LinearSystem
 
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import LeafBlock
-from drake_nonstop.mechanics.carrier import carrier_acceleration, pid_forces
+from drake_nonstop.block import DiagramBlock
+from drake_nonstop.mechanics.carrier import carrier_acceleration
 from drake_nonstop.mechanics.internal_force import internal_force_acceleration
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import TracedBlock
 from drake_nonstop.validation import require_non_negative, require_positive
+from drake_nonstop.wiring import input_names
 
 _OWNER = "carrier_controller"
 
 
-class CarrierPositionPid(LeafBlock):
+class CarrierPositionPid(DiagramBlock):
     """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), for every carrier.
 
     .. pydrake_system::
@@ -37,44 +39,44 @@ class CarrierPositionPid(LeafBlock):
     Args:
         model: how many carriers there are.
         gains: position_gain (N/m), velocity_gain (N s/m) and integral_gain (N/(m s)).
+        feedforward: a block with one output, forces (3n) to add; its input ports are the
+            controller's, too.
     """
 
-    def __init__(self, model: Model, gains: dict[str, float]):
+    def __init__(
+        self, model: Model, gains: dict[str, float], feedforward: TracedBlock | None = None
+    ):
         super().__init__()
-        n = model.n
-        self._n = n
-        self._no_integral = np.zeros(3 * n)
-        self._forces = CompiledFunction(
-            lambda reference, state, integral: pid_forces(reference, state, integral, **gains),
-            [6 * n, 6 * n, 3 * n],
-            name=self.get_name,
+        size = 3 * model.n
+        eye, none = np.eye(size), np.zeros((size, size))
+        builder = DiagramBuilder()
+        minus = builder.AddNamedSystem("minus", Gain(-1.0, 2 * size))
+        error = builder.AddNamedSystem("error", Adder(2, 2 * size))
+        states = size if gains["integral_gain"] > 0 else 0
+        pid = builder.AddNamedSystem(
+            "pid",
+            LinearSystem(
+                A=none[:states, :states],
+                B=np.hstack([eye, none])[:states],
+                C=gains["integral_gain"] * eye[:, :states],
+                D=np.hstack([gains["position_gain"] * eye, gains["velocity_gain"] * eye]),
+            ),
         )
-        self._carrier_reference = self.DeclareVectorInputPort("carrier_reference", 6 * n)
-        self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * n)
-        prerequisites = {self.all_input_ports_ticket()}
-        self._integrates = gains["integral_gain"] > 0
-        if self._integrates:
-            self.DeclareContinuousState(3 * n)
-            prerequisites.add(self.xc_ticket())
-        self.DeclareVectorOutputPort("carrier_forces", 3 * n, self._calc_forces, prerequisites)
-
-    def _calc_forces(self, context: Context, output: BasicVector) -> None:
-        integral = self._no_integral
-        if self._integrates:
-            integral = context.get_continuous_state_vector().CopyToVector()
-        (forces,) = self._forces(
-            self._carrier_reference.Eval(context), self._carrier_state.Eval(context), integral
-        )
-        output.SetFromVector(forces)
-
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        if not self._integrates:
-            return
-        half = 3 * self._n
-        error = (
-            self._carrier_reference.Eval(context)[:half] - self._carrier_state.Eval(context)[:half]
-        )
-        derivatives.get_mutable_vector().SetFromVector(error)
+        builder.Connect(minus.get_output_port(), error.get_input_port(1))
+        builder.Connect(error.get_output_port(), pid.get_input_port())
+        builder.ExportInput(error.get_input_port(0), "carrier_reference")
+        builder.ExportInput(minus.get_input_port(), "carrier_state")
+        forces = pid.get_output_port()
+        if feedforward is not None:
+            builder.AddNamedSystem("feedforward", feedforward)
+            for name in input_names(feedforward):
+                builder.ExportInput(feedforward.GetInputPort(name), name)
+            total = builder.AddNamedSystem("total", Adder(2, size))
+            builder.Connect(forces, total.get_input_port(0))
+            builder.Connect(feedforward.get_output_port(), total.get_input_port(1))
+            forces = total.get_output_port()
+        builder.ExportOutput(forces, "carrier_forces")
+        builder.BuildInto(self)
 
 
 @dataclass(kw_only=True)
@@ -133,7 +135,6 @@ class CarrierFeedforwardPid(CarrierPositionPid):
     """
 
     def __init__(self, model: Model, gains: dict[str, float]):
-        super().__init__(model, gains)
         n = model.n
 
         def inertial_forces(
@@ -163,16 +164,8 @@ class CarrierFeedforwardPid(CarrierPositionPid):
             "internal_force": 2 * model.m,
             "parameters": 2,
         }
-        self._inertial_forces = CompiledFunction(
-            inertial_forces, list(sizes.values()), name=self.get_name
-        )
-        self._desired = [self.DeclareVectorInputPort(*port) for port in sizes.items()]
-
-    def _calc_forces(self, context: Context, output: BasicVector) -> None:
-        super()._calc_forces(context, output)
-        (inertial,) = self._inertial_forces(*[port.Eval(context) for port in self._desired])
-        value = output.get_mutable_value()
-        value += inertial
+        feedforward = TracedBlock(inertial_forces, inputs=sizes, outputs={"inertial_forces": 3 * n})
+        super().__init__(model, gains, feedforward)
 
 
 @dataclass(kw_only=True)

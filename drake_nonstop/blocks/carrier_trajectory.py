@@ -4,17 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context
 
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import TracedBlock
 
-_NO_TIME = np.zeros(1)
 
-
-class CarrierMotion(LeafBlock):
+class CarrierMotion(TracedBlock):
     """Where each carrier has to be for its cable to pull as desired (eqs. 1, 22).
 
     A load pose carries the cables. Behind a sampled controller the references go on along
@@ -42,9 +38,7 @@ class CarrierMotion(LeafBlock):
     """
 
     def __init__(self, model: Model, *, pose: tuple[str, int], compliance: float):
-        super().__init__()
-
-        def motion(state: NDArray, forces: NDArray, rates: NDArray, ahead: NDArray) -> NDArray:
+        def motion(state: NDArray, forces: NDArray, rates: NDArray, *times: NDArray) -> NDArray:
             positions, velocities = carrier_motion(
                 state,
                 forces.reshape(-1, 3),
@@ -53,34 +47,22 @@ class CarrierMotion(LeafBlock):
                 rest_length=model.cable_length,
                 compliance=compliance,
             )
-            return np.concatenate([positions + ahead * velocities, velocities])
+            if times:
+                sample_time, time = times
+                positions = positions + (time - sample_time) * velocities
+            return np.concatenate([positions, velocities])
 
-        self._motion = CompiledFunction(
-            motion, [pose[1], 3 * model.n, 3 * model.n, 1], name=self.get_name
+        inputs = dict([pose])
+        inputs |= dict.fromkeys(("desired_cable_forces", "desired_cable_force_rates"), 3 * model.n)
+        is_sampled = model.control_period > 0
+        if is_sampled:
+            inputs["sample_time"] = 1
+        super().__init__(
+            motion,
+            inputs=inputs,
+            outputs={"carrier_reference": 6 * model.n},
+            reads_time=is_sampled,
         )
-        self._pose = self.DeclareVectorInputPort(*pose)
-        self._forces = self.DeclareVectorInputPort("desired_cable_forces", 3 * model.n)
-        self._rates = self.DeclareVectorInputPort("desired_cable_force_rates", 3 * model.n)
-        self._sample_time = None
-        prerequisites = {self.all_input_ports_ticket()}
-        if model.control_period > 0:
-            self._sample_time = self.DeclareVectorInputPort("sample_time", 1)
-            prerequisites.add(self.time_ticket())
-        self.DeclareVectorOutputPort(
-            "carrier_reference", 6 * model.n, self._calc_reference, prerequisites
-        )
-
-    def _calc_reference(self, context: Context, output: BasicVector) -> None:
-        ahead = _NO_TIME
-        if self._sample_time is not None:
-            ahead = context.get_time() - self._sample_time.Eval(context)
-        (motion,) = self._motion(
-            self._pose.Eval(context),
-            self._forces.Eval(context),
-            self._rates.Eval(context),
-            ahead,
-        )
-        output.SetFromVector(motion)
 
 
 @dataclass(kw_only=True)

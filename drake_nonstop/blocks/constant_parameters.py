@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, NumericParameterIndex
 
-from drake_nonstop.leaf_block import LeafBlock
+from drake_nonstop.block import LeafBlock
 from drake_nonstop.system import Model
 from drake_nonstop.validation import require_non_negative, require_positive
 

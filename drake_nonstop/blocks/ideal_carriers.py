@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass
 
-from pydrake.systems.framework import BasicVector, Context
+from pydrake.systems.primitives import Selector
 
-from drake_nonstop.leaf_block import LeafBlock
+from drake_nonstop.block import BlockType
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import stacking
 
 
 @dataclass(kw_only=True)
@@ -13,7 +14,7 @@ class IdealCarriersConfig:
     """No parameters."""
 
 
-class IdealCarriers(LeafBlock):
+class IdealCarriers(Selector, metaclass=BlockType):
     """Ideal tracking: the carriers are always where they should be, whatever steers them.
 
     What is left of the load's error with them is none of the carriers' fault. Behind sampled
@@ -31,11 +32,4 @@ class IdealCarriers(LeafBlock):
     """
 
     def __init__(self, model: Model, config: IdealCarriersConfig | None = None):
-        super().__init__()
-        self._carrier_reference = self.DeclareVectorInputPort("carrier_reference", 6 * model.n)
-        self.DeclareVectorOutputPort(
-            "carrier_state", 6 * model.n, self._calc, {self.all_input_ports_ticket()}
-        )
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._carrier_reference.Eval(context))
+        super().__init__(stacking({"carrier_reference": 6 * model.n}, "carrier_state"))

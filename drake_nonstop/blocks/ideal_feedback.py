@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass
 
-from pydrake.systems.framework import BasicVector, Context
+from pydrake.systems.primitives import Selector
 
-from drake_nonstop.leaf_block import LeafBlock
+from drake_nonstop.block import BlockType
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import stacking
 
 
 @dataclass(kw_only=True)
@@ -13,7 +14,7 @@ class IdealFeedbackConfig:
     """No parameters."""
 
 
-class IdealFeedback(LeafBlock):
+class IdealFeedback(Selector, metaclass=BlockType):
     """Passes the load's state on, unchanged and at once.
 
     .. pydrake_system::
@@ -28,11 +29,4 @@ class IdealFeedback(LeafBlock):
     """
 
     def __init__(self, model: Model, config: IdealFeedbackConfig | None = None):
-        super().__init__()
-        self._load_state = self.DeclareVectorInputPort("load_state", 13)
-        self.DeclareVectorOutputPort(
-            "measured_load_state", 13, self._calc, {self.all_input_ports_ticket()}
-        )
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._load_state.Eval(context))
+        super().__init__(stacking({"load_state": 13}, "measured_load_state"))

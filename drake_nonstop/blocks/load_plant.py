@@ -4,12 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, ContinuousState
+from pydrake.systems.primitives import Integrator
 
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.rigid_load import load_state_rate
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import TracedBlock
 
 
 @dataclass(kw_only=True)
@@ -17,7 +16,7 @@ class LoadPlantConfig:
     """No parameters: mass, inertia, drag and attachments are the system's."""
 
 
-class LoadPlant(LeafBlock):
+class LoadPlant(TracedBlock):
     """The rigid load: Newton-Euler with linear drag (eqs. 5-6).
 
     .. pydrake_system::
@@ -36,8 +35,6 @@ class LoadPlant(LeafBlock):
     """
 
     def __init__(self, model: Model, config: LoadPlantConfig | None = None):
-        super().__init__()
-
         def rate(state: NDArray, cable_forces: NDArray, disturbance: NDArray) -> NDArray:
             return load_state_rate(
                 state,
@@ -52,17 +49,9 @@ class LoadPlant(LeafBlock):
                 gravity=model.gravity,
             )
 
-        self._rate = CompiledFunction(rate, [13, 3 * model.n, 6], name=self.get_name)
-        self._cable_forces = self.DeclareVectorInputPort("cable_forces", 3 * model.n)
-        self._disturbance_wrench = self.DeclareVectorInputPort("disturbance_wrench", 6)
-        at_rest = BasicVector(np.array([1.0] + [0.0] * 12))
-        index = self.DeclareContinuousState(at_rest)
-        self._load_state = self.DeclareStateOutputPort("load_state", index)
-
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        (rate,) = self._rate(
-            self._load_state.Eval(context),
-            self._cable_forces.Eval(context),
-            self._disturbance_wrench.Eval(context),
+        super().__init__(
+            rate,
+            inputs={"cable_forces": 3 * model.n, "disturbance_wrench": 6},
+            state=Integrator(np.array([1.0] + [0.0] * 12)),
+            state_port="load_state",
         )
-        derivatives.get_mutable_vector().SetFromVector(rate)

@@ -11,8 +11,8 @@ from pydrake.polynomial import Polynomial
 from pydrake.systems.framework import BasicVector, Context
 from pydrake.trajectories import PiecewisePolynomial
 
+from drake_nonstop.block import LeafBlock
 from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.circle import circular_motion
 from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_quaternion
 from drake_nonstop.pose_samples import read_samples, sample_array

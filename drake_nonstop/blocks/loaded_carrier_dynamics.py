@@ -3,12 +3,11 @@
 import math
 from dataclasses import dataclass
 
-from pydrake.systems.framework import Context, ContinuousState
+from pydrake.systems.primitives import Integrator
 
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.carrier import loaded_carrier_rate
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import TracedBlock
 from drake_nonstop.validation import is_number, require
 
 
@@ -19,7 +18,7 @@ class LoadedCarrierDynamicsConfig:
     max_force: float = math.inf  # N, of a carrier
 
 
-class LoadedCarrierDynamics(LeafBlock):
+class LoadedCarrierDynamics(TracedBlock):
     """Carriers that feel their weight and their cable: m_c p̈ = sat(u) − m_c g e₃ − f.
 
     A controller that knows of neither lets them sag; see `LoadedCarrierPid`.
@@ -41,7 +40,6 @@ class LoadedCarrierDynamics(LeafBlock):
     """
 
     def __init__(self, model: Model, config: LoadedCarrierDynamicsConfig | None = None):
-        super().__init__()
         config = config or LoadedCarrierDynamicsConfig()
         limit = config.max_force
         require(
@@ -51,7 +49,7 @@ class LoadedCarrierDynamics(LeafBlock):
             "give a number greater than zero, or .inf for no limit",
         )
         n = model.n
-        self._rate = CompiledFunction(
+        super().__init__(
             lambda state, forces, cables: loaded_carrier_rate(
                 state,
                 forces,
@@ -60,19 +58,7 @@ class LoadedCarrierDynamics(LeafBlock):
                 gravity=model.gravity,
                 max_force=limit,
             ),
-            [6 * n, 3 * n, 3 * n],
-            name=self.get_name,
+            inputs={"carrier_forces": 3 * n, "cable_forces": 3 * n},
+            state=Integrator(6 * n),
+            state_port="carrier_state",
         )
-        self._carrier_forces = self.DeclareVectorInputPort("carrier_forces", 3 * n)
-        self._cable_forces = self.DeclareVectorInputPort("cable_forces", 3 * n)
-        # q and v apart: Drake's semi-explicit integrators need to know.
-        index = self.DeclareContinuousState(3 * n, 3 * n, 0)
-        self._carrier_state = self.DeclareStateOutputPort("carrier_state", index)
-
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        (rate,) = self._rate(
-            self._carrier_state.Eval(context),
-            self._carrier_forces.Eval(context),
-            self._cable_forces.Eval(context),
-        )
-        derivatives.get_mutable_vector().SetFromVector(rate)

@@ -4,8 +4,8 @@ from dataclasses import asdict, dataclass
 
 from pydrake.systems.framework import BasicVector, Context
 
+from drake_nonstop.block import LeafBlock
 from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.mechanics.carrier import loaded_pid_forces
 from drake_nonstop.system import Model
 from drake_nonstop.validation import require_non_negative

@@ -7,10 +7,10 @@ from pydrake.common.value import AbstractValue
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, SpatialInertia, UnitInertia
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder
 
+from drake_nonstop.block import DiagramBlock, LeafBlock
 from drake_nonstop.compiled import LARGEST, NotFiniteError
-from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.system import Model
 
 
@@ -19,7 +19,7 @@ class MultibodyLoadPlantConfig:
     """No parameters: mass, inertia, drag and attachments are the system's."""
 
 
-class MultibodyLoadPlant(Diagram):
+class MultibodyLoadPlant(DiagramBlock):
     """The rigid load as the free body of a continuous MultibodyPlant.
 
     It is behind the same ports as `LoadPlant` and shares no equation with it: the cables'
@@ -39,8 +39,6 @@ class MultibodyLoadPlant(Diagram):
     force] at the centre of mass, in W. `load_state` (13) = [quaternion w x y z, position,
     angular velocity, velocity], in W, is the plant's state.
     """
-
-    __slots__ = ()  # see leaf_block
 
     def __init__(self, model: Model, config: MultibodyLoadPlantConfig | None = None):
         super().__init__()

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 
-from drake_nonstop.leaf_block import LeafBlock
+from drake_nonstop.block import LeafBlock
 from drake_nonstop.mechanics.rotation import turned
 from drake_nonstop.system import Model
 from drake_nonstop.validation import (

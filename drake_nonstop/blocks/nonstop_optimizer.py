@@ -12,8 +12,8 @@ from pydrake.systems.framework import (
     NumericParameterIndex,
 )
 
+from drake_nonstop.block import LeafBlock
 from drake_nonstop.compiled import LARGEST
-from drake_nonstop.leaf_block import LeafBlock
 from drake_nonstop.local_solver import LocalSolver
 from drake_nonstop.speed_program import Outcome, SpeedProgram, amplitude_bounds
 from drake_nonstop.system import Model

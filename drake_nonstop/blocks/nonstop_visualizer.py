@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 
-from drake_nonstop.leaf_block import LeafBlock
+from drake_nonstop.block import LeafBlock
 from drake_nonstop.scene import LiveCanvas, Scene, SceneConfig, Snapshot
 from drake_nonstop.system import Model, System, overridden
 from drake_nonstop.validation import is_number, require

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from pydrake.systems.framework import BasicVector, Context
 
-from drake_nonstop.leaf_block import LeafBlock
+from drake_nonstop.block import LeafBlock
 from drake_nonstop.system import Model
 
 

@@ -2,7 +2,7 @@
 
 from pydrake.systems.framework import Context, State
 
-from drake_nonstop.leaf_block import LeafBlock
+from drake_nonstop.block import LeafBlock
 from drake_nonstop.system import Model
 
 HELD_SIGNALS = {"measured_load_state": 13, "reference": 22}  # name -> size

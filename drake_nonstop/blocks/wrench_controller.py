@@ -5,26 +5,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    ContinuousState,
-    DiscreteValues,
-    ValueProducer,
-)
+from pydrake.systems.framework import System
+from pydrake.systems.primitives import Integrator
 
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.leaf_block import LeafBlock, weakly
 from drake_nonstop.mechanics import wrench
 from drake_nonstop.mechanics.tuning import pid_gains
+from drake_nonstop.sampled_integrator import SampledIntegrator
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import TracedBlock
 from drake_nonstop.validation import require, require_non_negative, require_positive
 
 _OWNER = "wrench_controller"
 
 
-class LoadWrenchPid(LeafBlock):
+class LoadWrenchPid(TracedBlock):
     """PID on the load's pose with feedforward, and the exact rate of its wrench.
 
     Equations 14-15 and `mechanics.wrench`. The integrals are the block's state, where one of
@@ -51,10 +45,10 @@ class LoadWrenchPid(LeafBlock):
     """
 
     def __init__(self, model: Model, gains: dict[str, Any]):
-        super().__init__()
-
-        def outputs(state: NDArray, reference: NDArray, integrals: NDArray) -> tuple:
+        def outputs(integrals: NDArray, state: NDArray, reference: NDArray) -> tuple:
+            error = wrench.tracking_error(state, reference)
             return (
+                error[:6],
                 *wrench.wrench_and_rate(
                     state,
                     reference,
@@ -67,73 +61,23 @@ class LoadWrenchPid(LeafBlock):
                     angular_drag=model.load_angular_drag,
                     gravity=model.gravity,
                 ),
-                wrench.tracking_error(state, reference),
+                error,
             )
 
-        self._control = CompiledFunction(
-            outputs, [13, 22, 6], name=self.get_name, key=("wrench", vars(model), gains)
-        )
-        self._integrates = any(
+        integrates = any(
             np.any(gains[name]) for name in ("position_integral_gain", "orientation_integral_gain")
         )
-        self._measured_load_state = self.DeclareVectorInputPort("measured_load_state", 13)
-        self._reference = self.DeclareVectorInputPort("reference", 22)
-        self._period = model.control_period
-        prerequisites = {self.all_input_ports_ticket()}
-        if self._integrates and self._period > 0:
-            index = self.DeclareDiscreteState(6)
-            self.DeclarePeriodicDiscreteUpdateEvent(
-                self._period, self._period, self._update_integrals
-            )
-            prerequisites.add(self.discrete_state_ticket(index))
-        elif self._integrates:
-            self.DeclareContinuousState(6)
-            prerequisites.add(self.xc_ticket())
-        entry = self.DeclareCacheEntry(
-            "wrench, its rate and the error",
-            ValueProducer(Value(()).Clone, weakly(self._calc)),
-            prerequisites,
+        period = model.control_period
+        state: System | None = None
+        if integrates:
+            state = SampledIntegrator(6, period) if period > 0 else Integrator(6)
+        super().__init__(
+            outputs if integrates else lambda *inputs: outputs(np.zeros(6), *inputs)[1:],
+            inputs={"measured_load_state": 13, "reference": 22},
+            outputs={"wrench": 6, "wrench_rate": 6, "tracking_error": 12},
+            state=state,
+            key=("wrench", integrates, vars(model), gains),
         )
-        self._entry_index = entry.cache_index()  # the entry would keep this block for ever
-        result = {entry.ticket()}
-        self.DeclareVectorOutputPort("wrench", 6, self._calc_wrench, result)
-        self.DeclareVectorOutputPort("wrench_rate", 6, self._calc_wrench_rate, result)
-        self.DeclareVectorOutputPort("tracking_error", 12, self._calc_tracking_error, result)
-
-    def _integrals(self, context: Context) -> NDArray:
-        if not self._integrates:
-            return np.zeros(6)
-        if self._period > 0:
-            return context.get_discrete_state_vector().value()
-        return context.get_continuous_state_vector().CopyToVector()
-
-    def _calc(self, context: Context, value: AbstractValue) -> None:
-        results = self._control(
-            self._measured_load_state.Eval(context),
-            self._reference.Eval(context),
-            self._integrals(context),
-        )
-        value.set_value(tuple(result.copy() for result in results))
-
-    def _results(self, context: Context) -> tuple[NDArray, ...]:
-        return self.get_cache_entry(self._entry_index).Eval(context)
-
-    def _calc_wrench(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._results(context)[0])
-
-    def _calc_wrench_rate(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._results(context)[1])
-
-    def _calc_tracking_error(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._results(context)[2])
-
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        if self._integrates and self._period == 0:
-            derivatives.get_mutable_vector().SetFromVector(self._results(context)[2][:6])
-
-    def _update_integrals(self, context: Context, discrete_state: DiscreteValues) -> None:
-        error = self._results(context)[2][:6]
-        discrete_state.set_value(self._integrals(context) + self._period * error)
 
 
 @dataclass(kw_only=True)

@@ -1,7 +1,7 @@
-"""The LeafSystem that all blocks are: one that Python can let go of.
+"""What all blocks are: systems that Python can let go of.
 
 A run that is over has to give its memory back, or a sweep of many does not fit into it. Three
-things keep a LeafSystem written in Python for ever, and with it all of its diagram, some 7 MB a
+things keep a system written in Python for ever, and with it all of its diagram, some 7 MB a
 run (https://github.com/RobotLocomotion/drake/issues/22515):
 
 - Where pydrake is bound by pybind11, a Python class below its classes gets a dictionary that
@@ -14,6 +14,7 @@ run (https://github.com/RobotLocomotion/drake/issues/22515):
 Pydrake bound by nanobind does without the first two.
 """
 
+import functools
 import types
 import weakref
 from typing import Any
@@ -34,8 +35,19 @@ def _type_of_blocks() -> Any:
     return Slotted
 
 
-class LeafBlock(LeafSystem, metaclass=_type_of_blocks()):  # type: ignore[metaclass]
+BlockType = _type_of_blocks()
+
+
+class DiagramBlock(Diagram, metaclass=BlockType):  # type: ignore[metaclass]
+    """A Diagram that is freed."""
+
+
+class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
     """A LeafSystem whose methods may be given to its Declare functions, and that is freed."""
+
+    def box(self) -> str:
+        """What error messages call the block: its name in the diagram."""
+        return self.get_name()
 
     def DeclareVectorOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
         """As LeafSystem's."""
@@ -52,6 +64,7 @@ def weakly(callback: Any) -> Any:
         return callback
     function, owner = callback.__func__, weakref.ref(callback.__self__)
 
+    @functools.wraps(function)
     def call(*arguments: Any) -> Any:
         return function(owner(), *arguments)
 
