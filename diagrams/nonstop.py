@@ -10,6 +10,8 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
   load_plant <── cables <── carrier_dynamics <────────────────────────┘
 """
 
+import math
+import warnings
 from collections.abc import Callable
 from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any
@@ -31,12 +33,14 @@ from drake_nonstop.blocks.carrier_pid import (
     TunedFeedforwardCarrierPid,
 )
 from drake_nonstop.blocks.carrier_trajectory import (
+    CarrierMotion,
     CarrierTrajectory,
     InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
 from drake_nonstop.blocks.constant_parameters import ConstantParameters
 from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
+from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.ideal_carriers import IdealCarriers
 from drake_nonstop.blocks.ideal_feedback import IdealFeedback
 from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
@@ -65,7 +69,7 @@ from drake_nonstop.blocks.wrench_controller import (
 )
 from drake_nonstop.own_blocks import import_path, make_own_block, own_block_class
 from drake_nonstop.system import Model, overridden
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, ScenarioWarning, require
 
 if TYPE_CHECKING:
     from drake_nonstop.scenario import Scenario
@@ -104,6 +108,9 @@ BLOCKS: dict[str, tuple[type[System], ...]] = {
 
 # What is simulated and not believed: these take the scenario's `simulated` system.
 PLANT = ("carrier_dynamics", "cables", "load_plant")
+
+# What `fused_plant` makes one block of, each after those whose outputs it reads.
+FUSED = ("carrier_controller", "cables", "carrier_dynamics", "load_plant")
 
 # The figure's wires, to be read. They follow from the names of the ports, and building
 # the default blocks checks this list against what was built. Where the scenario has a
@@ -190,7 +197,9 @@ def figure_wires() -> set[str]:
 def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System] | Any) -> Diagram:
     """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
 
-    Every signal is exported under its name: `diagram.GetOutputPort("load_state")`.
+    Every signal is exported under its name: `diagram.GetOutputPort("load_state")`. With
+    `fused_plant` one subsystem, `plant`, stands for the boxes in `FUSED`; where that cannot be,
+    a ScenarioWarning tells why, and they are built as ever.
 
     Args:
         scenario: the system, the pattern and one config per box.
@@ -238,6 +247,8 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
             "return a LeafSystem or Diagram from the function",
         )
         wiring.check_outputs(name, blocks[name], *_signals(name, believed))
+    if scenario.fused_plant:
+        _fuse(blocks, scenario)
     replaced_signals = {}
     if scenario.control_period > 0:
         blocks["sample_and_hold"] = SampleAndHold(believed)
@@ -253,6 +264,32 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
                 "built; mend the list or the ports"
             )
     return diagram
+
+
+def _fuse(blocks: dict[str, System], scenario: "Scenario") -> None:
+    """Puts one block in the place of those in `FUSED`, where that makes no difference."""
+    simulator = scenario.simulator
+    reason = ""
+    if scenario.control_period == 0:
+        reason = "control_period = 0, and it steps from sample to sample of the controllers"
+    elif simulator.integration_scheme != "runge_kutta3" or simulator.use_error_control:
+        reason = "its steps are those of runge_kutta3 without error control"
+    elif not isinstance(blocks.get("carrier_trajectory"), CarrierMotion):
+        reason = "carrier_trajectory is not known to move along its velocities between samples"
+    for name in FUSED:
+        if not hasattr(blocks.get(name), "equations"):
+            block = type(blocks[name]).__name__ if name in blocks else "left out"
+            reason = reason or f"{name} = {block} has no equations to be traced with the others"
+    if reason:
+        message = f"fused_plant = true: {reason}; the separate blocks are used instead"
+        warnings.warn(message, ScenarioWarning, stacklevel=3)
+        return
+    parts = {name: blocks.pop(name) for name in FUSED}
+    blocks["plant"] = FusedPlant(
+        {name: block.equations for name, block in parts.items()},
+        period=scenario.control_period,
+        steps=max(1, math.ceil(scenario.control_period / simulator.max_step_size - 1e-9)),
+    )
 
 
 def _signals(box: str, model: Model) -> tuple[dict[str, int], dict[str, int]]:

@@ -9,6 +9,7 @@ from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.validation import ScenarioError
 
 _STEP = 1e-6  # of the differences, in SI units
@@ -30,26 +31,22 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     Raises:
         ScenarioError: the cables cannot hold the load.
     """
-    load = nonstop.GetSubsystemByName("load_plant")
-    carriers = nonstop.GetSubsystemByName("carrier_dynamics")
+    plant = _plant(nonstop)
     trial = _copied(nonstop, context)
     start = trial.Clone()
-    load_context = nonstop.GetMutableSubsystemContext(load, trial)
-    carriers_context = nonstop.GetMutableSubsystemContext(carriers, trial)
     simulator = Simulator(nonstop, trial)
     reference = nonstop.GetOutputPort("reference").Eval(trial)[:13].copy()
+    settled: dict[str, NDArray] = {}
 
     def settle(offset: NDArray) -> NDArray:
         """The load's acceleration (6,) at a rotation and shift (6,) from its reference."""
         trial.SetTimeStateAndParametersFrom(start)
-        load_context.SetContinuousState(_moved(reference, offset))
+        settled["load_state"] = _moved(reference, offset)
+        plant.set_states(trial, **settled)
         simulator.Initialize()  # whatever samples or holds takes its first value
-        carrier_reference = nonstop.GetOutputPort("carrier_reference").Eval(trial)
-        state = carriers_context.get_continuous_state_vector().CopyToVector()
-        count = min(len(state), len(carrier_reference))
-        state[:count] = carrier_reference[:count]
-        carriers_context.SetContinuousState(state)
-        return load.EvalTimeDerivatives(load_context).CopyToVector()[7:13]
+        settled["carrier_state"] = nonstop.GetOutputPort("carrier_reference").Eval(trial)
+        plant.set_states(trial, **settled)
+        return plant.load_rate(trial)[7:13]
 
     for drop in _DROPS:
         residual = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
@@ -61,22 +58,101 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
             "hold the load at rest near its reference; give system and simulated cables of about "
             "the same length, stiff enough for the weight, and an amplitude that keeps them taut"
         )
-    for name, settled in (("load_plant", load_context), ("carrier_dynamics", carriers_context)):
-        target = nonstop.GetMutableSubsystemContext(nonstop.GetSubsystemByName(name), context)
-        target.SetContinuousState(settled.get_continuous_state_vector().CopyToVector())
+    plant.set_states(context, **settled)
 
 
 def fastest_mode(nonstop: Diagram, context: Context) -> float:
     """The largest magnitude (rad/s) of the loop's eigenvalues, linearized at the context."""
     trial = _copied(nonstop, context)
     Simulator(nonstop, trial).Initialize()
-    state = trial.get_continuous_state_vector().CopyToVector()
+    plant = _plant(nonstop)
+    state = plant.state(trial)
 
     def rate(values: NDArray) -> NDArray:
-        trial.SetContinuousState(values)
-        return nonstop.EvalTimeDerivatives(trial).CopyToVector()
+        plant.set_state(trial, values)
+        return plant.rate(trial)
 
     return float(np.max(np.abs(np.linalg.eigvals(_jacobian(rate, state)))))
+
+
+class _SeparatePlant:
+    """What an equilibrium and the modes of a loop of separate blocks take."""
+
+    def __init__(self, nonstop: Diagram):
+        self._nonstop = nonstop
+        self._owners = {
+            "load_state": nonstop.GetSubsystemByName("load_plant"),
+            "carrier_state": nonstop.GetSubsystemByName("carrier_dynamics"),
+        }
+
+    def _context(self, port: str, context: Context) -> Context:
+        return self._nonstop.GetMutableSubsystemContext(self._owners[port], context)
+
+    def set_states(self, context: Context, **states: NDArray) -> None:
+        """Sets the states that ports of these names show, and leaves what is beyond them."""
+        for port, value in states.items():
+            own = self._context(port, context)
+            state = own.get_continuous_state_vector().CopyToVector()
+            count = min(len(state), len(value))
+            state[:count] = value[:count]
+            own.SetContinuousState(state)
+
+    def load_rate(self, context: Context) -> NDArray:
+        """The rate (13,) of the load's state."""
+        own = self._context("load_state", context)
+        return self._owners["load_state"].EvalTimeDerivatives(own).CopyToVector()
+
+    def state(self, context: Context) -> NDArray:
+        """All that is continuous."""
+        return context.get_continuous_state_vector().CopyToVector()
+
+    def set_state(self, context: Context, values: NDArray) -> None:
+        """Sets all that is continuous."""
+        context.SetContinuousState(values)
+
+    def rate(self, context: Context) -> NDArray:
+        """The rate of all that is continuous."""
+        return self._nonstop.EvalTimeDerivatives(context).CopyToVector()
+
+
+class _PlantInOne:
+    """The same of a loop with a `FusedPlant`."""
+
+    def __init__(self, nonstop: Diagram, block: FusedPlant):
+        self._nonstop, self._block = nonstop, block
+
+    def _context(self, context: Context) -> Context:
+        return self._nonstop.GetMutableSubsystemContext(self._block, context)
+
+    def set_states(self, context: Context, **states: NDArray) -> None:
+        """As of `_SeparatePlant`."""
+        self._block.set_states(self._context(context), **states)
+
+    def load_rate(self, context: Context) -> NDArray:
+        """As of `_SeparatePlant`."""
+        return self._block.rates(self._context(context))["load_state"]
+
+    def state(self, context: Context) -> NDArray:
+        """All that would be continuous."""
+        return np.concatenate([*self._block.states(self._context(context)).values()])
+
+    def set_state(self, context: Context, values: NDArray) -> None:
+        """Sets all that would be continuous."""
+        own = self._context(context)
+        names, parts = zip(*self._block.states(own).items(), strict=True)
+        ends = np.cumsum([len(part) for part in parts])
+        self._block.set_states(own, **dict(zip(names, np.split(values, ends[:-1]), strict=True)))
+
+    def rate(self, context: Context) -> NDArray:
+        """The rate of all that would be continuous."""
+        return np.concatenate([*self._block.rates(self._context(context)).values()])
+
+
+def _plant(nonstop: Diagram) -> _SeparatePlant | _PlantInOne:
+    for block in nonstop.GetSystems():
+        if isinstance(block, FusedPlant):
+            return _PlantInOne(nonstop, block)
+    return _SeparatePlant(nonstop)
 
 
 def _copied(nonstop: Diagram, context: Context) -> Context:

@@ -1,12 +1,15 @@
-"""The figures of a run: the paper's own set."""
+"""The figures of a run: the paper's own set.
+
+Matplotlib is imported with the first figure: it takes as long as all of the rest, and runs
+without figures do not need it.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
@@ -23,6 +26,10 @@ from drake_nonstop.robustness import Case
 from drake_nonstop.simulate import Run
 from drake_nonstop.stability import Margin
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 _SIZE = (7.0, 4.2)  # inch
 _COLOURS = (  # Okabe and Ito's, made for the colour-blind too, and four darker ones
     *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"),
@@ -33,7 +40,7 @@ _OVERLAID = ("solid", (0, (5, 4)), (0, (1, 2)))  # lines of coinciding curves, a
 
 def make_margins_figure(title: str, margins: Sequence[Margin]) -> Figure:
     """The growth per s of the loop's least stable mode over each parameter, stable below 0."""
-    figure = Figure(figsize=(2.6 * len(margins), 3.4), layout="constrained")
+    figure = _figure((2.6 * len(margins), 3.4))
     for margin, axes in zip(margins, figure.subplots(1, len(margins), sharey=True), strict=True):
         axes.axhline(0, color="0.6", linewidth=0.8)
         axes.axvline(margin.nominal, color="0.6", linestyle=":")
@@ -56,7 +63,7 @@ def make_margins_figure(title: str, margins: Sequence[Margin]) -> Figure:
 def make_robustness_figure(title: str, cases: Sequence[Case]) -> Figure:
     """Position error and speed margin over the level of each error, a column per error."""
     names = list(dict.fromkeys(case.error for case in cases if case.unit))
-    figure = Figure(figsize=(2.1 * len(names), 5.0), layout="constrained")
+    figure = _figure((2.1 * len(names), 5.0))
     axes = figure.subplots(2, len(names), sharey="row", squeeze=False)
     for name, (top, bottom) in zip(names, axes.T, strict=True):
         shown = sorted((c for c in cases if c.error in ("none", name)), key=lambda c: c.level)
@@ -93,7 +100,7 @@ def make_overlay_figure(
         bound: times and values of a bound.
         is_logarithmic: whether the quantity, which is not negative, is better so.
     """
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    figure = _figure((9.0, 4.2))
     axes = figure.subplots()
     for i, (name, (times, values)) in enumerate(curves.items()):
         if i == 0:
@@ -134,7 +141,7 @@ def make_encounters_figure(runs: dict[str, Run]) -> Figure:
     `runs` by their titles. The cables are those at the instant at which two of them, or two
     carriers, are closest.
     """
-    figure = Figure(figsize=(3.6 * len(runs), 5.6), layout="constrained")
+    figure = _figure((3.6 * len(runs), 5.6))
     grid = figure.add_gridspec(2, len(runs), height_ratios=[1.3, 1])
     for k, (title, run) in enumerate(runs.items()):
         states = run.signal("carrier_state")
@@ -183,7 +190,7 @@ def make_run_time_figure(results: Mapping[str, Any]) -> Figure:
     names = [block["name"] for block in blocks]
     colours = dict.fromkeys(names, "0.55") | dict(zip(names, _COLOURS, strict=False))
     total, root = results["timed_s"], frames["box"]
-    figure = Figure(figsize=(10.0, 1.2 + 0.35 * (_depth(frames) + len(names) + 1)))
+    figure = _figure((10.0, 1.2 + 0.35 * (_depth(frames) + len(names) + 1)), layout=None)
     figure.set_layout_engine("constrained")
     upper, lower = figure.subplots(2, 1, height_ratios=[_depth(frames), len(names) + 1])
     _draw_frame(upper, frames, {root: "0.8"} | colours, total, start=0.0, row=0)
@@ -251,7 +258,7 @@ def make_scale_figure(results: Mapping[str, Any]) -> Figure:
     """
     runs = results["runs"]
     counts = np.array([run["n"] for run in runs])
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    figure = _figure((9.0, 4.2))
     left, right = figure.subplots(1, 2)
     costs, low, high = (
         np.array([1e6 * run[f"{which}wall_per_step_s"] for run in runs])
@@ -269,6 +276,8 @@ def make_scale_figure(results: Mapping[str, Any]) -> Figure:
         axes.set_yscale("log")
         axes.set_xticks(counts, [str(n) for n in counts])
         axes.minorticks_off()
+        from matplotlib.ticker import LogLocator
+
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.set_xlabel("carriers")
@@ -295,7 +304,7 @@ def make_success_figure(
         bins: along each axis.
     """
     levels = np.unique(panels[1])
-    figure = Figure(figsize=(2.6 * len(levels) + 1.4, 3.6), layout="constrained")
+    figure = _figure((2.6 * len(levels) + 1.4, 3.6))
     edges = [np.linspace(values.min(), values.max(), bins + 1) for _, values in (across, up)]
     all_axes = figure.subplots(1, len(levels), sharey=True, squeeze=False)[0]
     for axes, level in zip(all_axes, levels, strict=True):
@@ -462,13 +471,19 @@ def _plot_each(axes: Axes, time: NDArray, values: NDArray, name: str) -> None:
         )
 
 
+def _figure(size: tuple[float, float], layout: str | None = "constrained") -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=size, layout=layout)
+
+
 def _single() -> tuple[Figure, Axes]:
-    figure = Figure(figsize=_SIZE, layout="constrained")
+    figure = _figure(_SIZE)
     return figure, figure.subplots()
 
 
 def _stacked(count: int) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(_SIZE[0], 2.1 * count), layout="constrained")
+    figure = _figure((_SIZE[0], 2.1 * count))
     axes = list(figure.subplots(count, 1, sharex=True))
     axes[-1].set_xlabel("time (s)")
     return figure, axes

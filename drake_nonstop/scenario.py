@@ -98,6 +98,7 @@ class Scenario:
     description: str = ""
     duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
+    fused_plant: bool = False  # load, cables, carriers and their controller in one fast block
     safe_carrier_distance: float = 0.1  # m; `run` warns where two carriers come closer
     safe_cable_distance: float = 0.1  # m; `run` warns where two cables come closer
     simulator: SimulatorConfig = field(default_factory=_default_simulator)

@@ -1,6 +1,7 @@
 """A scenario to a run: the simulated signals of every block."""
 
 import copy
+import dataclasses
 import math
 import signal
 import threading
@@ -45,6 +46,8 @@ from drake_nonstop.wiring import output_names
 _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
 _REPORT_PERIOD = 0.1  # s of wall time, between two calls of `progress`
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
+
+_AT_SAMPLE = 1e-6  # of the period, from an instant to what counts as there
 
 _SHORTEST_STEP = 1e-5  # s; with a shorter one a run would not come to an end
 _STABLE_STEP = 1.6  # rad, the fastest mode's turn in a step; third-order Runge-Kutta: 1.73
@@ -150,6 +153,11 @@ def simulate(
     for name, block in replacements.items():
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
     nonstop = make_nonstop(scenario, **replacements)
+    if scenario.fused_plant:
+        config = stable_config(scenario.simulator, nonstop, _at_equilibrium(nonstop))
+        if config is not scenario.simulator:  # the steps are the block's own
+            shorter = dataclasses.replace(scenario, simulator=config)
+            nonstop = make_nonstop(shorter, **replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
     outputs = [nonstop.get_output_port(i) for i in range(nonstop.num_output_ports())]
@@ -163,7 +171,10 @@ def simulate(
     step_sink = LogVectorOutput(
         _stacked(builder, stepped), builder, {TriggerType.kPerStep}, publish_period=0.0
     )
-    sample_sink = LogVectorOutput(_stacked(builder, sampled), builder, publish_period=SIGNAL_PERIOD)
+    sample_sink = LogVectorOutput(
+        _stacked(builder, sampled), builder, {TriggerType.kForced}, publish_period=0.0
+    )
+    builder.AddNamedSystem("sample_instants", _SampleInstants())
     visualizers = [
         NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat) for meshcat in viewers
     ]
@@ -180,7 +191,14 @@ def simulate(
             wall_time=time.perf_counter() - start - monitor.waited,
         )
 
-    monitor = _Monitor(simulator, nonstop, progress, after_step)
+    sample_context = sample_sink.GetMyContextFromRoot(context)
+    monitor = _Monitor(
+        simulator,
+        nonstop,
+        sample=lambda: sample_sink.ForcedPublish(sample_context),
+        progress=progress,
+        after_step=after_step,
+    )
     try:
         nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
         set_equilibrium(nonstop, nonstop_context)
@@ -210,6 +228,12 @@ def simulate(
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished()) from error
     return finished()
+
+
+def _at_equilibrium(nonstop: Diagram) -> Context:
+    context = nonstop.CreateDefaultContext()
+    set_equilibrium(nonstop, context)
+    return context
 
 
 def _blame(error: BaseException) -> str:
@@ -247,8 +271,22 @@ def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -
     return config
 
 
+class _SampleInstants(LeafBlock):
+    """Has the integrator's steps end at the instants of the signals' samples.
+
+    A log's own period does not: it starts at 0 and the controllers' at their first sample, so
+    that a rounding apart every tenth step or so had no length.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclarePeriodicPublishEvent(
+            period_sec=SIGNAL_PERIOD, offset_sec=SIGNAL_PERIOD, publish=lambda context: None
+        )
+
+
 class _Monitor:
-    """Reports progress, asks what to do, and ends the run at the step of a Ctrl-C.
+    """Takes samples, reports progress, asks what to do, and ends the run at a Ctrl-C's step.
 
     A KeyboardInterrupt raised wherever Python happens to be may surface, on its way through
     C++, as an error of a block or a solver; so the first Ctrl-C is only noted. A second one
@@ -259,11 +297,15 @@ class _Monitor:
         self,
         simulator: Simulator,
         nonstop: Diagram,
+        *,
+        sample: Callable[[], None],
         progress: Callable[[float], None] | None,
         after_step: Callable[[Simulator, Diagram], Then] | None,
     ):
         self._simulator = simulator
         self._nonstop = nonstop
+        self._sample = sample
+        self._samples = 0
         self._progress = progress
         self._after_step = after_step
         self._last_report = 0.0
@@ -272,6 +314,9 @@ class _Monitor:
         self.waited = 0.0  # s of wall time
 
     def __call__(self, root_context: Context) -> EventStatus:
+        if root_context.get_time() > (self._samples - _AT_SAMPLE) * SIGNAL_PERIOD:
+            self._sample()
+            self._samples += 1
         if self.is_interrupted:
             return EventStatus.ReachedTermination(self._nonstop, "interrupted")
         now = time.perf_counter()

@@ -75,6 +75,7 @@ def at_rest(scenario: Scenario) -> Scenario:
         feedback = NoisyFeedbackConfig(delay=feedback.delay, period=feedback.period)
     return dataclasses.replace(
         scenario,
+        fused_plant=False,
         load_trajectory=RestToRestConfig(
             **_told(scenario.load_trajectory, "start_position", "start_roll_pitch_yaw")
         ),

@@ -6,6 +6,7 @@ vector, take the outputs apart and hold the state, and Python is called once, fo
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,23 @@ from drake_nonstop.block import DiagramBlock, LeafBlock
 from drake_nonstop.compiled import CompiledFunction
 
 _STATE = "state"
+
+
+@dataclass(frozen=True)
+class Equations:
+    """What a block computes, for a bigger trace.
+
+    `function` takes one flat array for the state, where there is one, and one per entry of
+    `inputs`; it returns the rate of the state, where there is one, and one array per entry of
+    `outputs`. `inputs` and `outputs` are sizes by the names of ports. The state has
+    `state_size` numbers, and `state_port` shows it, if any port does.
+    """
+
+    function: Callable
+    inputs: Mapping[str, int]
+    outputs: Mapping[str, int]
+    state_size: int = 0
+    state_port: str = ""
 
 
 class TracedBlock(DiagramBlock):
@@ -52,9 +70,11 @@ class TracedBlock(DiagramBlock):
         key: Any = None,
     ):
         super().__init__()
+        size = state.get_output_port().size() if state is not None else 0
+        self.equations = Equations(function, inputs, outputs or {}, size, state_port)
         read, made = dict(inputs), dict(outputs or {})
         if state is not None:
-            own = {_STATE: state.get_output_port().size()}
+            own = {_STATE: size}
             read, made = own | read, own | made
         builder = DiagramBuilder()
         traced = builder.AddNamedSystem(
@@ -66,7 +86,7 @@ class TracedBlock(DiagramBlock):
             builder.Connect(stacked.get_output_port(), traced.get_input_port())
             inputs_of = stacked.get_input_port
         if len(made) > 1:
-            parts = builder.AddNamedSystem("parts", Selector(_taking_apart(made)))
+            parts = builder.AddNamedSystem("parts", Selector(taking_apart(made)))
             builder.Connect(traced.get_output_port(), parts.get_input_port())
             outputs_of = parts.get_output_port
         for i, name in enumerate(read):
@@ -136,7 +156,7 @@ def stacking(sizes: Mapping[str, int], output: str = "stacked") -> SelectorParam
     )
 
 
-def _taking_apart(sizes: Mapping[str, int]) -> SelectorParams:
+def taking_apart(sizes: Mapping[str, int]) -> SelectorParams:
     """Of a Selector that makes outputs of these names and sizes of one vector."""
     ends = np.cumsum([*sizes.values()])
     return SelectorParams(

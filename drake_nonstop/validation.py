@@ -7,6 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+class ScenarioWarning(UserWarning):
+    """A scenario is run in another way than it asks for; the message tells why."""
+
+
 class ScenarioError(ValueError):
     """A value that a user gave cannot be used; the message is one clear sentence."""
 

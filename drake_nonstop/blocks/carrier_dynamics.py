@@ -6,7 +6,9 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Gain, Integrator, Multiplexer
 
 from drake_nonstop.block import DiagramBlock
+from drake_nonstop.mechanics.carrier import double_integrator_rate
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import Equations
 
 
 @dataclass(kw_only=True)
@@ -32,6 +34,13 @@ class CarrierDynamics(DiagramBlock):
     def __init__(self, model: Model, config: CarrierDynamicsConfig | None = None):
         super().__init__()
         size = 3 * model.n
+        self.equations = Equations(
+            lambda state, forces: double_integrator_rate(state, forces, mass=model.carrier_mass),
+            inputs={"carrier_forces": size},
+            outputs={},
+            state_size=2 * size,
+            state_port="carrier_state",
+        )
         builder = DiagramBuilder()
         # In the order of the state.
         positions = builder.AddNamedSystem("positions", Integrator(size))

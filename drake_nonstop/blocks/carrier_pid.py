@@ -8,12 +8,12 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Adder, Gain, LinearSystem
 
 from drake_nonstop.block import DiagramBlock
-from drake_nonstop.mechanics.carrier import carrier_acceleration
+from drake_nonstop.mechanics.carrier import carrier_acceleration, pid_forces
 from drake_nonstop.mechanics.internal_force import internal_force_acceleration
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.system import Model
-from drake_nonstop.traced_block import TracedBlock
+from drake_nonstop.traced_block import Equations, TracedBlock
 from drake_nonstop.validation import require_non_negative, require_positive
 from drake_nonstop.wiring import input_names
 
@@ -48,6 +48,7 @@ class CarrierPositionPid(DiagramBlock):
     ):
         super().__init__()
         size = 3 * model.n
+        self.equations = _equations(size, gains, feedforward)
         eye, none = np.eye(size), np.zeros((size, size))
         builder = DiagramBuilder()
         minus = builder.AddNamedSystem("minus", Gain(-1.0, 2 * size))
@@ -77,6 +78,25 @@ class CarrierPositionPid(DiagramBlock):
             forces = total.get_output_port()
         builder.ExportOutput(forces, "carrier_forces")
         builder.BuildInto(self)
+
+
+def _equations(size: int, gains: dict[str, float], feedforward: TracedBlock | None) -> Equations:
+    """Those of `CarrierPositionPid`, whose `size` is 3n."""
+    inputs = {"carrier_reference": 2 * size, "carrier_state": 2 * size}
+    states = size if gains["integral_gain"] > 0 else 0
+    if feedforward is not None:
+        inputs |= feedforward.equations.inputs
+
+    def function(*values: NDArray) -> tuple[NDArray, ...]:
+        integral = values[0] if states else np.zeros(size)
+        reference, state, *others = values[1:] if states else values
+        forces = pid_forces(reference, state, integral, **gains)
+        if feedforward is not None:
+            forces = forces + feedforward.equations.function(*others)
+        error = (reference - state)[:size]
+        return (error, forces) if states else (forces,)
+
+    return Equations(function, inputs, {"carrier_forces": size}, states)
 
 
 @dataclass(kw_only=True)

@@ -2,12 +2,9 @@
 
 from dataclasses import asdict, dataclass
 
-from pydrake.systems.framework import BasicVector, Context
-
-from drake_nonstop.block import LeafBlock
-from drake_nonstop.compiled import CompiledFunction
 from drake_nonstop.mechanics.carrier import loaded_pid_forces
 from drake_nonstop.system import Model
+from drake_nonstop.traced_block import TracedBlock
 from drake_nonstop.validation import require_non_negative
 
 
@@ -19,7 +16,7 @@ class LoadedCarrierPidConfig:
     velocity_gain: float = 10.0  # N s/m
 
 
-class LoadedCarrierPid(LeafBlock):
+class LoadedCarrierPid(TracedBlock):
     """u = K_p (p_d − p) + K_d (v_d − v) + m_c g e₃ + f_d, for every carrier.
 
     It carries the weight and the desired pull of the cable beforehand; the load's wrench
@@ -43,11 +40,10 @@ class LoadedCarrierPid(LeafBlock):
     """
 
     def __init__(self, model: Model, config: LoadedCarrierPidConfig | None = None):
-        super().__init__()
         config = config or LoadedCarrierPidConfig()
         require_non_negative("carrier_controller", **asdict(config))
         n = model.n
-        self._forces = CompiledFunction(
+        super().__init__(
             lambda reference, state, cables: loaded_pid_forces(
                 reference,
                 state,
@@ -56,20 +52,10 @@ class LoadedCarrierPid(LeafBlock):
                 gravity=model.gravity,
                 **asdict(config),
             ),
-            [6 * n, 6 * n, 3 * n],
-            name=self.get_name,
+            inputs={
+                "carrier_reference": 6 * n,
+                "carrier_state": 6 * n,
+                "desired_cable_forces": 3 * n,
+            },
+            outputs={"carrier_forces": 3 * n},
         )
-        self._carrier_reference = self.DeclareVectorInputPort("carrier_reference", 6 * n)
-        self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * n)
-        self._cable_forces = self.DeclareVectorInputPort("desired_cable_forces", 3 * n)
-        self.DeclareVectorOutputPort(
-            "carrier_forces", 3 * n, self._calc_forces, {self.all_input_ports_ticket()}
-        )
-
-    def _calc_forces(self, context: Context, output: BasicVector) -> None:
-        (forces,) = self._forces(
-            self._carrier_reference.Eval(context),
-            self._carrier_state.Eval(context),
-            self._cable_forces.Eval(context),
-        )
-        output.SetFromVector(forces)

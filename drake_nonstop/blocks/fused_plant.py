@@ -1,0 +1,220 @@
+"""Load, cables, carriers and their controller in one block, stepped from sample to sample."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, State
+from pydrake.systems.primitives import Selector
+
+from drake_nonstop.block import DiagramBlock, LeafBlock
+from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.traced_block import Equations, stacking, taking_apart
+
+_HELD = "disturbance_wrench"
+_MOVING = "carrier_reference"
+
+
+class FusedPlant(DiagramBlock):
+    """Several blocks as one, whose states it steps from one sample of the controllers to the next.
+
+    What the blocks compute is traced to one function, with all steps in a control period of
+    the third-order Runge-Kutta scheme that is Drake's RungeKutta3Integrator, so that Python is
+    called once in a period and not five times in each stage of each step. The state is
+    discrete. An output between two samples is that of as many, shorter steps from the first.
+
+    .. pydrake_system::
+
+        name: FusedPlant
+        input_ports:
+        - disturbance_wrench
+        - (the parts' inputs that none of them makes)
+        output_ports:
+        - (all that the parts make)
+
+    Names and sizes are those of the parts' ports. Over a period the `disturbance_wrench` is
+    held at its value at the beginning, the `carrier_reference` moves along its velocities, as
+    `CarrierMotion` has it, and other inputs are taken to be constant.
+
+    Args:
+        parts: the equations of the blocks by their names, each after those it reads from.
+        period: the controllers' sample time in s.
+        steps: how many the integrator takes in a period.
+    """
+
+    def __init__(self, parts: Mapping[str, Equations], *, period: float, steps: int):
+        super().__init__()
+        together = _Together(parts)
+        builder = DiagramBuilder()
+        stepped = builder.AddNamedSystem("stepped", _Stepped(together, period, steps))
+        stacked = builder.AddNamedSystem("stacked", Selector(stacking(together.inputs)))
+        builder.Connect(stacked.get_output_port(), stepped.GetInputPort("inputs"))
+        builder.ExportInput(stepped.GetInputPort(_HELD), _HELD)
+        for name in together.inputs:
+            builder.ExportInput(stacked.GetInputPort(name), name)
+        for kind, sizes in (("states", together.states), ("outputs", together.outputs)):
+            apart = builder.AddNamedSystem(kind, Selector(taking_apart(sizes)))
+            builder.Connect(stepped.GetOutputPort(kind), apart.get_input_port())
+            for name in sizes:
+                if name not in parts:
+                    builder.ExportOutput(apart.GetOutputPort(name), name)
+        builder.BuildInto(self)
+
+    def set_states(self, context: Context, **states: NDArray) -> None:
+        """Sets states by the names that `states` gives them; the context is the block's own."""
+        stepped = self.GetSubsystemByName("stepped")
+        stepped.set_states(self.GetMutableSubsystemContext(stepped, context), states)
+
+    def states(self, context: Context) -> dict[str, NDArray]:
+        """The states at the last sample, by their ports, or their parts where none shows them."""
+        stepped = self.GetSubsystemByName("stepped")
+        return stepped.states(self.GetSubsystemContext(stepped, context))
+
+    def rates(self, context: Context) -> dict[str, NDArray]:
+        """The states' rates at the last sample, by the same names."""
+        stepped = self.GetSubsystemByName("stepped")
+        return stepped.rates(self.GetSubsystemContext(stepped, context))
+
+
+class _Together:
+    """The equations of all parts as one.
+
+    `inputs` are the sizes of what comes from outside, but for the disturbance, and `outputs`
+    those of what the parts make, by the names of the ports. `states` are those of the parts'
+    states, by the names of the ports that show them or, where none does, of the parts.
+    """
+
+    def __init__(self, parts: Mapping[str, Equations]):
+        self._parts = parts
+        stateful = {name: part for name, part in parts.items() if part.state_size}
+        self.states = {part.state_port or name: part.state_size for name, part in stateful.items()}
+        self.outputs: dict[str, int] = {}
+        read: dict[str, int] = {}
+        for part in parts.values():
+            self.outputs |= part.outputs
+            read |= part.inputs
+        known = {*self.states, *self.outputs, _HELD}
+        self.inputs = {name: size for name, size in read.items() if name not in known}
+
+    def __call__(self, state: NDArray, inputs: NDArray, held: NDArray) -> tuple[NDArray, NDArray]:
+        """The rates of the states, stacked, and the outputs, likewise."""
+        signals = _split(state, self.states) | _split(inputs, self.inputs) | {_HELD: held}
+        rates, outputs = {}, []
+        for name, part in self._parts.items():
+            own = part.state_port or name
+            given = [signals[own]] if part.state_size else []
+            found = part.function(*given, *(signals[port] for port in part.inputs))
+            values = [value.ravel() for value in (found if isinstance(found, tuple) else (found,))]
+            if part.state_size:
+                rates[own] = values.pop(0)
+            signals |= zip(part.outputs, values, strict=True)
+            outputs += values
+        return np.concatenate([rates[own] for own in self.states]), np.concatenate(outputs)
+
+
+class _Stepped(LeafBlock):
+    """Steps the parts; its state is theirs and the disturbance at the last sample, and its time.
+
+    The time is infinite before the first sample.
+    """
+
+    def __init__(self, together: _Together, period: float, steps: int):
+        super().__init__()
+        self._sizes = together.states
+        self._size = size = sum(together.states.values())
+        input_size, output_size = sum(together.inputs.values()), sum(together.outputs.values())
+        self._at = at = CompiledFunction(together, [size, input_size, 6], name=self.box)
+
+        def stepped(inputs: NDArray, memory: NDArray, time: NDArray) -> NDArray:
+            state, held = memory[:size], memory[size:-1]
+            elapsed = time - memory[-1:]
+            step = elapsed / steps
+
+            def rate(state: NDArray, since: NDArray) -> NDArray:
+                parts = _split(inputs, together.inputs)
+                positions, velocities = np.split(parts[_MOVING], 2)
+                positions = positions - (elapsed - since) * velocities
+                parts[_MOVING] = np.concatenate([positions, velocities])
+                return at.traced(state, np.concatenate([*parts.values()]), held)[0]
+
+            for i in range(steps):
+                start = i * step
+                first = rate(state, start)
+                second = rate(state + step / 2 * first, start + step / 2)
+                third = rate(state - step * first + 2 * step * second, start + step)
+                state = state + step / 6 * (first + 4 * second + third)
+            return np.concatenate([state, at.traced(state, inputs, held)[1]])
+
+        self._step = CompiledFunction(stepped, [input_size, size + 7, 1], name=self.box)
+        self._inputs = self.DeclareVectorInputPort("inputs", input_size)
+        self._held = self.DeclareVectorInputPort(_HELD, 6)
+        self.DeclareDiscreteState(np.array([0.0] * (size + 6) + [np.inf]))
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
+        # With the sample-and-hold, which then sees the state that this step ends with.
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._sample)
+        sources = {
+            self.input_port_ticket(self._inputs.get_index()),
+            self.xd_ticket(),
+            self.time_ticket(),
+        }
+        self._results = self.DeclareVectorOutputPort(
+            "results", size + output_size, self._calc_results, sources
+        )
+        self.DeclareVectorOutputPort("states", size, self._calc_states, sources)
+        self.DeclareVectorOutputPort("outputs", output_size, self._calc_outputs, sources)
+
+    def box(self) -> str:
+        """The name of the block that this is the inside of."""
+        return self.GetSystemPathname().split("::")[-2]
+
+    def set_states(self, context: Context, states: Mapping[str, NDArray]) -> None:
+        """As `FusedPlant.set_states`."""
+        memory = context.get_discrete_state_vector().CopyToVector()
+        memory[: self._size] = np.concatenate([*(self.states(context) | dict(states)).values()])
+        context.SetDiscreteState(memory)
+
+    def states(self, context: Context) -> dict[str, NDArray]:
+        """As `FusedPlant.states`."""
+        memory = context.get_discrete_state_vector().CopyToVector()
+        return _split(memory[: self._size], self._sizes)
+
+    def rates(self, context: Context) -> dict[str, NDArray]:
+        """As `FusedPlant.rates`."""
+        memory = context.get_discrete_state_vector().value()
+        rate, _ = self._at(
+            memory[: self._size], self._inputs.Eval(context), memory[self._size : -1]
+        )
+        return _split(rate.copy(), self._sizes)
+
+    def _calc_results(self, context: Context, output: BasicVector) -> None:
+        (results,) = self._step(
+            self._inputs.Eval(context),
+            context.get_discrete_state_vector().value(),
+            np.array([context.get_time()]),
+        )
+        output.SetFromVector(results)
+
+    def _calc_states(self, context: Context, output: BasicVector) -> None:
+        values = context.get_discrete_state_vector().value()
+        if context.get_time() > values[-1]:  # neither at the sample nor before the first
+            values = self._results.Eval(context)
+        output.SetFromVector(values[: self._size])
+
+    def _calc_outputs(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._results.Eval(context)[self._size :])
+
+    def _begin(self, context: Context, state: State) -> None:
+        self._remember(context, state, context.get_discrete_state_vector().value())
+
+    def _sample(self, context: Context, state: State) -> None:
+        self._remember(context, state, self._results.Eval(context))
+
+    def _remember(self, context: Context, state: State, values: NDArray) -> None:
+        memory = [values[: self._size], self._held.Eval(context), [context.get_time()]]
+        state.get_mutable_discrete_state().set_value(np.concatenate(memory))
+
+
+def _split(vector: NDArray, sizes: Mapping[str, int]) -> dict[str, NDArray]:
+    """The parts of a vector of these sizes, by their names."""
+    ends = np.cumsum([*sizes.values()])
+    return dict(zip(sizes, np.split(vector, ends[:-1]), strict=True))
