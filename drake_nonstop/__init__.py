@@ -42,6 +42,7 @@ from drake_nonstop.blocks.desired_state_feedback import (
     DesiredStateFeedback,
     DesiredStateFeedbackConfig,
 )
+from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.ideal_carriers import IdealCarriers, IdealCarriersConfig
 from drake_nonstop.blocks.ideal_feedback import IdealFeedback, IdealFeedbackConfig
 from drake_nonstop.blocks.internal_force_trajectory import (
@@ -111,6 +112,7 @@ from drake_nonstop.speed_program import Outcome
 from drake_nonstop.sweep import Sweep, SweepInterrupted, sweep
 from drake_nonstop.sweep_spec import PlannedRun, SweepSpec, read_sweep
 from drake_nonstop.system import Model, System
+from drake_nonstop.traced_block import TracedBlock
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.version import __version__
 
@@ -150,6 +152,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "WrenchControllerConfig",
     "PrintedWrenchController",
     "PrintedWrenchControllerConfig",
+    "FusedPlant",
     "GeometricPd",
     "GeometricPdConfig",
     "TunedWrenchController",
@@ -179,6 +182,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "CarrierPidConfig",
     "FeedforwardCarrierPid",
     "FeedforwardCarrierPidConfig",
+    "TracedBlock",
     "TunedCarrierPid",
     "TunedCarrierPidConfig",
     "TunedFeedforwardCarrierPid",

@@ -8,6 +8,7 @@ import sys
 import textwrap
 import threading
 import time
+import warnings
 import webbrowser
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -27,7 +28,7 @@ from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, simulate
 from drake_nonstop.stability import find_margins, linearize
 from drake_nonstop.sweep import SweepInterrupted, sweep
 from drake_nonstop.sweep_spec import read_sweep
-from drake_nonstop.validation import ScenarioError, require, require_seed
+from drake_nonstop.validation import ScenarioError, ScenarioWarning, require, require_seed
 from drake_nonstop.version import __version__
 from drake_nonstop.workers import SerialExecutor
 
@@ -40,7 +41,10 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the command with the given or the process's arguments; returns the exit code."""
     options = _parser().parse_args(arguments)
     try:
-        return options.action(options)
+        with warnings.catch_warnings():
+            warnings.simplefilter("once", ScenarioWarning)
+            warnings.showwarning = _show_warning
+            return options.action(options)
     except ScenarioError as error:
         print(f"drake-nonstop: {error}", file=sys.stderr)
         return BAD_INPUT
@@ -50,6 +54,11 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # whoever read the output has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
+
+
+def _show_warning(message: Warning | str, *about: Any, **where: Any) -> None:
+    """In one line, without the place in the code."""
+    print(f"warning: {message}")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -21,6 +21,7 @@ SWAPS = [
     ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
     ["cables=IndividualCables", "force_distribution=BoundedTensionDistribution"],
     ["optimization_layer=ConstantParameters"],
+    ["fused_plant=true"],
     *([f"optimization_layer.solver={name}"] for name in ("snopt", "ipopt", "nlopt", "grid")),
 ]
 

@@ -66,24 +66,25 @@ class BlockTimers:
         self._stack = [self.root]
         self._boxes: dict[int, str] = {}  # by the id of a system; empty until the first step
         self._systems: list[System] = []  # keeps the ids theirs
-        self._integrator: Any = None
+        self._simulator: Simulator | None = None
         self._first_steps = 0
         self._start = self._last = 0.0
 
     @property
     def steps(self) -> int:
-        """The integrator's steps since the time began."""
-        return self._integrator.get_num_steps_taken() - self._first_steps
+        """The simulator's steps since the time began."""
+        steps = self._simulator.get_num_steps_taken() if self._simulator else 0
+        return steps - self._first_steps
 
     def after_step(self, simulator: Simulator, nonstop: Diagram) -> Then:
         """What `simulate` calls after every step, for the first time before the first."""
         now = perf_counter()
-        if self._integrator is None:
+        if self._simulator is None:
             for block in nonstop.GetSystems():
                 self.blocks[block.get_name()] = type(block).__name__
                 self._add(block, block.get_name())
-            self._integrator = simulator.get_integrator()
-            self._first_steps = self._integrator.get_num_steps_taken()
+            self._simulator = simulator
+            self._first_steps = simulator.get_num_steps_taken()
             self._start = self._last = perf_counter()
             return Then.GO_ON
         self.root.seconds += now - self._last

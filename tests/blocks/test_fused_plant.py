@@ -1,0 +1,137 @@
+"""The fused plant does what the separate blocks do, to round-off, or says that it does not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import LeafSystem
+
+from drake_nonstop import load_scenario, make_nonstop, set_equilibrium, simulate
+from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.cli import main
+from drake_nonstop.diagrams.nonstop import FUSED
+from drake_nonstop.equilibrium import fastest_mode
+from drake_nonstop.simulate import SIGNAL_PERIOD
+from drake_nonstop.validation import ScenarioWarning
+
+FUSE = "fused_plant=true"
+CONSTANT = "optimization_layer=ConstantParameters"
+SAME = {
+    "quintic": ("quintic", "duration=2"),
+    "three carriers": ("three_carriers", "duration=1", CONSTANT),
+    "tilted, 60 m, feedforward": ("real_scale_spread", "duration=1"),
+    "integral": ("line", "duration=1", CONSTANT, "carrier_controller.integral_gain=50"),
+    "50 Hz": ("line", "duration=1", CONSTANT, "control_period=0.02"),
+    "30 steps": ("line", "duration=0.3", CONSTANT, "simulator.max_step_size=0.0003333333333333334"),
+    "stiff": ("line", "duration=0.5", CONSTANT, "simulated.cable_stiffness=4000"),
+    "loaded carriers": (
+        *("line", "duration=1", CONSTANT),
+        *("carrier_dynamics=!LoadedCarrierDynamics {max_force: 9}", "simulated.carrier_mass=0.12"),
+        "carrier_controller=LoadedCarrierPid",
+    ),
+    "constant wind": (
+        "line",
+        "duration=1",
+        CONSTANT,
+        "load_disturbance=!Wind {force: [0.3, 0, 1]}",
+    ),
+    "unlike cables": (
+        *("line", "duration=1", CONSTANT),
+        "cables=!IndividualCables {stiffness: [500, 400, 500, 600]}",
+    ),
+    "late and noisy": (
+        *("line", "duration=1", CONSTANT),
+        "load_feedback=!NoisyFeedback {position_noise: 0.001, delay: 0.02}",
+    ),
+    "measured pose": (
+        *("line", "duration=1", CONSTANT),
+        *("carrier_trajectory=MeasuredCarrierTrajectory", "phase=PrintedPhase"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SAME)
+def test_it_is_the_separate_blocks_to_round_off(name):
+    scenario = load_scenario(SAME[name][0], SAME[name][1:])
+    apart = simulate(scenario)
+    fused = simulate(dataclasses.replace(scenario, fused_plant=True))
+    assert type(fused.diagram.GetSubsystemByName("plant")) is FusedPlant
+    ports = {signal.split(".")[1] for signal in apart.signals}
+    assert ports == {signal.split(".")[1] for signal in fused.signals}
+    np.testing.assert_array_equal(fused.time, apart.time)
+    stride = round(scenario.control_period / SIGNAL_PERIOD)  # between samples the steps differ
+    for port in ports:
+        ours, theirs = fused.signal(port)[::stride], apart.signal(port)[::stride]
+        scale = 1 + np.max(np.abs(theirs))
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-10 * scale, err_msg=port)
+
+
+def test_a_gust_is_held_over_a_control_period():
+    settings = ["duration=3", CONSTANT, "load_disturbance=!Wind {gust_force: 0.3}"]
+    apart = simulate(load_scenario("line", settings))
+    fused = simulate(load_scenario("line", [*settings, FUSE]))
+    moved = simulate(load_scenario("line", ["duration=3", CONSTANT]))
+    difference = np.abs(fused.signal("load_state") - apart.signal("load_state"))[:, 4:7].max()
+    gust = np.abs(moved.signal("load_state") - apart.signal("load_state"))[:, 4:7].max()
+    assert 0 < difference < 0.02 * gust
+
+
+def test_equilibrium_and_fastest_mode_are_those_of_the_separate_blocks():
+    scenario = load_scenario("quintic", [CONSTANT, "simulated.load_mass=1.3"])
+    found = []
+    for fused in (False, True):
+        nonstop = make_nonstop(dataclasses.replace(scenario, fused_plant=fused))
+        context = nonstop.CreateDefaultContext()
+        set_equilibrium(nonstop, context)
+        states = [
+            nonstop.GetOutputPort(port).Eval(context) for port in ("load_state", "carrier_state")
+        ]
+        found.append((np.concatenate(states), fastest_mode(nonstop, context)))
+    np.testing.assert_allclose(found[1][0], found[0][0], rtol=0, atol=1e-9)
+    assert found[1][1] == pytest.approx(found[0][1], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("load_plant=MultibodyLoadPlant", "load_plant = MultibodyLoadPlant has no equations"),
+        ("carrier_dynamics=IdealCarriers", "carrier_dynamics = IdealCarriers has no equations"),
+        ("control_period=0", "control_period = 0"),
+        ("simulator.integration_scheme=runge_kutta2", "runge_kutta3"),
+        ("simulator.use_error_control=true", "error control"),
+    ],
+)
+def test_what_cannot_be_fused_stays_apart_and_says_why(setting, words):
+    scenario = load_scenario("line", [CONSTANT, FUSE, setting])
+    with pytest.warns(ScenarioWarning, match=words) as warned:
+        nonstop = make_nonstop(scenario)
+    assert "the separate blocks are used instead" in str(warned[0].message)
+    assert {block.get_name() for block in nonstop.GetSystems()} >= set(FUSED)
+
+
+class Hover(LeafSystem):
+    """Carriers that stay where they are; no equations."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorInputPort("carrier_forces", 3 * model.n)
+        self.DeclareStateOutputPort("carrier_state", self.DeclareDiscreteState(6 * model.n))
+
+
+def test_a_block_of_ones_own_stays_apart():
+    with pytest.warns(ScenarioWarning, match="carrier_dynamics = Hover has no equations"):
+        make_nonstop(load_scenario("line", [CONSTANT, FUSE]), carrier_dynamics=Hover)
+
+
+def test_a_box_left_out_stays_out():
+    with pytest.warns(ScenarioWarning, match="cables = left out has no equations"):
+        nonstop = make_nonstop(load_scenario("line", [CONSTANT, FUSE]), cables=None)
+    assert nonstop.HasOutputPort("load_state")
+
+
+def test_the_command_says_it_in_one_line(capsys, tmp_path):
+    settings = ["duration=0.05", CONSTANT, FUSE, "load_plant=MultibodyLoadPlant"]
+    arguments = ["run", "line", "--no-figures", "--no-replay", "--out", str(tmp_path)]
+    assert main([*arguments, "--set", *settings]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("warning: fused_plant = true: load_plant") for line in lines) == 1
