@@ -11,7 +11,7 @@ demo: $(VENV)/.installed
 	@echo "Open out/quintic/replay.html in a browser; figures are in out/quintic/figures."
 
 test: $(VENV)/.installed-dev
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist worksteal
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

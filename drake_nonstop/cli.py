@@ -207,6 +207,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="REV",
         help="compare with this git revision of the checkout",
     )
+    accuracy = benches.add_parser(
+        "accuracy", help="how fast and how exact a scenario's run is, by integrator and step"
+    )
+    accuracy.set_defaults(action=_bench_accuracy)
+    _add_scenario(accuracy, "out/bench", default="quintic")
+    _add_repeats(accuracy, 3)
     scale = benches.add_parser(
         "scale", help="how a scenario's speed falls with the number of carriers"
     )
@@ -670,6 +676,27 @@ def _bench_run(options: argparse.Namespace) -> int:
         with replacing_file(folder / "run.png") as file:
             make_run_time_figure(results).savefig(file, format="png", dpi=150)
     print(comparing.table(results) if is_comparison else running.table(results))
+    print(f"results: {path}")
+    return 0
+
+
+def _bench_accuracy(options: argparse.Namespace) -> int:
+    from drake_nonstop.benchmarks.accuracy import benchmark_accuracy, table
+
+    _require_repeats(options)
+    scenario = load_scenario(options.scenario, options.set, trust=options.trust)
+    folder: Path = options.out or Path("out/bench")
+    require_writable(folder)
+    try:
+        with contextlib.closing(_ProgressLine()) as line:
+            results = benchmark_accuracy(
+                scenario, repeats=options.repeats, progress=line.show_share
+            )
+    except RunStopped as stopped:
+        return _failed(stopped)
+    path = folder / "accuracy.json"
+    write_json(path, results)
+    print(table(results))
     print(f"results: {path}")
     return 0
 

@@ -385,7 +385,7 @@ def _collect(
     return Run(
         scenario=scenario,
         diagram=nonstop,
-        time=times,
+        time=SIGNAL_PERIOD * np.arange(len(times)),  # without the rounding of the events' times
         signals={
             f"{block.get_name()}.{name}": signals[name]
             for block in nonstop.GetSystems()

@@ -14,11 +14,11 @@ def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch)
 
     def few(scenario):
         mass, _, _, delay, _ = axes(scenario)
-        mass.values, delay.values = [0.05, 0.2, 0.8], [0.0, 0.03, 0.05]
+        mass.values, delay.values = [0.2, 0.8], [0.0, 0.03, 0.04]
         return [mass, delay]
 
     monkeypatch.setattr(stability, "_axes", few)
-    monkeypatch.setattr(stability, "_BISECTIONS", 2)
+    monkeypatch.setattr(stability, "_BISECTIONS", 1)
     settings = ["load_feedback=!NoisyFeedback {}"]
     arguments = ["stability", "quintic", "--out", str(tmp_path), "--set", *settings]
     assert main(arguments) == 0

@@ -1,0 +1,120 @@
+"""What an integrator's setting costs, and how far from the truth it leaves a run."""
+
+import statistics
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from drake_nonstop.metrics import carrier_speeds
+from drake_nonstop.scenario import Scenario, changed
+from drake_nonstop.simulate import Run, RunStopped, simulate
+
+_STEP = "simulator.max_step_size={}"
+_REFERENCE_STEP = 0.0005  # s; half of it shows what error the reference has itself
+
+# What is compared, besides the scenario as it is.
+SETTINGS: tuple[tuple[str, ...], ...] = (
+    ("fused_plant=true",),
+    (_STEP.format(0.0025),),
+    (_STEP.format(0.001),),
+    ("simulator.use_error_control=true",),
+    ("simulator.integration_scheme=bogacki_shampine3",),
+    ("simulator.integration_scheme=runge_kutta2", _STEP.format(0.001)),
+    ("simulator.integration_scheme=semi_explicit_euler", _STEP.format(0.001)),
+)
+
+
+def benchmark_accuracy(
+    scenario: Scenario,
+    *,
+    settings: Sequence[Sequence[str]] = SETTINGS,
+    repeats: int = 3,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> dict[str, Any]:
+    """Runs a scenario with several settings in turns, and compares each with a reference.
+
+    The reference is Drake's third-order Runge-Kutta with steps of 0.5 ms on separate blocks.
+    Errors are the largest over all samples: the distance of the load's positions, and the
+    carriers' speeds, each relative to that in the reference.
+
+    Args:
+        scenario: what to run.
+        settings: of each way to run it, as in `load_scenario`; the scenario as it is is one, too.
+        repeats: of each; medians of the times are taken.
+        progress: called with what is going on and the share of it that is done.
+
+    Returns:
+        What `drake-nonstop bench accuracy` writes as JSON. A setting whose run does not come to
+        its end has the error's message, and no figures.
+
+    Raises:
+        ScenarioError: the scenario, or a setting of it, cannot be built.
+        RunStopped: the reference does not come to its end.
+    """
+    fine = [
+        "fused_plant=false",
+        "simulator.integration_scheme=runge_kutta3",
+        "simulator.use_error_control=false",
+    ]
+    reference, finer = (
+        simulate(changed(scenario, [*fine, _STEP.format(_REFERENCE_STEP / part)]))
+        for part in (1, 2)
+    )
+    ways = [(), *settings]
+    scenarios = [changed(scenario, way) for way in ways]
+    rows: list[dict[str, Any]] = [{"settings": list(way), "wall_s": []} for way in ways]
+    for turn in range(repeats):
+        for i, (row, one) in enumerate(zip(rows, scenarios, strict=True)):
+            progress("running", (turn * len(rows) + i) / (repeats * len(rows)))
+            if "stopped" in row:
+                continue
+            try:
+                run = simulate(one)
+            except RunStopped as stopped:
+                row["stopped"] = str(stopped)
+                continue
+            row["wall_s"].append(run.wall_time)
+            row |= _errors(run, reference) | {"steps": len(run.steps["time"]) - 1}
+            wall = statistics.median(row["wall_s"])
+            row["real_time_factor"] = scenario.duration / wall
+    progress("running", 1.0)
+    return {
+        "scenario": scenario.name,
+        "simulated_s": scenario.duration,
+        "repeats": repeats,
+        "reference_step_s": _REFERENCE_STEP,
+        "reference": _errors(reference, finer),
+        "runs": rows,
+    }
+
+
+def _errors(run: Run, reference: Run) -> dict[str, float]:
+    positions = [each.signal("load_state")[:, 4:7] for each in (run, reference)]
+    speeds = [carrier_speeds(each.signal("carrier_state")) for each in (run, reference)]
+    distances = np.linalg.norm(positions[0] - positions[1], axis=1)
+    return {
+        "load_error_m": float(np.max(distances)),
+        "speed_error": float(np.max(np.abs(speeds[0] / speeds[1] - 1))),
+    }
+
+
+def table(results: dict[str, Any]) -> str:
+    """The results as text."""
+    lines = [f"{'real-time factor':>16}{'load (mm)':>12}{'speed':>10}{'steps':>8}  settings"]
+    for row in results["runs"]:
+        settings = " ".join(row["settings"]) or "(as it is)"
+        if "stopped" in row:
+            lines.append(f"{'-':>16}{'-':>12}{'-':>10}{'-':>8}  {settings}: {row['stopped']}")
+            continue
+        lines.append(
+            f"{row['real_time_factor']:16.1f}{1e3 * row['load_error_m']:12.5f}"
+            f"{row['speed_error']:10.4%}{row['steps']:8}  {settings}"
+        )
+    error = results["reference"]
+    lines.append(
+        f"largest differences from steps of {1e3 * results['reference_step_s']:g} ms, which are "
+        f"within {1e3 * error['load_error_m']:.1g} mm and {error['speed_error']:.1g} of steps "
+        "half as long"
+    )
+    return "\n".join(lines)
