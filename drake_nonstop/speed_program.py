@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 DATA_SIZE = 61
 _SAME_COST = 1e-4  # relative; what the global search finds has to be cheaper by more
 _RESTING = 1e-3  # m/s, rad/s, m/s², rad/s²; a reference that moves less rests
+_MANY_SPEEDS = 200  # from so many on arrays are faster than a trace
 _SEPARATION_TURNS = 36  # of a whole turn, in which carriers are kept apart
 
 
@@ -119,14 +120,15 @@ class SpeedProgram:
     def solve(self, data: NDArray) -> tuple[NDArray, Outcome, float]:
         """The next [ξ, A] (2,), how they were found, and the slowest speed to come (m/s)."""
         previous = data[:2].copy()
-        margins = self._margins(previous, data)[0]
+        problem = self._problem_of_many(data)
+        margins = self._margins_at(previous, data, problem)
         before = float(margins.min())
         slowest_before = self._slowest(margins, before, data)
         if before >= -FEASIBILITY_TOLERANCE and not self._is_pulled(data):
             return previous, Outcome.KEPT, slowest_before
         margins_before = margins.copy()
-        parameters = self._best(data, margins_before)
-        margins = self._margins(parameters, data)[0]
+        parameters = self._best(data, margins_before, problem)
+        margins = self._margins_at(parameters, data, problem)
         worst = float(margins.min())
         if before >= -FEASIBILITY_TOLERANCE and (
             worst < -FEASIBILITY_TOLERANCE
@@ -138,6 +140,19 @@ class SpeedProgram:
         if self._order(margins) > self._order(margins_before):
             return parameters, Outcome.RELAXED, self._slowest(margins, worst, data)
         return previous, Outcome.HELD, slowest_before
+
+    def _problem_of_many(self, data: NDArray) -> SearchProblem | None:
+        """The problem, where it is the faster way to the margins: for many speeds, alone."""
+        is_alone = not (self._amplitude_is_constrained or np.isfinite(self._max_speed))
+        if self._speed_count < _MANY_SPEEDS or not is_alone or data[3] != 0:
+            return None
+        return self.search_problem(data, data[0])
+
+    def _margins_at(self, x: NDArray, data: NDArray, problem: SearchProblem | None) -> NDArray:
+        """The margins of all constraints at [ξ, A]."""
+        if problem is None:
+            return self._margins(x, data)[0]
+        return problem.margins(x[1:], x[:1])[0][0, 0]
 
     def _order(self, margins: NDArray) -> tuple[float, float]:
         """By what one infeasible point is better than another, see `least_bad`."""
@@ -217,24 +232,26 @@ class SpeedProgram:
             anchor_weight=float(data[60]),
         )
 
-    def _best(self, data: NDArray, margins: NDArray) -> NDArray:
+    def _best(self, data: NDArray, margins: NDArray, problem: SearchProblem | None) -> NDArray:
         """The feasible point of the least cost; where none is found that of the largest margin.
 
-        `margins` are those of the previous parameters.
+        `margins` are those of the previous parameters, `problem` is that of many speeds.
         """
         if self._local is None:
-            return self._searched(data, margins)[0]
+            return self._searched(data, margins, problem)[0]
         parameters = self._local.nearest(data, *self.bounds(data[:2]))
         cost = self.feasible_cost(parameters, data)
         if self._config.global_search:
-            other, other_cost = self._searched(data, margins)
+            other, other_cost = self._searched(data, margins, problem)
             is_best = np.isfinite(cost) and cost * (1 - _SAME_COST) <= other_cost
             return parameters if is_best else other
         if np.isfinite(cost):
             return parameters
         return self._local.fastest(data, *self.bounds(data[:2]))
 
-    def _searched(self, data: NDArray, margins: NDArray) -> tuple[NDArray, float]:
+    def _searched(
+        self, data: NDArray, margins: NDArray, problem_of_many: SearchProblem | None
+    ) -> tuple[NDArray, float]:
         """The point that a search finds and its cost, inf where it is infeasible.
 
         A printed phase, which jumps with ξ, asks for a grid.
@@ -245,8 +262,7 @@ class SpeedProgram:
                 float(data[0]),
                 lambda x: self.cost(x, data),
             )
-        problem = self.search_problem(data, data[0])
-
+        problem = problem_of_many or self.search_problem(data, data[0])
         count = self._speed_count
 
         def of_speeds(margins: NDArray) -> NDArray:
@@ -256,7 +272,7 @@ class SpeedProgram:
             return np.minimum(margins[:count], margins[count : 2 * count])
 
         def margins_at(x: NDArray) -> NDArray:
-            return of_speeds(self._margins(x, data)[0])
+            return of_speeds(self._margins_at(x, data, problem_of_many))
 
         parameters, cost = nearest_feasible(problem, of_speeds(margins), margins_at)
         if np.isfinite(cost):

@@ -19,6 +19,7 @@ from nonstop_cases import (
     still_speed,
 )
 
+from drake_nonstop import speed_program
 from drake_nonstop.speed_program import Outcome, SpeedProgram
 
 WITHIN = {"frequency_bounds": (0.3, 10.0), "amplitude_bounds": (0.1, 10.0)}
@@ -311,3 +312,21 @@ def test_bound_out_of_reach_comes_before_the_others():
     assert outcome == Outcome.RELAXED
     np.testing.assert_allclose(found, fast, rtol=1e-6)
     assert slowest == fastest
+
+
+@pytest.mark.parametrize("solver", ["search", "snopt"])
+def test_many_speeds_are_judged_as_few_are(solver, monkeypatch):
+    speeds = program(solver=solver)
+    outcomes = set()
+    for seed in range(12):
+        inputs = moving(seed)
+        data = problem(inputs, 0.3 + 0.1 * seed, speeds=speeds)
+        found = speeds.solve(data)
+        monkeypatch.setattr(speed_program, "_MANY_SPEEDS", 1)
+        many = speeds.solve(data)
+        monkeypatch.undo()
+        np.testing.assert_allclose(many[0], found[0], rtol=1e-9)
+        assert many[1] == found[1]
+        assert many[2] == pytest.approx(found[2], rel=1e-9)
+        outcomes.add(found[1])
+    assert {Outcome.KEPT, Outcome.SOLVED} <= outcomes
