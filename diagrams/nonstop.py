@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from pydrake.systems.framework import Diagram, System
 
 from drake_nonstop import wiring
+from drake_nonstop.block import LOOP
 from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase
 from drake_nonstop.blocks.cable_force_distribution import (
     BoundedTensionDistribution,
@@ -33,7 +34,6 @@ from drake_nonstop.blocks.carrier_pid import (
     TunedFeedforwardCarrierPid,
 )
 from drake_nonstop.blocks.carrier_trajectory import (
-    CarrierMotion,
     CarrierTrajectory,
     InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
@@ -69,6 +69,7 @@ from drake_nonstop.blocks.wrench_controller import (
 )
 from drake_nonstop.own_blocks import import_path, make_own_block, own_block_class
 from drake_nonstop.system import Model, overridden
+from drake_nonstop.traced_block import Equations
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, require
 
 if TYPE_CHECKING:
@@ -111,6 +112,15 @@ PLANT = ("carrier_dynamics", "cables", "load_plant")
 
 # What `fused_plant` makes one block of, each after those whose outputs it reads.
 FUSED = ("carrier_controller", "cables", "carrier_dynamics", "load_plant")
+
+_MOST_STEPS = 20  # in a control period; all of them are in one trace
+
+# What that block reads from, directly or not. Of others than the package's nobody knows whether
+# they change between the controllers' samples.
+_SAMPLED = (
+    *("wrench_controller", "optimization_layer", "phase", "internal_force", "force_distribution"),
+    *("carrier_trajectory", "load_disturbance"),
+)
 
 # The figure's wires, to be read. They follow from the names of the ports, and building
 # the default blocks checks this list against what was built. Where the scenario has a
@@ -253,9 +263,7 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
     if scenario.control_period > 0:
         blocks["sample_and_hold"] = SampleAndHold(believed)
         replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
-    diagram = wiring.connect(
-        blocks, name="nonstop", replaced_signals=replaced_signals, outside=outside
-    )
+    diagram = wiring.connect(blocks, name=LOOP, replaced_signals=replaced_signals, outside=outside)
     if all(type(blocks.get(name)) is BLOCKS[name][0] for name in BLOCKS):
         difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
         if difference:
@@ -266,29 +274,48 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
     return diagram
 
 
+def _named(name: str, blocks: dict[str, System]) -> str:
+    return f"{name} = {type(blocks[name]).__name__ if name in blocks else 'left out'}"
+
+
 def _fuse(blocks: dict[str, System], scenario: "Scenario") -> None:
-    """Puts one block in the place of those in `FUSED`, where that makes no difference."""
+    """Puts one block in the place of those in `FUSED`, where it is known to do what they do."""
     simulator = scenario.simulator
     reason = ""
     if scenario.control_period == 0:
         reason = "control_period = 0, and it steps from sample to sample of the controllers"
     elif simulator.integration_scheme != "runge_kutta3" or simulator.use_error_control:
         reason = "its steps are those of runge_kutta3 without error control"
-    elif not isinstance(blocks.get("carrier_trajectory"), CarrierMotion):
-        reason = "carrier_trajectory is not known to move along its velocities between samples"
+    steps = max(1, math.ceil(scenario.control_period / simulator.max_step_size - 1e-9))
+    if steps > _MOST_STEPS:
+        reason = reason or f"{steps} steps a sample, of which {_MOST_STEPS} at most are traced"
+    for name in _SAMPLED:
+        if not type(blocks.get(name)).__module__.startswith("drake_nonstop.blocks."):
+            reason = reason or f"{_named(name, blocks)} may change between samples"
+    parts: dict[str, Equations] = {}
     for name in FUSED:
-        if not hasattr(blocks.get(name), "equations"):
-            block = type(blocks[name]).__name__ if name in blocks else "left out"
-            reason = reason or f"{name} = {block} has no equations to be traced with the others"
+        equations = getattr(blocks.get(name), "equations", None)
+        if not isinstance(equations, Equations):
+            reason = reason or f"{_named(name, blocks)} has no equations to be traced"
+            continue
+        parts[name] = equations
+    later = {port for part in parts.values() for port in part.outputs}
+    for name, part in parts.items():
+        if later & part.inputs.keys():
+            reason = reason or f"{_named(name, blocks)} reads what is made after it"
+        later -= part.outputs.keys()
+    if not any("carrier_reference" in part.inputs for part in parts.values()):
+        reason = reason or "no part of it reads carrier_reference"
     if reason:
         message = f"fused_plant = true: {reason}; the separate blocks are used instead"
         warnings.warn(message, ScenarioWarning, stacklevel=3)
         return
-    parts = {name: blocks.pop(name) for name in FUSED}
+    for name in FUSED:
+        del blocks[name]
     blocks["plant"] = FusedPlant(
-        {name: block.equations for name, block in parts.items()},
+        parts,
         period=scenario.control_period,
-        steps=max(1, math.ceil(scenario.control_period / simulator.max_step_size - 1e-9)),
+        steps=steps,
     )
 
 

@@ -112,8 +112,8 @@ from drake_nonstop.speed_program import Outcome
 from drake_nonstop.sweep import Sweep, SweepInterrupted, sweep
 from drake_nonstop.sweep_spec import PlannedRun, SweepSpec, read_sweep
 from drake_nonstop.system import Model, System
-from drake_nonstop.traced_block import TracedBlock
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.traced_block import Equations, TracedBlock
+from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.version import __version__
 
 __all__ = [  # noqa: RUF022 - in the order of the figure
@@ -152,6 +152,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "WrenchControllerConfig",
     "PrintedWrenchController",
     "PrintedWrenchControllerConfig",
+    "Equations",
     "FusedPlant",
     "GeometricPd",
     "GeometricPdConfig",
@@ -233,5 +234,6 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "run_live",
     "record_replay",
     "ScenarioError",
+    "ScenarioWarning",
     "__version__",
 ]

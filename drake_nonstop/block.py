@@ -35,6 +35,7 @@ def _type_of_blocks() -> Any:
     return Slotted
 
 
+LOOP = "nonstop"  # the name of the diagram that the blocks are in
 BlockType = _type_of_blocks()
 
 
@@ -56,6 +57,16 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
     def DeclareAbstractOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
         """As LeafSystem's."""
         return super().DeclareAbstractOutputPort(*map(weakly, arguments), **named)
+
+
+class InnerBlock(LeafBlock):
+    """A LeafBlock inside a block that is a Diagram."""
+
+    def box(self) -> str:
+        """The name of the block in the loop that this is inside of, however deep."""
+        names = self.GetSystemPathname().split("::")
+        above = names.index(LOOP) if LOOP in names[:-1] else 0  # first comes an empty name
+        return names[above + 1]
 
 
 def weakly(callback: Any) -> Any:

@@ -28,7 +28,13 @@ from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, simulate
 from drake_nonstop.stability import find_margins, linearize
 from drake_nonstop.sweep import SweepInterrupted, sweep
 from drake_nonstop.sweep_spec import read_sweep
-from drake_nonstop.validation import ScenarioError, ScenarioWarning, require, require_seed
+from drake_nonstop.validation import (
+    ScenarioError,
+    ScenarioWarning,
+    require,
+    require_seed,
+    show_warning,
+)
 from drake_nonstop.version import __version__
 from drake_nonstop.workers import SerialExecutor
 
@@ -43,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("once", ScenarioWarning)
-            warnings.showwarning = _show_warning
+            warnings.showwarning = show_warning
             return options.action(options)
     except ScenarioError as error:
         print(f"drake-nonstop: {error}", file=sys.stderr)
@@ -54,11 +60,6 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # whoever read the output has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
-
-
-def _show_warning(message: Warning | str, *about: Any, **where: Any) -> None:
-    """In one line, without the place in the code."""
-    print(f"warning: {message}")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -47,6 +47,7 @@ LAYOUT = {
     "load_disturbance": Place(0, 4, 1, "addition"),
     "cables": Place(2, 3, -1, "plant"),
     "carrier_dynamics": Place(3, 3, -1, "plant"),
+    "plant": Place(2, 3, -1, "plant"),  # in place of the four
 }
 COLUMNS = 1 + max(place.column for place in LAYOUT.values())
 ROWS = 1 + max(place.row for place in LAYOUT.values())

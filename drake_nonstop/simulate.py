@@ -35,6 +35,7 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.block import LeafBlock
+from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.nonstop_visualizer import NonstopVisualizer
 from drake_nonstop.compiled import LARGEST, NotFiniteError
 from drake_nonstop.diagrams.nonstop import make_nonstop
@@ -71,10 +72,11 @@ class Run:
 
     `signals` maps "block.port" to the samples of every signal but wall times, (samples,
     size), at the instants `time` (samples,), 100 Hz; `steps` maps the names of a few ports
-    to their values at every step of the integrator, (steps, size), and "time" to the
-    steps' times (steps,), from t = 0 on. A value at an instant is that before the
-    controllers' update at that instant. `solve_times` (updates,) are the wall times of the
-    optimization layer's updates, `wall_time` that of the whole simulation but for pauses, in s.
+    to their values at every step, (steps, size), and "time" to the steps' times (steps,), from
+    t = 0 on: the integrator's steps, or the controllers' samples where the plant is fused. A
+    value at an instant is that before the controllers' update at that instant. `solve_times`
+    (updates,) are the wall times of the optimization layer's updates, `wall_time` that of the
+    whole simulation but for pauses, in s.
     A run that `is_steered` was changed from outside while it went on.
     """
 
@@ -153,7 +155,7 @@ def simulate(
     for name, block in replacements.items():
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
     nonstop = make_nonstop(scenario, **replacements)
-    if scenario.fused_plant:
+    if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
         config = stable_config(scenario.simulator, nonstop, _at_equilibrium(nonstop))
         if config is not scenario.simulator:  # the steps are the block's own
             shorter = dataclasses.replace(scenario, simulator=config)

@@ -6,23 +6,18 @@ vector, take the outputs apart and hold the state, and Python is called once, fo
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    DiagramBuilder,
-    System,
-)
-from pydrake.systems.primitives import Selector, SelectorParams
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, System
+from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
-from drake_nonstop.block import DiagramBlock, LeafBlock
+from drake_nonstop.block import DiagramBlock, InnerBlock
 from drake_nonstop.compiled import CompiledFunction
 
-_STATE = "state"
+_STATE = "(state)"  # no name of a port
 
 
 @dataclass(frozen=True)
@@ -31,19 +26,24 @@ class Equations:
 
     `function` takes one flat array for the state, where there is one, and one per entry of
     `inputs`; it returns the rate of the state, where there is one, and one array per entry of
-    `outputs`. `inputs` and `outputs` are sizes by the names of ports. The state has
-    `state_size` numbers, and `state_port` shows it, if any port does.
+    `outputs`. `inputs` and `outputs` are sizes by the names of ports. The state begins at
+    `initial_state`, which is empty where there is none, and `state_port` shows it, if any
+    port does.
     """
 
     function: Callable
     inputs: Mapping[str, int]
     outputs: Mapping[str, int]
-    state_size: int = 0
+    initial_state: NDArray = field(default_factory=lambda: np.zeros(0))
     state_port: str = ""
 
 
 class TracedBlock(DiagramBlock):
     """A block whose outputs are a traced function of its inputs and its state.
+
+    Drake takes every output to depend on every input, and only the state's port on none.
+    `equations` are what is traced, for a bigger trace; None where the state is not continuous,
+    or the time is read.
 
     Args:
         function: takes one flat array for the state, where there is one, and one per entry of
@@ -56,6 +56,9 @@ class TracedBlock(DiagramBlock):
         state_port: the name of the output port that shows the state; none: no port does.
         reads_time: `function` takes the time (1,) in s after all others.
         key: as of `CompiledFunction`.
+
+    Raises:
+        ValueError: there is nothing to take: neither an input nor a state nor the time.
     """
 
     def __init__(
@@ -70,12 +73,18 @@ class TracedBlock(DiagramBlock):
         key: Any = None,
     ):
         super().__init__()
-        size = state.get_output_port().size() if state is not None else 0
-        self.equations = Equations(function, inputs, outputs or {}, size, state_port)
         read, made = dict(inputs), dict(outputs or {})
+        initial = np.zeros(0)
         if state is not None:
-            own = {_STATE: size}
+            initial = state.get_output_port().Eval(state.CreateDefaultContext()).copy()
+        self.equations: Equations | None = None
+        if not reads_time and (state is None or isinstance(state, Integrator)):
+            self.equations = Equations(function, dict(inputs), dict(made), initial, state_port)
+        if state is not None:
+            own = {_STATE: len(initial)}
             read, made = own | read, own | made
+        if not read and not reads_time:
+            raise ValueError("inputs = none: give some, a state, or reads_time")
         builder = DiagramBuilder()
         traced = builder.AddNamedSystem(
             "traced", _Traced(function, [*read.values()], sum(made.values()), reads_time, key)
@@ -90,7 +99,7 @@ class TracedBlock(DiagramBlock):
             builder.Connect(traced.get_output_port(), parts.get_input_port())
             outputs_of = parts.get_output_port
         for i, name in enumerate(read):
-            if name in inputs:
+            if name != _STATE:
                 builder.ExportInput(inputs_of(i), name)
         for i, name in enumerate(made):
             if name != _STATE:
@@ -104,7 +113,7 @@ class TracedBlock(DiagramBlock):
         builder.BuildInto(self)
 
 
-class _Traced(LeafBlock):
+class _Traced(InnerBlock):
     """A traced function of one vector, the inputs stacked, with one output, likewise."""
 
     def __init__(
@@ -122,19 +131,21 @@ class _Traced(LeafBlock):
             name=self.box,
             key=key,
         )
-        self._inputs = self.DeclareVectorInputPort("inputs", sum(sizes))
-        calc, prerequisites = self._calc, {self.all_input_ports_ticket()}
+        calc, prerequisites = self._calc, set()
+        if sizes:
+            self._inputs = self.DeclareVectorInputPort("inputs", sum(sizes))
+            prerequisites.add(self.all_input_ports_ticket())
         if reads_time:
-            calc = self._calc_at_time
+            calc = self._calc_at_time if sizes else self._calc_of_time
             prerequisites.add(self.time_ticket())
         self.DeclareVectorOutputPort("results", result_size, calc, prerequisites)
 
-    def box(self) -> str:
-        """The name of the block that this is the inside of."""
-        return self.GetSystemPathname().split("::")[-2]
-
     def _calc(self, context: Context, output: BasicVector) -> None:
         (results,) = self._evaluate(self._inputs.Eval(context))
+        output.SetFromVector(results)
+
+    def _calc_of_time(self, context: Context, output: BasicVector) -> None:
+        (results,) = self._evaluate(np.array([context.get_time()]))
         output.SetFromVector(results)
 
     def _calc_at_time(self, context: Context, output: BasicVector) -> None:

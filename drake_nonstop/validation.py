@@ -15,6 +15,11 @@ class ScenarioError(ValueError):
     """A value that a user gave cannot be used; the message is one clear sentence."""
 
 
+def show_warning(message: Warning | str, *about: Any, **where: Any) -> None:
+    """Python's `warnings.showwarning` in one line, without the place in the code."""
+    print(f"warning: {message}")
+
+
 def require(condition: Any, field: str, value: Any, remedy: str) -> None:
     """Raises ScenarioError "field = value: remedy" unless the condition holds."""
     if not condition:

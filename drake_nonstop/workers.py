@@ -5,11 +5,14 @@ import gc
 import os
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from multiprocessing import get_context, parent_process
 from multiprocessing.synchronize import Event
 from typing import Any
+
+from drake_nonstop.validation import show_warning
 
 _end: Event | None = None  # in a worker: set where nobody waits for it any more
 
@@ -56,6 +59,7 @@ def _begin(end: Event) -> None:
     _end = end
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    warnings.showwarning = show_warning
     gc.freeze()  # what the imports made stays: the collector need not look at it every time
 
 

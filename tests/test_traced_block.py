@@ -7,8 +7,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Integrator, ZeroOrderHold
 
+from drake_nonstop import load_scenario, simulate
 from drake_nonstop.compiled import NotFiniteError
 from drake_nonstop.sampled_integrator import SampledIntegrator
+from drake_nonstop.simulate import RunStopped
 from drake_nonstop.traced_block import TracedBlock, _Traced
 
 
@@ -111,3 +113,22 @@ def test_sampled_integral_begins_at_the_first_sample():
     np.testing.assert_array_equal(output(block, context, "integral"), [0.0, 0.0])
     simulator.AdvanceTo(1.2)
     np.testing.assert_array_equal(output(block, context, "integral"), [2.0, 4.0])
+
+
+def test_a_block_of_the_time_alone():
+    block = TracedBlock(lambda time: 2 * time, inputs={}, outputs={"ramp": 1}, reads_time=True)
+    context = block.CreateDefaultContext()
+    for time in (1.0, 3.0):
+        context.SetTime(time)
+        assert output(block, context, "ramp") == [2 * time]
+
+
+def test_a_block_of_nothing_is_refused():
+    with pytest.raises(ValueError, match="inputs = none: give some, a state, or reads_time"):
+        TracedBlock(lambda: np.ones(1), inputs={}, outputs={"one": 1})
+
+
+def test_an_error_names_the_block_however_deep_inside_it():
+    settings = ["duration=0.1", "force_distribution=!BoundedTensionDistribution {max_tension: 1.2}"]
+    with pytest.raises(RunStopped, match=r": force_distribution \(cable_force_distribution.py"):
+        simulate(load_scenario("line", settings))

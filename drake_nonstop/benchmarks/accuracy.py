@@ -76,6 +76,7 @@ def benchmark_accuracy(
                 continue
             row["wall_s"].append(run.wall_time)
             row |= _errors(run, reference) | {"steps": len(run.steps["time"]) - 1}
+            row["is_fused"] = run.diagram.HasSubsystemNamed("plant")
             wall = statistics.median(row["wall_s"])
             row["real_time_factor"] = scenario.duration / wall
     progress("running", 1.0)
@@ -107,6 +108,8 @@ def table(results: dict[str, Any]) -> str:
         if "stopped" in row:
             lines.append(f"{'-':>16}{'-':>12}{'-':>10}{'-':>8}  {settings}: {row['stopped']}")
             continue
+        if "fused_plant=true" in row["settings"] and not row["is_fused"]:
+            settings += " (cannot be fused: separate blocks)"
         lines.append(
             f"{row['real_time_factor']:16.1f}{1e3 * row['load_error_m']:12.5f}"
             f"{row['speed_error']:10.4%}{row['steps']:8}  {settings}"

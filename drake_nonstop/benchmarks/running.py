@@ -40,7 +40,7 @@ def benchmark_run(
         What `drake-nonstop bench run` writes as JSON, times in s, memory in MiB. The blocks'
         seconds are exclusive: those of the blocks upstream that a block asks are not in them.
         `calls_per_step` counts how often Drake or another block enters a block per step of the
-        integrator, `evaluations_per_step` how many traced functions the block then evaluates.
+        simulator, `evaluations_per_step` how many traced functions the block then evaluates.
 
     Raises:
         ScenarioError: the scenario cannot be run.

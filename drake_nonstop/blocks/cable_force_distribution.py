@@ -14,7 +14,7 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from drake_nonstop.block import DiagramBlock, LeafBlock, weakly
+from drake_nonstop.block import DiagramBlock, InnerBlock, weakly
 from drake_nonstop.mechanics.grasp import (
     cable_forces_and_rates,
     grasp_matrix,
@@ -121,7 +121,7 @@ class BoundedTensionDistribution(DiagramBlock):
         builder.BuildInto(self)
 
 
-class _TensionBounds(LeafBlock):
+class _TensionBounds(InnerBlock):
     """Cable forces and rates, changed as little as the bounds ask for."""
 
     def __init__(self, model: Model, config: BoundedTensionDistributionConfig):

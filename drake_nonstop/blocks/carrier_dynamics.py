@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Gain, Integrator, Multiplexer
 
@@ -38,7 +39,7 @@ class CarrierDynamics(DiagramBlock):
             lambda state, forces: double_integrator_rate(state, forces, mass=model.carrier_mass),
             inputs={"carrier_forces": size},
             outputs={},
-            state_size=2 * size,
+            initial_state=np.zeros(2 * size),
             state_port="carrier_state",
         )
         builder = DiagramBuilder()

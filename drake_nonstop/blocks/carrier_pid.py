@@ -84,19 +84,20 @@ def _equations(size: int, gains: dict[str, float], feedforward: TracedBlock | No
     """Those of `CarrierPositionPid`, whose `size` is 3n."""
     inputs = {"carrier_reference": 2 * size, "carrier_state": 2 * size}
     states = size if gains["integral_gain"] > 0 else 0
-    if feedforward is not None:
-        inputs |= feedforward.equations.inputs
+    added = feedforward.equations if feedforward is not None else None
+    if added is not None:
+        inputs |= added.inputs
 
     def function(*values: NDArray) -> tuple[NDArray, ...]:
         integral = values[0] if states else np.zeros(size)
         reference, state, *others = values[1:] if states else values
         forces = pid_forces(reference, state, integral, **gains)
-        if feedforward is not None:
-            forces = forces + feedforward.equations.function(*others)
+        if added is not None:
+            forces = forces + added.function(*others)
         error = (reference - state)[:size]
         return (error, forces) if states else (forces,)
 
-    return Equations(function, inputs, {"carrier_forces": size}, states)
+    return Equations(function, inputs, {"carrier_forces": size}, np.zeros(states))
 
 
 @dataclass(kw_only=True)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, State
 from pydrake.systems.primitives import Selector
 
-from drake_nonstop.block import DiagramBlock, LeafBlock
+from drake_nonstop.block import DiagramBlock, InnerBlock
 from drake_nonstop.compiled import CompiledFunction
 from drake_nonstop.traced_block import Equations, stacking, taking_apart
 
@@ -34,7 +34,9 @@ class FusedPlant(DiagramBlock):
 
     Names and sizes are those of the parts' ports. Over a period the `disturbance_wrench` is
     held at its value at the beginning, the `carrier_reference` moves along its velocities, as
-    `CarrierMotion` has it, and other inputs are taken to be constant.
+    `CarrierMotion` has it, and other inputs are taken to be constant. Where they are, the
+    results at the samples are those of the parts to round-off, if the integrator's step
+    divides the period and no event cuts a step short.
 
     Args:
         parts: the equations of the blocks by their names, each after those it reads from.
@@ -86,8 +88,9 @@ class _Together:
 
     def __init__(self, parts: Mapping[str, Equations]):
         self._parts = parts
-        stateful = {name: part for name, part in parts.items() if part.state_size}
-        self.states = {part.state_port or name: part.state_size for name, part in stateful.items()}
+        initial = {part.state_port or name: part.initial_state for name, part in parts.items()}
+        self.initial_states = {name: state for name, state in initial.items() if len(state)}
+        self.states = {name: len(state) for name, state in self.initial_states.items()}
         self.outputs: dict[str, int] = {}
         read: dict[str, int] = {}
         for part in parts.values():
@@ -102,17 +105,18 @@ class _Together:
         rates, outputs = {}, []
         for name, part in self._parts.items():
             own = part.state_port or name
-            given = [signals[own]] if part.state_size else []
+            has_state = own in self.states
+            given = [signals[own]] if has_state else []
             found = part.function(*given, *(signals[port] for port in part.inputs))
             values = [value.ravel() for value in (found if isinstance(found, tuple) else (found,))]
-            if part.state_size:
+            if has_state:
                 rates[own] = values.pop(0)
             signals |= zip(part.outputs, values, strict=True)
             outputs += values
         return np.concatenate([rates[own] for own in self.states]), np.concatenate(outputs)
 
 
-class _Stepped(LeafBlock):
+class _Stepped(InnerBlock):
     """Steps the parts; its state is theirs and the disturbance at the last sample, and its time.
 
     The time is infinite before the first sample.
@@ -148,7 +152,8 @@ class _Stepped(LeafBlock):
         self._step = CompiledFunction(stepped, [input_size, size + 7, 1], name=self.box)
         self._inputs = self.DeclareVectorInputPort("inputs", input_size)
         self._held = self.DeclareVectorInputPort(_HELD, 6)
-        self.DeclareDiscreteState(np.array([0.0] * (size + 6) + [np.inf]))
+        initial = [*together.initial_states.values(), np.array([0.0] * 6 + [np.inf])]
+        self.DeclareDiscreteState(np.concatenate(initial))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
         # With the sample-and-hold, which then sees the state that this step ends with.
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._sample)
@@ -162,10 +167,6 @@ class _Stepped(LeafBlock):
         )
         self.DeclareVectorOutputPort("states", size, self._calc_states, sources)
         self.DeclareVectorOutputPort("outputs", output_size, self._calc_outputs, sources)
-
-    def box(self) -> str:
-        """The name of the block that this is the inside of."""
-        return self.GetSystemPathname().split("::")[-2]
 
     def set_states(self, context: Context, states: Mapping[str, NDArray]) -> None:
         """As `FusedPlant.set_states`."""
@@ -187,11 +188,10 @@ class _Stepped(LeafBlock):
         return _split(rate.copy(), self._sizes)
 
     def _calc_results(self, context: Context, output: BasicVector) -> None:
-        (results,) = self._step(
-            self._inputs.Eval(context),
-            context.get_discrete_state_vector().value(),
-            np.array([context.get_time()]),
-        )
+        memory, time = context.get_discrete_state_vector().value(), context.get_time()
+        if not memory[-1] <= time:  # before the first sample
+            memory = np.append(memory[:-1], time)
+        (results,) = self._step(self._inputs.Eval(context), memory, np.array([time]))
         output.SetFromVector(results)
 
     def _calc_states(self, context: Context, output: BasicVector) -> None:

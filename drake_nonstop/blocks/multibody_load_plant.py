@@ -9,7 +9,7 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlan
 from pydrake.multibody.tree import BodyIndex, SpatialInertia, UnitInertia
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from drake_nonstop.block import DiagramBlock, LeafBlock
+from drake_nonstop.block import DiagramBlock, InnerBlock
 from drake_nonstop.compiled import LARGEST, NotFiniteError
 from drake_nonstop.system import Model
 
@@ -64,7 +64,7 @@ class MultibodyLoadPlant(DiagramBlock):
         builder.BuildInto(self)
 
 
-class _LoadForces(LeafBlock):
+class _LoadForces(InnerBlock):
     """All but gravity that acts on the load, each force where it does."""
 
     def __init__(self, model: Model, body: BodyIndex):
@@ -89,7 +89,7 @@ class _LoadForces(LeafBlock):
         cables = self._cable_forces.Eval(context).reshape(-1, 3)
         values = np.concatenate([state, wrench, cables.ravel()])
         if not values @ values < LARGEST**2:
-            raise NotFiniteError("load_plant was given")
+            raise NotFiniteError(f"{self.box()} was given")
         spatial = [SpatialForce(np.zeros(3), force) for force in cables]
         applied = []
         for point, force in zip(

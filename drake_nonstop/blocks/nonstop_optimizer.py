@@ -191,7 +191,13 @@ class NonstopOptimizer(LeafBlock):
         )
         # Offset = period: with offset 0 the periodic event would repeat the first one.
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
-        self.DeclarePeriodicDiscreteUpdateEvent(config.period, config.period, self._update)
+        # At the controllers' samples, of which every so-manieth is taken: with a period of its
+        # own the event would fall, by rounding, now together with theirs and now before.
+        self._sample_period = model.control_period or config.period
+        self._samples = round(config.period / self._sample_period)
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            self._sample_period, self._sample_period, self._update_at_sample
+        )
 
     def set_speed_bound(self, context: Context, speed_bound: float) -> None:
         """Asks for another ε (m/s) from the next update on; the context is the block's own.
@@ -215,6 +221,10 @@ class NonstopOptimizer(LeafBlock):
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_numeric_parameter(self._speed_bound).value())
+
+    def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
+        if round(context.get_time() / self._sample_period) % self._samples == 0:
+            self._update(context, discrete_state)
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         previous = context.get_discrete_state(self._parameters).CopyToVector()

@@ -12,6 +12,7 @@ from drake_nonstop.cli import main
 from drake_nonstop.diagrams.nonstop import FUSED
 from drake_nonstop.equilibrium import fastest_mode
 from drake_nonstop.simulate import SIGNAL_PERIOD
+from drake_nonstop.traced_block import TracedBlock
 from drake_nonstop.validation import ScenarioWarning
 
 FUSE = "fused_plant=true"
@@ -22,7 +23,7 @@ SAME = {
     "tilted, 60 m, feedforward": ("real_scale_spread", "duration=1"),
     "integral": ("line", "duration=1", CONSTANT, "carrier_controller.integral_gain=50"),
     "50 Hz": ("line", "duration=1", CONSTANT, "control_period=0.02"),
-    "30 steps": ("line", "duration=0.3", CONSTANT, "simulator.max_step_size=0.0003333333333333334"),
+    "20 steps": ("line", "duration=0.3", CONSTANT, "simulator.max_step_size=0.0005"),
     "stiff": ("line", "duration=0.5", CONSTANT, "simulated.cable_stiffness=4000"),
     "loaded carriers": (
         *("line", "duration=1", CONSTANT),
@@ -38,6 +39,10 @@ SAME = {
     "unlike cables": (
         *("line", "duration=1", CONSTANT),
         "cables=!IndividualCables {stiffness: [500, 400, 500, 600]}",
+    ),
+    "optimizer at 50 Hz": (
+        *("line", "duration=0.6", "optimization_layer.speed_bound=0.3"),
+        "optimization_layer.period=0.02",
     ),
     "late and noisy": (
         *("line", "duration=1", CONSTANT),
@@ -99,6 +104,7 @@ def test_equilibrium_and_fastest_mode_are_those_of_the_separate_blocks():
         ("control_period=0", "control_period = 0"),
         ("simulator.integration_scheme=runge_kutta2", "runge_kutta3"),
         ("simulator.use_error_control=true", "error control"),
+        ("simulator.max_step_size=0.0004", "25 steps a sample"),
     ],
 )
 def test_what_cannot_be_fused_stays_apart_and_says_why(setting, words):
@@ -121,6 +127,113 @@ class Hover(LeafSystem):
 def test_a_block_of_ones_own_stays_apart():
     with pytest.warns(ScenarioWarning, match="carrier_dynamics = Hover has no equations"):
         make_nonstop(load_scenario("line", [CONSTANT, FUSE]), carrier_dynamics=Hover)
+
+
+class Impatient(TracedBlock):
+    """A controller that reads what the cables make of the carriers' forces."""
+
+    def __init__(self, model):
+        super().__init__(
+            lambda reference, tensions: tensions[:1] * reference[: 3 * model.n],
+            inputs={"carrier_reference": 6 * model.n, "tensions": model.n},
+            outputs={"carrier_forces": 3 * model.n},
+        )
+
+
+class Ramp(LeafSystem):
+    """Parameters that change with the time, between samples too."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("parameters", 2, lambda context, output: None)
+
+
+class Gust(LeafSystem):
+    """A wrench that nobody knows the times of."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, lambda context, output: None)
+
+
+class Steady(TracedBlock):
+    """A controller that does not read where the carriers should be."""
+
+    def __init__(self, model):
+        super().__init__(
+            lambda state: -state[: 3 * model.n],
+            inputs={"carrier_state": 6 * model.n},
+            outputs={"carrier_forces": 3 * model.n},
+        )
+
+
+class Wandering(TracedBlock):
+    """A controller that reads the time."""
+
+    def __init__(self, model):
+        super().__init__(
+            lambda reference, time: time * reference[: 3 * model.n],
+            inputs={"carrier_reference": 6 * model.n},
+            outputs={"carrier_forces": 3 * model.n},
+            reads_time=True,
+        )
+
+
+@pytest.mark.parametrize(
+    ("box", "block", "words"),
+    [
+        ("carrier_controller", Impatient, "Impatient reads what is made after it"),
+        ("carrier_controller", Wandering, "Wandering has no equations"),
+        ("phase", None, "phase = left out may change between samples"),
+        ("optimization_layer", Ramp, "Ramp may change between samples"),
+        ("load_disturbance", Gust, "Gust may change between samples"),
+        ("carrier_controller", Steady, "no part of it reads carrier_reference"),
+    ],
+)
+def test_what_changes_between_samples_stays_apart(box, block, words):
+    settings = [CONSTANT, FUSE, "phase=PrintedPhase"]
+    with pytest.warns(ScenarioWarning, match=words):
+        make_nonstop(load_scenario("line", settings), **{box: block})
+
+
+class Leading(TracedBlock):
+    """A controller of one's own with equations: a PD that also pulls."""
+
+    def __init__(self, model):
+        n = model.n
+
+        def forces(reference, state, cable_forces):
+            error = reference - state
+            return 900 * error[: 3 * n] + 9 * error[3 * n :] + 0.1 * cable_forces
+
+        super().__init__(
+            forces,
+            inputs={
+                "carrier_reference": 6 * n,
+                "carrier_state": 6 * n,
+                "desired_cable_forces": 3 * n,
+            },
+            outputs={"carrier_forces": 3 * n},
+        )
+
+
+def test_a_traced_block_of_ones_own_is_fused():
+    scenario = load_scenario("line", ["duration=0.5", CONSTANT])
+    runs = [
+        simulate(dataclasses.replace(scenario, fused_plant=fused), carrier_controller=Leading)
+        for fused in (False, True)
+    ]
+    assert type(runs[1].diagram.GetSubsystemByName("plant")) is FusedPlant
+    states = [run.signal("carrier_state") for run in runs]
+    np.testing.assert_allclose(states[1], states[0], rtol=0, atol=1e-10)
+
+
+def test_a_fresh_context_is_that_of_the_separate_blocks():
+    scenario = load_scenario("line", [CONSTANT])
+    for fused in (False, True):
+        nonstop = make_nonstop(dataclasses.replace(scenario, fused_plant=fused))
+        state = nonstop.GetOutputPort("load_state").Eval(nonstop.CreateDefaultContext())
+        np.testing.assert_array_equal(state, [1.0] + [0.0] * 12)
 
 
 def test_a_box_left_out_stays_out():
