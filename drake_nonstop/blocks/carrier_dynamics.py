@@ -29,7 +29,8 @@ class CarrierDynamics(DiagramBlock):
         - carrier_state
 
     `carrier_forces` (3n) in N, in W; `carrier_state` (6n) = [positions, velocities], in
-    W, is the state.
+    W, is the state. It is made of Drake's own systems, which take half as long as a callback;
+    `equations` are the same from `mechanics.carrier`, for a fused plant.
     """
 
     def __init__(self, model: Model, config: CarrierDynamicsConfig | None = None):

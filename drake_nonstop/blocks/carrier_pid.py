@@ -34,7 +34,8 @@ class CarrierPositionPid(DiagramBlock):
 
     `carrier_reference` and `carrier_state` (6n) = [positions, velocities], in W;
     `carrier_forces` (3n) in N, in W. The integrals are the state, where their gain is
-    not zero.
+    not zero. The law is made of Drake's own systems, which take half as long as a callback;
+    `equations` are the same from `mechanics.carrier`, for a fused plant.
 
     Args:
         model: how many carriers there are.

@@ -41,7 +41,7 @@ SAME = {
         "cables=!IndividualCables {stiffness: [500, 400, 500, 600]}",
     ),
     "optimizer at 50 Hz": (
-        *("line", "duration=0.6", "optimization_layer.speed_bound=0.3"),
+        *("line", "duration=0.4", "optimization_layer.speed_bound=1.2"),
         "optimization_layer.period=0.02",
     ),
     "late and noisy": (
