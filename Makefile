@@ -10,8 +10,9 @@ demo: $(VENV)/.installed
 	$(BIN)/drake-nonstop run quintic
 	@echo "Open out/quintic/replay.html in a browser; figures are in out/quintic/figures."
 
+# Two workers, each of one thread: NumPy's own would stand in each other's way.
 test: $(VENV)/.installed-dev
-	$(BIN)/pytest -n 2 --dist worksteal
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

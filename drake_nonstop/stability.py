@@ -164,9 +164,9 @@ def _start_orbit(nonstop: Diagram, context: Context, phase: float) -> None:
     block = nonstop.GetSubsystemByName("phase")
     own = nonstop.GetMutableSubsystemContext(block, context)
     if own.num_continuous_states():
-        own.SetContinuousState([phase])
+        own.SetContinuousState([phase, 0.0])
     else:
-        own.SetDiscreteState([phase])
+        own.SetDiscreteState([phase, 0.0])
     set_equilibrium(nonstop, context)
 
 

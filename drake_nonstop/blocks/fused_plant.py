@@ -54,12 +54,15 @@ class FusedPlant(DiagramBlock):
         builder.ExportInput(stepped.GetInputPort(_HELD), _HELD)
         for name in together.inputs:
             builder.ExportInput(stacked.GetInputPort(name), name)
-        for kind, sizes in (("states", together.states), ("outputs", together.outputs)):
-            apart = builder.AddNamedSystem(kind, Selector(taking_apart(sizes)))
-            builder.Connect(stepped.GetOutputPort(kind), apart.get_input_port())
-            for name in sizes:
-                if name not in parts:
-                    builder.ExportOutput(apart.GetOutputPort(name), name)
+        results = together.states | together.outputs
+        states = builder.AddNamedSystem("states", Selector(taking_apart(together.states)))
+        outputs = builder.AddNamedSystem("outputs", Selector(taking_apart(results)))
+        builder.Connect(stepped.GetOutputPort("states"), states.get_input_port())
+        builder.Connect(stepped.GetOutputPort("results"), outputs.get_input_port())
+        for name in results:
+            if name not in parts:
+                source = states if name in together.states else outputs
+                builder.ExportOutput(source.GetOutputPort(name), name)
         builder.BuildInto(self)
 
     def set_states(self, context: Context, **states: NDArray) -> None:
@@ -166,7 +169,6 @@ class _Stepped(InnerBlock):
             "results", size + output_size, self._calc_results, sources
         )
         self.DeclareVectorOutputPort("states", size, self._calc_states, sources)
-        self.DeclareVectorOutputPort("outputs", output_size, self._calc_outputs, sources)
 
     def set_states(self, context: Context, states: Mapping[str, NDArray]) -> None:
         """As `FusedPlant.set_states`."""
@@ -199,9 +201,6 @@ class _Stepped(InnerBlock):
         if context.get_time() > values[-1]:  # neither at the sample nor before the first
             values = self._results.Eval(context)
         output.SetFromVector(values[: self._size])
-
-    def _calc_outputs(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._results.Eval(context)[self._size :])
 
     def _begin(self, context: Context, state: State) -> None:
         self._remember(context, state, context.get_discrete_state_vector().value())

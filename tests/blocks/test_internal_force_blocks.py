@@ -44,8 +44,8 @@ def test_continuous_phase_grows_with_the_frequency():
     context = block.CreateDefaultContext()
     fix(block, context, parameters=PARAMETERS)
     np.testing.assert_array_equal(output(block, context, "phase"), [0, 0])
-    np.testing.assert_array_equal(block.EvalTimeDerivatives(context).CopyToVector(), [1.7])
-    context.SetContinuousState([0.6])
+    np.testing.assert_array_equal(block.EvalTimeDerivatives(context).CopyToVector(), [1.7, 0.0])
+    context.SetContinuousState([0.6, 0.0])
     np.testing.assert_array_equal(output(block, context, "phase"), [0.6, 0])
 
 
