@@ -116,7 +116,7 @@ def test_calls_are_counted(timed):
     assert timers.steps == len(run.steps["time"]) - 1
     assert calls(timers, "load_plant", "_calc") == 3 * timers.steps
     updates = round(run.scenario.duration / run.scenario.optimization_layer.period)
-    assert abs(calls(timers, "optimization_layer", "_update") - updates) <= 1
+    assert abs(calls(timers, "optimization_layer", "_update_at_sample") - updates) <= 1
     evaluations = sum(f.evaluations for f in timers.root.walk() if f.box == "load_plant")
     assert evaluations == 3 * timers.steps
 
