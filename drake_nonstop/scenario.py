@@ -8,6 +8,7 @@ defaults. A tag with dots is the import path of a block of the user's own (`own_
 
 import dataclasses
 import difflib
+import functools
 import re
 import typing
 from collections.abc import Iterable
@@ -318,6 +319,7 @@ def _tagged(tree: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+@functools.cache
 def _choices() -> dict[str, tuple[type, ...]]:
     """The config classes that each tagged field of Scenario may hold."""
     result = {}
@@ -438,7 +440,8 @@ def _check_fields(name: str, tree: Any, schema: Any) -> None:
     fields = dataclasses.fields(schema) if dataclasses.is_dataclass(schema) else schema.__fields__
     types = {f.name: f.type for f in fields}
     for key, value in tree.items():
-        require(key in types, f"{name}.{key}", value, _unknown(key, types))
+        if key not in types:  # only then: to look for what is close takes long
+            require(False, f"{name}.{key}", value, _unknown(key, types))
         _check_type(f"{name}.{key}", value, types[key])
 
 
@@ -547,7 +550,8 @@ def _apply_setting(tree: dict[str, Any], setting: str, trusted: bool | set[str])
     for i, key in enumerate(parents):
         parts = [part for part in branch if part != "_tag"]
         at = ".".join(parents[: i + 1])
-        require(key in parts, "--set", path, _unknown(at, parts))
+        if key not in parts:
+            require(False, "--set", path, _unknown(at, parts))
         require(isinstance(branch[key], dict), "--set", path, f"{at} has no parts; set it whole")
         branch = branch[key]
     if path in _choices() and isinstance(value, str):
