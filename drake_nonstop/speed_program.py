@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 DATA_SIZE = 61
 _SAME_COST = 1e-4  # relative; what the global search finds has to be cheaper by more
 _RESTING = 1e-3  # m/s, rad/s, m/s², rad/s²; a reference that moves less rests
-_MANY_SPEEDS = 200  # from so many on arrays are faster than a trace
+_MANY_SPEEDS = 100  # from so many on arrays are faster than a trace
 _SEPARATION_TURNS = 36  # of a whole turn, in which carriers are kept apart
 
 
@@ -211,7 +211,8 @@ class SpeedProgram:
         lower, upper = self.bounds(previous)
 
         def amplitude_margins(amplitudes: NDArray) -> NDArray:
-            tensions = nonstop.speed_squares(amplitudes[:, None], polynomials, **self._cables)[3]
+            values = nonstop.polynomial_values(polynomials[:, :, None], amplitudes[:, None])
+            tensions = nonstop.speed_squares(values, **self._cables)[3]
             margins = self._margins_of_amplitudes(amplitudes, tensions, forces, levers)
             return np.min([margin.min(axis=1) for margin in margins], axis=0)
 
@@ -390,7 +391,8 @@ class SpeedProgram:
         polynomials, forces, levers, _ = self._terms.traced(x, data)
         polynomials = polynomials.reshape(10, 3, -1)
         forces, levers = forces.reshape(-1, 3), levers.reshape(-1, 3)
-        c, b, a, tension_squares = nonstop.speed_squares(x[1:, None], polynomials, **self._cables)
+        values = nonstop.polynomial_values(polynomials[:, :, None], x[1:, None])
+        c, b, a, tension_squares = nonstop.speed_squares(values, **self._cables)
         s = x[:1] * x[1:]
         squares = c + s * (2 * b + s * a)
         bound, unit = data[57:58], data[58:59]

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.nonstop import speed_squares
+from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 
 FEASIBILITY_TOLERANCE = 1e-6  # on a margin, such as speed²/ε² − 1
 _WIDE = 32  # amplitudes looked at where the whole range is
 _FEW, _MORE = 9, 24  # within reach: at least, and as many more as it is of the whole range
 _WIDEST = 4  # the ratio of the ends of what is looked at evenly
 _GOLDEN = (math.sqrt(5) - 1) / 2
+_CLOSER = 5  # amplitudes looked at about a minimum that is unclear
 _GOLDEN_STEPS = 18  # each shortens what is looked at by that factor
 _AS_FORETOLD = 3e-5  # relative, between the cost that is found and the one foretold
 _SAME = 1e-9  # relative, what counts as the end of a forbidden interval
@@ -54,15 +55,8 @@ class SearchProblem:
 
         At amplitudes (k,) and frequencies (q,); the latter is inf where there are none.
         """
-        c, b, a, _ = (
-            coefficient[:, None]
-            for coefficient in speed_squares(
-                amplitudes[:, None],
-                self.polynomials,
-                rest_length=self.rest_length,
-                compliance=self.compliance,
-            )
-        )
+        values = polynomial_values(self.polynomials[:, :, None, None], amplitudes[:, None, None])
+        c, b, a, _ = speed_squares(values, rest_length=self.rest_length, compliance=self.compliance)
         s = (amplitudes[:, None] * frequencies)[:, :, None]
         squares = c + s * (2 * b + s * a)
         others = np.full(squares.shape[:2], np.inf)
@@ -191,9 +185,10 @@ class _OfFewSpeeds:
         return math.ceil(_FEW * max(1.0, math.log(high / low, _WIDEST)) + _MORE * share)
 
     def refine(self, allowed: list[tuple[float, float]]) -> None:
-        """Scans more closely what is wide, and then, by golden section, two unclear minima.
+        """Scans more closely what is wide, and then about two minima that are unclear.
 
-        Those are at kinks, where two speeds decide, or at steps, where a way past one opens.
+        What is unclear even so is at a kink, where two speeds decide, or at a step, where a way
+        past one opens: there, golden section.
         """
         if self._is_wide:
             self._unclear = []
@@ -204,18 +199,26 @@ class _OfFewSpeeds:
                     count = self._count(low, end)
                     self._look_along(low, (end - low) / (count - 1), count)
                     low = end
+        widest = sorted(self._unclear)[:2]
+        self._unclear = []
+        for _, low, high in widest:
+            self._look_along(low, (high - low) / (_CLOSER - 1), _CLOSER)
         for _, low, high in sorted(self._unclear)[:2]:
-            left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-            left_cost, right_cost = self._look(left), self._look(right)
-            for _ in range(_GOLDEN_STEPS):
-                if left_cost < right_cost:
-                    high, right, right_cost = right, left, left_cost
-                    left = high - _GOLDEN * (high - low)
-                    left_cost = self._look(left)
-                else:
-                    low, left, left_cost = left, right, right_cost
-                    right = low + _GOLDEN * (high - low)
-                    right_cost = self._look(right)
+            self._shrink(low, high)
+
+    def _shrink(self, low: float, high: float) -> None:
+        """Golden section between two amplitudes."""
+        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        left_cost, right_cost = self._look(left), self._look(right)
+        for _ in range(_GOLDEN_STEPS):
+            if left_cost < right_cost:
+                high, right, right_cost = right, left, left_cost
+                left = high - _GOLDEN * (high - low)
+                left_cost = self._look(left)
+            else:
+                low, left, left_cost = left, right, right_cost
+                right = low + _GOLDEN * (high - low)
+                right_cost = self._look(right)
 
     def _look_along(self, low: float, step: float, count: int) -> None:
         """Looks at evenly spaced amplitudes, and at the minima between them.
@@ -248,7 +251,8 @@ class _OfFewSpeeds:
         lowest, highest = A * self._lower[0], A * self._upper[0]
         forbidden = []
         for polynomials in self._polynomials:
-            c, b, a, _ = speed_squares(A, polynomials, **self._cables)
+            values = [p0 + A * (p1 + A * p2) for p0, p1, p2 in polynomials]
+            c, b, a, _ = speed_squares(values, **self._cables)
             square = b * b - a * (c - self._bound_squared)
             if square > 0:
                 root = math.sqrt(square)

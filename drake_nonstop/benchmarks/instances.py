@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
-from drake_nonstop.mechanics.nonstop import speed_squares
+from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.rigid_load import gravity_wrench
 from drake_nonstop.mechanics.rotation import roll_pitch_yaw_to_quaternion
 from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
@@ -300,7 +300,9 @@ def _best_costs(problem: SearchProblem, amplitudes: NDArray) -> NDArray:
     """The least cost (k,) at each amplitude, inf where no ξ is feasible."""
     A = amplitudes[:, None]
     c, b, a, _ = speed_squares(
-        A, problem.polynomials, rest_length=problem.rest_length, compliance=problem.compliance
+        polynomial_values(problem.polynomials[:, :, None], A),
+        rest_length=problem.rest_length,
+        compliance=problem.compliance,
     )
     root = np.sqrt(np.maximum(b * b - a * (c - problem.speed_bound**2), 0))
     cosines, sines = np.cos(problem.angles), np.sin(problem.angles)

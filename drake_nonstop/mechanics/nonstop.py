@@ -183,19 +183,21 @@ def speed_polynomials(cosine: NDArray, sine: NDArray, products: NDArray) -> NDAr
     )
 
 
-def speed_squares(
-    amplitude: Any, polynomials: Any, *, rest_length: float, compliance: float
-) -> tuple[Any, Any, Any, Any]:
+def polynomial_values(polynomials: NDArray, amplitude: NDArray) -> NDArray:
+    """The polynomials (10, 3, …) of `speed_polynomials` at amplitudes (…): (10, …)."""
+    p0, p1, p2 = polynomials[:, 0], polynomials[:, 1], polynomials[:, 2]
+    return p0 + amplitude * (p1 + amplitude * p2)
+
+
+def speed_squares(values: Any, *, rest_length: float, compliance: float) -> tuple[Any, ...]:
     """c, b and a with ‖v‖² = c + 2 b s + a s² for s = A ξ, and the squared tension T².
 
-    `polynomials` (10, 3, …) are those of `speed_polynomials`; the results are of the shape of
-    `amplitude` and of one of their coefficients, broadcast: arrays, or plain numbers, which
-    for a single speed are ten times faster. With g = ℓ/T and h = (1/K_c − g)/T², the velocity
-    of eq. 22 is v_b + g (r + s u') + h f fᵀ(r + s u'): affine in s. Own derivation.
+    `values` (10, …) are those of the polynomials of `speed_polynomials` at A, and the results
+    are of the shape of one of them: arrays, or plain numbers, which for a single speed are ten
+    times faster. With g = ℓ/T and h = (1/K_c − g)/T², the velocity of eq. 22 is
+    v_b + g (r + s u') + h f fᵀ(r + s u'): affine in s. Own derivation.
     """
-    tension_squared, r_r, rate_rate, f_rate, f_v, f_r, r_rate, v_r, v_rate, v_v = [
-        p0 + amplitude * (p1 + amplitude * p2) for p0, p1, p2 in polynomials
-    ]
+    tension_squared, r_r, rate_rate, f_rate, f_v, f_r, r_rate, v_r, v_rate, v_v = values
     g = rest_length / tension_squared**0.5 + compliance
     h = (compliance - g) / tension_squared
     g_squared = g * g

@@ -12,6 +12,7 @@ from drake_nonstop.mechanics.nonstop import (
     orbit_ahead,
     orbit_axes,
     phase_of,
+    polynomial_values,
     separation_squares,
     speed_polynomials,
     speed_products,
@@ -49,7 +50,8 @@ def predicted(time, state, motion, theta):
     products = speed_products(forces, rates, velocities, omega, *AXES)
     polynomials = speed_polynomials(np.cos(theta), np.sin(theta), products)
     frequency, amplitude = PARAMETERS
-    c, b, a, tension_squares = speed_squares(amplitude, polynomials, **STRETCH)
+    values = polynomial_values(polynomials, amplitude)
+    c, b, a, tension_squares = speed_squares(values, **STRETCH)
     s = amplitude * frequency
     return c + s * (2 * b + s * a), tension_squares
 

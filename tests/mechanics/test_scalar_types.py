@@ -51,7 +51,7 @@ def predicted_speeds(x, phase, state, motion, *wrenches):
     )
     products = nonstop.speed_products(forces, rates, velocities, omega, *AXES)
     polynomials = nonstop.speed_polynomials(np.cos(phase), np.sin(phase), products)
-    return nonstop.speed_squares(x, polynomials, **STRETCH)
+    return nonstop.speed_squares(nonstop.polynomial_values(polynomials, x), **STRETCH)
 
 
 def separations(x, state, motion, *wrenches):
