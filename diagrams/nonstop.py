@@ -280,43 +280,44 @@ def _named(name: str, blocks: dict[str, System]) -> str:
 
 def _fuse(blocks: dict[str, System], scenario: "Scenario") -> None:
     """Puts one block in the place of those in `FUSED`, where it is known to do what they do."""
-    simulator = scenario.simulator
-    reason = ""
-    if scenario.control_period == 0:
-        reason = "control_period = 0, and it steps from sample to sample of the controllers"
-    elif simulator.integration_scheme != "runge_kutta3" or simulator.use_error_control:
-        reason = "its steps are those of runge_kutta3 without error control"
-    steps = max(1, math.ceil(scenario.control_period / simulator.max_step_size - 1e-9))
-    if steps > _MOST_STEPS:
-        reason = reason or f"{steps} steps a sample, of which {_MOST_STEPS} at most are traced"
-    for name in _SAMPLED:
-        if not type(blocks.get(name)).__module__.startswith("drake_nonstop.blocks."):
-            reason = reason or f"{_named(name, blocks)} may change between samples"
-    parts: dict[str, Equations] = {}
-    for name in FUSED:
-        equations = getattr(blocks.get(name), "equations", None)
-        if not isinstance(equations, Equations):
-            reason = reason or f"{_named(name, blocks)} has no equations to be traced"
-            continue
-        parts[name] = equations
-    later = {port for part in parts.values() for port in part.outputs}
-    for name, part in parts.items():
-        if later & part.inputs.keys():
-            reason = reason or f"{_named(name, blocks)} reads what is made after it"
-        later -= part.outputs.keys()
-    if not any("carrier_reference" in part.inputs for part in parts.values()):
-        reason = reason or "no part of it reads carrier_reference"
+    equations = {name: getattr(blocks.get(name), "equations", None) for name in FUSED}
+    parts = {name: own for name, own in equations.items() if isinstance(own, Equations)}
+    steps = max(1, math.ceil(scenario.control_period / scenario.simulator.max_step_size - 1e-9))
+    reason = _why_not_fused(blocks, scenario, parts, steps)
     if reason:
         message = f"fused_plant = true: {reason}; the separate blocks are used instead"
         warnings.warn(message, ScenarioWarning, stacklevel=3)
         return
     for name in FUSED:
         del blocks[name]
-    blocks["plant"] = FusedPlant(
-        parts,
-        period=scenario.control_period,
-        steps=steps,
-    )
+    blocks["plant"] = FusedPlant(parts, period=scenario.control_period, steps=steps)
+
+
+def _why_not_fused(
+    blocks: dict[str, System], scenario: "Scenario", parts: dict[str, Equations], steps: int
+) -> str:
+    """Why the blocks cannot be one with so many steps a sample, or nothing."""
+    simulator = scenario.simulator
+    if scenario.control_period == 0:
+        return "control_period = 0, and it steps from sample to sample of the controllers"
+    if simulator.integration_scheme != "runge_kutta3" or simulator.use_error_control:
+        return "its steps are those of runge_kutta3 without error control"
+    if steps > _MOST_STEPS:
+        return f"{steps} steps a sample, of which {_MOST_STEPS} at most are traced"
+    for name in _SAMPLED:
+        if not type(blocks.get(name)).__module__.startswith("drake_nonstop.blocks."):
+            return f"{_named(name, blocks)} may change between samples"
+    for name in FUSED:
+        if name not in parts:
+            return f"{_named(name, blocks)} has no equations to be traced"
+    later = {port for part in parts.values() for port in part.outputs}
+    for name, part in parts.items():
+        if later & part.inputs.keys():
+            return f"{_named(name, blocks)} reads what is made after it"
+        later -= part.outputs.keys()
+    if not any("carrier_reference" in part.inputs for part in parts.values()):
+        return "no part of it reads carrier_reference"
+    return ""
 
 
 def _signals(box: str, model: Model) -> tuple[dict[str, int], dict[str, int]]:

@@ -10,7 +10,8 @@ import threading
 import time
 import warnings
 import webbrowser
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -615,34 +616,15 @@ def _bench_optimizer(options: argparse.Namespace) -> int:
         require(is_installed(name), "--solvers", name, "install SciPy, the extra bench")
     require(options.instances > 0, "--instances", options.instances, "give at least 1")
     require_seed("--seed", options.seed)
-    require_writable(options.out)
-    with contextlib.closing(_ProgressLine()) as line:
-        results = benchmark_optimizer(
-            options.instances,
-            options.seed,
-            options.solvers,
-            progress=line.show_share,
-        )
-    path = options.out / "optimizer.json"
-    write_json(path, results)
-    print(table(results))
-    print(f"results: {path}")
-    return 0
+    measure = partial(benchmark_optimizer, options.instances, options.seed, options.solvers)
+    return _measured(options, "optimizer", measure, table)
 
 
 def _bench_viewer(options: argparse.Namespace) -> int:
-    from drake_nonstop.benchmarks.viewer import benchmark_viewer
+    from drake_nonstop.benchmarks.viewer import benchmark_viewer, table
 
     scenario = load_scenario(options.scenario, options.set, trust=options.trust)
-    folder: Path = options.out or Path("out/bench")
-    require_writable(folder)
-    with contextlib.closing(_ProgressLine()) as line:
-        results = benchmark_viewer(scenario, progress=line.show_share)
-    path = folder / "viewer.json"
-    write_json(path, results)
-    print(f"a view of 30 frames per s takes {results['cost_of_real_time']:.1%} of real time")
-    print(f"results: {path}")
-    return 0
+    return _measured(options, "viewer", partial(benchmark_viewer, scenario), table)
 
 
 def _bench_run(options: argparse.Namespace) -> int:
@@ -650,35 +632,19 @@ def _bench_run(options: argparse.Namespace) -> int:
     from drake_nonstop.plots import make_run_time_figure
 
     _require_repeats(options)
-    folder: Path = options.out or Path("out/bench")
     source = comparing.Source(options.scenario, options.set, options.trust)
     source.load()  # what is wrong with it is said before a folder is made
-    require_writable(folder)
-    is_comparison = options.against or options.against_revision is not None
-    try:
-        with contextlib.closing(_ProgressLine()) as line:
-            if is_comparison:
-                results = comparing.compare(
-                    source,
-                    options.against,
-                    options.against_revision,
-                    repeats=options.repeats,
-                    progress=line.show_share,
-                )
-            else:
-                results = running.benchmark_run(
-                    source, repeats=options.repeats, progress=line.show_share
-                )
-    except RunStopped as stopped:
-        return _failed(stopped)
-    path = folder / ("comparison.json" if is_comparison else "run.json")
-    write_json(path, results)
-    if not is_comparison:
-        with replacing_file(folder / "run.png") as file:
-            make_run_time_figure(results).savefig(file, format="png", dpi=150)
-    print(comparing.table(results) if is_comparison else running.table(results))
-    print(f"results: {path}")
-    return 0
+    if options.against or options.against_revision is not None:
+        measure = partial(
+            comparing.compare,
+            source,
+            options.against,
+            options.against_revision,
+            repeats=options.repeats,
+        )
+        return _measured(options, "comparison", measure, comparing.table)
+    measure = partial(running.benchmark_run, source, repeats=options.repeats)
+    return _measured(options, "run", measure, running.table, make_run_time_figure)
 
 
 def _bench_accuracy(options: argparse.Namespace) -> int:
@@ -686,20 +652,8 @@ def _bench_accuracy(options: argparse.Namespace) -> int:
 
     _require_repeats(options)
     scenario = load_scenario(options.scenario, options.set, trust=options.trust)
-    folder: Path = options.out or Path("out/bench")
-    require_writable(folder)
-    try:
-        with contextlib.closing(_ProgressLine()) as line:
-            results = benchmark_accuracy(
-                scenario, repeats=options.repeats, progress=line.show_share
-            )
-    except RunStopped as stopped:
-        return _failed(stopped)
-    path = folder / "accuracy.json"
-    write_json(path, results)
-    print(table(results))
-    print(f"results: {path}")
-    return 0
+    measure = partial(benchmark_accuracy, scenario, repeats=options.repeats)
+    return _measured(options, "accuracy", measure, table)
 
 
 def _bench_scale(options: argparse.Namespace) -> int:
@@ -709,31 +663,40 @@ def _bench_scale(options: argparse.Namespace) -> int:
     _require_repeats(options)
     require(options.duration > 0, "--duration", options.duration, "give more than 0 s")
     scenario = load_scenario(options.scenario, options.set, trust=options.trust)
+    measure = partial(
+        benchmark_scale,
+        scenario,
+        max_n=options.max_n,
+        duration=options.duration,
+        repeats=options.repeats,
+    )
+    return _measured(options, "scale", measure, table, make_scale_figure)
+
+
+def _measured(
+    options: argparse.Namespace,
+    name: str,
+    measure: Callable[..., dict[str, Any]],
+    table: Callable[[dict[str, Any]], str],
+    make_figure: Callable[[dict[str, Any]], Any] | None = None,
+) -> int:
+    """Runs a benchmark, writes what it found under its name and prints the table."""
     folder: Path = options.out or Path("out/bench")
     require_writable(folder)
     try:
         with contextlib.closing(_ProgressLine()) as line:
-            results = benchmark_scale(
-                scenario,
-                max_n=options.max_n,
-                duration=options.duration,
-                repeats=options.repeats,
-                progress=line.show_share,
-            )
+            results = measure(progress=line.show_share)
     except RunStopped as stopped:
-        return _failed(stopped)
-    path = folder / "scale.json"
+        print(f"drake-nonstop: {stopped}", file=sys.stderr)
+        return FAILED
+    path = folder / f"{name}.json"
     write_json(path, results)
-    with replacing_file(folder / "scale.png") as file:
-        make_scale_figure(results).savefig(file, format="png", dpi=150)
+    if make_figure is not None:
+        with replacing_file(folder / f"{name}.png") as file:
+            make_figure(results).savefig(file, format="png", dpi=150)
     print(table(results))
     print(f"results: {path}")
     return 0
-
-
-def _failed(stopped: RunStopped) -> int:
-    print(f"drake-nonstop: {stopped}", file=sys.stderr)
-    return FAILED
 
 
 def _require_repeats(options: argparse.Namespace) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from drake_nonstop.scenario import Scenario
 from drake_nonstop.simulate import Run, RunInterrupted, RunStopped, Then, simulate
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, one_line
 from drake_nonstop.workers import is_ending
 
 COMPLETED = "completed"
@@ -46,8 +46,3 @@ def attempt(scenario: Callable[[], Scenario]) -> Attempt | None:
     if is_ending():
         return None
     return Attempt(outcome=outcome, message=message, run=run if len(run.time) > 0 else None)
-
-
-def one_line(error: BaseException) -> str:
-    """An error's type and message in one line."""
-    return " ".join(f"{type(error).__name__}: {error}".split())

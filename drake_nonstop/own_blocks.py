@@ -13,7 +13,7 @@ from pydrake.common.yaml import yaml_dump_typed
 from pydrake.systems.framework import System
 
 from drake_nonstop.system import Model
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, one_line, require
 
 
 def is_import_path(tag: str) -> bool:
@@ -46,7 +46,7 @@ def import_config(field: str, path: str) -> type:
         module = importlib.import_module(module_name)
     except Exception as error:  # whatever a user's module may raise
         raise ScenarioError(
-            f"{field} = !{path}: the module {module_name} cannot be imported ({_cause(error)}); "
+            f"{field} = !{path}: the module {module_name} cannot be imported ({one_line(error)}); "
             "mend it, or put it into the current folder, the scenario's or PYTHONPATH"
         ) from error
     config = getattr(module, f"{name}Config", None)
@@ -61,7 +61,7 @@ def import_config(field: str, path: str) -> type:
     try:
         yaml_dump_typed(config())
     except Exception as error:  # whatever a user's dataclass may raise
-        raise ScenarioError(f"{field} = !{path}: {remedy} ({_cause(error)})") from error
+        raise ScenarioError(f"{field} = !{path}: {remedy} ({one_line(error)})") from error
     if field != "pattern":
         own_block_class(field, config)
     require(
@@ -87,7 +87,7 @@ def make_own_block(field: str, model: Model, config: Any) -> System:
     except Exception as error:  # whatever a user's constructor may raise
         raise ScenarioError(
             f"{field} = !{import_path(config)}: mend its constructor, which takes the model and "
-            f"the config ({_cause(error)})"
+            f"the config ({one_line(error)})"
         ) from error
 
 
@@ -107,7 +107,3 @@ def own_block_class(field: str, config_class: type) -> type[System]:
         f"give {config_class.__module__} a LeafSystem or Diagram of the name {name}",
     )
     return block  # type: ignore[return-value]
-
-
-def _cause(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())

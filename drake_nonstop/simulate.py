@@ -41,7 +41,7 @@ from drake_nonstop.compiled import LARGEST, NotFiniteError
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.equilibrium import fastest_mode, set_equilibrium
 from drake_nonstop.scenario import Scenario
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, one_line, require
 from drake_nonstop.wiring import output_names
 
 _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
@@ -226,7 +226,7 @@ def simulate(
             finished(),
         ) from None
     except Exception as error:
-        cause = " ".join(f"{_blame(error)}{type(error).__name__}: {error}".split())
+        cause = f"{_blame(error)}{one_line(error)}"
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished()) from error
     return finished()

@@ -16,11 +16,11 @@ from typing import Any, BinaryIO
 
 from drake_nonstop.block import let_go
 from drake_nonstop.metrics import compute_metrics, flattened, is_wall_time
-from drake_nonstop.outcomes import FAILED, attempt, one_line
+from drake_nonstop.outcomes import FAILED, attempt
 from drake_nonstop.results import replacing_file, require_writable
 from drake_nonstop.scenario import Scenario, changed, dump_plain, dump_scenario, parse_scenario
 from drake_nonstop.sweep_spec import SweepSpec, dump_spec
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, one_line, require
 from drake_nonstop.workers import worker_processes
 
 TABLE = "runs.parquet"

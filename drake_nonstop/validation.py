@@ -20,6 +20,11 @@ def show_warning(message: Warning | str, *about: Any, **where: Any) -> None:
     print(f"warning: {message}")
 
 
+def one_line(error: BaseException) -> str:
+    """An error's type and message in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
 def require(condition: Any, field: str, value: Any, remedy: str) -> None:
     """Raises ScenarioError "field = value: remedy" unless the condition holds."""
     if not condition:
