@@ -7,7 +7,7 @@ import weakref
 import pytest
 from pydrake.systems.framework import BasicVector, LeafSystem
 
-from drake_nonstop.block import BlockType, let_go, weakly
+from drake_nonstop.block import BlockType, LeafBlock, let_go, weakly
 from drake_nonstop.diagrams.nonstop import BLOCKS
 from drake_nonstop.scenario import load_scenario
 from drake_nonstop.simulate import simulate
@@ -55,6 +55,20 @@ def test_nothing_is_left_of_a_run(settings):
 def test_every_block_is_one_that_is_freed():
     for block in itertools.chain.from_iterable(BLOCKS.values()):
         assert isinstance(block, BlockType)
+
+
+class Stateful(LeafBlock):
+    """A block that forgot the rates of its state."""
+
+    def __init__(self):
+        super().__init__()
+        self.DeclareContinuousState(2)
+
+
+def test_a_continuous_state_without_rates_is_an_error():
+    block = Stateful()
+    with pytest.raises((RuntimeError, SystemExit)):
+        block.EvalTimeDerivatives(block.CreateDefaultContext())
 
 
 def test_let_go_of_a_block_of_the_users_frees_the_rest():
