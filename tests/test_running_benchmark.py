@@ -102,13 +102,9 @@ def test_every_box_is_there(timed):
     assert timers.blocks["optimization_layer"] == "NonstopOptimizer"
     assert "sample_and_hold" in timers.blocks
     silent = {box for box in timers.blocks if seconds(timers, box) == 0}
-    # Constant, and asked for before the first step; or made of Drake's own systems.
-    assert silent == {
-        "load_disturbance",
-        "load_feedback",
-        "carrier_controller",
-        "carrier_dynamics",
-    }
+    # Made of Drake's own systems; or constant, and asked for nothing but perhaps its rates.
+    silent_at_least = {"load_feedback", "carrier_controller", "carrier_dynamics"}
+    assert silent_at_least <= silent <= silent_at_least | {"load_disturbance"}
 
 
 def test_calls_are_counted(timed):
