@@ -3,8 +3,9 @@
 import math
 from collections.abc import Callable
 from enum import IntEnum
+from functools import cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 DATA_SIZE = 61
 _SAME_COST = 1e-4  # relative; what the global search finds has to be cheaper by more
 _RESTING = 1e-3  # m/s, rad/s, m/s², rad/s²; a reference that moves less rests
-_MANY_SPEEDS = 100  # from so many on arrays are faster than a trace
+_MANY_SPEEDS = 90  # from so many on arrays are faster than a trace
 _SEPARATION_TURNS = 36  # of a whole turn, in which carriers are kept apart
 
 
@@ -119,16 +120,14 @@ class SpeedProgram:
 
     def solve(self, data: NDArray) -> tuple[NDArray, Outcome, float]:
         """The next [ξ, A] (2,), how they were found, and the slowest speed to come (m/s)."""
-        previous = data[:2].copy()
-        problem = self._problem_of_many(data)
-        margins = self._margins_at(previous, data, problem)
-        before = float(margins.min())
-        slowest_before = self._slowest(margins, before, data)
+        update = _Update(self, data)
+        previous, margins_before = update.previous, update.margins(update.previous)
+        before = float(margins_before.min())
+        slowest_before = self._slowest(margins_before, before, data)
         if before >= -FEASIBILITY_TOLERANCE and not self._is_pulled(data):
             return previous, Outcome.KEPT, slowest_before
-        margins_before = margins.copy()
-        parameters = self._best(data, margins_before, problem)
-        margins = self._margins_at(parameters, data, problem)
+        parameters = self._best(update)
+        margins = update.margins(parameters)
         worst = float(margins.min())
         if before >= -FEASIBILITY_TOLERANCE and (
             worst < -FEASIBILITY_TOLERANCE
@@ -141,18 +140,12 @@ class SpeedProgram:
             return parameters, Outcome.RELAXED, self._slowest(margins, worst, data)
         return previous, Outcome.HELD, slowest_before
 
-    def _problem_of_many(self, data: NDArray) -> SearchProblem | None:
-        """The problem, where it is the faster way to the margins: for many speeds, alone."""
-        is_alone = not (self._amplitude_is_constrained or np.isfinite(self._max_speed))
-        if self._speed_count < _MANY_SPEEDS or not is_alone or data[3] != 0:
-            return None
-        return self.search_problem(data, data[0])
-
-    def _margins_at(self, x: NDArray, data: NDArray, problem: SearchProblem | None) -> NDArray:
+    def margins_in(self, update: "_Update", x: NDArray) -> NDArray:
         """The margins of all constraints at [ξ, A]."""
-        if problem is None:
-            return self._margins(x, data)[0]
-        return problem.margins(x[1:], x[:1])[0][0, 0]
+        is_alone = not (self._amplitude_is_constrained or np.isfinite(self._max_speed))
+        if self._speed_count >= _MANY_SPEEDS and is_alone and update.data[3] == 0:
+            return update.problem.margins(x[1:], x[:1])[0][0, 0]
+        return self._margins(x, update.data)[0].copy()
 
     def _order(self, margins: NDArray) -> tuple[float, float]:
         """By what one infeasible point is better than another, see `least_bad`."""
@@ -233,58 +226,52 @@ class SpeedProgram:
             anchor_weight=float(data[60]),
         )
 
-    def _best(self, data: NDArray, margins: NDArray, problem: SearchProblem | None) -> NDArray:
-        """The feasible point of the least cost; where none is found that of the largest margin.
-
-        `margins` are those of the previous parameters, `problem` is that of many speeds.
-        """
+    def _best(self, update: "_Update") -> NDArray:
+        """The feasible point of the least cost; where none is found that of the largest margin."""
         if self._local is None:
-            return self._searched(data, margins, problem)[0]
-        parameters = self._local.nearest(data, *self.bounds(data[:2]))
+            return self._searched(update)[0]
+        data, bounds = update.data, self.bounds(update.previous)
+        parameters = self._local.nearest(data, *bounds)
         cost = self.feasible_cost(parameters, data)
         if self._config.global_search:
-            other, other_cost = self._searched(data, margins, problem)
+            other, other_cost = self._searched(update)
             is_best = np.isfinite(cost) and cost * (1 - _SAME_COST) <= other_cost
             return parameters if is_best else other
         if np.isfinite(cost):
             return parameters
-        return self._local.fastest(data, *self.bounds(data[:2]))
+        return self._local.fastest(data, *bounds)
 
-    def _searched(
-        self, data: NDArray, margins: NDArray, problem_of_many: SearchProblem | None
-    ) -> tuple[NDArray, float]:
+    def _searched(self, update: "_Update") -> tuple[NDArray, float]:
         """The point that a search finds and its cost, inf where it is infeasible.
 
         A printed phase, which jumps with ξ, asks for a grid.
         """
+        data, count = update.data, self._speed_count
         if self._config.solver == "grid" or data[3] != 0:
             return on_grid(
                 lambda frequency: self.search_problem(data, frequency),
                 float(data[0]),
                 lambda x: self.cost(x, data),
             )
-        problem = problem_of_many or self.search_problem(data, data[0])
-        count = self._speed_count
 
-        def of_speeds(margins: NDArray) -> NDArray:
+        def speed_margins(x: NDArray) -> NDArray:
             """The worse margin of each speed, which may be bounded on either side."""
+            margins = update.margins(x)
             if not np.isfinite(self._max_speed):
                 return margins[:count]
             return np.minimum(margins[:count], margins[count : 2 * count])
 
-        def margins_at(x: NDArray) -> NDArray:
-            return of_speeds(self._margins_at(x, data, problem_of_many))
-
-        parameters, cost = nearest_feasible(problem, of_speeds(margins), margins_at)
+        before = speed_margins(update.previous)
+        parameters, cost = nearest_feasible(update.problem, before, speed_margins)
         if np.isfinite(cost):
             return parameters, cost
-        parameters = fastest(problem)
+        parameters = fastest(update.problem)
         cost = self.feasible_cost(parameters, data)
         if not np.isfinite(cost):
             return parameters, cost
         # A way so narrow that the search had missed it.
         nearer, lower_cost = nearest_feasible(
-            problem, of_speeds(margins), margins_at, float(parameters[1])
+            update.problem, before, speed_margins, float(parameters[1])
         )
         return (nearer, lower_cost) if lower_cost < cost else (parameters, cost)
 
@@ -413,6 +400,26 @@ class SpeedProgram:
             anchor_weight=data[60:],
             nominal=self._nominal,
         )
+
+
+class _Update:
+    """What the solution of one update takes more than once: `data`, and `previous` = [ξ⁻, A⁻]."""
+
+    def __init__(self, program: SpeedProgram, data: NDArray):
+        self._program = program
+        self.data, self.previous = data, data[:2].copy()
+        self._margins: tuple[Any, Any] = None, None  # the last ones, after their [ξ, A]
+
+    @cached_property
+    def problem(self) -> SearchProblem:
+        """That of the search."""
+        return self._program.search_problem(self.data, self.data[0])
+
+    def margins(self, x: NDArray) -> NDArray:
+        """The margins of all constraints at [ξ, A]."""
+        if x is not self._margins[0]:
+            self._margins = x, self._program.margins_in(self, x)
+        return self._margins[1]
 
 
 def amplitude_bounds(config: "NonstopOptimizerConfig", model: Model) -> list[float]:

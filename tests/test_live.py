@@ -194,22 +194,22 @@ def test_pause_holds_the_time_and_the_pace_goes_on_from_there(monkeypatch):
     def pause(page):
         paused.append(time.perf_counter())
         page.press(live.PAUSE)
-        threading.Timer(0.8, page.press, [live.PAUSE]).start()
+        threading.Timer(2.0, page.press, [live.PAUSE]).start()
 
     start = time.perf_counter()
     (run,) = acted(short(1.0), [(0.5, pause)], monkeypatch, realtime_rate=1.0)
     took = time.perf_counter() - start
     assert run.time[-1] == pytest.approx(1.0)
-    assert 0.9 < run.wall_time < 1.7  # 1 s of running: the pause is neither counted nor made up for
-    assert took - (paused[0] - start) > 1.2  # s: the pause, and the rest of the run
+    assert 0.9 < run.wall_time < 2.5  # 1 s of running: the pause is neither counted nor made up for
+    assert took - (paused[0] - start) > 2.4  # s: the pause, and the rest of the run
 
 
 def test_the_pace_can_be_changed(monkeypatch):
     slow = [(0.0, lambda page: page.SetSliderValue(live.RATE, 0.5))]
     (run,) = acted(short(0.4), slow, monkeypatch, realtime_rate=0.0)
     assert run.wall_time > 0.75
-    (free,) = acted(short(0.4), [], monkeypatch, realtime_rate=0.0)
-    assert free.wall_time < 0.5 * run.wall_time
+    (free,) = acted(short(4.0), [], monkeypatch, realtime_rate=0.0)
+    assert free.wall_time < 3.0
 
 
 def test_a_layer_without_a_switch_has_none_in_the_page(monkeypatch):
