@@ -67,8 +67,8 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
         return super().DeclareAbstractOutputPort(*map(weakly, arguments), **named)
 
     if _IS_NANOBIND:
-        # Where a class has none, nanobind's pydrake looks for one at each evaluation of the whole
-        # diagram's rates, for 6.5 microseconds; where there is one that takes 0.7.
+        # Where a class has none, pydrake looks for one at each evaluation of the whole diagram's
+        # rates, which takes 6.5 µs; to call one takes 0.7.
         def DoCalcTimeDerivatives(  # noqa: N802
             self, context: Context, derivatives: ContinuousState
         ) -> None:

@@ -68,7 +68,7 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
 
 def _patterns() -> dict[str, Run]:
     """The real-scale scenarios' patterns above a resting load, for a turn."""
-    settings = ["duration=23", "load_trajectory.start_time=30"]
+    settings = ["duration=23", "load_trajectory.start_time=30", "fused_plant=true"]
     return {
         title: simulate(load_scenario(name, settings))
         for name, title in (

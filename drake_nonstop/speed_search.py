@@ -199,9 +199,9 @@ class _OfFewSpeeds:
                     count = self._count(low, end)
                     self._look_along(low, (end - low) / (count - 1), count)
                     low = end
-        widest = sorted(self._unclear)[:2]
+        cheapest = sorted(self._unclear)[:2]
         self._unclear = []
-        for _, low, high in widest:
+        for _, low, high in cheapest:
             self._look_along(low, (high - low) / (_CLOSER - 1), _CLOSER)
         for _, low, high in sorted(self._unclear)[:2]:
             self._shrink(low, high)
