@@ -74,7 +74,7 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
         ) -> None:
             """As LeafSystem's, which knows no rates."""
             if derivatives.size() > 0:
-                raise NotImplementedError(f"{self.box()} has a state of unknown rates")
+                raise NotImplementedError("the rates of its continuous state are unknown")
 
 
 class InnerBlock(LeafBlock):

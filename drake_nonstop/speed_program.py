@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.compiled import CompiledFunction
+from drake_nonstop.compiled import CompiledFunction, NotFiniteError
 from drake_nonstop.local_solver import LocalSolver
 from drake_nonstop.mechanics import nonstop
 from drake_nonstop.mechanics.rigid_load import load_acceleration
@@ -141,10 +141,18 @@ class SpeedProgram:
         return previous, Outcome.HELD, slowest_before
 
     def margins_in(self, update: "_Update", x: NDArray) -> NDArray:
-        """The margins of all constraints at [ξ, A]."""
+        """The margins of all constraints at [ξ, A].
+
+        Raises:
+            NotFiniteError: one is not, such as that of a cable without any tension.
+        """
         is_alone = not (self._amplitude_is_constrained or np.isfinite(self._max_speed))
         if self._speed_count >= _MANY_SPEEDS and is_alone and update.data[3] == 0:
-            return update.problem.margins(x[1:], x[:1])[0][0, 0]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                margins = update.problem.margins(x[1:], x[:1])[0][0, 0]
+            if not np.isfinite(margins).all():
+                raise NotFiniteError(f"{self._name()} made")
+            return margins
         return self._margins(x, update.data)[0].copy()
 
     def _order(self, margins: NDArray) -> tuple[float, float]:

@@ -199,12 +199,11 @@ class _OfFewSpeeds:
                     count = self._count(low, end)
                     self._look_along(low, (end - low) / (count - 1), count)
                     low = end
-        cheapest = sorted(self._unclear)[:2]
-        self._unclear = []
-        for _, low, high in cheapest:
-            self._look_along(low, (high - low) / (_CLOSER - 1), _CLOSER)
         for _, low, high in sorted(self._unclear)[:2]:
-            self._shrink(low, high)
+            self._unclear = []
+            self._look_along(low, (high - low) / (_CLOSER - 1), _CLOSER)
+            for _, left, right in sorted(self._unclear)[:1]:
+                self._shrink(left, right)
 
     def _shrink(self, low: float, high: float) -> None:
         """Golden section between two amplitudes."""

@@ -20,6 +20,7 @@ from nonstop_cases import (
 )
 
 from drake_nonstop import speed_program
+from drake_nonstop.compiled import NotFiniteError
 from drake_nonstop.speed_program import Outcome, SpeedProgram
 
 WITHIN = {"frequency_bounds": (0.3, 10.0), "amplitude_bounds": (0.1, 10.0)}
@@ -330,3 +331,12 @@ def test_many_speeds_are_judged_as_few_are(solver, monkeypatch):
         assert many[2] == pytest.approx(found[2], rel=1e-9)
         outcomes.add(found[1])
     assert {Outcome.KEPT, Outcome.SOLVED} <= outcomes
+
+
+@pytest.mark.parametrize("fewest", [1, 10**9])
+def test_a_cable_without_tension_is_an_error_for_few_speeds_and_for_many(fewest, monkeypatch):
+    monkeypatch.setattr(speed_program, "_MANY_SPEEDS", fewest)
+    inputs = moving(2)
+    inputs["wrench"] = inputs["wrench_rate"] = np.zeros(6)
+    with pytest.raises(NotFiniteError, match="optimization_layer made"):
+        program().solve(problem(inputs, 0.5, previous=np.array([2.0, 0.0])))
