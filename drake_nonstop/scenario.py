@@ -11,7 +11,7 @@ import difflib
 import functools
 import re
 import typing
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -440,16 +440,24 @@ def _check_fields(name: str, tree: Any, schema: Any) -> None:
     fields = dataclasses.fields(schema) if dataclasses.is_dataclass(schema) else schema.__fields__
     types = {f.name: f.type for f in fields}
     for key, value in tree.items():
-        if key not in types:  # only then: to look for what is close takes long
-            require(False, f"{name}.{key}", value, _unknown(key, types))
+        _require_known(key, types, f"{name}.{key}", value)
         _check_type(f"{name}.{key}", value, types[key])
 
 
-def _unknown(name: Any, valid: Iterable[str]) -> str:
-    """What to say of a name that is not among the valid ones."""
+def _require_known(
+    key: Any, valid: Collection[str], field: str, value: Any, called: str = ""
+) -> None:
+    """Raises ScenarioError for a key that is not among the valid ones; `called` is its full name.
+
+    Only then is a close one looked for, which takes longer than all else.
+    """
+    if key in valid:
+        return
+    name = called or key
     close = difflib.get_close_matches(str(name), valid, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
-    return f"there is no {name}; {hint}there are {', '.join(valid) or 'no fields'}"
+    there = f"there is no {name}; {hint}there are {', '.join(valid) or 'no fields'}"
+    require(False, field, value, there)
 
 
 def _check_type(path: str, value: Any, annotation: Any) -> None:
@@ -550,8 +558,7 @@ def _apply_setting(tree: dict[str, Any], setting: str, trusted: bool | set[str])
     for i, key in enumerate(parents):
         parts = [part for part in branch if part != "_tag"]
         at = ".".join(parents[: i + 1])
-        if key not in parts:
-            require(False, "--set", path, _unknown(at, parts))
+        _require_known(key, parts, "--set", path, called=at)
         require(isinstance(branch[key], dict), "--set", path, f"{at} has no parts; set it whole")
         branch = branch[key]
     if path in _choices() and isinstance(value, str):

@@ -146,8 +146,8 @@ class SpeedProgram:
         Raises:
             NotFiniteError: one is not, such as that of a cable without any tension.
         """
-        is_alone = not (self._amplitude_is_constrained or np.isfinite(self._max_speed))
-        if self._speed_count >= _MANY_SPEEDS and is_alone and update.data[3] == 0:
+        are_many = self._speed_count >= _MANY_SPEEDS and update.data[3] == 0
+        if are_many and not (self._amplitude_is_constrained or np.isfinite(self._max_speed)):
             with np.errstate(divide="ignore", invalid="ignore"):
                 margins = update.problem.margins(x[1:], x[:1])[0][0, 0]
             if not np.isfinite(margins).all():
@@ -274,9 +274,9 @@ class SpeedProgram:
         if np.isfinite(cost):
             return parameters, cost
         parameters = fastest(update.problem)
-        cost = self.feasible_cost(parameters, data)
-        if not np.isfinite(cost):
-            return parameters, cost
+        if update.margins(parameters).min() < -FEASIBILITY_TOLERANCE:
+            return parameters, np.inf
+        cost = self.cost(parameters, data)
         # A way so narrow that the search had missed it.
         nearer, lower_cost = nearest_feasible(
             update.problem, before, speed_margins, float(parameters[1])

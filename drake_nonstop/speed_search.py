@@ -202,8 +202,8 @@ class _OfFewSpeeds:
         for _, low, high in sorted(self._unclear)[:2]:
             self._unclear = []
             self._look_along(low, (high - low) / (_CLOSER - 1), _CLOSER)
-            for _, left, right in sorted(self._unclear)[:1]:
-                self._shrink(left, right)
+            if self._unclear:
+                self._shrink(*min(self._unclear)[1:])
 
     def _shrink(self, low: float, high: float) -> None:
         """Golden section between two amplitudes."""
