@@ -18,93 +18,48 @@ from typing import TYPE_CHECKING, Any
 
 from pydrake.systems.framework import Diagram, System
 
-from drake_nonstop import wiring
-from drake_nonstop.block import LOOP
-from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase
-from drake_nonstop.blocks.cable_force_distribution import (
-    BoundedTensionDistribution,
-    CableForceDistribution,
+from drake_nonstop.blocks import (
+    cables,
+    carrier_controller,
+    carrier_dynamics,
+    carrier_trajectory,
+    force_distribution,
+    internal_force,
+    load_disturbance,
+    load_feedback,
+    load_plant,
+    load_trajectory,
+    optimization_layer,
+    phase,
+    wrench_controller,
 )
-from drake_nonstop.blocks.cables import Cables, IndividualCables
-from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics
-from drake_nonstop.blocks.carrier_pid import (
-    CarrierPid,
-    FeedforwardCarrierPid,
-    TunedCarrierPid,
-    TunedFeedforwardCarrierPid,
-)
-from drake_nonstop.blocks.carrier_trajectory import (
-    CarrierTrajectory,
-    InextensibleCarrierTrajectory,
-    MeasuredCarrierTrajectory,
-)
-from drake_nonstop.blocks.constant_parameters import ConstantParameters
-from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
 from drake_nonstop.blocks.fused_plant import FusedPlant
-from drake_nonstop.blocks.ideal_carriers import IdealCarriers
-from drake_nonstop.blocks.ideal_feedback import IdealFeedback
-from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
-from drake_nonstop.blocks.load_plant import LoadPlant
-from drake_nonstop.blocks.load_trajectory import (
-    Circle,
-    ConstantVelocityMove,
-    RestToRest,
-    SampledTrajectory,
-    Waypoints,
-)
-from drake_nonstop.blocks.loaded_carrier_dynamics import LoadedCarrierDynamics
-from drake_nonstop.blocks.loaded_carrier_pid import LoadedCarrierPid
-from drake_nonstop.blocks.multibody_load_plant import MultibodyLoadPlant
-from drake_nonstop.blocks.no_disturbance import NoDisturbance
-from drake_nonstop.blocks.noisy_feedback import NoisyFeedback
-from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer
-from drake_nonstop.blocks.printed_phase import PrintedPhase
 from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
-from drake_nonstop.blocks.wind import Wind
-from drake_nonstop.blocks.wrench_controller import (
-    GeometricPd,
-    PrintedWrenchController,
-    TunedWrenchController,
-    WrenchController,
-)
-from drake_nonstop.own_blocks import import_path, make_own_block, own_block_class
-from drake_nonstop.system import Model, overridden
-from drake_nonstop.traced_block import Equations
+from drake_nonstop.model.system import Model, overridden
+from drake_nonstop.scenario.own_blocks import import_path, make_own_block, own_block_class
+from drake_nonstop.systems import wiring
+from drake_nonstop.systems.block import LOOP
+from drake_nonstop.systems.traced_block import Equations
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, require
 
 if TYPE_CHECKING:
-    from drake_nonstop.scenario import Scenario
+    from drake_nonstop.scenario.loading import Scenario
 
 # The boxes of the figure, and the blocks that each can be, the default first.
 BLOCKS: dict[str, tuple[type[System], ...]] = {
-    "load_trajectory": (RestToRest, ConstantVelocityMove, Waypoints, Circle, SampledTrajectory),
-    "load_feedback": (IdealFeedback, DesiredStateFeedback, NoisyFeedback),
-    "wrench_controller": (
-        WrenchController,
-        PrintedWrenchController,
-        GeometricPd,
-        TunedWrenchController,
-    ),
-    "optimization_layer": (NonstopOptimizer, ConstantParameters),
-    "phase": (AccumulatedPhase, PrintedPhase),
-    "internal_force": (InternalForceTrajectory,),
-    "force_distribution": (CableForceDistribution, BoundedTensionDistribution),
-    "carrier_trajectory": (
-        CarrierTrajectory,
-        InextensibleCarrierTrajectory,
-        MeasuredCarrierTrajectory,
-    ),
-    "carrier_controller": (
-        CarrierPid,
-        FeedforwardCarrierPid,
-        TunedCarrierPid,
-        TunedFeedforwardCarrierPid,
-        LoadedCarrierPid,
-    ),
-    "carrier_dynamics": (CarrierDynamics, LoadedCarrierDynamics, IdealCarriers),
-    "cables": (Cables, IndividualCables),
-    "load_disturbance": (NoDisturbance, Wind),
-    "load_plant": (LoadPlant, MultibodyLoadPlant),
+    "load_trajectory": load_trajectory.VARIANTS,
+    "load_feedback": load_feedback.VARIANTS,
+    "wrench_controller": wrench_controller.VARIANTS,
+    "optimization_layer": optimization_layer.VARIANTS,
+    "phase": phase.VARIANTS,
+    "internal_force": internal_force.VARIANTS,
+    "force_distribution": force_distribution.VARIANTS,
+    "carrier_trajectory": carrier_trajectory.VARIANTS,
+    "carrier_controller": carrier_controller.VARIANTS,
+    "carrier_dynamics": carrier_dynamics.VARIANTS,
+    "cables": cables.VARIANTS,
+    "load_disturbance": load_disturbance.VARIANTS,
+    "load_plant": load_plant.VARIANTS,
 }
 
 # What is simulated and not believed: these take the scenario's `simulated` system.

@@ -9,11 +9,11 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw_, RotationMatrix
 from pydrake.systems.framework import Context, LeafSystem
 
-from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
-from drake_nonstop.pattern import HamiltonianCycleConfig
-from drake_nonstop.scenario import Scenario
-from drake_nonstop.simulate import Run
-from drake_nonstop.system import Model, System
+from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
+from drake_nonstop.model.pattern import HamiltonianCycleConfig
+from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.simulation.simulate import Run
 
 INERTIA = np.array([[0.014, 0.001, -0.0005], [0.001, 0.011, 0.002], [-0.0005, 0.002, 0.017]])
 
@@ -115,7 +115,7 @@ def rotation(quaternion: NDArray) -> NDArray:
 def model(n: int = 4, control_period: float = 0.0, **system: object) -> Model:
     """A model of n cables at the corners of a regular polygon, phases 2π (k − 1) / n."""
     fields = {"attachments": regular(n).tolist(), "load_inertia": INERTIA.tolist()} | system
-    return Model(System(**fields), HamiltonianCycleConfig(), control_period)
+    return Model(SystemParameters(**fields), HamiltonianCycleConfig(), control_period)
 
 
 def fix(block: LeafSystem, context: Context, **inputs: NDArray) -> None:
@@ -136,7 +136,7 @@ def circling_run(n=4, duration=0.5, cable_length=0.8):
     """
     angles = 2 * np.pi * np.arange(n) / n
     attachments = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])
-    system = System(attachments=attachments.tolist(), cable_length=cable_length)
+    system = SystemParameters(attachments=attachments.tolist(), cable_length=cable_length)
     time = np.arange(0, duration + 1e-9, 0.01)
     load = np.zeros((len(time), 13))
     load[:, 0], load[:, 3] = np.cos(time / 4), np.sin(time / 4)

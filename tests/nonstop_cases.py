@@ -5,7 +5,7 @@ from helpers import INERTIA, Motion, difference, regular, rotation
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RotationMatrix
 
-from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
+from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 
 LENGTH, COMPLIANCE, SHARE = 0.8, 1 / 500, 9.81 / 4  # of the default model, n = 4
 PERIOD, TIGHTENING = 0.01, 0.01

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from drake_nonstop.cli import main
+from drake_nonstop.cli.main import main
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))

@@ -1,1 +1,1 @@
-"""Measurements of speed and of the quality of answers."""
+"""Measurements of speed and quality, and of the README's claims; no other room needs them."""

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.metrics import carrier_speeds
-from drake_nonstop.scenario import Scenario, changed
-from drake_nonstop.simulate import Run, RunStopped, simulate
+from drake_nonstop.scenario.loading import Scenario, changed
+from drake_nonstop.simulation.metrics import carrier_speeds
+from drake_nonstop.simulation.simulate import Run, RunStopped, simulate
 
 _STEP = "simulator.max_step_size={}"
 _REFERENCE_STEP = 0.0005  # s; half of it shows what error the reference has itself

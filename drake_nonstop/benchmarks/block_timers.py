@@ -18,8 +18,8 @@ from typing import Any
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, LeafSystem, System
 
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.simulate import Then
+from drake_nonstop.simulation.simulate import StepAction
+from drake_nonstop.systems.tracing import TracedFunction
 
 OUTSIDE = "outside"  # the blocks' Python: Drake's own work, in its systems too, the logs
 
@@ -76,7 +76,7 @@ class BlockTimers:
         steps = self._simulator.get_num_steps_taken() if self._simulator else 0
         return steps - self._first_steps
 
-    def after_step(self, simulator: Simulator, nonstop: Diagram) -> Then:
+    def after_step(self, simulator: Simulator, nonstop: Diagram) -> StepAction:
         """What `simulate` calls after every step, for the first time before the first."""
         now = perf_counter()
         if self._simulator is None:
@@ -86,11 +86,11 @@ class BlockTimers:
             self._simulator = simulator
             self._first_steps = simulator.get_num_steps_taken()
             self._start = self._last = perf_counter()
-            return Then.GO_ON
+            return StepAction.CONTINUE
         self.root.seconds += now - self._last
         self._last = now
         self.seconds = now - self._start
-        return Then.GO_ON
+        return StepAction.CONTINUE
 
     def _add(self, system: System, box: str) -> None:
         self._boxes[id(system)] = box
@@ -115,7 +115,7 @@ class BlockTimers:
                         replace(owner, name, self._timed_method(function))
             for name in [name for name in vars(LeafSystem) if name.startswith("Declare")]:
                 replace(LeafSystem, name, self._timed_declaration(vars(LeafSystem)[name]))
-            replace(CompiledFunction, "__call__", self._counted(CompiledFunction.__call__))
+            replace(TracedFunction, "__call__", self._counted(TracedFunction.__call__))
             yield self
         finally:
             for owner, name, value in reversed(replaced):
@@ -189,7 +189,7 @@ class BlockTimers:
         stack = self._stack
 
         @functools.wraps(evaluate)
-        def counted(function: CompiledFunction, *inputs: Any) -> Any:
+        def counted(function: TracedFunction, *inputs: Any) -> Any:
             stack[-1].evaluations += 1
             return evaluate(function, *inputs)
 

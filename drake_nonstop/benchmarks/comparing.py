@@ -16,7 +16,7 @@ import numpy as np
 
 import drake_nonstop
 from drake_nonstop.benchmarks import fresh_run
-from drake_nonstop.scenario import Scenario, load_scenario
+from drake_nonstop.scenario.loading import Scenario, load_scenario
 from drake_nonstop.validation import ScenarioError, require
 
 PACKAGE_PARENT = Path(drake_nonstop.__file__).parent.parent

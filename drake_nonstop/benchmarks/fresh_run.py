@@ -34,7 +34,7 @@ def main() -> None:
         asked["scenario"], asked["settings"], **({"trust": True} if asked["trust"] else {})
     )
     loaded = time.perf_counter()
-    module = sys.modules["drake_nonstop.simulate"]
+    module = sys.modules["drake_nonstop.simulation.simulate"]
     phases = {"import_s": imported - start, "scenario_s": loaded - imported}
     for name, phase in (("make_nonstop", "building_s"), ("set_equilibrium", "equilibrium_s")):
         _time_function(module, name, phases, phase)
@@ -42,7 +42,7 @@ def main() -> None:
     def note_first_step(simulator: Any, nonstop: Any) -> Any:
         if simulator.get_context().get_time() > 0:
             phases.setdefault("total_s", time.perf_counter() - start)
-        return module.Then.GO_ON
+        return module.StepAction.CONTINUE
 
     for _line in sys.stdin:
         options = {}

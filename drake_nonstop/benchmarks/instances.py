@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizerConfig
+from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.rigid_load import gravity_wrench
 from drake_nonstop.mechanics.rotation import roll_pitch_yaw_to_quaternion
-from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
-from drake_nonstop.results import replacing_file
-from drake_nonstop.speed_program import FEASIBILITY_TOLERANCE, SpeedProgram
-from drake_nonstop.speed_search import SearchProblem
-from drake_nonstop.system import Model, PatternConfig, System
+from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.model.system import Model, PatternConfig, SystemParameters
+from drake_nonstop.optimization.search import SearchProblem
+from drake_nonstop.optimization.speed_program import FEASIBILITY_TOLERANCE, SpeedProgram
+from drake_nonstop.studies.results_folder import replacing_file
 
 # What the instances are drawn from: uniformly, or, a pair, by the logarithm.
 RANGES: dict[str, float | tuple[float, float]] = {
@@ -94,7 +94,7 @@ def make_programs(**fields: object) -> dict[str, SpeedProgram]:
     """A program for each system, with those fields of the optimizer's config changed."""
     programs = {}
     for name, (n, pattern) in _SYSTEMS.items():
-        model = Model(System(attachments=_regular(n).tolist()), pattern)
+        model = Model(SystemParameters(attachments=_regular(n).tolist()), pattern)
         config = NonstopOptimizerConfig(**fields)  # type: ignore[arg-type]
         programs[name] = SpeedProgram(model, config, lambda: "optimization_layer")
     return programs
@@ -110,7 +110,7 @@ def draw_instances(count: int, seed: int, programs: dict[str, SpeedProgram]) -> 
 
 def _draw(rng: np.random.Generator, programs: dict[str, SpeedProgram]) -> Instance:
     name = str(rng.choice(list(_SYSTEMS)))
-    system = System()
+    system = SystemParameters()
     weight = gravity_wrench(system.load_mass, system.gravity)
     share = weight[5] / _SYSTEMS[name][0]
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from drake_nonstop.benchmarks import instances as drawn
 from drake_nonstop.benchmarks.instances import Instance, Truth
 from drake_nonstop.benchmarks.peers import Solve, casadi_ipopt, scipy_slsqp
-from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer, NonstopOptimizerConfig
-from drake_nonstop.quiet import quiet_drake
-from drake_nonstop.scenario import load_scenario
-from drake_nonstop.simulate import simulate
-from drake_nonstop.speed_program import FEASIBILITY_TOLERANCE, Outcome, SpeedProgram
-from drake_nonstop.system import Model
+from drake_nonstop.blocks.optimization_layer import NonstopOptimizer, NonstopOptimizerConfig
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.speed_program import FEASIBILITY_TOLERANCE, Outcome, SpeedProgram
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.systems.drake_log import drake_log_level
 from drake_nonstop.version import __version__
 
 _SAME_COST = 1e-3  # relative, to the true optimum
@@ -84,7 +84,7 @@ def benchmark_optimizer(
     loop_truths = [drawn.truth(reference["quintic"], data) for data in updates]
     random: dict[str, Any] = {}
     sequence: dict[str, Any] = {}
-    with quiet_drake(logging.ERROR):  # failed solves are counted here
+    with drake_log_level(logging.ERROR):  # failed solves are counted here
         for name in names:
             fields = SOLVERS.get(name, {})
             programs = drawn.make_programs(**fields)

@@ -6,7 +6,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.speed_program import DATA_SIZE, SpeedProgram
+from drake_nonstop.optimization.speed_program import DATA_SIZE, SpeedProgram
 
 Solve = Callable[[NDArray], NDArray]
 

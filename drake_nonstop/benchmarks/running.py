@@ -9,7 +9,7 @@ from typing import Any
 from drake_nonstop.benchmarks.block_timers import OUTSIDE, BlockTimers, Frame
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, spread
 from drake_nonstop.benchmarks.optimizer import versions
-from drake_nonstop.simulate import Run, simulate
+from drake_nonstop.simulation.simulate import Run, simulate
 
 _OPTIMIZATION_LAYER = "optimization_layer"
 STARTS = 3  # fresh interpreters; the start-up is the median's

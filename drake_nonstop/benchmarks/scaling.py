@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.pattern import HamiltonianCycleConfig, LinearPatternConfig
-from drake_nonstop.scenario import Scenario
-from drake_nonstop.simulate import simulate
+from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import require
 
 COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # carriers

@@ -5,9 +5,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from drake_nonstop.scenario import Scenario
-from drake_nonstop.scene import start_meshcat
-from drake_nonstop.simulate import Then, simulate
+from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.simulation.simulate import StepAction, simulate
+from drake_nonstop.visualization.scene import start_meshcat
 
 REPEATS = 3
 
@@ -38,10 +38,10 @@ def benchmark_viewer(
     }
 
 
-def _in_real_time(simulator: Any, nonstop: Any) -> Then:
+def _in_real_time(simulator: Any, nonstop: Any) -> StepAction:
     if simulator.get_target_realtime_rate() == 0:
         simulator.set_target_realtime_rate(1.0)
-    return Then.GO_ON
+    return StepAction.CONTINUE
 
 
 def table(results: dict[str, Any]) -> str:

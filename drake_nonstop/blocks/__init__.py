@@ -1,1 +1,1 @@
-"""The boxes of the figure, one file each, and what they can be swapped for."""
+"""One module per box of the figure, named after it, with all its variants and their configs."""

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
-from drake_nonstop.system import Model
-from drake_nonstop.traced_block import TracedBlock
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import is_number, require, require_array
 
 
@@ -124,3 +124,9 @@ def _each(model: Model, name: str, given: list[float], default: float) -> NDArra
         f"give {model.n} numbers that are not negative, one per cable, or none",
     )
     return values[:, None]
+
+
+VARIANTS = (
+    Cables,
+    IndividualCables,
+)  # of the box, the default first

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.system import Model
-from drake_nonstop.traced_block import TracedBlock
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.traced_block import TracedBlock
 
 
 class CarrierMotion(TracedBlock):
@@ -111,3 +111,10 @@ class MeasuredCarrierTrajectory(CarrierMotion):
 
     def __init__(self, model: Model, config: MeasuredCarrierTrajectoryConfig | None = None):
         super().__init__(model, pose=("measured_load_state", 13), compliance=model.cable_compliance)
+
+
+VARIANTS = (
+    CarrierTrajectory,
+    InextensibleCarrierTrajectory,
+    MeasuredCarrierTrajectory,
+)  # of the box, the default first

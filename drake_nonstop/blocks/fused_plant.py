@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, State
 from pydrake.systems.primitives import Selector
 
-from drake_nonstop.block import DiagramBlock, InnerBlock
-from drake_nonstop.compiled import CompiledFunction
-from drake_nonstop.traced_block import Equations, stacking, taking_apart
+from drake_nonstop.systems.block import DiagramBlock, InnerBlock
+from drake_nonstop.systems.traced_block import Equations, stacking, taking_apart
+from drake_nonstop.systems.tracing import TracedFunction
 
 _HELD = "disturbance_wrench"
 _MOVING = "carrier_reference"
@@ -130,7 +130,7 @@ class _Stepped(InnerBlock):
         self._sizes = together.states
         self._size = size = sum(together.states.values())
         input_size, output_size = sum(together.inputs.values()), sum(together.outputs.values())
-        self._at = at = CompiledFunction(together, [size, input_size, 6], name=self.box)
+        self._at = at = TracedFunction(together, [size, input_size, 6], name=self.box)
 
         def stepped(inputs: NDArray, memory: NDArray, time: NDArray) -> NDArray:
             state, held = memory[:size], memory[size:-1]
@@ -152,7 +152,7 @@ class _Stepped(InnerBlock):
                 state = state + step / 6 * (first + 4 * second + third)
             return np.concatenate([state, at.traced(state, inputs, held)[1]])
 
-        self._step = CompiledFunction(stepped, [input_size, size + 7, 1], name=self.box)
+        self._step = TracedFunction(stepped, [input_size, size + 7, 1], name=self.box)
         self._inputs = self.DeclareVectorInputPort("inputs", input_size)
         self._held = self.DeclareVectorInputPort(_HELD, 6)
         initial = [*together.initial_states.values(), np.array([0.0] * 6 + [np.inf])]

@@ -11,12 +11,12 @@ from pydrake.polynomial import Polynomial
 from pydrake.systems.framework import BasicVector, Context
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_nonstop.block import LeafBlock
-from drake_nonstop.compiled import CompiledFunction
 from drake_nonstop.mechanics.circle import circular_motion
 from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_quaternion
-from drake_nonstop.pose_samples import read_samples, sample_array
-from drake_nonstop.system import Model
+from drake_nonstop.model.pose_samples import read_samples, sample_array
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import (
     is_number,
     require,
@@ -56,7 +56,7 @@ class LoadTrajectory(LeafBlock):
         self._start, self._end = trajectory.start_time(), trajectory.end_time()
         self._rows = trajectory.rows()
         self._trajectory = _with_derivatives(trajectory, 3)
-        self._reference = CompiledFunction(
+        self._reference = TracedFunction(
             lambda values: _reference(pose(values.reshape(4, -1)) if pose else values),
             [4 * self._rows],
             name=self.get_name,
@@ -415,3 +415,12 @@ class SampledTrajectory(LoadTrajectory):
                 samples[:, 0], samples[:, [4, 5, 6, 1, 2, 3]].T, rest, rest
             )
         )
+
+
+VARIANTS = (
+    RestToRest,
+    ConstantVelocityMove,
+    Waypoints,
+    Circle,
+    SampledTrajectory,
+)  # of the box, the default first

@@ -2,8 +2,8 @@
 
 from pydrake.systems.framework import Context, State
 
-from drake_nonstop.block import LeafBlock
-from drake_nonstop.system import Model
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import LeafBlock
 
 HELD_SIGNALS = {"measured_load_state": 13, "reference": 22}  # name -> size
 

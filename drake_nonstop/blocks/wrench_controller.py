@@ -10,9 +10,9 @@ from pydrake.systems.primitives import Integrator
 
 from drake_nonstop.mechanics import wrench
 from drake_nonstop.mechanics.tuning import pid_gains
-from drake_nonstop.sampled_integrator import SampledIntegrator
-from drake_nonstop.system import Model
-from drake_nonstop.traced_block import TracedBlock
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.sampled_integrator import SampledIntegrator
+from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import require, require_non_negative, require_positive
 
 _OWNER = "wrench_controller"
@@ -109,13 +109,13 @@ class WrenchController(LoadWrenchPid):
 
 
 @dataclass(kw_only=True)
-class PrintedWrenchControllerConfig(WrenchControllerConfig):
+class PaperWrenchControllerConfig(WrenchControllerConfig):
     """The paper's gains (Table I)."""
 
     feedforward: float = 0.0  # weight of the reference's own wrench; 0: as printed
 
 
-class PrintedWrenchController(LoadWrenchPid):
+class PaperWrenchController(LoadWrenchPid):
     """The PID to the letter: e_ω = RᵀR_d ω_d − ω under −K_ω drives a turning load further.
 
     Ports as `LoadWrenchPid`; the `tracking_error` has the e_ω of the other controllers. A load
@@ -126,8 +126,8 @@ class PrintedWrenchController(LoadWrenchPid):
         ScenarioError: a gain is negative or not finite.
     """
 
-    def __init__(self, model: Model, config: PrintedWrenchControllerConfig | None = None):
-        gains = asdict(config or PrintedWrenchControllerConfig())
+    def __init__(self, model: Model, config: PaperWrenchControllerConfig | None = None):
+        gains = asdict(config or PaperWrenchControllerConfig())
         require_non_negative(_OWNER, **gains)
         super().__init__(model, gains | {"angular_velocity_gain": -gains["angular_velocity_gain"]})
 
@@ -224,3 +224,11 @@ class TunedWrenchController(LoadWrenchPid):
             "the load's drag alone damps more; give more damping or a higher frequency",
         )
         super().__init__(model, gains)
+
+
+VARIANTS = (
+    WrenchController,
+    PaperWrenchController,
+    GeometricPd,
+    TunedWrenchController,
+)  # of the box, the default first

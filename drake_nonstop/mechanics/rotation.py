@@ -70,7 +70,7 @@ def quaternion_rate(quaternion: NDArray, angular_velocity: NDArray) -> NDArray:
     )
 
 
-def turned(quaternion: NDArray, rotation: NDArray) -> NDArray:
+def rotate_quaternion(quaternion: NDArray, rotation: NDArray) -> NDArray:
     """The quaternion (4,) of an attitude that is turned by a rotation vector (3,) in W."""
     angle = np.sqrt((rotation * rotation).sum(keepdims=True) + 1e-300)
     scalar, vector = np.cos(angle / 2), rotation * (np.sin(angle / 2) / angle)

@@ -8,13 +8,12 @@ from helpers import Motion, fix, model, output, regular
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.blocks.cables import Cables
-from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics
-from drake_nonstop.blocks.carrier_pid import CarrierPid, CarrierPidConfig
+from drake_nonstop.blocks.carrier_controller import CarrierPid, CarrierPidConfig
+from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics, LoadedCarrierDynamics
 from drake_nonstop.blocks.carrier_trajectory import CarrierTrajectory
-from drake_nonstop.blocks.loaded_carrier_dynamics import LoadedCarrierDynamics
-from drake_nonstop.compiled import NotFiniteError
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.mechanics.carrier import carrier_motion
+from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])

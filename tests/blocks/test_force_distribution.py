@@ -7,7 +7,7 @@ import pytest
 from helpers import Motion, difference, fix, model, output
 from scipy.optimize import minimize
 
-from drake_nonstop.blocks.cable_force_distribution import (
+from drake_nonstop.blocks.force_distribution import (
     BoundedTensionDistribution,
     BoundedTensionDistributionConfig,
     CableForceDistribution,

@@ -8,11 +8,11 @@ from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import load_scenario, make_nonstop, set_equilibrium, simulate
 from drake_nonstop.blocks.fused_plant import FusedPlant
-from drake_nonstop.cli import main
+from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import FUSED
-from drake_nonstop.equilibrium import fastest_mode
-from drake_nonstop.simulate import SIGNAL_PERIOD
-from drake_nonstop.traced_block import TracedBlock
+from drake_nonstop.simulation.equilibrium import fastest_mode
+from drake_nonstop.simulation.simulate import SIGNAL_PERIOD
+from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import ScenarioWarning
 
 FUSE = "fused_plant=true"
@@ -50,7 +50,7 @@ SAME = {
     ),
     "measured pose": (
         *("line", "duration=1", CONSTANT),
-        *("carrier_trajectory=MeasuredCarrierTrajectory", "phase=PrintedPhase"),
+        *("carrier_trajectory=MeasuredCarrierTrajectory", "phase=PaperPhase"),
     ),
 }
 
@@ -191,7 +191,7 @@ class Wandering(TracedBlock):
     ],
 )
 def test_what_changes_between_samples_stays_apart(box, block, words):
-    settings = [CONSTANT, FUSE, "phase=PrintedPhase"]
+    settings = [CONSTANT, FUSE, "phase=PaperPhase"]
     with pytest.warns(ScenarioWarning, match=words):
         make_nonstop(load_scenario("line", settings), **{box: block})
 

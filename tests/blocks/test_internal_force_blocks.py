@@ -6,11 +6,10 @@ from helpers import Motion, fix, model, output
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase
-from drake_nonstop.blocks.cable_force_distribution import CableForceDistribution
-from drake_nonstop.blocks.constant_parameters import ConstantParameters, ConstantParametersConfig
-from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
-from drake_nonstop.blocks.printed_phase import PrintedPhase
+from drake_nonstop.blocks.force_distribution import CableForceDistribution
+from drake_nonstop.blocks.internal_force import InternalForceTrajectory
+from drake_nonstop.blocks.optimization_layer import ConstantParameters, ConstantParametersConfig
+from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.validation import ScenarioError
 
@@ -92,7 +91,7 @@ def test_phase_is_the_integral_of_a_changing_frequency(period):
 
 
 def test_printed_phase_jumps_with_the_frequency():
-    block = PrintedPhase(model())
+    block = PaperPhase(model())
     context = block.CreateDefaultContext()
     context.SetTime(3.0)
     for frequency in (1.7, 2.7):
@@ -101,7 +100,7 @@ def test_printed_phase_jumps_with_the_frequency():
 
 
 def test_sampled_printed_phase_stands_still_between_samples():
-    block = PrintedPhase(model(4, 0.01))
+    block = PaperPhase(model(4, 0.01))
     context = block.CreateDefaultContext()
     fix(block, context, parameters=PARAMETERS, sample_time=np.array([2.0]))
     context.SetTime(2.009)

@@ -5,14 +5,13 @@ import pytest
 from helpers import INERTIA, Motion, fix, model, output, regular
 from pydrake.systems.analysis import Simulator
 
-from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
-from drake_nonstop.blocks.ideal_feedback import IdealFeedback
+from drake_nonstop.blocks.load_disturbance import NoDisturbance
+from drake_nonstop.blocks.load_feedback import DesiredStateFeedback, IdealFeedback
 from drake_nonstop.blocks.load_plant import LoadPlant
-from drake_nonstop.blocks.no_disturbance import NoDisturbance
 from drake_nonstop.blocks.wrench_controller import WrenchController, WrenchControllerConfig
-from drake_nonstop.compiled import NotFiniteError
 from drake_nonstop.mechanics.rigid_load import load_state_rate
 from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
+from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError
 
 BODY = {

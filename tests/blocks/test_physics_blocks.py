@@ -9,18 +9,17 @@ from pydrake.systems.primitives import VectorLogSink
 from scipy.spatial.transform import Rotation
 
 from drake_nonstop.blocks.cables import Cables, IndividualCables, IndividualCablesConfig
-from drake_nonstop.blocks.load_plant import LoadPlant
-from drake_nonstop.blocks.loaded_carrier_dynamics import (
+from drake_nonstop.blocks.carrier_controller import LoadedCarrierPid
+from drake_nonstop.blocks.carrier_dynamics import (
     LoadedCarrierDynamics,
     LoadedCarrierDynamicsConfig,
 )
-from drake_nonstop.blocks.loaded_carrier_pid import LoadedCarrierPid
-from drake_nonstop.blocks.multibody_load_plant import MultibodyLoadPlant
-from drake_nonstop.blocks.noisy_feedback import NoisyFeedback, NoisyFeedbackConfig
-from drake_nonstop.blocks.wind import Wind, WindConfig
-from drake_nonstop.metrics import compute_metrics
-from drake_nonstop.scenario import load_scenario
-from drake_nonstop.simulate import simulate
+from drake_nonstop.blocks.load_disturbance import Wind, WindConfig
+from drake_nonstop.blocks.load_feedback import NoisyFeedback, NoisyFeedbackConfig
+from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.metrics import compute_metrics
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
 LOADED = ["carrier_dynamics=!LoadedCarrierDynamics {}", "carrier_controller=!LoadedCarrierPid {}"]

@@ -6,32 +6,39 @@ import numpy as np
 import pytest
 from helpers import Motion, fix, model, output
 
-from drake_nonstop.blocks.accumulated_phase import AccumulatedPhase
-from drake_nonstop.blocks.cable_force_distribution import (
-    BoundedTensionDistribution,
-    BoundedTensionDistributionConfig,
-    CableForceDistribution,
-)
 from drake_nonstop.blocks.cables import Cables, IndividualCables
-from drake_nonstop.blocks.carrier_dynamics import CarrierDynamics
-from drake_nonstop.blocks.carrier_pid import (
+from drake_nonstop.blocks.carrier_controller import (
     CarrierPid,
     CarrierPidConfig,
     FeedforwardCarrierPid,
+    LoadedCarrierPid,
     TunedCarrierPid,
     TunedFeedforwardCarrierPid,
+)
+from drake_nonstop.blocks.carrier_dynamics import (
+    CarrierDynamics,
+    IdealCarriers,
+    LoadedCarrierDynamics,
 )
 from drake_nonstop.blocks.carrier_trajectory import (
     CarrierTrajectory,
     InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
-from drake_nonstop.blocks.constant_parameters import ConstantParameters
-from drake_nonstop.blocks.desired_state_feedback import DesiredStateFeedback
-from drake_nonstop.blocks.ideal_carriers import IdealCarriers
-from drake_nonstop.blocks.ideal_feedback import IdealFeedback
-from drake_nonstop.blocks.internal_force_trajectory import InternalForceTrajectory
-from drake_nonstop.blocks.load_plant import LoadPlant
+from drake_nonstop.blocks.force_distribution import (
+    BoundedTensionDistribution,
+    BoundedTensionDistributionConfig,
+    CableForceDistribution,
+)
+from drake_nonstop.blocks.internal_force import InternalForceTrajectory
+from drake_nonstop.blocks.load_disturbance import NoDisturbance, Wind, WindConfig
+from drake_nonstop.blocks.load_feedback import (
+    DesiredStateFeedback,
+    IdealFeedback,
+    NoisyFeedback,
+    NoisyFeedbackConfig,
+)
+from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.blocks.load_trajectory import (
     Circle,
     ConstantVelocityMove,
@@ -40,18 +47,12 @@ from drake_nonstop.blocks.load_trajectory import (
     SampledTrajectory,
     Waypoints,
 )
-from drake_nonstop.blocks.loaded_carrier_dynamics import LoadedCarrierDynamics
-from drake_nonstop.blocks.loaded_carrier_pid import LoadedCarrierPid
-from drake_nonstop.blocks.multibody_load_plant import MultibodyLoadPlant
-from drake_nonstop.blocks.no_disturbance import NoDisturbance
-from drake_nonstop.blocks.noisy_feedback import NoisyFeedback, NoisyFeedbackConfig
-from drake_nonstop.blocks.nonstop_optimizer import NonstopOptimizer
-from drake_nonstop.blocks.printed_phase import PrintedPhase
+from drake_nonstop.blocks.optimization_layer import ConstantParameters, NonstopOptimizer
+from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.blocks.wind import Wind, WindConfig
 from drake_nonstop.blocks.wrench_controller import (
     GeometricPd,
-    PrintedWrenchController,
+    PaperWrenchController,
     TunedWrenchController,
     WrenchController,
 )
@@ -90,7 +91,7 @@ BLOCKS = {
     moving_reference: ([], ["reference"], []),
     ConstantVelocityMove: ([], ["reference"], []),
     **dict.fromkeys(
-        (PrintedWrenchController, GeometricPd, TunedWrenchController),
+        (PaperWrenchController, GeometricPd, TunedWrenchController),
         everything(
             ["measured_load_state", "reference"], ["wrench", "wrench_rate", "tracking_error"]
         ),
@@ -155,7 +156,7 @@ BLOCKS = {
     ),
     ConstantParameters: ([], ["parameters", "speed_bound"], []),
     AccumulatedPhase: (["parameters"], ["phase"], []),
-    PrintedPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
+    PaperPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
     InternalForceTrajectory: (
         ["parameters", "phase"],
         ["internal_force"],
@@ -238,7 +239,7 @@ BLOCKS = {
 
 # What a control period adds: the time of the sample.
 SAMPLED = {
-    PrintedPhase: ("sample_time", "phase"),
+    PaperPhase: ("sample_time", "phase"),
     CarrierTrajectory: ("sample_time", "carrier_reference"),
     InextensibleCarrierTrajectory: ("sample_time", "carrier_reference"),
     MeasuredCarrierTrajectory: ("sample_time", "carrier_reference"),

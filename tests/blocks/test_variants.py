@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import Motion, difference, fix, model, output, regular
 
-from drake_nonstop.blocks.carrier_pid import (
+from drake_nonstop.blocks.carrier_controller import (
     CarrierPid,
     CarrierPidConfig,
     FeedforwardCarrierPid,
@@ -16,17 +16,17 @@ from drake_nonstop.blocks.carrier_pid import (
     TunedFeedforwardCarrierPid,
     TunedFeedforwardCarrierPidConfig,
 )
+from drake_nonstop.blocks.carrier_dynamics import IdealCarriers
 from drake_nonstop.blocks.carrier_trajectory import (
     CarrierTrajectory,
     InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
-from drake_nonstop.blocks.ideal_carriers import IdealCarriers
 from drake_nonstop.blocks.wrench_controller import (
     GeometricPd,
     GeometricPdConfig,
-    PrintedWrenchController,
-    PrintedWrenchControllerConfig,
+    PaperWrenchController,
+    PaperWrenchControllerConfig,
     TunedWrenchController,
     TunedWrenchControllerConfig,
     WrenchController,
@@ -68,7 +68,7 @@ def test_pd_is_the_controller_without_integrals_and_feedforward():
 
 
 def test_printed_sign_turns_the_damping_of_the_rotation_around():
-    printed = outputs(PrintedWrenchController(model()), INTEGRALS, **LOAD)["wrench"]
+    printed = outputs(PaperWrenchController(model()), INTEGRALS, **LOAD)["wrench"]
     mended = WrenchControllerConfig(feedforward=0.0)
     damped = outputs(WrenchController(model(), mended), INTEGRALS, **LOAD)["wrench"]
     undamped = dataclasses.replace(mended, angular_velocity_gain=0.0)
@@ -121,8 +121,8 @@ def test_tuned_rotation_answers_alike_about_all_axes():
     [
         (GeometricPd, GeometricPdConfig(position_gain=-1.0), r"position_gain = -1\.0"),
         (
-            PrintedWrenchController,
-            PrintedWrenchControllerConfig(velocity_gain=np.nan),
+            PaperWrenchController,
+            PaperWrenchControllerConfig(velocity_gain=np.nan),
             "velocity_gain = nan",
         ),
         (

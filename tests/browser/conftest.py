@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from drake_nonstop.browser import open_browser
+from drake_nonstop.benchmarks.browser import open_browser
 from drake_nonstop.validation import ScenarioError
 
 

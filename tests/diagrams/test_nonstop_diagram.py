@@ -7,20 +7,18 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop import wiring
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamicsConfig
-from drake_nonstop.blocks.constant_parameters import (
-    ConstantParameters,
-    ConstantParametersConfig,
-)
-from drake_nonstop.blocks.desired_state_feedback import (
+from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedback,
     DesiredStateFeedbackConfig,
 )
 from drake_nonstop.blocks.load_trajectory import ConstantVelocityMoveConfig, RestToRestConfig
-from drake_nonstop.blocks.printed_phase import PrintedPhase
+from drake_nonstop.blocks.optimization_layer import (
+    ConstantParameters,
+    ConstantParametersConfig,
+)
+from drake_nonstop.blocks.phase import PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.describe import config_class
 from drake_nonstop.diagrams import nonstop
 from drake_nonstop.diagrams.nonstop import (
     BLOCKS,
@@ -32,8 +30,10 @@ from drake_nonstop.diagrams.nonstop import (
     make_nonstop,
     signal_sizes,
 )
-from drake_nonstop.scenario import Scenario, dump_scenario
-from drake_nonstop.system import System, SystemOverrides
+from drake_nonstop.model.system import SystemOverrides, SystemParameters
+from drake_nonstop.scenario.describe import config_class
+from drake_nonstop.scenario.loading import Scenario, dump_scenario
+from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioError
 
 
@@ -357,11 +357,11 @@ def test_box_can_be_replaced_by_a_config_and_by_a_class():
     diagram = make_nonstop(
         plain(),
         optimization_layer=ConstantParametersConfig(frequency=3.0),
-        phase=PrintedPhase,
+        phase=PaperPhase,
         load_feedback=lambda model: DesiredStateFeedback(model),
     )
     assert type(diagram.GetSubsystemByName("optimization_layer")) is ConstantParameters
-    assert type(diagram.GetSubsystemByName("phase")) is PrintedPhase
+    assert type(diagram.GetSubsystemByName("phase")) is PaperPhase
     assert type(diagram.GetSubsystemByName("load_feedback")) is DesiredStateFeedback
     context = diagram.CreateDefaultContext()
     np.testing.assert_array_equal(output(diagram, context, "parameters"), [3.0, 1.2])
@@ -428,7 +428,7 @@ def test_unknown_box_is_told_the_boxes():
         make_nonstop(plain(), plant=ConstantParameters)
 
 
-@pytest.mark.parametrize("entry", [3.0, "PrintedPhase"])
+@pytest.mark.parametrize("entry", [3.0, "PaperPhase"])
 def test_replacement_that_is_no_block_is_named(entry):
     with pytest.raises(ScenarioError, match=f"replacement phase = {entry}: give"):
         make_nonstop(plain(), phase=entry)
@@ -437,7 +437,7 @@ def test_replacement_that_is_no_block_is_named(entry):
 def test_config_of_another_box_is_told_the_choices():
     config = CarrierDynamicsConfig()
     with pytest.raises(
-        ScenarioError, match="phase = CarrierDynamics: give one of AccumulatedPhase, PrintedPhase"
+        ScenarioError, match="phase = CarrierDynamics: give one of AccumulatedPhase, PaperPhase"
     ):
         make_nonstop(plain(), phase=config)
 
@@ -461,7 +461,7 @@ def test_block_of_a_config():
 
 @pytest.mark.parametrize("n", [3])
 def test_figure_is_the_same_for_any_number_of_carriers(n):
-    scenario = continuous(system=System(attachments=regular(n).tolist()))
+    scenario = continuous(system=SystemParameters(attachments=regular(n).tolist()))
     diagram = make_nonstop(scenario)
     assert set(wiring.connections(diagram)) == figure_wires()
     assert diagram.GetOutputPort("tensions").size() == n
@@ -470,7 +470,7 @@ def test_figure_is_the_same_for_any_number_of_carriers(n):
 def test_scenario_is_left_as_it_was():
     scenario = plain(0.01)
     before = dataclasses.asdict(scenario)
-    make_nonstop(scenario, phase=PrintedPhase)
+    make_nonstop(scenario, phase=PaperPhase)
     after = dataclasses.asdict(scenario)
     for key in before:
         if key != "simulator":

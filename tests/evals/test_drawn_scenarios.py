@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from drake_nonstop.scenario import changed, load_scenario, scenario_names
-from drake_nonstop.simulate import RunStopped, simulate
+from drake_nonstop.scenario.loading import changed, load_scenario, scenario_names
+from drake_nonstop.simulation.simulate import RunStopped, simulate
 from drake_nonstop.validation import ScenarioError
 
 loaded = cache(load_scenario)
@@ -39,7 +39,7 @@ FIELDS = [
 ]
 SWAPS = st.sampled_from(
     [
-        "phase=!PrintedPhase {}",
+        "phase=!PaperPhase {}",
         "optimization_layer=!ConstantParameters {}",
         "load_plant=!MultibodyLoadPlant {}",
         "carrier_dynamics=!LoadedCarrierDynamics {max_force: 5}",

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drake_nonstop.blocks.constant_parameters import ConstantParametersConfig
-from drake_nonstop.scenario import load_scenario
-from drake_nonstop.simulate import simulate
+from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.simulate import simulate
 
 CONSTANT = ["optimization_layer=!ConstantParameters {}"]
 

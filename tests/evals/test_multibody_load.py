@@ -5,10 +5,9 @@ import pytest
 from helpers import fix, model
 from scipy.spatial.transform import Rotation
 
-from drake_nonstop.blocks.load_plant import LoadPlant
-from drake_nonstop.blocks.multibody_load_plant import MultibodyLoadPlant
-from drake_nonstop.scenario import load_scenario, scenario_names
-from drake_nonstop.simulate import simulate
+from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
+from drake_nonstop.scenario.loading import load_scenario, scenario_names
+from drake_nonstop.simulation.simulate import simulate
 
 
 @pytest.mark.parametrize("name", scenario_names())

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drake_nonstop.report import QUANTITIES, read_claims, scenario_run
+from drake_nonstop.benchmarks.claims import QUANTITIES, read_claims, scenario_run
 
 README = Path(__file__).parents[2] / "README.md"
 CLAIMS = read_claims(README.read_text(encoding="utf-8"))

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
-from drake_nonstop.compiled import NotFiniteError
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.equilibrium import set_equilibrium
-from drake_nonstop.scenario import changed, load_scenario
-from drake_nonstop.simulate import stable_config
-from drake_nonstop.stability import at_rest, linearize
+from drake_nonstop.scenario.loading import changed, load_scenario
+from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.simulation.simulate import stable_config
+from drake_nonstop.studies.stability import at_rest, linearize
+from drake_nonstop.systems.tracing import NotFiniteError
 
 
 def growth_per_turn(resting, turns):

@@ -9,7 +9,7 @@ from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop import load_scenario, simulate
 from drake_nonstop.diagrams.nonstop import BLOCKS
-from drake_nonstop.scenario import changed
+from drake_nonstop.scenario.loading import changed
 
 PATTERNS = ("HamiltonianCycle", "Carousel", "SpreadCarousel", "LinearPattern")
 NAMES = {box: [block.__name__ for block in blocks] for box, blocks in BLOCKS.items()}

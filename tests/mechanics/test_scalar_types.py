@@ -6,7 +6,6 @@ from helpers import GAINS, INERTIA, spatial
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.symbolic import Expression, MakeVectorVariable
 
-from drake_nonstop.compiled import CompiledFunction
 from drake_nonstop.mechanics import (
     cable,
     carrier,
@@ -18,6 +17,7 @@ from drake_nonstop.mechanics import (
     rotation,
     wrench,
 )
+from drake_nonstop.systems.tracing import TracedFunction
 
 N = 3
 ATTACHMENTS = spatial(N)
@@ -198,7 +198,7 @@ def test_symbols_give_the_values_of_floats(equation):
 
 def test_traced_function_gives_the_values_of_floats(equation):
     function, sizes, values, expected = equation
-    compiled = CompiledFunction(function, sizes, name=lambda: "test")
+    compiled = TracedFunction(function, sizes, name=lambda: "test")
     compare(flat(compiled(*split(values, sizes))), expected)
 
 
@@ -207,6 +207,6 @@ def test_traced_jacobian_is_the_gradient_of_autodiff(equation):
     gradients = ExtractGradient(flat(function(*split(InitializeAutoDiff(values)[:, 0], sizes))))
     gradients = gradients if gradients.size else np.zeros((len(gradients), len(values)))
     for index, columns in enumerate(split(np.arange(len(values)), sizes)):
-        compiled = CompiledFunction(function, sizes, name=lambda: "test", jacobian_of=index)
+        compiled = TracedFunction(function, sizes, name=lambda: "test", jacobian_of=index)
         jacobian = compiled(*split(values, sizes))[-1]
         compare(jacobian, gradients[:, columns])

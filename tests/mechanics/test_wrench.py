@@ -17,7 +17,7 @@ BODY = {
 NO_GAINS = dict.fromkeys(GAINS, 0.0)
 
 
-def turned(angle, axis):
+def rotate_quaternion(angle, axis):
     """A load state and a reference at rest, the load turned about an axis of its own."""
     reference = np.zeros(22)
     reference[:4] = RollPitchYaw([0.3, -0.2, 0.9]).ToQuaternion().wxyz()
@@ -31,7 +31,7 @@ def turned(angle, axis):
 @pytest.mark.parametrize("axis", [[1, 0, 0], [0, 1, 0], [0, 0, 1]])
 @pytest.mark.parametrize("angle", [0.4, -1.2])
 def test_orientation_error_is_the_sine_of_the_angle_about_the_axis(axis, angle):
-    error = tracking_error(*turned(angle, axis))
+    error = tracking_error(*rotate_quaternion(angle, axis))
     np.testing.assert_allclose(error[:3], np.sin(angle) * np.array(axis), rtol=0, atol=1e-15)
     np.testing.assert_array_equal(error[3:], 0)
 
@@ -67,7 +67,7 @@ def test_orientation_error_rate_in_closed_form():
 
 
 def test_wrench_of_a_load_on_its_resting_reference_is_its_weight():
-    state, reference = turned(0, [1, 0, 0])
+    state, reference = rotate_quaternion(0, [1, 0, 0])
     wrench, rate = wrench_and_rate(state, reference, np.zeros(6), **GAINS, feedforward=1.0, **BODY)
     np.testing.assert_allclose(wrench, [0, 0, 0, 0, 0, 1.3 * 9.7], rtol=0, atol=1e-15)
     np.testing.assert_allclose(rate, 0, rtol=0, atol=1e-13)

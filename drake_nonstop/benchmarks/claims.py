@@ -1,0 +1,198 @@
+"""The numbers that the README prints, measured anew.
+
+A claim is a row of a table with four columns: the arguments of `drake-nonstop run` that
+measure it, the quantity, the paper's value, and ours.
+"""
+
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.metrics import carrier_speeds, compute_metrics, load_errors
+from drake_nonstop.simulation.simulate import Run, simulate
+from drake_nonstop.studies.workers import worker_processes
+from drake_nonstop.validation import ScenarioError, require
+
+Metrics = dict[str, Any]
+
+_SHARES = re.compile(r"^\| ([\w +]+) \| [\d.]+ / [\d.]+ \| ([\d.]+)% \| ([\d.]+)% \|", re.MULTILINE)
+_SAME_SHARE = 0.01  # other machines round otherwise, which few instances notice
+
+_ROW = re.compile(r"^\| `([^`]+)` \| ([^|]+) \|[^|]*\| ([\d.]+) \|$", re.MULTILINE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """A number that a text prints: what to run for it, of which quantity, and its digits."""
+
+    arguments: str
+    quantity: str
+    printed: str
+
+    def holds(self, value: float) -> bool:
+        """Whether the value rounds to what was printed; a bare 0 means that there is none."""
+        if self.printed == "0":
+            return value == 0
+        digits = len(self.printed.partition(".")[2])
+        return abs(value - float(self.printed)) <= 0.55 * 10**-digits
+
+
+def read_claims(text: str) -> list[Claim]:
+    """The claims of a text in Markdown.
+
+    Raises:
+        ScenarioError: there are none, or one is of an unknown quantity.
+    """
+    claims = [
+        Claim(arguments=arguments, quantity=quantity, printed=printed)
+        for arguments, quantity, printed in _ROW.findall(text)
+    ]
+    for line in text.splitlines():
+        is_row = line.startswith("| `") and line.count("|") == 5
+        require(
+            not is_row or _ROW.match(line),
+            "claim",
+            line,
+            "give a row of `run` | quantity | paper | ours, with ours a number",
+        )
+    require(claims, "--readme", "a text without claims", "give the README of drake_nonstop")
+    for claim in claims:
+        require(
+            claim.quantity in QUANTITIES,
+            f"claim on {claim.arguments}",
+            claim.quantity,
+            f"give one of {', '.join(QUANTITIES)}",
+        )
+    return claims
+
+
+def measure(
+    claims: Sequence[Claim], progress: Callable[[str, float], None] = lambda what, share: None
+) -> dict[Claim, float]:
+    """The value of each claim, from a run per arguments, in a process per core.
+
+    Raises:
+        ScenarioError: a claim's arguments make no scenario.
+        RunStopped: a run did not come to its end.
+    """
+    quantities: dict[str, list[str]] = {}
+    for claim in claims:
+        quantities.setdefault(claim.arguments, []).append(claim.quantity)
+    values: dict[tuple[str, str], float] = {}
+    with worker_processes() as executor:
+        futures = {executor.submit(_values, *item): item for item in quantities.items()}
+        for done, future in enumerate(as_completed(futures)):
+            arguments, names = futures[future]
+            values |= {(arguments, name): future.result()[name] for name in names}
+            progress("simulating", (done + 1) / len(futures))
+    return {claim: values[claim.arguments, claim.quantity] for claim in claims}
+
+
+def wrong_shares(text: str, results: dict[str, Any]) -> list[str]:
+    """Where a text's table of solvers differs from what `benchmark_optimizer` returned.
+
+    A row begins with the solver, its times, and its shares of feasible and optimal answers.
+    """
+    rows = _SHARES.findall(text)
+    require(rows, "--readme", "a text without a table of solvers", "give the README")
+    wrong = []
+    for name, *printed in rows:
+        found = results["instances"]["solvers"].get(name)
+        if found is None:
+            wrong.append(f"{name}: not measured, for want of the extra bench")
+            continue
+        for kind, percent in zip(("feasible", "optimal"), printed, strict=True):
+            share = found[f"{kind}_share"]
+            if abs(share - float(percent) / 100) > _SAME_SHARE:
+                wrong.append(f"{name}: {kind} = {share:.1%}, not {percent}%")
+    return wrong
+
+
+def failing_evals(folder: Path) -> list[str]:
+    """What `tests/evals` in the folder of a checkout, which measure the rest, find wrong."""
+    command = [sys.executable, "-m", "pytest", "-q", "tests/evals"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode == 0:
+        return []
+    lines = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return lines or [f"tests/evals: {(done.stderr or done.stdout).strip()[-300:]}"]
+
+
+def scenario_run(arguments: str) -> tuple[Run, Metrics]:
+    """The run of a scenario's name and settings, such as "line phase=PaperPhase"."""
+    name, *settings = shlex.split(arguments)
+    run = simulate(load_scenario(name, settings))
+    return run, compute_metrics(run)
+
+
+def as_markdown(values: dict[Claim, float]) -> str:
+    """A table of the claims and what was measured."""
+    lines = ["| run | quantity | printed | measured | |", "| --- | --- | --- | --- | --- |"]
+    for claim, value in values.items():
+        holds = "holds" if claim.holds(value) else "**fails**"
+        row = (
+            f"| `{claim.arguments}` | {claim.quantity} | {claim.printed} | {value:.4g} | {holds} |"
+        )
+        lines.append(row)
+    return "\n".join(lines) + "\n"
+
+
+def _values(arguments: str, quantities: list[str]) -> dict[str, float]:
+    try:
+        run, metrics = scenario_run(arguments)
+    except ScenarioError as error:
+        raise ScenarioError(f"claim on {arguments} = {error}") from None
+    return {name: float(QUANTITIES[name](run, metrics)) for name in quantities}
+
+
+def _first_near_the_bound(run: Run, metrics: Metrics) -> float:
+    time, speeds = run.steps["time"], carrier_speeds(run.steps["carrier_state"]).min(axis=1)
+    near = (speeds <= 1.03 * metrics["carriers"]["speed_bound_m_s"]) & (time >= 1)
+    return time[np.flatnonzero(near)[0]]
+
+
+def _slowest_while_moving(run: Run, metrics: Metrics) -> float:
+    time, speeds = run.steps["time"], carrier_speeds(run.steps["carrier_state"]).min(axis=1)
+    return speeds[(time > 7) & (time < 23)].min()
+
+
+def _error_at_rest(run: Run, metrics: Metrics) -> float:
+    """The mean while the reference rests."""
+    rests = np.linalg.norm(run.signal("reference")[:, 10:13], axis=1) == 0
+    return 1e3 * np.mean(np.linalg.norm(load_errors(run)[0][rests], axis=1))
+
+
+def _metric(*path: str, scale: float = 1.0) -> Callable[[Run, Metrics], float]:
+    def value(run: Run, metrics: Metrics) -> float:
+        found: Any = metrics
+        for key in path:
+            found = found[key]
+        return scale * found
+
+    return value
+
+
+QUANTITIES: dict[str, Callable[[Run, Metrics], float]] = {
+    "first within 3 % of the bound (s)": _first_near_the_bound,
+    "slowest while moving (m/s)": _slowest_while_moving,
+    "slowest (m/s)": _metric("carriers", "speed_min_m_s"),
+    "peak speed (m/s)": _metric("carriers", "speed_max_m_s"),
+    "slowest final speed (m/s)": lambda run, m: min(m["carriers"]["speed_final_m_s"]),
+    "fastest final speed (m/s)": lambda run, m: max(m["carriers"]["speed_final_m_s"]),
+    "time below the bound (s)": _metric("carriers", "time_below_bound_s"),
+    "mean position error (mm)": _metric("load", "position_error_mean_m", scale=1e3),
+    "mean position error at rest (mm)": _error_at_rest,
+    "final A (N)": _metric("optimizer", "A_final_N"),
+    "final ξ (rad/s)": _metric("optimizer", "xi_final_rad_s"),
+    "closest carriers (m)": _metric("carriers", "separation_min_m"),
+    "closest cables (m)": _metric("cables", "separation_min_m"),
+}

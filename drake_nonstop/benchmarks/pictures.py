@@ -1,0 +1,139 @@
+"""The README's pictures: the line task with and without optimization, and patterns compared."""
+
+import io
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from drake_nonstop.benchmarks.browser import open_browser
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.metrics import carrier_speeds, speed_bounds
+from drake_nonstop.simulation.simulate import Run, simulate
+from drake_nonstop.studies.results_folder import replacing_file
+from drake_nonstop.visualization.plots import make_encounters_figure
+from drake_nonstop.visualization.replay import record_replay
+
+STILL, ANIMATION, PATTERNS = "line.png", "line.gif", "real_scale.png"
+_VIEW = 640, 460  # pixels, of one page
+_SPAN = 6.0, 11.0  # s, of the animation: the load sets off, and comes to its speed
+_FRAME_RATE = 12  # 1/s
+_STILL_TIME = 8.0  # s, about which the still is of the slowest instant
+
+
+def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[Path]:
+    """Writes a still, a short animation and a figure to a folder, and returns where they are.
+
+    Raises:
+        ScenarioError: there is no browser to take them with.
+    """
+    with open_browser(*_VIEW) as page:
+        runs = _runs()
+        slow = carrier_speeds(runs[0].signal("carrier_state")).min(axis=1)
+        around = np.abs(runs[0].time - _STILL_TIME) < 1.5
+        still_time = runs[0].time[around][np.argmin(slow[around])]
+        times = [float(still_time), *np.arange(*_SPAN, 1 / _FRAME_RATE)]
+        views: list[list[NDArray]] = [[] for _ in runs]
+        for k, run in enumerate(runs):
+            for j, view in enumerate(_views(page, run, times)):
+                progress("pictures", (k + (j + 1) / len(times)) / len(runs))
+                views[k].append(view)
+    figures = [_figure(runs, list(pair), time) for time, *pair in zip(times, *views, strict=True)]
+    with replacing_file(folder / STILL) as file:
+        file.write(_png(figures[0], dpi=150))
+    frames = [Image.open(io.BytesIO(_png(figure, dpi=80))).convert("RGB") for figure in figures[1:]]
+    several = np.concatenate([np.asarray(frame) for frame in frames[:: len(frames) // 6]])
+    palette = Image.fromarray(several).quantize(256)  # one for all, or colours would flicker
+    frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    with replacing_file(folder / ANIMATION) as file:
+        frames[0].save(
+            file,
+            format="GIF",
+            save_all=True,
+            append_images=frames[1:],
+            duration=round(1000 / _FRAME_RATE),
+            loop=0,
+        )
+    with replacing_file(folder / PATTERNS) as file:
+        file.write(_png(make_encounters_figure(_patterns()), dpi=110))
+    return [folder / name for name in (STILL, ANIMATION, PATTERNS)]
+
+
+def _patterns() -> dict[str, Run]:
+    """The real-scale scenarios' patterns above a resting load, for a turn."""
+    settings = ["duration=23", "load_trajectory.start_time=30", "fused_plant=true"]
+    return {
+        title: simulate(load_scenario(name, settings))
+        for name, title in (
+            ("real_scale_cycle", "the paper's cycle"),
+            ("real_scale_carousel", "carousel"),
+            ("real_scale_spread", "spread carousel"),
+        )
+    }
+
+
+def _runs() -> list[Run]:
+    """The line task without and with optimization, a little longer than it is shown."""
+    runs = []
+    for settings in (["optimization_layer=!ConstantParameters {}"], []):
+        duration = f"duration={_SPAN[1] + 1.0}"
+        runs.append(simulate(load_scenario("line", [duration, *settings])))
+    return runs
+
+
+def _views(page: Any, run: Run, times: list[float]) -> Iterator[NDArray]:
+    """Pictures of the run's replay at some times."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "replay.html"
+        path.write_text(record_replay(run), encoding="utf-8")
+        page.goto(path.as_uri())
+        page.wait_for_function("viewer.animator.actions.length > 0")
+        page.evaluate(
+            """() => {
+              viewer.animator.pause();
+              viewer.gui.domElement.style.display = "none";
+              document.getElementById("overlay").style.display = "none";
+              document.getElementById("meshcat-pane").style.height = "100vh";
+              window.dispatchEvent(new Event("resize"));
+            }"""
+        )
+        for time in times:
+            page.evaluate("(time) => { viewer.animator.seek(time); viewer.render(); }", time)
+            yield matplotlib.image.imread(io.BytesIO(page.screenshot()))
+
+
+def _figure(runs: list[Run], views: list[NDArray], time: float) -> Figure:
+    figure = Figure(figsize=(10.0, 4.9), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, len(runs), height_ratios=[3.4, 1], sharey="row")
+    for (top, bottom), run, view, title in zip(
+        axes.T, runs, views, ("without optimization", "with optimization"), strict=True
+    ):
+        top.imshow(view)
+        top.set_title(title)
+        top.set_axis_off()
+        shown = (run.steps["time"] >= _SPAN[0]) & (run.steps["time"] <= _SPAN[1])
+        times = run.steps["time"][shown]
+        for i, speeds in enumerate(carrier_speeds(run.steps["carrier_state"][shown]).T):
+            colour = run.scenario.scene.carrier_colours[i]
+            bottom.plot(times, speeds, color=colour, linewidth=1.2)
+        bottom.plot(times, speed_bounds(run)[shown], "--", color="black", linewidth=1.0)
+        bottom.axvline(time, color="0.5", linewidth=1.0)
+        bottom.set_xlim(_SPAN)
+        bottom.set_ylim(0, 1.1 * max(carrier_speeds(r.steps["carrier_state"]).max() for r in runs))
+        bottom.set_xlabel("time (s)")
+    axes[1, 0].set_ylabel("speed (m/s),\nbound ε dashed")
+    return figure
+
+
+def _png(figure: Figure, dpi: int) -> bytes:
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=dpi)
+    return file.getvalue()

@@ -1,0 +1,320 @@
+"""The controller half of box "Carrier Controller + Dynamics"."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Adder, Gain, LinearSystem
+
+from drake_nonstop.mechanics.carrier import carrier_acceleration, loaded_pid_forces, pid_forces
+from drake_nonstop.mechanics.internal_force import internal_force_acceleration
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.tuning import pid_gains
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import DiagramBlock
+from drake_nonstop.systems.traced_block import Equations, TracedBlock
+from drake_nonstop.systems.wiring import input_names
+from drake_nonstop.validation import require_non_negative, require_positive
+
+_OWNER = "carrier_controller"
+
+
+class CarrierPositionPid(DiagramBlock):
+    """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), for every carrier.
+
+    .. pydrake_system::
+
+        name: CarrierPositionPid
+        input_ports:
+        - carrier_reference
+        - carrier_state
+        output_ports:
+        - carrier_forces
+
+    `carrier_reference` and `carrier_state` (6n) = [positions, velocities], in W;
+    `carrier_forces` (3n) in N, in W. The integrals are the state, where their gain is
+    not zero. The law is made of Drake's own systems, which take half as long as a callback;
+    `equations` are the same from `mechanics.carrier`, for a fused plant.
+
+    Args:
+        model: how many carriers there are.
+        gains: position_gain (N/m), velocity_gain (N s/m) and integral_gain (N/(m s)).
+        feedforward: a block with one output, forces (3n) to add; its input ports are the
+            controller's, too.
+    """
+
+    def __init__(
+        self, model: Model, gains: dict[str, float], feedforward: TracedBlock | None = None
+    ):
+        super().__init__()
+        size = 3 * model.n
+        self.equations = _equations(size, gains, feedforward)
+        eye, none = np.eye(size), np.zeros((size, size))
+        builder = DiagramBuilder()
+        minus = builder.AddNamedSystem("minus", Gain(-1.0, 2 * size))
+        error = builder.AddNamedSystem("error", Adder(2, 2 * size))
+        states = size if gains["integral_gain"] > 0 else 0
+        pid = builder.AddNamedSystem(
+            "pid",
+            LinearSystem(
+                A=none[:states, :states],
+                B=np.hstack([eye, none])[:states],
+                C=gains["integral_gain"] * eye[:, :states],
+                D=np.hstack([gains["position_gain"] * eye, gains["velocity_gain"] * eye]),
+            ),
+        )
+        builder.Connect(minus.get_output_port(), error.get_input_port(1))
+        builder.Connect(error.get_output_port(), pid.get_input_port())
+        builder.ExportInput(error.get_input_port(0), "carrier_reference")
+        builder.ExportInput(minus.get_input_port(), "carrier_state")
+        forces = pid.get_output_port()
+        if feedforward is not None:
+            builder.AddNamedSystem("feedforward", feedforward)
+            for name in input_names(feedforward):
+                builder.ExportInput(feedforward.GetInputPort(name), name)
+            total = builder.AddNamedSystem("total", Adder(2, size))
+            builder.Connect(forces, total.get_input_port(0))
+            builder.Connect(feedforward.get_output_port(), total.get_input_port(1))
+            forces = total.get_output_port()
+        builder.ExportOutput(forces, "carrier_forces")
+        builder.BuildInto(self)
+
+
+def _equations(size: int, gains: dict[str, float], feedforward: TracedBlock | None) -> Equations:
+    """Those of `CarrierPositionPid`, whose `size` is 3n."""
+    inputs = {"carrier_reference": 2 * size, "carrier_state": 2 * size}
+    states = size if gains["integral_gain"] > 0 else 0
+    added = feedforward.equations if feedforward is not None else None
+    if added is not None:
+        inputs |= added.inputs
+
+    def function(*values: NDArray) -> tuple[NDArray, ...]:
+        integral = values[0] if states else np.zeros(size)
+        reference, state, *others = values[1:] if states else values
+        forces = pid_forces(reference, state, integral, **gains)
+        if added is not None:
+            forces = forces + added.function(*others)
+        error = (reference - state)[:size]
+        return (error, forces) if states else (forces,)
+
+    return Equations(function, inputs, {"carrier_forces": size}, np.zeros(states))
+
+
+@dataclass(kw_only=True)
+class CarrierPidConfig:
+    """Gains on each axis; the paper prints 1000 and 1.5 and names no integral gain."""
+
+    position_gain: float = 1000.0  # N/m
+    velocity_gain: float = 10.0  # N s/m; 1.5 as printed is a damping ratio of 0.075
+    integral_gain: float = 0.0  # N/(m s)
+
+
+class CarrierPid(CarrierPositionPid):
+    """PID on the position of every carrier, as printed.
+
+    Ports as `CarrierPositionPid`.
+
+    Raises:
+        ScenarioError: a gain is negative or not finite.
+    """
+
+    def __init__(self, model: Model, config: CarrierPidConfig | None = None):
+        gains = asdict(config or CarrierPidConfig())
+        require_non_negative(_OWNER, **gains)
+        super().__init__(model, gains)
+
+
+class CarrierFeedforwardPid(CarrierPositionPid):
+    """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d, for every carrier.
+
+    The references' acceleration a_d is that of the internal forces' turning, exact where the
+    wrench on the load changes slowly: f̈_d = R N₀ λ̈. It frees the carriers from the lag of
+    m_c a_d/K_p that a PID needs to keep its circle.
+
+    .. pydrake_system::
+
+        name: CarrierFeedforwardPid
+        input_ports:
+        - carrier_reference
+        - carrier_state
+        - reference
+        - desired_cable_forces
+        - desired_cable_force_rates
+        - internal_force
+        - parameters
+        output_ports:
+        - carrier_forces
+
+    `carrier_reference` and `carrier_state` (6n) = [positions, velocities], `reference` (22),
+    `desired_cable_forces` and their rates (3n), all in W; `internal_force` (2m) = [λ; λ̇],
+    `parameters` (2) = [ξ, A]; `carrier_forces` (3n) in N, in W. The integrals are the state,
+    where their gain is not zero.
+
+    Args:
+        model: carriers, cables and pattern.
+        gains: as of `CarrierPositionPid`.
+    """
+
+    def __init__(self, model: Model, gains: dict[str, float]):
+        n = model.n
+
+        def inertial_forces(
+            reference: NDArray,
+            cable_forces: NDArray,
+            rates: NDArray,
+            internal_force: NDArray,
+            parameters: NDArray,
+        ) -> NDArray:
+            second_rates = internal_force_acceleration(parameters, internal_force)
+            R_WL = rotation_matrix(reference[:4])
+            acceleration = carrier_acceleration(
+                reference,
+                cable_forces.reshape(n, 3),
+                rates.reshape(n, 3),
+                (model.pattern.basis @ second_rates).reshape(n, 3) @ R_WL.T,
+                attachments=model.attachments,
+                rest_length=model.cable_length,
+                compliance=model.cable_compliance,
+            )
+            return model.carrier_mass * acceleration.reshape(3 * n)
+
+        sizes = {
+            "reference": 22,
+            "desired_cable_forces": 3 * n,
+            "desired_cable_force_rates": 3 * n,
+            "internal_force": 2 * model.m,
+            "parameters": 2,
+        }
+        feedforward = TracedBlock(inertial_forces, inputs=sizes, outputs={"inertial_forces": 3 * n})
+        super().__init__(model, gains, feedforward)
+
+
+@dataclass(kw_only=True)
+class FeedforwardCarrierPidConfig(CarrierPidConfig):
+    """Gains on each axis."""
+
+
+class FeedforwardCarrierPid(CarrierFeedforwardPid):
+    """PID with the acceleration that a turning cable asks for.
+
+    Ports as `CarrierFeedforwardPid`.
+
+    Raises:
+        ScenarioError: a gain is negative or not finite.
+    """
+
+    def __init__(self, model: Model, config: FeedforwardCarrierPidConfig | None = None):
+        gains = asdict(config or FeedforwardCarrierPidConfig())
+        require_non_negative(_OWNER, **gains)
+        super().__init__(model, gains)
+
+
+@dataclass(kw_only=True)
+class TunedCarrierPidConfig:
+    """Where the poles of every carrier are to be; the default is that of `CarrierPid`'s gains."""
+
+    frequency: float = 100.0  # rad/s, natural frequency of a carrier about its reference
+    damping: float = 0.5  # damping ratio
+    integral_rate: float = 0.0  # rad/s, of the pole that an integral adds; 0: no integral
+
+
+class TunedCarrierPid(CarrierPositionPid):
+    """PID whose gains follow from a natural frequency and the carriers' mass.
+
+    Ports as `CarrierPositionPid`, gains from `mechanics.tuning.pid_gains`.
+
+    Raises:
+        ScenarioError: the frequency is not positive, or another parameter is negative.
+    """
+
+    def __init__(self, model: Model, config: TunedCarrierPidConfig | None = None):
+        super().__init__(model, _tuned_gains(model, config or TunedCarrierPidConfig()))
+
+
+@dataclass(kw_only=True)
+class TunedFeedforwardCarrierPidConfig(TunedCarrierPidConfig):
+    """Where the poles of every carrier are to be."""
+
+
+class TunedFeedforwardCarrierPid(CarrierFeedforwardPid):
+    """`FeedforwardCarrierPid` whose gains follow from a natural frequency and the carriers' mass.
+
+    Ports as `CarrierFeedforwardPid`, gains from `mechanics.tuning.pid_gains`.
+
+    Raises:
+        ScenarioError: the frequency is not positive, or another parameter is negative.
+    """
+
+    def __init__(self, model: Model, config: TunedFeedforwardCarrierPidConfig | None = None):
+        super().__init__(model, _tuned_gains(model, config or TunedFeedforwardCarrierPidConfig()))
+
+
+def _tuned_gains(model: Model, config: TunedCarrierPidConfig) -> dict[str, float]:
+    require_non_negative(_OWNER, **asdict(config))
+    require_positive(_OWNER, frequency=config.frequency)
+    names = ("position_gain", "velocity_gain", "integral_gain")
+    poles = pid_gains(config.frequency, config.damping, config.integral_rate)
+    return {name: model.carrier_mass * gain for name, gain in zip(names, poles, strict=True)}
+
+
+@dataclass(kw_only=True)
+class LoadedCarrierPidConfig:
+    """Gains on each axis."""
+
+    position_gain: float = 1000.0  # N/m
+    velocity_gain: float = 10.0  # N s/m
+
+
+class LoadedCarrierPid(TracedBlock):
+    """u = K_p (p_d − p) + K_d (v_d − v) + m_c g e₃ + f_d, for every carrier.
+
+    It carries the weight and the desired pull of the cable beforehand; the load's wrench
+    controller, which integrates, corrects what it believes wrongly of the load.
+
+    .. pydrake_system::
+
+        name: LoadedCarrierPid
+        input_ports:
+        - carrier_reference
+        - carrier_state
+        - desired_cable_forces
+        output_ports:
+        - carrier_forces
+
+    `carrier_reference` and `carrier_state` (6n) = [positions, velocities], in W;
+    `desired_cable_forces` and `carrier_forces` (3n) in N, in W.
+
+    Raises:
+        ScenarioError: a gain is negative or not finite.
+    """
+
+    def __init__(self, model: Model, config: LoadedCarrierPidConfig | None = None):
+        config = config or LoadedCarrierPidConfig()
+        require_non_negative("carrier_controller", **asdict(config))
+        n = model.n
+        super().__init__(
+            lambda reference, state, cables: loaded_pid_forces(
+                reference,
+                state,
+                cables,
+                mass=model.carrier_mass,
+                gravity=model.gravity,
+                **asdict(config),
+            ),
+            inputs={
+                "carrier_reference": 6 * n,
+                "carrier_state": 6 * n,
+                "desired_cable_forces": 3 * n,
+            },
+            outputs={"carrier_forces": 3 * n},
+        )
+
+
+VARIANTS = (
+    CarrierPid,
+    FeedforwardCarrierPid,
+    TunedCarrierPid,
+    TunedFeedforwardCarrierPid,
+    LoadedCarrierPid,
+)  # of the box, the default first

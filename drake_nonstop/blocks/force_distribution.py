@@ -1,0 +1,232 @@
+"""Box "Cable Force Distribution" of the figure."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue, Value
+from pydrake.solvers import ClarabelSolver, MathematicalProgram
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiagramBuilder,
+    ValueProducer,
+)
+
+from drake_nonstop.mechanics.grasp import (
+    cable_forces_and_rates,
+    grasp_matrix,
+    null_space_correction,
+)
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import DiagramBlock, InnerBlock, weakly
+from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.systems.wiring import input_names
+from drake_nonstop.validation import is_number, require, require_non_negative
+
+_OUTPUTS = ("desired_cable_forces", "desired_cable_force_rates")
+
+_ACCURACY = 1e-12  # of the quadratic program's cost, in units of the largest bound that is missed
+_SLACK = 1.01  # of a tension over its bound: the program bounds the part along a direction
+_AT_BOUND = 1e-5  # from a bound to what counts as on it, in the same units
+
+
+@dataclass(kw_only=True)
+class CableForceDistributionConfig:
+    """No parameters: the pattern is the scenario's."""
+
+
+class CableForceDistribution(TracedBlock):
+    """f_d = G† w_d + f̃⁰ + N λ and its exact rate (eqs. 16, 19-21).
+
+    .. pydrake_system::
+
+        name: CableForceDistribution
+        input_ports:
+        - measured_load_state
+        - wrench
+        - wrench_rate
+        - internal_force
+        output_ports:
+        - desired_cable_forces
+        - desired_cable_force_rates
+
+    `measured_load_state` (13), `wrench` and `wrench_rate` (6, [torque; force]) in W,
+    `internal_force` (2m); the outputs (3n) are in W, in N and N/s.
+    """
+
+    def __init__(self, model: Model, config: CableForceDistributionConfig | None = None):
+        def distribute(*inputs: NDArray) -> tuple[NDArray, NDArray]:
+            return cable_forces_and_rates(
+                *inputs,
+                pseudo_inverse=model.pseudo_inverse,
+                basis=model.pattern.basis,
+                offset=model.pattern.offset,
+            )
+
+        super().__init__(
+            distribute,
+            inputs={
+                "measured_load_state": 13,
+                "wrench": 6,
+                "wrench_rate": 6,
+                "internal_force": 2 * model.m,
+            },
+            outputs=dict.fromkeys(_OUTPUTS, 3 * model.n),
+            key=("distribution", vars(model)),
+        )
+
+
+@dataclass(kw_only=True)
+class BoundedTensionDistributionConfig:
+    """The bounds on the tension of every cable."""
+
+    min_tension: float = 1.0  # N
+    max_tension: float = math.inf  # N
+
+
+class BoundedTensionDistribution(DiagramBlock):
+    """The pseudo-inverse's forces, changed as little as bounds on the tensions ask for.
+
+    A quadratic program: of all cable forces with the wrench that is asked for, those nearest
+    to G† w_d + f̃⁰ + N λ whose components along these are within the bounds (a tension may
+    exceed `max_tension` by 1 %, since a force has a part across, too). It is solved by Drake's
+    MathematicalProgram with Clarabel, where a bound is missed; the bounds that it finds active
+    then give forces and exact rates in closed form. The rates jump where a bound becomes
+    active, and the optimization layer does not know of the change: its predicted speeds are
+    those without it.
+
+    Ports as `CableForceDistribution`.
+
+    Raises:
+        ScenarioError: a bound is negative, or the two are not in order.
+        RuntimeError: during a run, where no such cable forces are found.
+    """
+
+    def __init__(self, model: Model, config: BoundedTensionDistributionConfig | None = None):
+        super().__init__()
+        builder = DiagramBuilder()
+        least = builder.AddNamedSystem("least", CableForceDistribution(model))
+        bounds = builder.AddNamedSystem(
+            "bounds", _TensionBounds(model, config or BoundedTensionDistributionConfig())
+        )
+        for name in _OUTPUTS:
+            builder.Connect(least.GetOutputPort(name), bounds.GetInputPort(name))
+            builder.ExportOutput(bounds.GetOutputPort(name), name)
+        for name in input_names(least):
+            builder.ExportInput(least.GetInputPort(name), name)
+        builder.ConnectInput("measured_load_state", bounds.GetInputPort("measured_load_state"))
+        builder.BuildInto(self)
+
+
+class _TensionBounds(InnerBlock):
+    """Cable forces and rates, changed as little as the bounds ask for."""
+
+    def __init__(self, model: Model, config: BoundedTensionDistributionConfig):
+        super().__init__()
+        self._config = config
+        owner = "force_distribution"
+        require_non_negative(owner, min_tension=config.min_tension)
+        limit = config.max_tension
+        require(
+            (is_number(limit) and limit > config.min_tension) or limit == math.inf,
+            f"{owner}.max_tension",
+            limit,
+            f"give more than min_tension = {config.min_tension:g} N, or .inf for no limit",
+        )
+        # The last rows of Vᵀ span what the grasp matrix, of rank 6, takes to zero.
+        self._null_space = np.linalg.svd(grasp_matrix(model.attachments))[2][6:].T
+        self._measured_load_state = self.DeclareVectorInputPort("measured_load_state", 13)
+        self._desired = [self.DeclareVectorInputPort(name, 3 * model.n) for name in _OUTPUTS]
+        entry = self.DeclareCacheEntry(
+            "forces and rates",
+            ValueProducer(Value(()).Clone, weakly(self._calc)),
+            {self.all_input_ports_ticket()},
+        )
+        self._entry_index = entry.cache_index()  # the entry would keep this block for ever
+        for name, calc in zip(_OUTPUTS, (self._calc_forces, self._calc_rates), strict=True):
+            self.DeclareVectorOutputPort(name, 3 * model.n, calc, {entry.ticket()})
+
+    def _forces_and_rates(self, context: Context) -> tuple[NDArray, NDArray]:
+        return self.get_cache_entry(self._entry_index).Eval(context)
+
+    def _calc_forces(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._forces_and_rates(context)[0])
+
+    def _calc_rates(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._forces_and_rates(context)[1])
+
+    def _calc(self, context: Context, value: AbstractValue) -> None:
+        forces, rates = (port.Eval(context).reshape(-1, 3) for port in self._desired)
+        state = self._measured_load_state.Eval(context)
+        forces, rates = self._bounded(forces, rates, state)
+        value.set_value((forces.ravel(), rates.ravel()))
+
+    def _bounded(self, forces: NDArray, rates: NDArray, state: NDArray) -> tuple[NDArray, NDArray]:
+        tensions = np.linalg.norm(forces, axis=1)
+        low, high = self._config.min_tension - tensions, self._config.max_tension - tensions
+        if np.all(low <= 0) and np.all(high >= 0):
+            return forces, rates
+        R_WL, angular_velocity = rotation_matrix(state[:4]), state[7:10]
+        # In the load frame, where the null space is constant.
+        forces_L = forces @ R_WL
+        rates_L = (rates - np.cross(angular_velocity, forces)) @ R_WL
+        directions = forces_L / tensions[:, None]
+        tension_rates = (directions * rates_L).sum(axis=1)
+        direction_rates = (rates_L - tension_rates[:, None] * directions) / tensions[:, None]
+        active, shortfalls = self._active_bounds(directions, low, high)
+        along = np.zeros((len(active), *forces.shape))
+        turning = np.zeros(along.shape)
+        along[np.arange(len(active)), active] = directions[active]
+        turning[np.arange(len(active)), active] = direction_rates[active]
+        change, change_rate = null_space_correction(
+            along, turning, shortfalls, -tension_rates[active], self._null_space
+        )
+        if np.max(np.linalg.norm(forces_L + change, axis=1)) > _SLACK * self._config.max_tension:
+            raise RuntimeError(self._failure())
+        forces = (forces_L + change) @ R_WL.T
+        rates = (rates_L + change_rate) @ R_WL.T + np.cross(angular_velocity, forces)
+        return forces, rates
+
+    def _failure(self) -> str:
+        return (
+            f"no cable forces with tensions from {self._config.min_tension:g} to "
+            f"{self._config.max_tension:g} N that make the wrench were found near those of the "
+            "pattern; widen force_distribution.min_tension and max_tension"
+        )
+
+    def _active_bounds(
+        self, directions: NDArray, low: NDArray, high: NDArray
+    ) -> tuple[NDArray, NDArray]:
+        """The cables that the quadratic program puts on a bound, and by how much it is missed.
+
+        `directions` (n, 3) are those of the forces, `low` and `high` (n,) what the bounds
+        leave the tensions to change by, in N.
+        """
+        n = len(directions)
+        rows = np.zeros((n, n, 3))
+        rows[np.arange(n), np.arange(n)] = directions
+        matrix = rows.reshape(n, -1) @ self._null_space
+        scale = max(np.max(low), np.max(-high))  # the program in units of what is missed
+        program = MathematicalProgram()
+        y = program.NewContinuousVariables(matrix.shape[1])
+        program.AddQuadraticCost(np.eye(len(y)), np.zeros(len(y)), y)
+        program.AddLinearConstraint(matrix, low / scale, high / scale, y)
+        for name in ("tol_gap_abs", "tol_gap_rel"):
+            program.SetSolverOption(ClarabelSolver.id(), name, _ACCURACY)
+        result = ClarabelSolver().Solve(program)
+        if not result.is_success():
+            raise RuntimeError(self._failure())
+        change = scale * matrix @ result.GetSolution(y)
+        margin = scale * _AT_BOUND
+        at_low, at_high = change <= low + margin, change >= high - margin
+        active = np.flatnonzero(at_low | at_high)
+        return active, np.where(at_low, low, high)[active]
+
+
+VARIANTS = (
+    CableForceDistribution,
+    BoundedTensionDistribution,
+)  # of the box, the default first

@@ -1,0 +1,40 @@
+"""Box "Internal λ(t) Trajectories" of the figure."""
+
+from dataclasses import dataclass
+
+from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.traced_block import TracedBlock
+
+
+@dataclass(kw_only=True)
+class InternalForceTrajectoryConfig:
+    """No parameters: the phases belong to the scenario's pattern."""
+
+
+class InternalForceTrajectory(TracedBlock):
+    """λ_k = A cos(θ + φ_k) and its rate (eq. 23).
+
+    .. pydrake_system::
+
+        name: InternalForceTrajectory
+        input_ports:
+        - parameters
+        - phase
+        output_ports:
+        - internal_force
+
+    `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ (rad), ∂θ/∂ξ (s)];
+    `internal_force` (2m) = [λ (N); λ̇ (N/s)]. The rate is that of constant ξ and A.
+    """
+
+    def __init__(self, model: Model, config: InternalForceTrajectoryConfig | None = None):
+        phases = model.pattern.phases
+        super().__init__(
+            lambda parameters, phase: internal_force(parameters, phase[:1], phases=phases),
+            inputs={"parameters": 2, "phase": 2},
+            outputs={"internal_force": 2 * model.m},
+        )
+
+
+VARIANTS = (InternalForceTrajectory,)  # of the box, the default first

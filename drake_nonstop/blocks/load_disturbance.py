@@ -1,0 +1,110 @@
+"""Box "load_disturbance": none."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context
+
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.validation import (
+    require_array,
+    require_non_negative,
+    require_positive,
+    require_seed,
+)
+
+
+@dataclass(kw_only=True)
+class NoDisturbanceConfig:
+    """No parameters."""
+
+
+class NoDisturbance(LeafBlock):
+    """No wrench on the load but that of the cables and gravity.
+
+    .. pydrake_system::
+
+        name: NoDisturbance
+        output_ports:
+        - disturbance_wrench
+
+    `disturbance_wrench` (6): [torque; force] at the centre of mass, in W: zero.
+    """
+
+    def __init__(self, model: Model, config: NoDisturbanceConfig | None = None):
+        super().__init__()
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc, {self.nothing_ticket()})
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(np.zeros(6))
+
+
+_WAVES = 32  # per axis, of a gust
+
+
+@dataclass(kw_only=True)
+class WindConfig:
+    """A constant force, and a gust on top of it."""
+
+    force: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N, in W
+    torque: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N m, in W
+    start_time: float = 0.0  # s, before it there is no wind
+    gust_force: float = 0.0  # N, standard deviation on each axis
+    gust_time: float = 1.0  # s, correlation time of the gust
+    seed: int = 0  # of the gust
+
+
+class Wind(LeafBlock):
+    """A wrench on the load that is constant but for a seeded, coloured gust.
+
+    The gust is a sum of waves with random phases, whose spectrum is that of first-order
+    filtered white noise, σ² 2τ/(1 + (ωτ)²)/2π over ω, up to ωτ = 30: a function of time
+    alone, so that runs repeat to the bit whatever the integrator's steps are.
+
+    .. pydrake_system::
+
+        name: Wind
+        output_ports:
+        - disturbance_wrench
+
+    `disturbance_wrench` (6): [torque; force] at the centre of mass, in W.
+
+    Raises:
+        ScenarioError: a field is out of range.
+    """
+
+    def __init__(self, model: Model, config: WindConfig | None = None):
+        super().__init__()
+        config = config or WindConfig()
+        owner = "load_disturbance"
+        force = require_array(f"{owner}.force", config.force, [3], "in W")
+        torque = require_array(f"{owner}.torque", config.torque, [3], "in W")
+        require_non_negative(owner, gust_force=config.gust_force, start_time=config.start_time)
+        require_positive(owner, gust_time=config.gust_time)
+        require_seed(f"{owner}.seed", config.seed)
+        self._constant = np.concatenate([torque, force])
+        self._start_time = config.start_time
+        random = np.random.default_rng(config.seed)
+        # Bands of equal power: each wave has the same amplitude.
+        shares = (np.arange(_WAVES) + random.uniform(size=(3, _WAVES))) / _WAVES
+        self._frequencies = np.tan(shares * np.arctan(30.0)) / config.gust_time
+        self._phases = random.uniform(0, 2 * np.pi, (3, _WAVES))
+        self._amplitude = config.gust_force * np.sqrt(2 / _WAVES)
+        ticket = self.time_ticket()
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc, {ticket})
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        time = context.get_time()
+        wrench = np.zeros(6)
+        if time >= self._start_time:
+            waves = np.sin(self._frequencies * time + self._phases)
+            wrench = self._constant.copy()
+            wrench[3:] += self._amplitude * waves.sum(axis=1)
+        output.SetFromVector(wrench)
+
+
+VARIANTS = (
+    NoDisturbance,
+    Wind,
+)  # of the box, the default first

@@ -1,0 +1,104 @@
+"""The phase of the internal forces, accumulated."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import BasicVector, Context, ContinuousState, State
+
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import LeafBlock
+
+
+@dataclass(kw_only=True)
+class AccumulatedPhaseConfig:
+    """No parameters."""
+
+
+class AccumulatedPhase(LeafBlock):
+    """θ̇ = ξ: the phase goes on smoothly whatever ξ does.
+
+    The paper prints cos(ξ(t) t + φ), which jumps by t Δξ when ξ changes; `PaperPhase`
+    is that.
+
+    .. pydrake_system::
+
+        name: AccumulatedPhase
+        input_ports:
+        - parameters
+        output_ports:
+        - phase
+
+    `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ (rad), ∂θ/∂ξ = 0 (s)] is
+    the state: continuous, or stepped at each sample where the model has a control period.
+    """
+
+    def __init__(self, model: Model, config: AccumulatedPhaseConfig | None = None):
+        super().__init__()
+        self._parameters = self.DeclareVectorInputPort("parameters", 2)
+        self._period = model.control_period
+        if self._period > 0:
+            index = self.DeclareDiscreteState(2)
+            # Unrestricted, because Drake runs these before the discrete updates: θ steps
+            # with the ξ of the interval that ends, and the optimization layer, which
+            # updates at the same instant, reads the stepped phase.
+            self.DeclarePeriodicUnrestrictedUpdateEvent(self._period, self._period, self._step)
+        else:
+            index = self.DeclareContinuousState(2)
+        self.DeclareStateOutputPort("phase", index)
+
+    def _rate(self, context: Context) -> NDArray:
+        return np.array([self._parameters.Eval(context)[0], 0.0])
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
+        if self._period == 0:
+            derivatives.get_mutable_vector().SetFromVector(self._rate(context))
+
+    def _step(self, context: Context, state: State) -> None:
+        phase = context.get_discrete_state_vector().value()
+        state.get_mutable_discrete_state().set_value(phase + self._period * self._rate(context))
+
+
+@dataclass(kw_only=True)
+class PaperPhaseConfig:
+    """No parameters."""
+
+
+class PaperPhase(LeafBlock):
+    """θ = ξ(t) t (eq. 23), for the current frequency ξ.
+
+    .. pydrake_system::
+
+        name: PaperPhase
+        input_ports:
+        - parameters
+        - sample_time (where the model has a control period)
+        output_ports:
+        - phase
+
+    `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ = ξ t (rad), ∂θ/∂ξ = t (s)].
+    Behind a sampled controller t is the sample's time.
+    """
+
+    def __init__(self, model: Model, config: PaperPhaseConfig | None = None):
+        super().__init__()
+        self._parameters = self.DeclareVectorInputPort("parameters", 2)
+        self._sample_time = None
+        prerequisites = {self.all_input_ports_ticket()}
+        if model.control_period > 0:
+            self._sample_time = self.DeclareVectorInputPort("sample_time", 1)
+        else:
+            prerequisites.add(self.time_ticket())
+        self.DeclareVectorOutputPort("phase", 2, self._calc_phase, prerequisites)
+
+    def _calc_phase(self, context: Context, output: BasicVector) -> None:
+        time = context.get_time()
+        if self._sample_time is not None:
+            time = self._sample_time.Eval(context)[0]
+        output.SetFromVector([self._parameters.Eval(context)[0] * time, time])
+
+
+VARIANTS = (
+    AccumulatedPhase,
+    PaperPhase,
+)  # of the box, the default first

@@ -1,0 +1,174 @@
+"""What several blocks need to know: the load, its cables, its carriers and the pattern."""
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import Any, Optional, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.grasp import grasp_matrix
+from drake_nonstop.mechanics.rigid_load import gravity_wrench
+from drake_nonstop.model.pattern import InternalForcePattern, check_pattern
+from drake_nonstop.validation import (
+    is_number,
+    require,
+    require_array,
+    require_non_negative,
+    require_positive,
+)
+
+
+@dataclass(kw_only=True)
+class SystemParameters:
+    """Load, cables and carriers; the defaults are the paper's (Table I, figures)."""
+
+    load_mass: float = 1.0  # kg
+    load_inertia: list[list[float]] = field(  # kg m², about the centre of mass, in L
+        default_factory=lambda: [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]]
+    )
+    load_drag: float = 0.7  # N s/m
+    load_angular_drag: float = 0.0  # N m s/rad
+    attachments: list[list[float]] = field(  # m, in L, in the order of the carriers
+        default_factory=lambda: [
+            [0.75, 0.75, 0.0],
+            [-0.75, 0.75, 0.0],
+            [-0.75, -0.75, 0.0],
+            [0.75, -0.75, 0.0],
+        ]
+    )
+    cable_length: float = 0.8  # m, unstretched
+    cable_stiffness: float = 500.0  # N/m; .inf: the controllers believe in no stretch
+    cable_damping: float = 0.1  # N s/m
+    carrier_mass: float = 0.1  # kg
+    gravity: float = 9.81  # m/s²
+    # An SDF or URDF file to take load_mass, load_inertia and attachments from as a scenario is
+    # loaded, and the frames in it that the cables are attached to, in the order of the carriers.
+    load_file: str = ""
+    attachment_frames: list[str] = field(default_factory=list)
+
+
+# `simulated` in a scenario: any field of SystemParameters, for the simulated plant only.
+SystemOverrides: Any = dataclasses.make_dataclass(
+    "SystemOverrides",
+    [(f.name, Optional[f.type], None) for f in dataclasses.fields(SystemParameters)],  # noqa: UP045
+    kw_only=True,
+)
+
+
+def overridden(system: SystemParameters, overrides: Any) -> SystemParameters:
+    """The system with those fields replaced that `overrides` names."""
+    given = {f.name: getattr(overrides, f.name) for f in dataclasses.fields(overrides)}
+    return dataclasses.replace(system, **{k: v for k, v in given.items() if v is not None})
+
+
+class PatternConfig(Protocol):
+    """What a scenario's `pattern` entry has to offer."""
+
+    def make(self, attachments: NDArray) -> InternalForcePattern:
+        """The pattern for attachments (n, 3) in L."""
+        ...
+
+
+class Model:
+    """The system as arrays, checked, with the constants that follow from it.
+
+    Blocks take one: the controllers that of the scenario's `system`, the plant that of
+    `simulated`. All arrays are in the load frame.
+
+    Args:
+        system: the physical parameters.
+        pattern: the internal-force pattern, for instance HamiltonianCycleConfig().
+        control_period: the controllers' sample time in s, 0 for continuous.
+        field: what error messages call the system.
+
+    Raises:
+        ScenarioError: a parameter is out of range, there are fewer than 3 attachments,
+            the grasp matrix has a rank below 6, or the pattern would stop a carrier.
+    """
+
+    def __init__(
+        self,
+        system: SystemParameters,
+        pattern: PatternConfig,
+        control_period: float = 0.0,
+        *,
+        field: str = "system",
+    ):
+        require_positive(
+            field,
+            load_mass=system.load_mass,
+            cable_length=system.cable_length,
+            carrier_mass=system.carrier_mass,
+            gravity=system.gravity,
+        )
+        require_non_negative(
+            field,
+            load_drag=system.load_drag,
+            load_angular_drag=system.load_angular_drag,
+            cable_damping=system.cable_damping,
+        )
+        require(
+            is_number(control_period) and (control_period == 0 or control_period >= 1e-4),
+            "control_period",
+            control_period,
+            "give 0 for continuous controllers, or at least 1e-4 s",
+        )
+        stiffness = system.cable_stiffness
+        require(
+            (is_number(stiffness) and stiffness > 0) or stiffness == math.inf,
+            f"{field}.cable_stiffness",
+            stiffness,
+            "give a number greater than zero, or .inf where the controllers are to "
+            "believe in no stretch",
+        )
+        self.control_period = control_period
+        self.load_mass = system.load_mass
+        self.load_drag = system.load_drag
+        self.load_angular_drag = system.load_angular_drag
+        self.cable_length = system.cable_length
+        self.cable_stiffness = stiffness
+        self.cable_compliance = 1 / stiffness  # m/N, 0 without stretch
+        self.cable_damping = system.cable_damping
+        self.carrier_mass = system.carrier_mass
+        self.gravity = system.gravity
+        self.load_inertia = _checked_inertia(f"{field}.load_inertia", system.load_inertia)
+        self.load_inertia_inverse = np.linalg.inv(self.load_inertia)
+
+        name = f"{field}.attachments"
+        self.attachments = require_array(
+            name, system.attachments, [None, 3], "one position per cable"
+        )
+        self.n = len(self.attachments)
+        require(self.n >= 3, name, system.attachments, "give 3 or more attachment points")
+        grasp = grasp_matrix(self.attachments)
+        size = np.max(np.abs(self.attachments))
+        scaled = grasp / np.array([[size or 1.0]] * 3 + [[1.0]] * 3)
+        require(
+            np.linalg.matrix_rank(scaled, tol=1e-6) == 6,
+            name,
+            system.attachments,
+            "the grasp matrix has a rank below 6; give attachment points that are not all "
+            "on one line",
+        )
+        self.pseudo_inverse = np.linalg.pinv(grasp)  # (3n, 6)
+        self.pattern = pattern.make(self.attachments)
+        self.m = len(self.pattern.phases)
+        weight = gravity_wrench(self.load_mass, self.gravity)
+        check_pattern(self.pattern, self.attachments, (self.pseudo_inverse @ weight).reshape(-1, 3))
+
+
+def _checked_inertia(name: str, value: list[list[float]]) -> NDArray:
+    inertia = require_array(name, value, [3, 3], "rows of the inertia matrix")
+    moments = np.linalg.eigvalsh(inertia)
+    require(
+        np.allclose(inertia, inertia.T, rtol=1e-9, atol=0)
+        and moments[0] > 0
+        and moments[0] + moments[1] >= moments[2] * (1 - 1e-9),
+        name,
+        value,
+        "give a symmetric, positive definite matrix whose principal moments fulfil the "
+        "triangle inequality",
+    )
+    return inertia

@@ -1,0 +1,123 @@
+"""Drake's nonlinear solvers on the problem of one update, each from one start."""
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.solvers import (
+    IpoptSolver,
+    MathematicalProgram,
+    NloptSolver,
+    SnoptSolver,
+    SolverInterface,
+    SolverOptions,
+)
+
+from drake_nonstop.systems.block import weakly
+from drake_nonstop.systems.tracing import TracedFunction
+
+_CONSTRAINT_TOLERANCE = 1e-7  # on a margin
+
+
+class LocalSolver:
+    """Two MathematicalPrograms over [ξ, A], built once: the nearest and the fastest point.
+
+    Args:
+        name: of the solver, one of `NAMES`.
+        data_size: the length of the data.
+        cost: of [ξ, A] and the data; its gradient is the second output.
+        margins: likewise, non-negative where the constraints are fulfilled.
+        speed_count: how many margins, the first ones, are those of the speeds.
+    """
+
+    NAMES: ClassVar[dict[str, Callable[[], SolverInterface]]] = {
+        "snopt": SnoptSolver,
+        "ipopt": IpoptSolver,
+        "nlopt": NloptSolver,
+    }
+
+    def __init__(
+        self,
+        name: str,
+        data_size: int,
+        cost: TracedFunction,
+        margins: TracedFunction,
+        speed_count: int,
+    ):
+        self._cost, self._margins, self._speed_count = cost, margins, speed_count
+        self._solver, self._options = self.NAMES[name](), _options()
+        self._data = np.zeros(data_size)
+        nothing = np.zeros(2)
+        count = len(margins(nothing + 1, np.ones(data_size))[0])
+        zero, infinity = np.zeros(count), np.full(count, np.inf)
+
+        self._nearest = MathematicalProgram()
+        x = self._nearest.NewContinuousVariables(2, "x")
+        self._nearest_box = self._nearest.AddBoundingBoxConstraint(nothing, nothing, x)
+        self._nearest.AddCost(weakly(self._evaluate_cost), vars=x)
+        self._nearest.AddConstraint(weakly(self._evaluate_margins), zero, infinity, vars=x)
+
+        self._fastest = MathematicalProgram()
+        x = self._fastest.NewContinuousVariables(2, "x")
+        worst = self._fastest.NewContinuousVariables(1, "worst_margin")
+        self._fastest_box = self._fastest.AddBoundingBoxConstraint(nothing, nothing, x)
+        self._fastest.AddLinearCost(-worst[0])
+        self._fastest.AddConstraint(
+            weakly(self._evaluate_speed_margins_above_worst),
+            zero[:speed_count],
+            infinity[:speed_count],
+            vars=[*x, *worst],
+        )
+
+    def nearest(self, data: NDArray, lower: NDArray, upper: NDArray) -> NDArray:
+        """The [ξ, A] of the least cost that keeps the constraints, from [ξ⁻, A⁻] on."""
+        return self._solve(self._nearest, self._nearest_box, data, lower, upper, [])
+
+    def fastest(self, data: NDArray, lower: NDArray, upper: NDArray) -> NDArray:
+        """The [ξ, A] of the largest worst margin of the speeds, from [ξ⁻, A⁻] on."""
+        worst = float(np.min(self._margins(data[:2], data)[0][: self._speed_count]))
+        return self._solve(self._fastest, self._fastest_box, data, lower, upper, [worst])
+
+    def _solve(self, program, box, data, lower, upper, more_guess) -> NDArray:
+        # The programs' callbacks read the data from here; set anew for every solve.
+        self._data[:] = data
+        box.evaluator().set_bounds(lower, upper)
+        result = self._solver.Solve(program, np.array([*data[:2], *more_guess]), self._options)
+        x = result.get_x_val()[:2]
+        if not np.all(np.isfinite(x)):
+            return data[:2].copy()
+        return np.clip(x, lower, upper)  # IPOPT ends up to 1e-8 outside
+
+    # Drake calls these with floats or with AutoDiffXd, and wants the same back.
+    def _evaluate_cost(self, x: NDArray) -> AutoDiffXd | float:
+        if x.dtype == float:
+            return float(self._cost(x, self._data)[0][0])
+        cost, gradient = self._cost(ExtractValue(x)[:, 0], self._data)
+        return AutoDiffXd(cost[0], gradient[0] @ ExtractGradient(x))
+
+    def _evaluate_margins(self, x: NDArray) -> NDArray:
+        if x.dtype == float:
+            return self._margins(x, self._data)[0]
+        margins, gradients = self._margins(ExtractValue(x)[:, 0], self._data)
+        return InitializeAutoDiff(margins, gradients @ ExtractGradient(x))
+
+    def _evaluate_speed_margins_above_worst(self, x: NDArray) -> NDArray:
+        return self._evaluate_margins(x[:2]).reshape(-1)[: self._speed_count] - x[2]
+
+
+def _options() -> SolverOptions:
+    """Options that keep the solvers quiet, fast and exact on two variables."""
+    options = SolverOptions()
+    snopt, ipopt, nlopt = SnoptSolver.id(), IpoptSolver.id(), NloptSolver.id()
+    options.SetOption(snopt, "Major iterations limit", 50)
+    options.SetOption(snopt, "Major feasibility tolerance", _CONSTRAINT_TOLERANCE)
+    options.SetOption(snopt, "Scale option", 0)
+    options.SetOption(ipopt, "max_iter", 100)
+    options.SetOption(ipopt, "constr_viol_tol", _CONSTRAINT_TOLERANCE)
+    options.SetOption(ipopt, "print_level", 0)
+    options.SetOption(nlopt, NloptSolver.AlgorithmName(), "LN_COBYLA")
+    options.SetOption(nlopt, NloptSolver.ConstraintToleranceName(), _CONSTRAINT_TOLERANCE)
+    options.SetOption(nlopt, NloptSolver.MaxEvalName(), 200)
+    return options

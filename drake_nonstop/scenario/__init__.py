@@ -1,0 +1,1 @@
+"""What a run is: dataclasses and their YAML, overrides, users' own blocks; no simulation."""

@@ -1,0 +1,215 @@
+"""What the boxes of the figure can be: their blocks, parameters and ports, for people to read.
+
+All is taken from the code: the blocks from `BLOCKS`, a block's parameters from the dataclass
+beside it, their meanings from the comments on its fields, and the ports from a block that is
+built with the default scenario's model.
+"""
+
+import ast
+import dataclasses
+import inspect
+import io
+import math
+import sys
+import textwrap
+import tokenize
+import typing
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+from pydrake.systems.framework import System
+
+from drake_nonstop.diagrams.nonstop import BLOCKS, OPTIONAL_SIGNALS, SIGNALS
+from drake_nonstop.model.system import Model
+from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.systems import wiring
+from drake_nonstop.validation import ScenarioError, require
+
+PATTERN = "pattern"  # the entry of a scenario that is chosen like a block, and is none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A field of a config: its type, its default as in YAML, and its unit and meaning."""
+
+    name: str
+    type: str
+    default: str
+    meaning: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Port:
+    """A port and its size: a number, for n carriers "3n", for m coordinates "2m"."""
+
+    name: str
+    size: str
+    is_optional: bool = False  # an output that a block in its box need not have
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """A block that a box can be, or a pattern, which has no ports.
+
+    `unbuildable` says why the ports are not known: the defaults do not make a block.
+    """
+
+    name: str
+    summary: str
+    parameters: tuple[Parameter, ...]
+    inputs: tuple[Port, ...] = ()
+    outputs: tuple[Port, ...] = ()
+    unbuildable: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """A box of the figure, the signals that it has to make and its choices, the default first."""
+
+    name: str
+    signals: tuple[Port, ...]
+    choices: tuple[Choice, ...]
+
+
+def box_names() -> list[str]:
+    """The names that `describe` takes: the figure's boxes, in its order, and the pattern."""
+    return [*BLOCKS, PATTERN]
+
+
+def describe(name: str) -> Box:
+    """A box of the figure, or the pattern, with all that can be chosen for it.
+
+    Raises:
+        ScenarioError: there is no such box.
+    """
+    require(name in box_names(), "box", name, f"give one of {', '.join(box_names())}")
+    if name == PATTERN:
+        annotation = typing.get_type_hints(Scenario)[PATTERN]
+        choices = tuple(_pattern(config) for config in typing.get_args(annotation) or [annotation])
+        return Box(name=name, signals=(), choices=choices)
+    scenario = Scenario()
+    model = Model(scenario.system, scenario.pattern, scenario.control_period)
+    return Box(
+        name=name,
+        signals=tuple(_port(signal, None) for signal in SIGNALS[name]),
+        choices=tuple(_choice(block, model) for block in BLOCKS[name]),
+    )
+
+
+def config_class(block: type[System]) -> type:
+    """The dataclass of a block's parameters: XConfig in the module of block X."""
+    return getattr(sys.modules[block.__module__], f"{block.__name__}Config")
+
+
+def parameters(config: type) -> tuple[Parameter, ...]:
+    """The fields of a config class, in order."""
+    meanings: dict[str, str] = {}
+    for base in reversed(config.__mro__):
+        if dataclasses.is_dataclass(base):
+            meanings |= _field_comments(base)
+    default = config()
+    return tuple(
+        Parameter(
+            name=field.name,
+            type=_type_name(field.type),
+            default=_as_yaml(getattr(default, field.name)),
+            meaning=meanings.get(field.name, ""),
+        )
+        for field in dataclasses.fields(config)
+    )
+
+
+def _choice(block: type[System], model: Model) -> Choice:
+    inputs: tuple[Port, ...] = ()
+    outputs: tuple[Port, ...] = ()
+    unbuildable = ""
+    try:
+        built: Any = block(model)
+    except ScenarioError as error:
+        unbuildable = str(error)
+    else:
+        inputs = tuple(_port(*item) for item in wiring.input_sizes(built).items())
+        outputs = tuple(_port(*item) for item in wiring.output_sizes(built).items())
+    return Choice(
+        name=block.__name__,
+        summary=_summary(block),
+        parameters=parameters(config_class(block)),
+        inputs=inputs,
+        outputs=outputs,
+        unbuildable=unbuildable,
+    )
+
+
+def _pattern(config: type) -> Choice:
+    return Choice(
+        name=config.__name__.removesuffix("Config"),
+        summary=_summary(config),
+        parameters=parameters(config),
+    )
+
+
+def _port(name: str, size: int | None) -> Port:
+    """The port of that name: its size by the contract, or else as it is for the default n."""
+    sizes = {signal: text for signals in SIGNALS.values() for signal, text in signals.items()}
+    text = "abstract" if size is None else str(size)
+    return Port(name=name, size=sizes.get(name, text), is_optional=name in OPTIONAL_SIGNALS)
+
+
+def _summary(documented: type) -> str:
+    """The first line of the docstring."""
+    return (inspect.getdoc(documented) or "").partition("\n")[0]
+
+
+def _type_name(annotation: Any) -> str:
+    return annotation.__name__ if type(annotation) is type else str(annotation)
+
+
+def _as_yaml(value: Any) -> str:
+    """The value as it may stand in a scenario, in one line."""
+    try:
+        text = yaml.dump(
+            value, Dumper=_Dumper, default_flow_style=True, allow_unicode=True, width=math.inf
+        )
+    except yaml.representer.RepresenterError:  # neither a number nor a text nor a list of those
+        text = str(value)
+    return text.removesuffix("...\n").strip()
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes out what stands there twice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """No anchors and aliases."""
+        return True
+
+
+def _field_comments(config: type) -> dict[str, str]:
+    """By the name of each field that a class body itself has: the comments on its lines.
+
+    They are followed by those in lines of their own right above it.
+    """
+    source = textwrap.dedent(inspect.getsource(config))
+    lines = source.splitlines()
+    comments = {
+        token.start[0]: token.string.removeprefix("#").strip()
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.COMMENT
+    }
+    (definition,) = ast.parse(source).body
+    assert isinstance(definition, ast.ClassDef)
+    result = {}
+    for statement in definition.body:
+        if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
+            above: list[int] = []
+            line = statement.lineno - 1
+            while line in comments and lines[line - 1].lstrip().startswith("#"):
+                above.insert(0, line)
+                line -= 1
+            within = range(statement.lineno, (statement.end_lineno or statement.lineno) + 1)
+            found = [
+                " ".join(comments[line] for line in group if line in comments)
+                for group in (within, above)
+            ]
+            result[statement.target.id] = "; ".join(text for text in found if text)
+    return result

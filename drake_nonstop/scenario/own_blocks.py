@@ -1,0 +1,109 @@
+"""Blocks of the user's own, named in a scenario by their import path.
+
+The tag `!my_blocks.MyOptimizer {gain: 3.0}` stands for the class MyOptimizer of the module
+my_blocks, made with the model and a config of the dataclass MyOptimizerConfig beside it.
+"""
+
+import dataclasses
+import importlib
+import sys
+from typing import Any
+
+from pydrake.common.yaml import yaml_dump_typed
+from pydrake.systems.framework import System
+
+from drake_nonstop.model.system import Model
+from drake_nonstop.validation import ScenarioError, one_line, require
+
+
+def is_import_path(tag: str) -> bool:
+    """Whether a tag, without its "!", names a block of the user's own."""
+    return "." in tag
+
+
+def import_path(config: Any) -> str | None:
+    """What names the block of a config in a scenario; None for blocks of the package."""
+    kind = type(config)
+    if kind.__module__.split(".")[0] == "drake_nonstop":
+        return None
+    return f"{kind.__module__}.{kind.__name__.removesuffix('Config')}"
+
+
+def make_importable(folder: str) -> None:
+    """Lets the modules in a folder be imported, after all that could be before."""
+    if folder not in sys.path:
+        sys.path.append(folder)
+
+
+def import_config(field: str, path: str) -> type:
+    """The config class of the block, or of the pattern, at an import path.
+
+    Raises:
+        ScenarioError: the module cannot be imported, or holds no such block and config.
+    """
+    module_name, _, name = path.rpartition(".")
+    try:
+        module = importlib.import_module(module_name)
+    except Exception as error:  # whatever a user's module may raise
+        raise ScenarioError(
+            f"{field} = !{path}: the module {module_name} cannot be imported ({one_line(error)}); "
+            "mend it, or put it into the current folder, the scenario's or PYTHONPATH"
+        ) from error
+    config = getattr(module, f"{name}Config", None)
+    require(
+        isinstance(config, type) and dataclasses.is_dataclass(config),
+        field,
+        f"!{path}",
+        f"give {module_name} a dataclass {name}Config with the parameters",
+    )
+    assert isinstance(config, type)
+    remedy = f"give every field of {name}Config a type such as float or list[float] and a default"
+    try:
+        yaml_dump_typed(config())
+    except Exception as error:  # whatever a user's dataclass may raise
+        raise ScenarioError(f"{field} = !{path}: {remedy} ({one_line(error)})") from error
+    if field != "pattern":
+        own_block_class(field, config)
+    require(
+        field != "optimization_layer" or hasattr(config(), "speed_bound"),
+        field,
+        f"!{path}",
+        f"give {name}Config a field speed_bound (m/s), which its runs are judged by",
+    )
+    return config
+
+
+def make_own_block(field: str, model: Model, config: Any) -> System:
+    """The block of a config of the user's own.
+
+    Raises:
+        ScenarioError: its constructor raised an error.
+    """
+    block = own_block_class(field, type(config))
+    try:
+        return block(model, config)
+    except ScenarioError:
+        raise
+    except Exception as error:  # whatever a user's constructor may raise
+        raise ScenarioError(
+            f"{field} = !{import_path(config)}: mend its constructor, which takes the model and "
+            f"the config ({one_line(error)})"
+        ) from error
+
+
+def own_block_class(field: str, config_class: type) -> type[System]:
+    """The block of a config class of the user's: the class X beside XConfig.
+
+    Raises:
+        ScenarioError: there is none.
+    """
+    module = sys.modules.get(config_class.__module__)
+    name = config_class.__name__.removesuffix("Config")
+    block = getattr(module, name, None)
+    require(
+        isinstance(block, type) and issubclass(block, System),
+        field,
+        f"!{config_class.__module__}.{name}",
+        f"give {config_class.__module__} a LeafSystem or Diagram of the name {name}",
+    )
+    return block  # type: ignore[return-value]

@@ -1,0 +1,190 @@
+"""What a sweep runs: combinations of values, and random draws of them, for fields of a scenario."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drake_nonstop.scenario.loading import dump_plain
+from drake_nonstop.scenario.overrides import (
+    as_setting,
+    combinations,
+    read_mapping,
+    require_choices,
+    require_setting,
+)
+from drake_nonstop.validation import is_number, require, require_seed
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedRun:
+    """One run of a sweep: what its draws are seeded with, and what it sets.
+
+    `seed` is also what a path gets that is drawn as `{seed: true}`; `values` are those of the
+    grid and the draws by their paths, and `settings` all that changes the scenario.
+    """
+
+    number: int
+    seed: int
+    values: dict[str, Any]
+    settings: list[str]
+
+
+@dataclass(kw_only=True)
+class SweepSpec:
+    """The runs of a sweep.
+
+    Every combination of the values in `grid` is run, and where there are `draws`, `runs` times
+    with values drawn at random. Draw k follows from `seed` and k alone, and is the same in every
+    combination, so that combinations can be compared.
+
+    A path is one of the resolved scenario, as in `load_scenario`. What it is drawn from is one
+    of `{uniform: [low, high]}`, `{normal: [mean, standard deviation]}`,
+    `{log_uniform: [low, high]}`, `{choice: [value, ...]}`, and `{seed: true}`: a whole number of
+    the run's own, for the seed of a block such as Wind.
+
+    Raises:
+        ScenarioError: a field cannot be used.
+    """
+
+    description: str = ""
+    seed: int = 0
+    runs: int | None = None  # of each combination
+    settings: list[str] = field(default_factory=list)  # "path=value", of all runs, first of all
+    grid: dict[str, list[Any]] = field(default_factory=dict)  # values by path
+    draws: dict[str, dict[str, Any]] = field(default_factory=dict)  # distributions by path
+    source: str = "spec"  # what errors call it
+
+    def __post_init__(self) -> None:
+        source = self.source
+        require_seed(f"{source}.seed", self.seed)
+        require(
+            isinstance(self.settings, list),
+            f"{source}.settings",
+            self.settings,
+            "give a list of path=value",
+        )
+        for setting in self.settings:
+            require_setting(setting, f"{source}.settings")
+        for name in ("grid", "draws"):
+            entries = getattr(self, name)
+            what = "lists of values" if name == "grid" else "distributions"
+            remedy = f"give a mapping from paths to {what}"
+            is_mapping = isinstance(entries, dict) and "_tag" not in entries
+            require(is_mapping, f"{source}.{name}", entries, remedy)
+        require(self.grid or self.draws, source, "neither", "give grid, draws or both")
+        for path, values in self.grid.items():
+            require_choices(values, f"{source}.grid.{path}")
+        for path, distribution in self.draws.items():
+            where = f"{source}.draws.{path}"
+            require(path not in self.grid, where, "in grid too", "give it in one of the two")
+            _require_distribution(distribution, where)
+        where, runs = f"{source}.runs", self.runs
+        if self.draws:
+            is_count = isinstance(runs, int) and not isinstance(runs, bool) and runs > 0
+            require(is_count, where, runs, "give how often to draw, 1 or more")
+        else:
+            require(runs is None, where, runs, "leave it out where there are no draws")
+
+    def __len__(self) -> int:
+        return len(self._combinations) * (self.runs or 1)
+
+    def run(self, number: int) -> PlannedRun:
+        """The run of that number, from 0 on.
+
+        Raises:
+            ScenarioError: there is no such run.
+        """
+        remedy = f"give 0 to {len(self) - 1}"
+        require(0 <= number < len(self), f"{self.source}, run", number, remedy)
+        combination, draw = divmod(number, self.runs or 1)
+        seeds = np.random.SeedSequence([self.seed, draw])
+        seed = int(seeds.generate_state(1)[0])
+        random = np.random.default_rng(seeds)
+        values = dict(self._combinations[combination])
+        for path, distribution in self.draws.items():
+            ((kind, parameters),) = distribution.items()
+            values[path] = seed if kind == "seed" else _DRAW[kind](random, parameters)
+        settings = [*self.settings, *(as_setting(*item) for item in values.items())]
+        return PlannedRun(number=number, seed=seed, values=values, settings=settings)
+
+    @cached_property
+    def _combinations(self) -> list[dict[str, Any]]:
+        return list(combinations(self.grid))
+
+
+def read_sweep(file: str | Path) -> SweepSpec:
+    """The sweep in a YAML file, whose keys are the fields of `SweepSpec` but `source`.
+
+    Raises:
+        ScenarioError: the file cannot be read, or its content cannot be used.
+    """
+    path = Path(file)
+    known = ("description", "seed", "runs", "settings", "grid", "draws")
+    remedy = f"give grid, draws or both, and what you like of {', '.join(known[:4])}"
+    return SweepSpec(**read_mapping(path, "SPEC", known, remedy), source=path.name)
+
+
+def dump_spec(spec: SweepSpec) -> str:
+    """All that the results depend on, as YAML in one line; `read_sweep` reads it."""
+    names = ("seed", "runs", "settings", "grid", "draws")
+    given = {name: getattr(spec, name) for name in names}
+    return dump_plain({name: value for name, value in given.items() if value not in (None, [], {})})
+
+
+def _require_distribution(distribution: Any, where: str) -> None:
+    """Raises ScenarioError for what nothing can be drawn from."""
+    remedy = (
+        "give one of {uniform: [low, high]}, {normal: [mean, standard deviation]}, "
+        "{log_uniform: [low, high]}, {choice: [values]} and {seed: true}"
+    )
+    is_one = isinstance(distribution, dict) and len(distribution) == 1
+    require(is_one and next(iter(distribution)) in (*_DRAW, "seed"), where, distribution, remedy)
+    ((kind, parameters),) = distribution.items()
+    where = f"{where}.{kind}"
+    if kind == "seed":
+        require(parameters is True, where, parameters, "give true")
+    elif kind == "choice":
+        require_choices(parameters, where)
+    else:
+        is_pair = isinstance(parameters, list) and len(parameters) == 2
+        require(is_pair and all(map(is_number, parameters)), where, parameters, "give two numbers")
+        first, second = parameters
+        if kind == "normal":
+            require(second >= 0, where, dump_plain(parameters), "give a deviation from 0 on")
+        else:
+            remedy = "give the lower bound first"
+            require(first < second, where, dump_plain(parameters), remedy)
+            is_positive = kind == "uniform" or first > 0
+            require(is_positive, where, dump_plain(parameters), "give bounds above 0")
+
+
+def _uniform(random: np.random.Generator, bounds: list[float]) -> float:
+    low, high = bounds
+    return float(random.uniform(low, high))
+
+
+def _normal(random: np.random.Generator, parameters: list[float]) -> float:
+    mean, deviation = parameters
+    return float(random.normal(mean, deviation))
+
+
+def _log_uniform(random: np.random.Generator, bounds: list[float]) -> float:
+    low, high = bounds
+    return min(max(low * math.exp(random.uniform(0, math.log(high / low))), low), high)
+
+
+def _choice(random: np.random.Generator, values: list[Any]) -> Any:
+    return values[random.integers(len(values))]
+
+
+_DRAW: dict[str, Callable[[np.random.Generator, list[Any]], Any]] = {
+    "uniform": _uniform,
+    "normal": _normal,
+    "log_uniform": _log_uniform,
+    "choice": _choice,
+}

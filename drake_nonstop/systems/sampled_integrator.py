@@ -1,0 +1,33 @@
+"""The integral in a sampled controller."""
+
+from pydrake.systems.framework import Context, DiscreteValues
+
+from drake_nonstop.systems.block import LeafBlock
+
+
+class SampledIntegrator(LeafBlock):
+    """Adds its input, times the period, at every sample but the first.
+
+    At the start there is nothing to integrate yet; Drake's DiscreteTimeIntegrator takes a
+    step there.
+
+    .. pydrake_system::
+
+        name: SampledIntegrator
+        input_ports:
+        - rate
+        output_ports:
+        - integral
+    """
+
+    def __init__(self, size: int, period: float):
+        super().__init__()
+        self._period = period
+        self._rate = self.DeclareVectorInputPort("rate", size)
+        index = self.DeclareDiscreteState(size)
+        self.DeclareStateOutputPort("integral", index)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._add)
+
+    def _add(self, context: Context, discrete_state: DiscreteValues) -> None:
+        integral = context.get_discrete_state_vector().value()
+        discrete_state.set_value(integral + self._period * self._rate.Eval(context))

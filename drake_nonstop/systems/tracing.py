@@ -1,0 +1,135 @@
+"""Turns a function of `drake_nonstop.mechanics` into a fast evaluator.
+
+The function is run once on CasADi symbols; the expression graph that results is then
+evaluated by CasADi's virtual machine, about ten times faster than NumPy on arrays of
+this size. CasADi is used here, and for comparison in `benchmarks.peers`, and nowhere else.
+"""
+
+import pickle
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+_MAX_TRACES = 32  # that are kept
+_traces: dict[bytes, casadi.Function] = {}  # by their keys, the one used last at the end
+
+LARGEST = 1e6  # SI units; no rate or force on these cables comes near it
+
+
+class NotFiniteError(ArithmeticError):
+    """An evaluation gave a value that is not finite, or is beyond all reason."""
+
+
+class TracedFunction:
+    """Evaluates `function`, traced once, on flat float vectors.
+
+    Args:
+        function: takes one flat array per entry of `input_sizes` and returns an array
+            or a tuple of arrays of any shape.
+        input_sizes: the length of each input.
+        name: tells what evaluates the function, for the error.
+        largest: outputs whose norm is above it are taken for a divergence; nothing on
+            these cables comes near the default, in SI units.
+        jacobian_of: if given, the index of the input with respect to which the exact
+            Jacobian of the outputs, flattened and stacked, is one more output (rows,
+            columns).
+        key: if given, all that `function` depends on besides its arguments, as what pickle
+            takes: a second function of an equal key is not traced again.
+
+    A call returns the outputs in a tuple, each flat but for the Jacobian. They are views
+    of buffers that the next call overwrites: copy what is to be kept.
+
+    Raises:
+        NotFiniteError: an output is NaN, infinite or beyond `largest`. Fixed-step
+            integrators would pass it on in silence, and error-controlled ones can hang on it.
+    """
+
+    def __init__(
+        self,
+        function: Callable,
+        input_sizes: Sequence[int],
+        *,
+        name: Callable[[], str],
+        largest: float = LARGEST,
+        jacobian_of: int | None = None,
+        key: Any = None,
+    ):
+        self._function = _traced(function, input_sizes, jacobian_of, key)
+        self._count = count = self._function.n_out() - (2 if jacobian_of is not None else 1)
+        # The buffer borrows the function and the arrays: all must live as long as it.
+        self._buffer, self._evaluate = self._function.buffer()
+        self._input = np.zeros(sum(input_sizes))
+        self._outputs = [
+            np.zeros(self._function.size_out(i), order="F") for i in range(self._function.n_out())
+        ]
+        self._buffer.set_arg(0, self._input.data)
+        for i, array in enumerate(self._outputs):
+            self._buffer.set_res(i, array.reshape(-1, order="F").data)
+        self._results = tuple(
+            [array[:, 0] for array in self._outputs[:count]] + self._outputs[count + 1 :]
+        )
+        self._squared_norm = self._outputs[count][:, 0]
+        self._largest_squared = largest**2
+        self._name = name
+
+    def traced(self, *inputs: NDArray) -> tuple[NDArray, ...]:
+        """The outputs, each flat, for inputs of symbols: a part of another trace, at no cost."""
+        outputs = self._function(casadi.vertcat(*np.concatenate(inputs)))
+        return tuple(_object_array(output) for output in outputs[: self._count])
+
+    def expressions(self, *inputs: casadi.MX) -> tuple[casadi.MX, ...]:
+        """The outputs as expressions of CasADi's, for its solvers."""
+        return tuple(self._function(casadi.vertcat(*inputs)))[: self._count]
+
+    def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
+        """The outputs for flat inputs of the declared sizes."""
+        if len(inputs) == 1:
+            self._input[:] = inputs[0]
+        else:
+            np.concatenate(inputs, out=self._input)
+        self._evaluate()
+        if not self._squared_norm[0] < self._largest_squared:
+            # A block that is given such a value is named as well; which made it, nobody knows.
+            did = "made" if np.all(np.isfinite(self._input)) else "was given"
+            raise NotFiniteError(f"{self._name()} {did}")
+        return self._results
+
+
+def _traced(
+    function: Callable, input_sizes: Sequence[int], jacobian_of: int | None, key: Any
+) -> casadi.Function:
+    """The outputs, the square of their norm and the Jacobian that was asked for, of one input."""
+    if key is not None:
+        pickled = pickle.dumps((list(input_sizes), jacobian_of, key))
+        if pickled in _traces:
+            _traces[pickled] = found = _traces.pop(pickled)
+            return found
+    symbol = casadi.SX.sym("inputs", sum(input_sizes))
+    ends = np.cumsum([0, *input_sizes])
+    outputs = function(*np.split(_object_array(symbol), ends[1:-1]))
+    if not isinstance(outputs, tuple):
+        outputs = (outputs,)
+    expressions = [casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs]
+    stacked = casadi.vertcat(*expressions)
+    expressions.append(casadi.densify(casadi.sumsqr(stacked)))
+    if jacobian_of is not None:
+        columns = slice(ends[jacobian_of], ends[jacobian_of + 1])
+        jacobian = casadi.jacobian(stacked, symbol)[:, columns]
+        expressions.append(casadi.densify(jacobian))
+    result = casadi.Function("mechanics", [symbol], expressions)
+    if key is not None:
+        _traces[pickled] = result
+        if len(_traces) > _MAX_TRACES:
+            del _traces[next(iter(_traces))]
+    return result
+
+
+def _object_array(symbol: casadi.SX) -> NDArray:
+    """A flat NumPy object array of the symbol's scalar entries."""
+    array = np.empty(symbol.numel(), dtype=object)
+    for i in range(symbol.numel()):
+        array[i] = symbol[i]
+    return array

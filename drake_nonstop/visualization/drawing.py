@@ -1,0 +1,579 @@
+"""A built diagram as a picture: an SVG laid out like the paper's control figure.
+
+The boxes are the diagram's subsystems and the wires its connections, so that the picture
+shows what runs. Only where the known boxes stand is written down, in `LAYOUT`.
+
+Everything stands on a grid, with spare lanes between the boxes. The wires find their way
+along the lanes, and the lanes that none of them took are left out of the picture.
+"""
+
+import heapq
+import math
+import re
+import textwrap
+from collections import defaultdict
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+from xml.sax.saxutils import escape, quoteattr
+
+from pydrake.systems.framework import Diagram
+
+from drake_nonstop.systems import wiring
+
+
+class Place(NamedTuple):
+    """Where a box stands, which way its signals run (1: rightwards), what it belongs to."""
+
+    column: int
+    row: int
+    flow: int
+    kind: str
+
+
+LAYOUT = {
+    "optimization_layer": Place(3, 0, 1, "optimization"),
+    "phase": Place(4, 0, 1, "trajectory"),
+    "load_trajectory": Place(0, 1, 1, "trajectory"),
+    "internal_force": Place(3, 1, -1, "trajectory"),
+    "load_feedback": Place(0, 2, 1, "addition"),
+    "sample_and_hold": Place(1, 2, 1, "addition"),
+    "wrench_controller": Place(2, 2, 1, "wrench"),
+    "force_distribution": Place(3, 2, 1, "inner loop"),
+    "carrier_trajectory": Place(4, 2, 1, "inner loop"),
+    "carrier_controller": Place(4, 3, -1, "plant"),
+    "load_plant": Place(0, 3, -1, "plant"),
+    "load_disturbance": Place(0, 4, 1, "addition"),
+    "cables": Place(2, 3, -1, "plant"),
+    "carrier_dynamics": Place(3, 3, -1, "plant"),
+    "plant": Place(2, 3, -1, "plant"),  # in place of the four
+}
+COLUMNS = 1 + max(place.column for place in LAYOUT.values())
+ROWS = 1 + max(place.row for place in LAYOUT.values())
+
+# Fill and border. An addition is not in the paper's figure.
+COLOURS = {
+    "plant": ("#f2f2f2", "#7a7a7a"),
+    "trajectory": ("#f2f2f2", "#7a7a7a"),
+    "wrench": ("#e4f5e4", "#4f9a4f"),
+    "inner loop": ("#e6e8fc", "#5f68bd"),
+    "optimization": ("#fde4e4", "#c05a5a"),
+    "addition": ("#ffffff", "#7a7a7a"),
+}
+
+UNIT = 10  # px between neighbouring lanes; lengths are in units unless they say px
+BOX_WIDTH = 11
+INPUT_SPACING = 2
+SPARE_COLUMNS = 8  # between two boxes, beside the room for labels
+SPARE_ROWS = 9
+NAME_SIZE, CLASS_SIZE, LABEL_SIZE = 13, 11, 12  # px
+LINE_HEIGHT = 1.1  # of the size of a font
+BOLD_WIDTH = 1.1  # over that of the same text in regular
+NARROW, WIDE = set("fijlrt I"), set("mwMW")
+LABEL_LIFT = 4  # px from the wire
+LABEL_CHARACTERS = 13  # in one line
+
+# What the wires avoid, in units of length.
+BEND_COST, CROSSING_COST, BRANCH_COST = 5, 9, 2
+ROUTING_PASSES = 3
+WIDEST_GAPS = 8  # times the spare lanes; more where the wires find no way
+
+CORNER_RADIUS = 5  # px
+WIRE_COLOUR, UNREAD_COLOUR = "#333", "#999"
+STYLE = f"""
+text {{ font-family: Helvetica, Arial, sans-serif; text-anchor: middle; fill: #222 }}
+.name {{ font-size: {NAME_SIZE}px; font-weight: bold }}
+.class {{ font-size: {CLASS_SIZE}px; fill: #555 }}
+.wire-label, .unread-label {{ font-size: {LABEL_SIZE}px; font-style: italic }}
+.unread-label {{ fill: #777 }}
+.wire, .unread {{ fill: none; stroke-width: 1.2 }}
+.wire {{ stroke: {WIRE_COLOUR}; marker-end: url(#wire-arrow) }}
+.unread {{ stroke: {UNREAD_COLOUR}; marker-end: url(#unread-arrow) }}
+"""
+ARROWHEADS = [
+    f'<marker id="{kind}-arrow" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="8"'
+    f' markerHeight="8" markerUnits="userSpaceOnUse" orient="auto">'
+    f'<path d="M0,1 L8,4 L0,7 z" fill="{colour}"/></marker>'
+    for kind, colour in (("wire", WIRE_COLOUR), ("unread", UNREAD_COLOUR))
+]
+
+Node = tuple[int, int]
+Step = tuple[int, int]
+State = tuple[int, Node, Step]  # cost of getting to a node, and the step that led there
+Positions = tuple[dict[int, int], dict[int, int]]  # of columns and of rows, in px
+STEPS: tuple[Step, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+
+@dataclass
+class Signal:
+    """An output port and the wires that leave it, by name "block.port -> block.port"."""
+
+    name: str  # "block.port"
+    flow: int
+    source: Node = (0, 0)
+    sinks: dict[str, Node] = field(default_factory=dict)
+    paths: dict[str, list[Node]] = field(default_factory=dict)  # each from the trunk to its sink
+
+    @property
+    def lines(self) -> list[str]:
+        """The label, broken into lines of about the same length."""
+        words = self.name.partition(".")[2].replace("_", " ")
+        count = len(textwrap.wrap(words, LABEL_CHARACTERS))
+        width = next(w for w in range(1, 99) if len(textwrap.wrap(words, w)) <= count)
+        return textwrap.wrap(words, width, break_long_words=False)
+
+    @property
+    def label_width(self) -> int:
+        """The room that the label takes along the wire."""
+        return math.ceil((max(_text_width(line, LABEL_SIZE) for line in self.lines) + 8) / UNIT)
+
+    @property
+    def label_height(self) -> int:
+        """The room that the label takes above the wire."""
+        lines_above = len(self.lines) - 1
+        return int((LABEL_LIFT + (0.75 + lines_above * LINE_HEIGHT) * LABEL_SIZE + 3) / UNIT)
+
+    @property
+    def stem(self) -> list[Node]:
+        """The start of the wires, straight under the label."""
+        x, y = self.source
+        return [(x + self.flow * i, y) for i in range(self.label_width + 1)]
+
+    @property
+    def label_nodes(self) -> list[Node]:
+        """The nodes that the label covers."""
+        heights = range(1, self.label_height + 1)
+        return [(x, y - height) for x, y in self.stem[1:-1] for height in heights]
+
+
+@dataclass
+class Box:
+    """A subsystem: its names, its signals and where it stands on the grid."""
+
+    name: str
+    class_name: str
+    place: Place
+    outputs: list[Signal]
+    inputs: dict[str, Signal] = field(default_factory=dict)  # what each wire to it brings
+    left: int = 0
+    top: int = 0
+
+    @property
+    def texts(self) -> list[tuple[str, str, int]]:
+        """The lines to write into the box: style, text, size in px."""
+        names = _wrapped(self.name.split("_"), " ", BOLD_WIDTH * NAME_SIZE)
+        classes = _wrapped(re.findall("[A-Z]+[^A-Z]*|[^A-Z]+", self.class_name), "", CLASS_SIZE)
+        return [("name", line, NAME_SIZE) for line in names] + [
+            ("class", line, CLASS_SIZE) for line in classes
+        ]
+
+    @property
+    def height(self) -> int:
+        """What the texts and the ports on either side need."""
+        texts = math.ceil(sum(size for _, _, size in self.texts) * LINE_HEIGHT / UNIT) + 2
+        inputs = INPUT_SPACING * (len(self.inputs) + 1) + 2
+        outputs = sum(signal.label_height + 1 for signal in self.outputs[1:]) + 4
+        return max(texts, inputs, outputs)
+
+    @property
+    def middle(self) -> int:
+        """The row half-way up the box."""
+        return self.top + self.height // 2
+
+    @property
+    def input_side(self) -> int:
+        """The column of the edge that the inputs are on."""
+        return self.left if self.place.flow > 0 else self.left + BOX_WIDTH
+
+    @property
+    def output_side(self) -> int:
+        """The column of the edge that the outputs are on."""
+        return self.left + BOX_WIDTH if self.place.flow > 0 else self.left
+
+    def nodes(self, margin: int) -> Iterable[Node]:
+        """The nodes of the box and of a margin around it."""
+        for x in range(self.left - margin, self.left + BOX_WIDTH + margin + 1):
+            for y in range(self.top - margin, self.top + self.height + margin + 1):
+                yield x, y
+
+
+def draw_diagram(diagram: Diagram) -> str:
+    """The diagram as the text of a standalone SVG file.
+
+    Each box has its instance name as `data-block`, each wire its connection (see
+    `wiring.connections`) as `data-wire`, and each label its output port as `data-signal`.
+    """
+    boxes = _boxes(diagram)
+    for scale in range(1, WIDEST_GAPS + 1):
+        _place(boxes, scale)
+        if _route(boxes):
+            return _svg(diagram.get_name(), boxes)
+    raise RuntimeError(
+        f"{diagram.get_name()} has more wires than {WIDEST_GAPS} times the gaps hold"
+    )
+
+
+def _boxes(diagram: Diagram) -> list[Box]:
+    boxes: dict[str, Box] = {}
+    signals: dict[str, Signal] = {}
+    strangers = 0
+    for system in diagram.GetSystems():
+        name = system.get_name()
+        place = LAYOUT.get(name)
+        if place is None:
+            row, column = divmod(strangers, COLUMNS)
+            place = Place(column, ROWS + row, 1, "addition")
+            strangers += 1
+        ports = [system.get_output_port(i) for i in range(system.num_output_ports())]
+        outputs = [Signal(f"{name}.{port.get_name()}", place.flow) for port in ports]
+        signals.update({signal.name: signal for signal in outputs})
+        boxes[name] = Box(name, type(system).__name__, place, outputs)
+    for wire in sorted(wiring.connections(diagram)):
+        source, target = wire.split(" -> ")
+        boxes[target.partition(".")[0]].inputs[wire] = signals[source]
+        signals[source].sinks[wire] = (0, 0)
+    return list(boxes.values())
+
+
+def _place(boxes: list[Box], scale: int) -> None:
+    """Gives the boxes and their ports their places on the grid."""
+    right_edge = 0
+    room_to_its_right = 0
+    for column in sorted({box.place.column for box in boxes}):
+        members = [box for box in boxes if box.place.column == column]
+        room = max(room_to_its_right, _label_room(members, -1))
+        for box in members:
+            box.left = right_edge + room + scale * SPARE_COLUMNS
+        right_edge = members[0].left + BOX_WIDTH
+        room_to_its_right = _label_room(members, 1)
+    bottom_edge = 0
+    for row in sorted({box.place.row for box in boxes}):
+        members = [box for box in boxes if box.place.row == row]
+        height = max(box.height for box in members)
+        for box in members:
+            box.top = bottom_edge + scale * SPARE_ROWS + (height - box.height) // 2
+        bottom_edge += scale * SPARE_ROWS + height
+    for box in boxes:
+        _place_outputs(box, boxes)
+    for box in boxes:
+        _place_inputs(box, boxes)
+
+
+def _label_room(boxes: list[Box], flow: int) -> int:
+    signals = [signal for box in boxes if box.place.flow == flow for signal in box.outputs]
+    return max((signal.label_width for signal in signals), default=0)
+
+
+def _place_outputs(box: Box, boxes: list[Box]) -> None:
+    """Puts signals that go up above those that go down, and those that nobody reads last."""
+
+    def bearing(signal: Signal) -> float:
+        bearings = [
+            math.atan2(
+                reader.middle - box.middle, box.place.flow * (reader.input_side - box.output_side)
+            )
+            for reader in boxes
+            for wire in reader.inputs
+            if wire in signal.sinks
+        ]
+        return sum(bearings) / len(bearings) if bearings else math.inf
+
+    box.outputs.sort(key=bearing)
+    y = box.middle - sum(signal.label_height + 1 for signal in box.outputs[1:]) // 2
+    for i, signal in enumerate(box.outputs):
+        if i > 0:
+            y += signal.label_height + 1
+        signal.source = (box.output_side, y)
+
+
+def _place_inputs(box: Box, boxes: list[Box]) -> None:
+    """Puts what comes from above on top, and what comes straight at its own height."""
+    low, high = box.top + 1, box.top + box.height - 1
+
+    def comes_from(signal: Signal) -> float:
+        x, y = signal.source
+        ahead = box.place.flow * (box.input_side - x)
+        if ahead > 0 and low <= y <= high and not _is_straight(signal, box, boxes):
+            return math.copysign(math.pi / 2, y - box.middle + INPUT_SPACING)
+        return math.atan2(y - box.middle - 0.5, ahead)
+
+    wires = sorted(box.inputs, key=lambda wire: comes_from(box.inputs[wire]))
+    straight = {
+        i: box.inputs[wire].source[1]
+        for i, wire in enumerate(wires)
+        if _is_straight(box.inputs[wire], box, boxes)
+    }
+    heights: list[int] = []
+    for i in range(len(wires)):
+        y = box.top + round(box.height * (i + 1) / (len(wires) + 1))
+        for k, straight_y in straight.items():
+            bound = straight_y + INPUT_SPACING * (i - k)
+            y = max(y, bound) if k <= i else min(y, bound)
+        y = straight.get(i, y)
+        heights.append(max(y, heights[-1] + INPUT_SPACING) if heights else max(y, low))
+    for wire, y in zip(reversed(wires), reversed(heights), strict=True):
+        y = min(y, high)
+        high = y - INPUT_SPACING
+        box.inputs[wire].sinks[wire] = (box.input_side, y)
+
+
+def _is_straight(signal: Signal, box: Box, boxes: list[Box]) -> bool:
+    """Whether the signal can reach the box on a straight line."""
+    x, y = signal.source
+    between = range(*sorted((x, box.input_side)))
+    return (
+        box.place.flow * (box.input_side - x) > 0
+        and box.top < y < box.top + box.height
+        and not any(
+            other.left in between and other.top <= y <= other.top + other.height
+            for other in boxes
+            if other is not box
+        )
+    )
+
+
+class _Router:
+    """Finds the wires' ways over the grid, around the boxes and across each other."""
+
+    def __init__(self, boxes: list[Box]):
+        self._blocked: set[Node] = set()
+        self._reserved: dict[Node, str] = {}
+        self._axes: dict[Node, dict[str, str]] = defaultdict(dict)  # by node and signal
+        for box in boxes:
+            self._blocked.update(box.nodes(margin=1))
+            for wire, signal in box.inputs.items():
+                x, y = signal.sinks[wire]
+                for i in range(3):
+                    self._reserved[(x - box.place.flow * i, y)] = signal.name
+            for signal in box.outputs:
+                self._blocked.update(signal.label_nodes)
+                self._reserved.update(dict.fromkeys(signal.stem, signal.name))
+        xs, ys = zip(*self._blocked, *self._reserved, strict=True)
+        self._columns = range(min(xs) - SPARE_COLUMNS, max(xs) + SPARE_COLUMNS)
+        self._rows = range(min(ys) - SPARE_ROWS, max(ys) + SPARE_ROWS)
+
+    def route(self, signal: Signal) -> bool:
+        """Finds all wires of the signal anew, the cheapest first; false if one has no way."""
+        for axes in self._axes.values():
+            axes.pop(signal.name, None)
+        others = {node: "".join(axes.values()) for node, axes in self._axes.items() if axes}
+        signal.paths = {}
+        starts = [(0, signal.stem[-1], (signal.flow, 0))]
+        goals = {sink: wire for wire, sink in signal.sinks.items()}
+        while goals:
+            path = self._cheapest_path(signal.name, starts, goals, others)
+            if not path:
+                return False
+            if not signal.paths:
+                path = signal.stem[:-1] + path
+                starts = []
+            signal.paths[goals.pop(path[-1])] = path
+            self._occupy(path, signal.name)
+            branchable = set(path) - others.keys() - self._blocked - set(signal.stem[:-1])
+            starts += [(BRANCH_COST, node, step) for node in branchable for step in STEPS]
+        return True
+
+    def _occupy(self, path: list[Node], name: str) -> None:
+        for (x, y), (next_x, next_y) in pairwise(path):
+            axis = "h" if y == next_y else "v"
+            for node in ((x, y), (next_x, next_y)):
+                known = self._axes[node].get(name, axis)
+                self._axes[node][name] = axis if known == axis else "hv"
+
+    def _cheapest_path(
+        self, name: str, starts: list[State], goals: Collection[Node], others: dict[Node, str]
+    ) -> list[Node]:
+        """The A* algorithm; empty if there is no way."""
+
+        def distance(node: Node) -> int:
+            return min(abs(node[0] - x) + abs(node[1] - y) for x, y in goals)
+
+        queue = [(cost + distance(node), cost, node, step) for cost, node, step in starts]
+        heapq.heapify(queue)
+        costs = {(node, step): cost for cost, node, step in starts}
+        came_from: dict[tuple[Node, Step], tuple[Node, Step]] = {}
+        while queue:
+            _, cost, node, step = heapq.heappop(queue)
+            if node in goals:
+                path = [node]
+                while (node, step) in came_from:
+                    node, step = came_from[(node, step)]
+                    path.append(node)
+                return path[::-1]
+            if cost > costs[(node, step)]:
+                continue
+            for turn in STEPS:
+                turns_back = turn == (-step[0], -step[1])
+                turns_on_a_wire = turn != step and node in others
+                following = (node[0] + turn[0], node[1] + turn[1])
+                if turns_back or turns_on_a_wire or not self._is_free(following, name):
+                    continue
+                crossed = others.get(following, "")
+                if crossed and crossed != ("v" if turn[1] == 0 else "h"):
+                    continue
+                new_cost = cost + 1 + BEND_COST * (turn != step) + CROSSING_COST * bool(crossed)
+                if new_cost < costs.get((following, turn), math.inf):
+                    costs[(following, turn)] = new_cost
+                    came_from[(following, turn)] = (node, step)
+                    heapq.heappush(
+                        queue, (new_cost + distance(following), new_cost, following, turn)
+                    )
+        return []
+
+    def _is_free(self, node: Node, name: str) -> bool:
+        if node in self._reserved:
+            return self._reserved[node] == name
+        on_the_grid = node[0] in self._columns and node[1] in self._rows
+        return on_the_grid and node not in self._blocked
+
+
+def _route(boxes: list[Box]) -> bool:
+    """Routes the short signals first, then all of them again, knowing the others' ways."""
+
+    def extent(signal: Signal) -> int:
+        xs, ys = zip(signal.source, *signal.sinks.values(), strict=True)
+        return max(xs) - min(xs) + max(ys) - min(ys)
+
+    router = _Router(boxes)
+    signals = sorted((signal for box in boxes for signal in box.outputs), key=extent)
+    return all(router.route(signal) for _ in range(ROUTING_PASSES) for signal in signals)
+
+
+def _positions(boxes: list[Box]) -> Positions:
+    """Closes the grid up where neither box nor label nor wire needs the room."""
+    signals = [signal for box in boxes for signal in box.outputs]
+    solid = {node for box in boxes for node in box.nodes(margin=1)}
+    for signal in signals:
+        solid.update(signal.stem, signal.label_nodes)
+    runs_down, runs_across = set(solid), {(y, x) for x, y in solid}
+    for signal in signals:
+        for path in signal.paths.values():
+            for (x, y), (next_x, next_y) in pairwise(path):
+                if x == next_x:
+                    runs_down.update([(x, y), (x, next_y)])
+                else:
+                    runs_across.update([(y, x), (y, next_x)])
+    return _squeezed(runs_down), _squeezed(runs_across)
+
+
+def _squeezed(nodes: set[Node]) -> dict[int, int]:
+    """Moves what stands in each lane back until it meets what stands before it."""
+    places = defaultdict(list)
+    for lane, place in nodes:
+        places[lane].append(place)
+    filled: dict[int, int] = defaultdict(int)
+    positions = {}
+    for lane in sorted(places):
+        positions[lane] = UNIT + max(filled[place] for place in places[lane])
+        filled.update(dict.fromkeys(places[lane], positions[lane]))
+    return positions
+
+
+def _svg(title: str, boxes: list[Box]) -> str:
+    position = _positions(boxes)
+    width, height = (max(lanes.values()) + UNIT for lanes in position)
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}"'
+        f' viewBox="0 0 {width} {height}">',
+        f"<title>{escape(title)}</title>",
+        f"<style>{STYLE}</style>",
+        *ARROWHEADS,
+        f'<rect width="{width}" height="{height}" fill="white"/>',
+    ]
+    for box in boxes:
+        for signal in box.outputs:
+            lines += _signal_svg(signal, position)
+    for box in boxes:
+        lines += _box_svg(box, position)
+    return "\n".join([*lines, "</svg>", ""])
+
+
+def _signal_svg(signal: Signal, position: Positions) -> list[str]:
+    kind = "wire" if signal.paths else "unread"
+    lines = [f"<g data-signal={quoteattr(signal.name)}>"]
+    neighbours: dict[Node, set[Node]] = defaultdict(set)
+    for wire, path in signal.paths.items():
+        data = _path_data(path, position)
+        lines.append(f'<path class="wire" data-wire={quoteattr(wire)} d="{data}"/>')
+        for node, following in pairwise(path):
+            neighbours[node].add(following)
+            neighbours[following].add(node)
+    if not signal.paths:
+        lines.append(f'<path class="unread" d="{_path_data(signal.stem, position)}"/>')
+    for node, around in neighbours.items():
+        if len(around) > 2:
+            x, y = _pixel(node, position)
+            lines.append(f'<circle cx="{x}" cy="{y}" r="2.5" fill="{WIRE_COLOUR}"/>')
+    x, y = _pixel(signal.source, position)
+    middle = x + signal.flow * signal.label_width * UNIT / 2
+    baseline = y - LABEL_LIFT - (len(signal.lines) - 1) * LINE_HEIGHT * LABEL_SIZE
+    for line in signal.lines:
+        lines.append(_text_svg(f"{kind}-label", line, middle, baseline))
+        baseline += LINE_HEIGHT * LABEL_SIZE
+    return [*lines, "</g>"]
+
+
+def _box_svg(box: Box, position: Positions) -> list[str]:
+    left, top = _pixel((box.left, box.top), position)
+    right, bottom = _pixel((box.left + BOX_WIDTH, box.top + box.height), position)
+    fill, border = COLOURS[box.place.kind]
+    lines = [
+        f"<g data-block={quoteattr(box.name)}>",
+        f'<rect x="{left}" y="{top}" width="{right - left}" height="{bottom - top}" rx="5"'
+        f' fill="{fill}" stroke="{border}"/>',
+    ]
+    baseline = (top + bottom - sum(size for _, _, size in box.texts) * LINE_HEIGHT) / 2
+    for kind, text, size in box.texts:
+        baseline += LINE_HEIGHT * size
+        lines.append(_text_svg(kind, text, (left + right) / 2, baseline - 0.25 * size))
+    return [*lines, "</g>"]
+
+
+def _text_svg(kind: str, text: str, x: float, y: float) -> str:
+    return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}">{escape(text)}</text>'
+
+
+def _path_data(path: list[Node], position: Positions) -> str:
+    """A line along the path, with its corners rounded."""
+    corners = [
+        node
+        for before, node, after in zip(path, path[1:], path[2:], strict=False)
+        if before[0] != after[0] and before[1] != after[1]
+    ]
+    points = [_pixel(node, position) for node in (path[0], *corners, path[-1])]
+    data = "M{},{}".format(*points[0])
+    for before, corner, after in zip(points, points[1:], points[2:], strict=False):
+        start, end = _towards(corner, before), _towards(corner, after)
+        data += " L{},{} Q{},{} {},{}".format(*start, *corner, *end)
+    return data + " L{},{}".format(*points[-1])
+
+
+def _towards(corner: Node, point: Node) -> Node:
+    """The point on the way from a corner, where its rounding ends."""
+    dx, dy = point[0] - corner[0], point[1] - corner[1]
+    length = abs(dx) + abs(dy)
+    radius = min(CORNER_RADIUS, length // 2)
+    return corner[0] + radius * dx // length, corner[1] + radius * dy // length
+
+
+def _pixel(node: Node, position: Positions) -> Node:
+    return position[0][node[0]], position[1][node[1]]
+
+
+def _wrapped(words: list[str], joint: str, size: float) -> list[str]:
+    """The words in lines that fit into a box."""
+    lines = [words[0]]
+    for word in words[1:]:
+        longer = lines[-1] + joint + word
+        if _text_width(longer, size) > BOX_WIDTH * UNIT - 10:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _text_width(text: str, size: float) -> float:
+    """The width of a text in px, about."""
+    widths = [0.3 if c in NARROW else 0.85 if c in WIDE else 0.58 for c in text]
+    return size * sum(widths)

@@ -1,0 +1,188 @@
+"""A run to watch and to steer while it goes on, in a Meshcat page."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Diagram
+
+from drake_nonstop.blocks.optimization_layer import LEAST_BOUND
+from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.simulation.metrics import carrier_speeds
+from drake_nonstop.simulation.simulate import Run, RunInterrupted, RunStopped, StepAction, simulate
+from drake_nonstop.validation import is_number, require
+
+# As the page has them, in ASCII and short: it cuts labels of sliders off, and what it sends back
+# under a name with other letters arrives nowhere.
+PAUSE = "pause / resume"
+RESTART = "restart"
+STOP = "stop"
+BOUND = "bound, m/s"
+SLOWEST = "slowest, m/s"
+ENABLED = "optimize 0/1"
+RATE = "x real time"
+_KEYS = {PAUSE: "Space", RESTART: "KeyR", STOP: ""}  # what cannot be undone has none
+
+_HIGHEST_BOUND = 3.0  # of the scenario's ε, on the slider
+_GAUGE_RANGE = 10.0  # of the scenario's ε
+_RATES = 0.1, 10.0
+_GAUGE_PERIOD = 0.1  # s of wall time
+_POLLING_PERIOD = 0.05  # s of wall time, where nothing runs
+
+
+def run_live(
+    scenario: Scenario,
+    meshcat: Meshcat,
+    *,
+    realtime_rate: float = 1.0,
+    progress: Callable[[float], None] | None = None,
+    **replacements: Any,
+) -> Iterator[Run]:
+    """Runs a scenario in view, with controls in the page, and yields every run that ends.
+
+    One ends when its time is over or "stop" is pressed, after which there is no other. Else,
+    as long as somebody watches, "restart" begins another; in mid-run it does so too, and what
+    ran before is dropped. The sliders keep their values.
+
+    Args:
+        scenario: what to run.
+        meshcat: where to show it; its controls are added, and removed at the end.
+        realtime_rate: simulated s per s, 0 for as fast as it goes.
+        progress: see `simulate`.
+        replacements: see `simulate`.
+
+    Raises:
+        ScenarioError, RunStopped, RunInterrupted: see `simulate`.
+    """
+    require(
+        is_number(realtime_rate) and realtime_rate >= 0,
+        "--realtime",
+        realtime_rate,
+        "give a finite number that is not negative, 0 for as fast as it goes",
+    )
+    controls = _Controls(meshcat, scenario, realtime_rate)
+    try:
+        while True:
+            controls.begin()
+            run = simulate(
+                scenario,
+                progress=progress,
+                viewers=[meshcat],
+                after_step=controls.after_step,
+                **replacements,
+            )
+            if controls.is_stopped or not controls.is_restarted:
+                run.is_steered = controls.has_steered
+                yield run
+                controls.wait()
+            if controls.is_stopped or not controls.is_restarted:
+                return
+    except (RunStopped, RunInterrupted) as ended:
+        ended.run.is_steered = controls.has_steered
+        raise
+    finally:
+        controls.delete()
+
+
+class _Controls:
+    """The buttons and sliders of a page, and what follows from them."""
+
+    def __init__(self, meshcat: Meshcat, scenario: Scenario, realtime_rate: float):
+        self._meshcat = meshcat
+        self._realtime_rate = realtime_rate
+        bound = scenario.speed_bound
+        highest = _HIGHEST_BOUND * bound or 1.0
+        gauge = _GAUGE_RANGE * bound or 10.0
+        for name, key in _KEYS.items():
+            meshcat.AddButton(name, key)
+        meshcat.AddSlider(BOUND, 0.0, highest, highest / 300, bound)
+        meshcat.AddSlider(SLOWEST, 0.0, gauge, gauge / 1000, 0.0)
+        meshcat.AddSlider(ENABLED, 0.0, 1.0, 1.0, 1.0)
+        low, high = _RATES
+        rate = realtime_rate or high
+        meshcat.AddSlider(RATE, min(low, rate), max(high, rate), 0.1, rate)
+        # A slider may round: what it was set to counts only once it is moved.
+        self._initial = {name: meshcat.GetSliderValue(name) for name in (BOUND, ENABLED, RATE)}
+        self.begin()
+
+    def begin(self) -> None:
+        """A run is about to start."""
+        self._clicks = {name: self._meshcat.GetButtonClicks(name) for name in (PAUSE, RESTART)}
+        self._applied = dict(self._initial)
+        self._has_started = False
+        self._last_gauge = 0.0
+        self.has_steered = False
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether "stop" was pressed, ever."""
+        return self._meshcat.GetButtonClicks(STOP) > 0
+
+    @property
+    def is_restarted(self) -> bool:
+        """Whether "restart" was pressed since the run began."""
+        return self._meshcat.GetButtonClicks(RESTART) > self._clicks[RESTART]
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether "pause / resume" was pressed an odd number of times since the run began."""
+        return (self._meshcat.GetButtonClicks(PAUSE) - self._clicks[PAUSE]) % 2 == 1
+
+    def after_step(self, simulator: Simulator, nonstop: Diagram) -> StepAction:
+        """Applies what was changed in the page, and shows the slowest speed there."""
+        root = simulator.get_mutable_context()
+        layer = nonstop.GetSubsystemByName("optimization_layer")
+        if not self._has_started:
+            self._has_started = True
+            simulator.set_target_realtime_rate(self._realtime_rate)
+            for name, method in ((BOUND, "set_speed_bound"), (ENABLED, "set_enabled")):
+                if not hasattr(layer, method) and name in self._meshcat.GetSliderNames():
+                    self._meshcat.DeleteSlider(name)  # this layer has no such thing
+        for name, value in self._moved().items():
+            if name == RATE:
+                simulator.set_target_realtime_rate(value)
+                simulator.ResetStatistics()  # the rate is kept from here on
+            elif name == BOUND:
+                bound = value if value >= LEAST_BOUND else 0.0
+                bound = min(bound, 0.999 * getattr(layer, "highest_speed_bound", math.inf))
+                layer.set_speed_bound(layer.GetMyMutableContextFromRoot(root), bound)
+                self.has_steered = True
+            else:
+                layer.set_enabled(layer.GetMyMutableContextFromRoot(root), value > 0)
+                self.has_steered = True
+        now = time.perf_counter()
+        if now - self._last_gauge > _GAUGE_PERIOD:
+            self._last_gauge = now
+            carriers = nonstop.GetOutputPort("carrier_state")
+            states = carriers.Eval(nonstop.GetMyContextFromRoot(root))
+            self._meshcat.SetSliderValue(SLOWEST, carrier_speeds(states[None]).min())
+        if self.is_stopped or self.is_restarted:
+            return StepAction.END
+        return StepAction.WAIT if self.is_paused else StepAction.CONTINUE
+
+    def _moved(self) -> dict[str, float]:
+        """The sliders that stand elsewhere than when they were last applied."""
+        names = set(self._meshcat.GetSliderNames())
+        values = {
+            name: self._meshcat.GetSliderValue(name) for name in self._applied if name in names
+        }
+        moved = {name: value for name, value in values.items() if value != self._applied[name]}
+        self._applied |= moved
+        return moved
+
+    def delete(self) -> None:
+        """Takes the controls off the page, and no others."""
+        for name in set(_KEYS) & set(self._meshcat.GetButtonNames()):
+            self._meshcat.DeleteButton(name)
+        for name in {BOUND, SLOWEST, ENABLED, RATE} & set(self._meshcat.GetSliderNames()):
+            self._meshcat.DeleteSlider(name)
+
+    def wait(self) -> None:
+        """Waits, after a run, for "restart" or "stop", or for the last viewer to leave."""
+        while not (self.is_stopped or self.is_restarted):
+            if self._meshcat.GetNumActiveConnections() == 0:
+                return
+            time.sleep(_POLLING_PERIOD)

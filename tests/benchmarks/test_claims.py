@@ -1,0 +1,64 @@
+"""The README's numbers, measured anew: what holds and what does not."""
+
+import pytest
+
+from drake_nonstop.benchmarks.claims import Claim, read_claims, wrong_shares
+from drake_nonstop.cli.main import main
+from drake_nonstop.validation import ScenarioError
+
+RUN = "quintic duration=0.1 optimization_layer=ConstantParameters"
+ROW = "| `{}` | {} | | {} |"
+SHARES = "| search | 1.4 / 3.2 | 100.0% | {}% | 0.3 / 0.6 |"
+
+
+@pytest.mark.parametrize(
+    ("printed", "value", "holds"),
+    [
+        ("0", 0.0, True),
+        ("0", 0.005, False),
+        ("0.555", 0.5554, True),
+        ("0.555", 0.5562, False),
+        ("12", 12.4, True),
+        ("12", 12.7, False),
+    ],
+)
+def test_a_claim_holds_where_the_value_rounds_to_it(printed, value, holds):
+    claim = Claim(arguments="line", quantity="slowest (m/s)", printed=printed)
+    assert claim.holds(value) == holds
+
+
+def test_rows_that_cannot_be_read_are_no_silent_gap():
+    text = ROW.format("line", "slowest (m/s)", "0.2")
+    assert len(read_claims(text)) == 1
+    with pytest.raises(ScenarioError, match=r"claim = .*with ours a number"):
+        read_claims(text + "\n" + ROW.format("line", "slowest (m/s)", "about 0.2"))
+    with pytest.raises(ScenarioError, match=r"claim on line = tallest .m.: give one of"):
+        read_claims(ROW.format("line", "tallest (m)", "0.2"))
+    with pytest.raises(ScenarioError, match="a text without claims"):
+        read_claims("nothing")
+
+
+def test_command_fails_with_a_claim(tmp_path, capsys):
+    readme = tmp_path / "README.md"
+    rows = [("final A (N)", "1.2"), ("time below the bound (s)", "0")]
+    arguments = ["report", "--quick", "--readme", str(readme), "--out", str(tmp_path / "out")]
+    readme.write_text("\n".join(ROW.format(RUN, *row) for row in rows))
+    assert main(arguments) == 0
+    readme.write_text("\n".join(ROW.format(RUN, *row) for row in [*rows, ("final A (N)", "1.4")]))
+    assert main(arguments) == 1
+    assert "final A (N) = 1.2, not 1.4" in capsys.readouterr().err
+    assert "**fails**" in (tmp_path / "out" / "report.md").read_text()
+
+
+def test_shares_of_the_solvers_are_compared():
+    results = {
+        "instances": {"solvers": {"search": {"feasible_share": 1.0, "optimal_share": 0.955}}}
+    }
+    assert wrong_shares(SHARES.format("95.5"), results) == []
+    assert wrong_shares(SHARES.format("98.0"), results) == ["search: optimal = 95.5%, not 98.0%"]
+
+
+def test_without_a_readme_there_is_a_sentence(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["report"]) == 2
+    assert "--readme = README.md: run it in a checkout" in capsys.readouterr().err

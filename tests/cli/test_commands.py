@@ -1,0 +1,236 @@
+"""The command, as a user meets it."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import urllib.request
+
+import numpy as np
+import pytest
+
+from drake_nonstop.cli import main as cli
+from drake_nonstop.cli.file_server import serve_folder
+from drake_nonstop.cli.main import main
+from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
+
+RESULTS = {
+    "scenario.yaml",
+    "metrics.json",
+    "signals.npz",
+    "diagram.svg",
+    "replay.html",
+    "figures",
+}
+FIGURES = {
+    "load_reference",
+    "carrier_paths_from_above",
+    "carrier_paths_zoomed",
+    "load_position_error",
+    "load_orientation_error",
+    "carrier_speeds",
+    "tensions",
+    "internal_force_parameters",
+}
+BRIEF = ["--quiet", "--no-figures", "--no-replay"]
+
+
+def contents(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_list_has_a_line_for_each_scenario(capsys):
+    assert main(["list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(scenario_names())
+    assert all(len(line.split()) > 4 for line in lines)
+
+
+def test_a_run_leaves_all_its_results_and_a_table(tmp_path, capsys):
+    assert main(["run", "quintic", "--out", str(tmp_path / "a"), "--set", "duration=0.3"]) == 0
+    folder = tmp_path / "a"
+    assert contents(folder) == RESULTS
+    assert contents(folder / "figures") == {f"{name}.png" for name in FIGURES}
+    assert all(path.stat().st_size > 5000 for path in (folder / "figures").iterdir())
+    with np.load(folder / "signals.npz") as signals:
+        assert signals["time"][-1] == pytest.approx(0.3)
+        assert signals["load_plant.load_state"].shape == (31, 13)
+        assert signals["carrier_dynamics.carrier_state"].shape == (31, 24)
+        assert not any("solve_time" in name for name in signals)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["simulated_s"] == pytest.approx(0.3)
+    resolved = load_scenario(folder / "scenario.yaml")
+    assert dump_scenario(resolved) == (folder / "scenario.yaml").read_text()
+    shown = capsys.readouterr().out
+    assert "carrier speed" in shown
+    assert str(folder) in shown
+
+
+def test_two_runs_write_the_same_signals_to_the_bit(tmp_path):
+    for name in "ab":
+        arguments = ["--out", str(tmp_path / name), "--set", "duration=0.3", *BRIEF]
+        assert main(["run", "quintic", *arguments]) == 0
+    first, second = ((tmp_path / name / "signals.npz").read_bytes() for name in "ab")
+    assert first == second
+
+
+def test_the_resolved_scenario_repeats_the_run(tmp_path):
+    settings = ["--set", "duration=0.3", "system.load_mass=1.3"]
+    main(["run", "quintic", "--out", str(tmp_path / "a"), *settings, *BRIEF])
+    main(["run", str(tmp_path / "a" / "scenario.yaml"), "--out", str(tmp_path / "b"), *BRIEF])
+    first, second = ((tmp_path / name / "signals.npz").read_bytes() for name in "ab")
+    assert first == second
+
+
+def test_a_run_replaces_all_of_an_earlier_one_and_touches_nothing_else(tmp_path):
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "tensions.png").write_text("old")
+    (tmp_path / "figures" / "sketch.png").write_text("mine")
+    (tmp_path / "replay.html").write_text("old")
+    (tmp_path / "notes.txt").write_text("mine")
+    assert main(["run", "quintic", "--out", str(tmp_path), "--set", "duration=0.1", *BRIEF]) == 0
+    assert contents(tmp_path) == RESULTS - {"replay.html"} | {"notes.txt"}
+    assert contents(tmp_path / "figures") == {"sketch.png"}
+
+
+def test_bad_input_leaves_no_new_folder(tmp_path):
+    assert (
+        main(["run", "quintic", "--out", str(tmp_path / "a"), "--set", "pattern.phases=[0]"]) == 2
+    )
+    assert contents(tmp_path) == set()
+
+
+def test_what_nobody_wants_is_warned_of(tmp_path, capsys):
+    settings = ["--set", "optimization_layer.speed_bound=0.8", "duration=0.3"]
+    settings += ["optimization_layer.frequency_bounds=[1, 2.05]"]
+    settings += ["optimization_layer.amplitude_bounds=[1, 1.25]"]
+    settings += ["safe_carrier_distance=5", "safe_cable_distance=0.01"]
+    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF[1:], *settings]) == 0
+    warnings = [s for s in capsys.readouterr().out.splitlines() if s.startswith("warning: ")]
+    assert any("below the bound" in line for line in warnings)
+    assert any("no parameters fulfilled the bound" in line for line in warnings)
+    close = [line for line in warnings if "came within" in line]
+    assert len(close) == 1
+    assert re.fullmatch(r"warning: carriers came within \S+ m of each other, 5 m is safe", close[0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["quintik"], "quintic"),
+        (["quintic", "--set", "system.load_mass=-1"], "system.load_mass = -1.0"),
+        (["quintic", "--set", "optimization_layer.period=0.003"], "multiple"),
+        (["nothing.yaml"], "nothing.yaml"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_earlier_results(tmp_path, capsys, arguments, words):
+    (tmp_path / "metrics.json").write_text("earlier")
+    assert main(["run", *arguments, "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("drake-nonstop: ")
+    assert error.count("\n") == 1
+    assert words in error
+    assert contents(tmp_path) == {"metrics.json"}
+    assert (tmp_path / "metrics.json").read_text() == "earlier"
+
+
+def test_an_unwritable_folder_is_told_before_the_run(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(cli, "simulate", lambda *_: pytest.fail("the run began"))
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        assert main(["run", "line", "--out", str(folder)]) == 2
+        assert "--out = " in capsys.readouterr().err
+
+
+def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys):
+    settings = ["--set", "simulator.integration_scheme=explicit_euler", "duration=2"]
+    assert main(["run", "quintic", "--out", str(tmp_path), *settings, *BRIEF]) == 1
+    error = capsys.readouterr().err
+    assert "diverged at t = " in error
+    assert "Traceback" not in error
+    with np.load(tmp_path / "signals.npz") as signals:
+        assert 0 < signals["time"][-1] < 2
+    assert json.loads((tmp_path / "metrics.json").read_text())["simulated_s"] < 2
+
+
+def test_ctrl_c_keeps_what_was_simulated(tmp_path):
+    arguments = ["run", "line", "--out", tmp_path, "--set", "duration=1000", *BRIEF[1:]]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "drake_nonstop.cli", *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    line = process.stderr.readline()  # the first line of progress: the run is on its way
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert "real time" in line
+    assert process.returncode == 130
+    assert "interrupted" in error
+    assert "Traceback" not in error
+    assert contents(tmp_path) == {"scenario.yaml", "metrics.json", "signals.npz", "diagram.svg"}
+
+
+def test_quiet_prints_nothing(tmp_path, capsys):
+    assert main(["run", "quintic", "--out", str(tmp_path), "--set", "duration=0.1", *BRIEF]) == 0
+    shown = capsys.readouterr()
+    assert shown.out == shown.err == ""
+
+
+def test_view_serves_the_replay_until_it_is_interrupted(tmp_path):
+    (tmp_path / "replay.html").write_text("<p>hello</p>")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "drake_nonstop.cli", "view", str(tmp_path), "--no-open"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        address = process.stdout.readline().split()[0]
+        with urllib.request.urlopen(address, timeout=10) as page:
+            assert page.read() == b"<p>hello</p>"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=10) == 0
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_view_wants_a_folder_with_a_replay(tmp_path, capsys):
+    assert main(["view", str(tmp_path)]) == 2
+    assert "replay.html" in capsys.readouterr().err
+
+
+def test_a_taken_port_is_told(tmp_path, capsys):
+    (tmp_path / "replay.html").write_text("")
+    with serve_folder(tmp_path) as address:
+        port = address.rsplit(":", 1)[1]
+        assert main(["view", str(tmp_path), "--no-open", "--port", port]) == 2
+    assert f"--port = {port}: give a free port" in capsys.readouterr().err
+    assert main(["view", str(tmp_path), "--no-open", "--port", "99999999"]) == 2
+
+
+def test_a_live_run_that_nobody_watches_ends_with_its_results(tmp_path, capsys):
+    options = ["--live", "--realtime", "0", "--set", "duration=0.2", *BRIEF[1:]]
+    assert main(["run", "quintic", "--out", str(tmp_path), *options]) == 0
+    assert "http://localhost:" in capsys.readouterr().out
+    assert contents(tmp_path) == RESULTS - {"figures", "replay.html"}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--realtime", "2"], "--realtime = 2.0: give --live with it"),
+        (["--port", "7000"], "--port = 7000: give --live with it"),
+        (["--live", "--realtime", "-1"], "--realtime = -1.0"),
+        (["--live", "--port", "80000000"], "--port = 80000000"),
+        (["--live", "--port", "80"], "--port = 80: give a free port from 1024"),
+    ],
+)
+def test_bad_options_of_a_live_run(options, words, tmp_path, capsys):
+    folder = tmp_path / "out"
+    assert main(["run", "quintic", "--out", str(folder), *options]) == 2
+    assert words in capsys.readouterr().err
+    assert not folder.exists()

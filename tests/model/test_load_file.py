@@ -1,0 +1,115 @@
+"""A load from a file: what it weighs, and where its cables are."""
+
+import numpy as np
+import pytest
+
+from drake_nonstop.model.load_file import read_load
+from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError
+
+FRAMES = ["north", "west", "south", "east"]
+POINTS = np.array([[0.1, 0.7, 0.2], [-0.6, 0.1, 0.2], [0.1, -0.5, 0.2], [0.8, 0.1, 0.2]])
+
+
+def sdf(extra="", centre="0.1 0.1 0.05"):
+    frames = "".join(
+        f'<frame name="{name}"><pose>{x} {y} {z} 0 0 0</pose></frame>'
+        for name, (x, y, z) in zip(FRAMES, POINTS, strict=True)
+    )
+    return f"""<?xml version="1.0"?><sdf version="1.7"><model name="crate">
+    <link name="crate"><inertial><mass>1.2</mass><pose>{centre} 0 0 0</pose><inertia>
+    <ixx>0.02</ixx><iyy>0.03</iyy><izz>0.04</izz><ixy>0.001</ixy><ixz>0</ixz><iyz>0</iyz>
+    </inertia></inertial></link>{frames}{extra}</model></sdf>"""
+
+
+@pytest.fixture
+def crate(tmp_path):
+    path = tmp_path / "crate.sdf"
+    path.write_text(sdf())
+    return path
+
+
+def test_mass_inertia_and_attachments_are_about_the_centre_of_mass(crate):
+    fields = read_load(crate, FRAMES)
+    assert fields["load_mass"] == 1.2
+    inertia = [[0.02, 0.001, 0], [0.001, 0.03, 0], [0, 0, 0.04]]
+    np.testing.assert_allclose(fields["load_inertia"], inertia, atol=1e-12)
+    np.testing.assert_allclose(fields["attachments"], POINTS - [0.1, 0.1, 0.05], atol=1e-12)
+
+
+def test_welded_bodies_are_one_load(tmp_path):
+    block = """<link name="block"><pose>0 0 1 0 0 0</pose><inertial><mass>1.2</mass>
+    <inertia><ixx>0.02</ixx><iyy>0.03</iyy><izz>0.04</izz></inertia></inertial></link>
+    <joint name="weld" type="fixed"><parent>crate</parent><child>block</child></joint>"""
+    (tmp_path / "two.sdf").write_text(sdf(block, centre="0 0 0"))
+    fields = read_load(tmp_path / "two.sdf", FRAMES)
+    assert fields["load_mass"] == pytest.approx(2.4)
+    np.testing.assert_allclose(fields["attachments"], POINTS - [0, 0, 0.5], atol=1e-12)
+    # Two bodies 0.5 m from their common centre: m r² each on top of their own.
+    assert fields["load_inertia"][0][0] == pytest.approx(2 * (0.02 + 1.2 * 0.25))
+
+
+def test_urdf_too(tmp_path):
+    links = "".join(
+        f'<link name="{name}"/><joint name="j{name}" type="fixed"><parent link="crate"/>'
+        f'<child link="{name}"/><origin xyz="{x} {y} {z}"/></joint>'
+        for name, (x, y, z) in zip(FRAMES, POINTS, strict=True)
+    )
+    (tmp_path / "crate.urdf").write_text(
+        f"""<robot name="crate"><link name="crate"><inertial><mass value="1.2"/>
+        <inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        {links}</robot>"""
+    )
+    fields = read_load(tmp_path / "crate.urdf", FRAMES)
+    assert fields["load_mass"] == pytest.approx(1.2)
+    np.testing.assert_allclose(fields["attachments"], POINTS, atol=1e-12)
+
+
+@pytest.mark.parametrize("plant", ["LoadPlant", "MultibodyLoadPlant"])
+def test_a_scenario_flies_a_load_from_a_file(crate, plant):
+    settings = [f"system.load_file={crate}", f"system.attachment_frames=[{', '.join(FRAMES)}]"]
+    scenario = load_scenario("quintic", [*settings, f"load_plant=!{plant} {{}}", "duration=0.5"])
+    assert scenario.system.load_mass == 1.2
+    assert parse_scenario(dump_scenario(scenario)).system == scenario.system
+    run = simulate(scenario)
+    assert np.linalg.norm(run.signal("tracking_error")[:, 3:6], axis=1).max() < 1e-3
+
+
+def test_a_file_for_the_simulated_load_alone(crate):
+    settings = [
+        f"simulated.load_file={crate}",
+        f"simulated.attachment_frames=[{', '.join(FRAMES)}]",
+    ]
+    scenario = load_scenario("quintic", settings)
+    assert scenario.system.load_mass == 1.0
+    assert scenario.simulated.load_mass == 1.2
+
+
+@pytest.mark.parametrize(
+    ("text", "frames", "words"),
+    [
+        ("nonsense", FRAMES, "give an SDF or URDF file"),
+        (sdf(), ["north", "up"], "attachment_frames = up: give frames that"),
+        (
+            sdf(
+                '<link name="arm"><inertial><mass>1</mass></inertial></link><joint name="hinge" '
+                'type="revolute"><parent>crate</parent><child>arm</child><axis><xyz>0 0 1</xyz>'
+                "</axis></joint>"
+            ),
+            FRAMES,
+            "7 degrees of freedom",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_told_in_a_sentence(tmp_path, text, frames, words):
+    (tmp_path / "load.sdf").write_text(text)
+    with pytest.raises(ScenarioError) as caught:
+        read_load(tmp_path / "load.sdf", frames)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_file():
+    with pytest.raises(ScenarioError, match=r"load_file = none\.sdf"):
+        read_load("none.sdf", FRAMES)

@@ -1,0 +1,266 @@
+import numpy as np
+import pytest
+from helpers import irregular, regular, spatial
+
+from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
+from drake_nonstop.mechanics.grasp import grasp_matrix
+from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
+from drake_nonstop.model.pattern import (
+    CarouselConfig,
+    HamiltonianCycleConfig,
+    InternalForcePattern,
+    LinearPatternConfig,
+    SpreadCarouselConfig,
+    check_pattern,
+)
+from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError
+
+
+def weight_shares(attachments):
+    return np.tile([0, 0, 9.81 / len(attachments)], (len(attachments), 1))
+
+
+@pytest.mark.parametrize("attachments", [regular(3), irregular(5), spatial(7)])
+def test_cycle_is_the_mechanics_with_even_phases_and_no_offset(attachments):
+    n = len(attachments)
+    pattern = HamiltonianCycleConfig().make(attachments)
+    np.testing.assert_array_equal(pattern.basis, hamiltonian_cycle(attachments))
+    np.testing.assert_allclose(pattern.phases, 2 * np.pi * np.arange(n) / n, rtol=1e-15)
+    np.testing.assert_array_equal(pattern.offset, np.zeros(3 * n))
+    check_pattern(pattern, attachments, weight_shares(attachments))
+
+
+def test_phases_can_be_given():
+    phases = [0.0, np.pi / 2, 0.0, np.pi / 2]
+    np.testing.assert_array_equal(
+        HamiltonianCycleConfig(phases=phases).make(regular(4)).phases, phases
+    )
+
+
+@pytest.mark.parametrize("shift", [0.0, np.pi, -np.pi, 3 * np.pi, np.pi + 1e-4])
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_neighbouring_phases_that_coincide_modulo_pi_are_refused(k, shift):
+    phases = np.array([0.0, 1.0, 2.0, 4.0])
+    phases[k] = phases[k - 1] + shift
+    with pytest.raises(
+        ScenarioError, match=rf"pattern\.phases = .*phases {k} and {k + 1} coincide modulo pi"
+    ):
+        HamiltonianCycleConfig(phases=phases.tolist()).make(regular(4))
+
+
+def test_last_and_first_phase_are_neighbours():
+    with pytest.raises(ScenarioError, match="phases 4 and 1 coincide modulo pi"):
+        HamiltonianCycleConfig(phases=[0.0, 1.0, 2.0, np.pi]).make(regular(4))
+
+
+@pytest.mark.parametrize("phases", [[0.0, 1.0, 2.0], [0.0, 1.0, 2.0, np.nan], [[0.0, 1, 2, 4]]])
+def test_phases_of_wrong_shape_are_refused(phases):
+    with pytest.raises(ScenarioError, match=r"pattern\.phases = .*give 4 finite numbers"):
+        HamiltonianCycleConfig(phases=phases).make(regular(4))
+
+
+def test_collinear_neighbouring_edges_are_refused_and_the_attachment_named():
+    attachments = np.array([[1.0, 1, 0], [0.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
+    assert np.linalg.matrix_rank(hamiltonian_cycle(attachments)) == 5  # rank tells nothing
+    with pytest.raises(ScenarioError, match=r"system\.attachments = .*attachment 2 are collinear"):
+        HamiltonianCycleConfig().make(attachments)
+
+
+def test_edge_that_goes_back_on_the_one_before_is_refused():
+    attachments = np.array([[0.0, 0, 0], [2, 0, 0], [1, 0, 0], [0, 1, 0]])
+    with pytest.raises(ScenarioError, match="attachment 2 are collinear"):
+        HamiltonianCycleConfig().make(attachments)
+
+
+def test_cables_on_one_point_are_refused():
+    attachments = regular(4)
+    attachments[2] = attachments[1]
+    with pytest.raises(ScenarioError, match="different attachment points"):
+        HamiltonianCycleConfig().make(attachments)
+
+
+def test_linear_pattern_takes_any_width():
+    basis = hamiltonian_cycle(regular(4))[:, :3]
+    offset = hamiltonian_cycle(regular(4))[:, 3]
+    config = LinearPatternConfig(
+        basis=basis.tolist(), phases=[0.0, 1.0, 2.0], offset=offset.tolist()
+    )
+    pattern = config.make(regular(4))
+    np.testing.assert_array_equal(pattern.basis, basis)
+    np.testing.assert_array_equal(pattern.phases, [0, 1, 2])
+    np.testing.assert_array_equal(pattern.offset, offset)
+    no_offset = LinearPatternConfig(basis=basis.tolist(), phases=[0.0, 1.0, 2.0])
+    np.testing.assert_array_equal(no_offset.make(regular(4)).offset, np.zeros(12))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("basis", np.ones((11, 2)).tolist()),
+        ("phases", [0.0, 1.0, 2.0]),
+        ("basis", np.full((12, 2), np.nan).tolist()),
+        ("basis", [[1.0, 2.0], [1.0]]),
+        ("basis", 3.0),
+        ("phases", [0.0, np.inf]),
+        ("phases", [[0.0, 1.0]]),
+        ("offset", [1.0] * 11),
+        ("offset", [np.nan] * 12),
+        ("offset", ["a"] * 12),
+    ],
+)
+def test_linear_pattern_of_wrong_shape_or_values_is_refused(field, value):
+    fields = {"basis": np.zeros((12, 2)).tolist(), "phases": [0.0, 1.0], field: value}
+    with pytest.raises(ScenarioError, match=rf"^pattern\.{field} = .*: give .* finite numbers"):
+        LinearPatternConfig(**fields).make(regular(4))
+
+
+def cycle(attachments, **fields):
+    pattern = HamiltonianCycleConfig().make(attachments)
+    values = {"basis": pattern.basis, "phases": pattern.phases, "offset": pattern.offset}
+    return InternalForcePattern(**(values | fields))
+
+
+def test_basis_with_a_net_wrench_is_refused():
+    attachments = regular(4)
+    basis = hamiltonian_cycle(attachments)
+    basis[5, 1] += 1e-6
+    with pytest.raises(ScenarioError, match=r"pattern\.basis = .*net wrench"):
+        check_pattern(cycle(attachments, basis=basis), attachments, weight_shares(attachments))
+
+
+def test_basis_with_a_net_torque_only_is_refused():
+    attachments = regular(4)
+    tangents = np.cross([0, 0, 1.0], attachments).ravel()
+    assert np.max(np.abs(grasp_matrix(attachments)[3:] @ tangents)) < 1e-15
+    basis = hamiltonian_cycle(attachments)
+    basis[:, 0] += tangents
+    with pytest.raises(ScenarioError, match=r"pattern\.basis = .*net wrench"):
+        check_pattern(cycle(attachments, basis=basis), attachments, weight_shares(attachments))
+
+
+def test_offset_with_a_net_wrench_is_refused():
+    attachments = regular(4)
+    offset = np.tile([0.0, 0, 0.1], 4)
+    with pytest.raises(ScenarioError, match=r"pattern\.offset = .*net wrench"):
+        check_pattern(cycle(attachments, offset=offset), attachments, weight_shares(attachments))
+
+
+def test_internal_force_on_a_line_is_refused():
+    attachments = regular(4)
+    pattern = cycle(attachments, phases=np.array([0.0, 0.0, 1.0, 2.0]))  # cable 2 feels 1 and 2
+    with pytest.raises(ScenarioError, match=r"pattern.phases = .*cable 2 swings in a plane"):
+        check_pattern(pattern, attachments, weight_shares(attachments))
+
+
+def test_cable_without_an_internal_force_is_refused():
+    attachments = regular(4)
+    pattern = InternalForcePattern(hamiltonian_cycle(attachments)[:, :1], np.zeros(1), np.zeros(12))
+    with pytest.raises(ScenarioError, match=r"pattern.phases = .*cable 1 swings in a plane"):
+        check_pattern(pattern, attachments, weight_shares(attachments))
+
+
+def test_cable_whose_mean_force_lies_in_the_plane_of_its_internal_force_is_refused():
+    # An upright square: the weight is in the plane of the cycle, and every cable stays in it.
+    attachments = regular(4)[:, [0, 2, 1]]
+    pattern = cycle(attachments)
+    with pytest.raises(ScenarioError, match="swings in a plane"):
+        check_pattern(pattern, attachments, weight_shares(attachments))
+
+
+def spread_carousel(n, spread):
+    """ᴸf̃_i = C (cos β_i, sin β_i, 0) + A (cos(θ − β_i), sin(θ − β_i), 0), m = 2."""
+    beta = 2 * np.pi * np.arange(n) / n
+    zero = np.zeros(n)
+    cosines = np.column_stack([np.cos(beta), -np.sin(beta), zero]).ravel()
+    sines = np.column_stack([np.sin(beta), np.cos(beta), zero]).ravel()
+    return LinearPatternConfig(
+        basis=np.column_stack([cosines, sines]).tolist(),
+        phases=[0.0, -np.pi / 2],
+        offset=(spread * np.column_stack([np.cos(beta), np.sin(beta), zero])).ravel().tolist(),
+    )
+
+
+@pytest.mark.parametrize("n", [3, 4, 6])
+def test_spread_carousel_holds_a_load_at_rest_and_every_carrier_in_motion(n):
+    share = 9.81 / n
+    scenario = Scenario(
+        duration=1.0,
+        system=SystemParameters(attachments=regular(n).tolist()),
+        pattern=spread_carousel(n, share),
+        optimization_layer=ConstantParametersConfig(frequency=2.0, amplitude=0.4 * share),
+    )
+    assert Model(scenario.system, scenario.pattern).m == 2
+    run = simulate(scenario)
+    assert run.time[-1] == pytest.approx(1.0)
+    load = run.signal("load_state")
+    np.testing.assert_allclose(load[:, 4:7], 0, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(load[:, :4], [[1, 0, 0, 0]] * len(load), rtol=0, atol=2e-3)
+    velocities = run.signal("carrier_state")[:, 3 * n :].reshape(len(load), n, 3)
+    speeds = np.linalg.norm(velocities, axis=2)
+    # T between √(f₀² + (0.6 f₀)²) and √(f₀² + (1.4 f₀)²), L A ξ / T and the tilt of the cone
+    assert np.min(speeds) > 0.5 * 0.8 * 0.4 * 2.0 / np.hypot(1, 1.4)
+    assert np.max(speeds) < 1.05 * 0.8 * 0.4 * 2.0 / np.hypot(1, 0.6)
+    # The carriers turn about outward axes: they stay further apart than the attachments.
+    positions = run.signal("carrier_state")[:, : 3 * n].reshape(len(load), n, 3)
+    gaps = np.linalg.norm(positions - np.roll(positions, 1, axis=1), axis=2)
+    assert np.min(gaps) > np.linalg.norm(regular(n)[0] - regular(n)[1])
+
+
+@pytest.mark.parametrize("n", [3, 4, 6])
+def test_spread_carousel_is_in_the_null_space(n):
+    pattern = spread_carousel(n, 1.0).make(regular(n))
+    grasp = grasp_matrix(regular(n))
+    np.testing.assert_allclose(grasp @ pattern.basis, 0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(grasp @ pattern.offset, 0, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 8])
+def test_carousel_turns_all_forces_of_a_regular_polygon_together(n):
+    pattern = CarouselConfig().make(regular(n))
+    angles = 2 * np.pi * np.arange(n) / n
+    for theta in (0.0, 0.7, 2.9):
+        forces = (pattern.basis @ np.cos(theta + pattern.phases)).reshape(n, 3)
+        expected = [np.cos(theta - angles), np.sin(theta - angles), 0 * angles]
+        np.testing.assert_allclose(forces, np.transpose(expected), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 8])
+def test_spread_pulls_outward(n):
+    pattern = SpreadCarouselConfig(spread=3.0).make(regular(n, 1.5))
+    np.testing.assert_allclose(pattern.offset.reshape(n, 3), 2 * regular(n, 1.5), atol=1e-13)
+    np.testing.assert_array_equal(pattern.basis, CarouselConfig().make(regular(n, 1.5)).basis)
+
+
+@pytest.mark.parametrize("attachments", [irregular(5), spatial(4), spatial(7), regular(4) + 0.3])
+@pytest.mark.parametrize("config", [CarouselConfig(), SpreadCarouselConfig(spread=2.0)])
+def test_carousels_for_other_attachments_are_the_nearest_without_a_wrench(attachments, config):
+    pattern = config.make(attachments)
+    check_pattern(pattern, attachments, weight_shares(attachments))
+    grasp = grasp_matrix(attachments)
+    from_centre = (attachments - attachments.mean(axis=0))[:, :2]
+    x, y = (from_centre / np.linalg.norm(from_centre, axis=1, keepdims=True)).T
+    ideal = np.stack([x, -y, 0 * x], axis=1).ravel()
+    change = pattern.basis[:, 0] - ideal
+    row_space = np.linalg.lstsq(grasp.T, change, rcond=None)[0]
+    np.testing.assert_allclose(grasp.T @ row_space, change, rtol=0, atol=1e-12)
+
+
+def test_carousel_needs_a_direction_for_every_cable():
+    attachments = np.vstack([regular(4), [[0.0, 0.0, 0.4]]])
+    with pytest.raises(ScenarioError, match=r"system\.attachments = .*in the middle of all"):
+        CarouselConfig().make(attachments)
+
+
+@pytest.mark.parametrize("spread", [0.0, -1.0, float("nan")])
+def test_spread_has_to_be_positive(spread):
+    with pytest.raises(ScenarioError, match=r"pattern\.spread = .*greater than zero"):
+        SpreadCarouselConfig(spread=spread).make(regular(4))
+
+
+def test_linear_pattern_is_the_cycle_unless_it_is_told_otherwise():
+    plain, cycle_pattern = LinearPatternConfig().make(regular(5)), HamiltonianCycleConfig()
+    np.testing.assert_array_equal(plain.basis, cycle_pattern.make(regular(5)).basis)
+    np.testing.assert_array_equal(plain.phases, cycle_pattern.make(regular(5)).phases)

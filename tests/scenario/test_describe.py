@@ -1,0 +1,237 @@
+"""What `drake-nonstop blocks` tells, compared with the code that it tells of."""
+
+import dataclasses
+import typing
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from helpers import regular
+from pydrake.systems.framework import LeafSystem
+
+from drake_nonstop.cli.main import main
+from drake_nonstop.diagrams.nonstop import BLOCKS, SIGNALS, signal_sizes
+from drake_nonstop.mechanics.internal_force import even_phases, hamiltonian_cycle
+from drake_nonstop.model.pattern import LinearPatternConfig
+from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.scenario import describe as module
+from drake_nonstop.scenario.describe import box_names, config_class, describe, parameters
+from drake_nonstop.scenario.loading import Scenario, parse_scenario
+from drake_nonstop.systems import wiring
+from drake_nonstop.validation import ScenarioError
+
+
+@pytest.fixture(scope="module")
+def boxes():
+    return {name: describe(name) for name in box_names()}
+
+
+def pattern_configs():
+    annotation = typing.get_type_hints(Scenario)["pattern"]
+    return typing.get_args(annotation) or (annotation,)
+
+
+CONFIGS = [
+    *(config_class(block) for blocks in BLOCKS.values() for block in blocks),
+    *pattern_configs(),
+]
+configs = pytest.mark.parametrize("config", CONFIGS, ids=lambda config: config.__name__)
+
+
+@configs
+def test_every_parameter_has_a_unit_or_a_meaning(config):
+    for parameter in parameters(config):
+        if "float" in parameter.type:
+            assert parameter.meaning, f"{config.__name__}.{parameter.name} has no comment"
+
+
+@configs
+def test_parameters_are_the_fields_of_the_config_with_their_defaults(config):
+    found = parameters(config)
+    default = config()
+    assert [parameter.name for parameter in found] == [f.name for f in dataclasses.fields(config)]
+    (field_name,) = [
+        name for name, box in typing.get_type_hints(Scenario).items() if config in _options(box)
+    ]
+    tag = config.__name__.removesuffix("Config")
+    entry = ", ".join(f"{parameter.name}: {parameter.default}" for parameter in found)
+    scenario = parse_scenario(f"check: {{{field_name}: !{tag} {{{entry}}}}}")
+    assert getattr(scenario, field_name) == default
+
+
+def _options(annotation):
+    return typing.get_args(annotation) or (annotation,)
+
+
+@dataclass(kw_only=True)
+class BaseConfig:
+    inherited: float = 1.0  # N, from the base
+    changed: float = 1.0  # m, in the base
+
+
+@dataclass(kw_only=True)
+class ExampleConfig(BaseConfig):
+    # not a comment on the field, which stands further down
+
+    length: float = 0.5  # m, unstretched
+    gains: list[float] = field(  # N/m
+        default_factory=lambda: [1.0, 2.0]  # of each axis
+    )
+    # What stands above a field
+    # is about it, too.
+    file: str = ""
+    mass: float = 1e-3  # kg # 2
+    # The carriers' own.
+    mark: str = "# no comment"  # a text
+    silent: float = float("inf")
+    changed: float = 2.0  # rad
+
+
+def test_comments_on_the_lines_of_a_field_and_above_it_are_its_meaning():
+    found = {p.name: (p.type, p.default, p.meaning) for p in parameters(ExampleConfig)}
+    assert found == {
+        "inherited": ("float", "1.0", "N, from the base"),
+        "changed": ("float", "2.0", "rad"),
+        "length": ("float", "0.5", "m, unstretched"),
+        "gains": ("list[float]", "[1.0, 2.0]", "N/m of each axis"),
+        "file": ("str", "''", "What stands above a field is about it, too."),
+        "mass": ("float", "0.001", "kg # 2"),
+        "mark": ("str", "'# no comment'", "a text; The carriers' own."),
+        "silent": ("float", ".inf", ""),
+    }
+
+
+def test_every_box_and_block_is_listed_with_the_default_first(boxes):
+    assert list(boxes) == [*BLOCKS, "pattern"]
+    for name, blocks in BLOCKS.items():
+        choices = boxes[name].choices
+        assert [choice.name for choice in choices] == [block.__name__ for block in blocks]
+        assert {port.name: port.size for port in boxes[name].signals} == SIGNALS[name]
+    names = [config.__name__.removesuffix("Config") for config in pattern_configs()]
+    assert [choice.name for choice in boxes["pattern"].choices] == names
+    for box in boxes.values():
+        default = type(getattr(Scenario(), box.name)).__name__
+        assert f"{box.choices[0].name}Config" == default
+        assert all(choice.summary.endswith(".") for choice in box.choices)
+        assert not any(choice.unbuildable for choice in box.choices)
+
+
+@pytest.mark.parametrize(("n", "m"), [(3, 3), (5, 5), (5, 6)])
+def test_every_port_is_listed_with_its_size_whatever_n_and_m_are(boxes, n, m):
+    edges = np.arange(m) % n
+    pattern = LinearPatternConfig(
+        basis=hamiltonian_cycle(regular(n))[:, edges].tolist(),
+        phases=even_phases(n)[edges].tolist(),
+    )
+    model = Model(SystemParameters(attachments=regular(n).tolist()), pattern, 0.01)
+    sizes = {s: k for box in SIGNALS for s, k in signal_sizes(box, n, m).items()}
+    texts = {s: k for signals in SIGNALS.values() for s, k in signals.items()}
+    for name, blocks in BLOCKS.items():
+        for block, choice in zip(blocks, boxes[name].choices, strict=True):
+            built = block(model)
+            for ports, told in (
+                (wiring.input_sizes(built), choice.inputs),
+                (wiring.output_sizes(built), choice.outputs),
+            ):
+                assert [port.name for port in told] == list(ports)
+                for port in told:
+                    assert port.size == texts[port.name]
+                    assert sizes[port.name] == ports[port.name]
+
+
+def test_unknown_box_is_told_the_boxes(capsys):
+    with pytest.raises(ScenarioError, match=r"^box = plant: give one of load_trajectory, .*tern$"):
+        describe("plant")
+    assert main(["blocks", "plant"]) == 2
+    assert capsys.readouterr().err.startswith("drake-nonstop: box = plant: give one of load_")
+
+
+def test_one_box_is_shown_alone(capsys):
+    assert main(["blocks", "optimization_layer"]) == 0
+    shown = capsys.readouterr().out
+    assert (
+        "\noptimization_layer -> parameters (2); "
+        "optional diagnostics (7), solve_time (1), speed_bound (1)\n"
+    ) in shown
+    assert "  NonstopOptimizer (default)\n    Changes ξ and A as little" in shown
+    assert (
+        "    in   measured_load_state (13), reference (22), wrench (6), wrench_rate (6), "
+        "phase (2)\n"
+        "    out  parameters (2), diagnostics (7), solve_time (1), speed_bound (1)\n"
+        "    speed_bound                 float        0.2          m/s, ε\n"
+    ) in shown
+    assert shown.endswith(
+        "  ConstantParameters\n"
+        "    Constant ξ and A: the loop without optimization.\n"
+        "    out  parameters (2), speed_bound (1)\n"
+        "    frequency    float  2.0  rad/s, ξ\n"
+        "    amplitude    float  1.2  N, A\n"
+        "    speed_bound  float  0.2  m/s, ε; reported, not enforced\n"
+    )
+    assert "load_plant" not in shown
+
+
+def test_all_boxes_are_shown_in_lines_that_fit(capsys, boxes):
+    assert main(["blocks"]) == 0
+    shown = capsys.readouterr().out
+    lines = shown.splitlines()
+    assert max(map(len, lines)) <= 100
+    assert not any(line != line.rstrip() for line in lines)
+    words = " ".join(shown.split())
+    for box in boxes.values():
+        assert any(line.split(" -> ")[0] == box.name for line in lines)
+        for choice in box.choices:
+            assert f"  {choice.name}" in [line.removesuffix(" (default)") for line in lines]
+            assert choice.summary in words
+            for parameter in choice.parameters:
+                row = f"{parameter.name} {parameter.type} {parameter.default} {parameter.meaning}"
+                assert " ".join(row.split()) in words
+
+
+@dataclass(kw_only=True)
+class ParticularConfig:
+    routes_through_all_of_the_waypoints: list[list[float]] = field(
+        default_factory=lambda: [[0.0, 0.0, 1.0]] * 2
+    )  # m, in W
+    file: str = ""  # a file that must be given
+
+
+class Particular(LeafSystem):
+    """Stands for a block whose defaults make none."""
+
+    def __init__(self, model, config=None):
+        super().__init__()
+        raise ScenarioError("phase.file = '': give a file")
+
+
+class Particularly(LeafSystem):
+    """Has ports that the figure does not know."""
+
+    def __init__(self, model, config=None):
+        super().__init__()
+        self.DeclareVectorInputPort("mode", 5)
+        self.DeclareVectorOutputPort("phase", 2, lambda context, output: None)
+
+
+@dataclass(kw_only=True)
+class ParticularlyConfig:
+    pass
+
+
+def test_blocks_that_are_out_of_the_ordinary_are_shown_too(monkeypatch, capsys):
+    monkeypatch.setitem(module.BLOCKS, "phase", (Particular, Particularly))
+    assert main(["blocks", "phase"]) == 0
+    assert capsys.readouterr().out.partition("\n\n")[2] == (
+        "phase -> phase (2)\n\n"
+        "  Particular (default)\n"
+        "    Stands for a block whose defaults make none.\n"
+        "    not with its defaults: phase.file = '': give a file\n"
+        "    routes_through_all_of_the_waypoints  list[list[float]]  "
+        "[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]\n"
+        "                                 m, in W\n"
+        "    file  str                ''  a file that must be given\n\n"
+        "  Particularly\n"
+        "    Has ports that the figure does not know.\n"
+        "    in   mode (5)\n"
+        "    out  phase (2)\n"
+    )

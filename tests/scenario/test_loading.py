@@ -1,0 +1,209 @@
+"""Scenario files: what they hold, how they are changed, and what they refuse."""
+
+import math
+
+import numpy as np
+import pytest
+
+from drake_nonstop import (
+    ScenarioError,
+    dump_scenario,
+    load_scenario,
+    make_nonstop,
+    parse_scenario,
+    scenario_names,
+)
+
+
+def test_the_shipped_scenarios():
+    assert scenario_names() == [
+        "line",
+        "line_without_optimization",
+        "paper_line",
+        "paper_line_without_optimization",
+        "paper_quintic",
+        "quintic",
+        "real_scale_carousel",
+        "real_scale_cycle",
+        "real_scale_spread",
+        "static_hold_open_loop",
+        "three_carriers",
+    ]
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_a_resolved_scenario_reads_back_to_itself(name):
+    scenario = load_scenario(name)
+    text = dump_scenario(scenario)
+    again = parse_scenario(text)
+    assert dump_scenario(again) == text
+    assert again.optimization_layer == scenario.optimization_layer
+    assert again.system == scenario.system
+    assert again.simulated == scenario.simulated
+
+
+def test_a_resolved_scenario_names_every_block():
+    text = dump_scenario(load_scenario("quintic"))
+    for tag in ("!NonstopOptimizer", "!LoadPlant", "!AccumulatedPhase", "!HamiltonianCycle"):
+        assert tag in text
+
+
+def test_the_paper_scenarios_are_as_printed():
+    for name in ("paper_line", "paper_quintic"):
+        scenario = load_scenario(name)
+        assert math.isinf(scenario.system.cable_stiffness)  # L_i = L_0 for the controllers
+        assert scenario.simulated.cable_stiffness == 500.0
+        assert type(scenario.phase).__name__ == "PaperPhaseConfig"
+        assert scenario.wrench_controller.feedforward == 0.0
+        assert scenario.carrier_controller.velocity_gain == 1.5
+        assert scenario.optimization_layer.look_ahead_points == 1
+        assert scenario.optimization_layer.orbit_points == 1
+        assert scenario.optimization_layer.tightening == 0.0
+        assert scenario.optimization_layer.load_motion == "measured"
+        assert scenario.optimization_layer.global_search is False
+
+
+def test_a_setting_changes_one_field_and_keeps_the_rest():
+    plain = load_scenario("quintic")
+    changed = load_scenario("quintic", ["system.load_mass=1.2", "duration=2"])
+    assert changed.system.load_mass == 1.2
+    assert changed.duration == 2.0
+    assert changed.optimization_layer == plain.optimization_layer
+
+
+def test_a_setting_swaps_a_block_with_or_without_braces():
+    for text in ("phase=!PaperPhase {}", "phase=!PaperPhase"):
+        scenario = load_scenario("quintic", [text])
+        assert type(scenario.phase).__name__ == "PaperPhaseConfig"
+
+
+def test_a_setting_that_swaps_a_block_keeps_only_what_the_new_one_calls_the_same():
+    settings = ["load_trajectory.start_position=[1, 2, 3]", "load_trajectory=Waypoints"]
+    way = load_scenario("quintic", settings).load_trajectory
+    assert way.start_position == [1.0, 2.0, 3.0]
+    assert way.roll_pitch_yaw == []  # a change of the angles before, and a list of them now
+
+
+def test_a_setting_overrides_the_simulated_system_alone():
+    scenario = load_scenario("quintic", ["simulated.load_mass=1.2"])
+    assert scenario.system.load_mass == 1.0
+    assert scenario.simulated.load_mass == 1.2
+
+
+def test_a_number_in_exponent_notation_is_a_number():
+    assert load_scenario("quintic", ["simulator.max_step_size=5e-3"]).simulator.max_step_size == (
+        0.005
+    )
+
+
+def test_a_file_with_defaults_only_needs_no_more_than_its_name(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("mine:\n")
+    assert load_scenario(path).name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("system.attachments=[[1,0,0],[0,1,0]]", ["system.attachments", "3 or more"]),
+        ("system.attachments=[[1,0,0],[0,1]]", ["system.attachments", "n x 3"]),
+        ("system.attachments=3", ["system.attachments = 3", "list"]),
+        ("system.load_mass=-1", ["system.load_mass = -1", "greater than zero"]),
+        ("system.load_mass=.nan", ["system.load_mass = .nan", "finite"]),
+        ("system.load_mass=.inf", ["system.load_mass = inf", "finite"]),
+        ("system.load_mass='1'", ["system.load_mass = '1'", "without quotes"]),
+        ("system.load_mass=heavy", ["system.load_mass = heavy", "a number"]),
+        ("system.load_mass=true", ["system.load_mass = True", "a number"]),
+        ("system.cable_stiffness=-5", ["system.cable_stiffness = -5", "greater than zero"]),
+        ("system.cable_stiffness=.inf", ["simulated.cable_stiffness = inf", "finite"]),
+        ("system.loadmass=1", ["system.loadmass = 1", "did you mean load_mass"]),
+        ("sytem.load_mass=1", ["sytem", "did you mean system"]),
+        ("pattern.phases=[0,0,1,2]", ["pattern.phases", "coincide modulo pi"]),
+        ("pattern.phases=[0,1]", ["pattern.phases = [0.0, 1.0]", "4 finite numbers"]),
+        ("optimization_layer.period=0.004", ["period = 0.004", "multiple of the control period"]),
+        ("optimization_layer.speed_bound=-0.1", ["speed_bound = -0.1", "0 (no bound)"]),
+        ("optimization_layer.solver=gurobi", ["solver = gurobi", "snopt, ipopt"]),
+        ("optimization_layer.look_ahead_points=1.5", ["look_ahead_points = 1.5", "whole number"]),
+        ("phase=!Phase {}", ["phase = !Phase", "!AccumulatedPhase, !PaperPhase"]),
+        ("control_period=-1", ["control_period = -1", "0 for continuous"]),
+        ("duration=1:30", ["duration = 1:30", "plain digits"]),
+        ("simulator.start_time=5", ["simulator.start_time = 5", "give 0"]),
+        ("optimization_layer.speed_bound=1e-9", ["speed_bound = 1e-09", "no bound"]),
+        ("duration=0", ["duration = 0", "greater than zero"]),
+        ("duration", ["--set = duration", "path=value"]),
+        ("simulated.attachments=[[1,0,0],[0,1,0],[-1,-1,0]]", ["simulated.attachments", "4"]),
+    ],
+)
+def test_a_bad_setting_ends_with_the_field_the_value_and_the_remedy(setting, words):
+    with pytest.raises(ScenarioError) as caught:
+        make_nonstop(load_scenario("quintic", [setting]))
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: {system: {load_mass: 1, load_mass: 2}}", ["a.system.load_mass", "give it once"]),
+        ("a: {nonsense: 1}", ["a.nonsense = 1", "there is no nonsense"]),
+        ("a: {system: {load_mass: '2'}}", ["load_mass = '2'", "without quotes"]),
+        ("a: {system: {load_mass: .nan}}", ["load_mass = .nan", "finite"]),
+        ("a: 1", ["a = 1", "fields below its name"]),
+        ("a: {}\nb: {}", ["exactly one scenario"]),
+        ("", ["exactly one scenario"]),
+        ("a: [1", ["line 1", "valid YAML"]),
+        ("a: &x {system: *x}", ["alias of itself"]),
+        ("../evil: {}", ["../evil", "letters"]),
+        ("a: {phase: 3}", ["phase = 3", "!AccumulatedPhase"]),
+    ],
+)
+def test_a_bad_file_ends_with_one_sentence(text, words):
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(text)
+    assert "\n" not in str(caught.value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_trajectory_from_a_file_is_in_the_resolved_scenario(tmp_path):
+    path = tmp_path / "way.csv"
+    path.write_text("t,x,y,z\n0,0,0,1\n4,0.25,0,1\n9,1,0,1e-1\n")
+    setting = f"load_trajectory=!SampledTrajectory {{file: '{path}'}}"
+    scenario = load_scenario("quintic", [setting, "optimization_layer=ConstantParameters"])
+    path.unlink()
+    way = scenario.load_trajectory
+    assert way.file == ""
+    assert way.samples == [[0, 0, 0, 1], [4, 0.25, 0, 1], [9, 1, 0, 0.1]]
+    again = parse_scenario(dump_scenario(scenario))
+    assert again.load_trajectory == way
+    nonstop = make_nonstop(again)
+    context = nonstop.CreateDefaultContext()
+    context.SetTime(4.0)
+    reference = nonstop.GetOutputPort("reference").Eval(context)
+    np.testing.assert_allclose(reference[4:7], [0.25, 0, 1], rtol=0, atol=1e-14)
+    with pytest.raises(ScenarioError, match=r"load_trajectory\.file = .*way\.csv: give"):
+        load_scenario("quintic", [setting])
+
+
+def test_an_unknown_scenario_lists_the_known_ones():
+    with pytest.raises(ScenarioError, match="quintic"):
+        load_scenario("quintik")
+
+
+def test_a_replacement_may_be_a_config_or_a_class():
+    from drake_nonstop import ConstantParameters, ConstantParametersConfig
+
+    scenario = load_scenario("quintic")
+    for replacement in (ConstantParameters, ConstantParametersConfig(amplitude=0.9)):
+        diagram = make_nonstop(scenario, optimization_layer=replacement)
+        block = diagram.GetSubsystemByName("optimization_layer")
+        assert isinstance(block, ConstantParameters)
+    context = diagram.CreateDefaultContext()
+    assert np.array_equal(diagram.GetOutputPort("parameters").Eval(context), [2.0, 0.9])
+
+
+def test_a_replacement_of_an_unknown_box_is_an_error():
+    with pytest.raises(ScenarioError, match="optimizer_layer"):
+        make_nonstop(load_scenario("quintic"), optimizer_layer=None)

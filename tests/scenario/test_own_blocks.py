@@ -1,0 +1,221 @@
+"""Blocks of the user's own, by import path."""
+
+import sys
+import textwrap
+
+import pytest
+
+from drake_nonstop import (
+    RunStopped,
+    compute_metrics,
+    dump_scenario,
+    load_scenario,
+    parse_scenario,
+    simulate,
+)
+from drake_nonstop.cli.main import main
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.scenario.loading import changed
+from drake_nonstop.validation import ScenarioError
+
+MODULE = """
+    from dataclasses import dataclass, field
+
+    import numpy as np
+    from pydrake.systems.framework import LeafSystem
+
+    from drake_nonstop import HamiltonianCycleConfig
+
+
+    @dataclass(kw_only=True)
+    class SteadyConfig:
+        speed_bound: float = 0.5  # m/s
+        frequency: float = 1.0  # rad/s
+        amplitude: float = 1.0  # N
+        others: list[float] = field(default_factory=list)
+
+
+    class Steady(LeafSystem):
+        def __init__(self, model, config):
+            super().__init__()
+            values = [config.frequency, config.amplitude]
+            self.DeclareVectorOutputPort(
+                "parameters", 2, lambda context, output: output.SetFromVector(values)
+            )
+
+
+    class Bare(LeafSystem):
+        pass
+
+
+    @dataclass
+    class OrphanConfig:
+        pass
+
+
+    @dataclass
+    class BoundlessConfig:
+        gain: float = 1.0
+
+
+    class Boundless(LeafSystem):
+        pass
+
+
+    @dataclass
+    class NeedyConfig:
+        speed_bound: float
+
+
+    @dataclass
+    class OneArgumentConfig:
+        speed_bound: float = 0.5
+
+
+    class OneArgument(LeafSystem):
+        def __init__(self, model):
+            super().__init__()
+
+
+    @dataclass
+    class FailingConfig(SteadyConfig):
+        pass
+
+
+    class Failing(LeafSystem):
+        def __init__(self, model, config):
+            super().__init__()
+            self.DeclareVectorOutputPort("parameters", 2, self.calc)
+
+        def calc(self, context, output):
+            if context.get_time() > 0.1:
+                raise ZeroDivisionError("nothing to divide by")
+            output.SetFromVector([2.0, 1.2])
+
+
+    @dataclass(kw_only=True)
+    class QuarterCycleConfig:
+        turn: float = 0.5  # rad
+
+        def make(self, attachments):
+            phases = self.turn + np.pi / 2 * np.arange(len(attachments))
+            return HamiltonianCycleConfig(phases=phases.tolist()).make(attachments)
+"""
+TRUST = (
+    "optimization_layer = !own_test_blocks.Steady: this scenario runs code of its own, .*--trust"
+)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The current folder, with a module and a scenario of the user's."""
+    (tmp_path / "own_test_blocks.py").write_text(textwrap.dedent(MODULE))
+    (tmp_path / "mine.yaml").write_text(
+        "mine: {duration: 0.2, optimization_layer: !own_test_blocks.Steady {frequency: 1.5}}"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    yield tmp_path
+    sys.modules.pop("own_test_blocks", None)
+
+
+def test_scenario_with_a_block_of_its_own_runs_where_it_is_trusted(folder):
+    scenario = load_scenario(folder / "mine.yaml", trust=True)
+    assert scenario.optimization_layer.frequency == 1.5
+    run = simulate(scenario)
+    assert run.signal("parameters")[-1].tolist() == [1.5, 1.0]
+    assert compute_metrics(run)["carriers"]["speed_bound_m_s"] == 0.5
+    assert type(run.diagram.GetSubsystemByName("optimization_layer")).__name__ == "Steady"
+
+
+def test_without_trust_it_is_not_even_imported(folder):
+    with pytest.raises(ScenarioError, match=TRUST):
+        load_scenario(folder / "mine.yaml")
+    assert "own_test_blocks" not in sys.modules
+
+
+def test_command_asks_for_trust(folder, capsys):
+    brief = ["--quiet", "--no-figures", "--no-replay", "--out", "out"]
+    assert main(["run", "mine.yaml", *brief]) == 2
+    assert "--trust" in capsys.readouterr().err
+    assert not (folder / "out").exists()
+    assert main(["run", "mine.yaml", "--trust", *brief]) == 0
+    resolved = load_scenario(folder / "out" / "scenario.yaml", trust=True)
+    assert resolved.optimization_layer.frequency == 1.5
+
+
+def test_resolved_scenario_names_the_block_and_reads_back(folder):
+    scenario = load_scenario(folder / "mine.yaml", trust=True)
+    text = dump_scenario(scenario)
+    assert "!own_test_blocks.Steady" in text
+    with pytest.raises(ScenarioError, match=TRUST):
+        parse_scenario(text)
+    assert dump_scenario(parse_scenario(text, trust=True)) == text
+    # What is trusted already can be changed, but nothing else comes in with it.
+    louder = changed(scenario, ["optimization_layer.amplitude=2"])
+    assert louder.optimization_layer.amplitude == 2
+    with pytest.raises(ScenarioError, match="runs code of its own"):
+        changed(scenario, ["load_disturbance=other_test_blocks.Wind"])
+
+
+def test_swap_takes_over_what_was_set(folder):
+    scenario = load_scenario(
+        "quintic",
+        ["optimization_layer.amplitude=1.3", "optimization_layer=own_test_blocks.Steady"],
+        trust=True,
+    )
+    layer = scenario.optimization_layer
+    assert (layer.speed_bound, layer.amplitude, layer.frequency) == (0.55, 1.3, 2.0)
+
+
+def test_pattern_of_its_own(folder):
+    scenario = load_scenario("quintic", ["pattern=own_test_blocks.QuarterCycle"], trust=True)
+    assert scenario.pattern.turn == 0.5
+    make_nonstop(changed(scenario, ["optimization_layer=ConstantParameters"]))
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("no_such_module.Steady", "no_such_module cannot be imported .*No module named"),
+        ("own_test_blocks.Bare", "give own_test_blocks a dataclass BareConfig"),
+        ("own_test_blocks.Orphan", "a LeafSystem or Diagram of the name Orphan"),
+        ("own_test_blocks.Boundless", "give BoundlessConfig a field speed_bound"),
+        ("own_test_blocks.Needy", r"every field of NeedyConfig .* a default \(TypeError"),
+        ("broken_test_blocks.Steady", "cannot be imported .ZeroDivisionError: division by zero"),
+    ],
+)
+def test_what_cannot_be_had_is_told(folder, path, message):
+    (folder / "broken_test_blocks.py").write_text("1 / 0")
+    with pytest.raises(ScenarioError, match=message):
+        load_scenario("quintic", [f"optimization_layer={path}"], trust=True)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("optimization_layer.gain=1", r"optimization_layer\.gain = 1: there is no gain"),
+        ("optimization_layer.amplitude=high", "amplitude = high: give a number"),
+    ],
+)
+def test_fields_of_its_config_are_checked(folder, setting, message):
+    scenario = load_scenario(folder / "mine.yaml", trust=True)
+    with pytest.raises(ScenarioError, match=message):
+        changed(scenario, [setting])
+
+
+def test_constructor_that_fails_is_told_in_a_sentence(folder):
+    setting = "optimization_layer=own_test_blocks.OneArgument"
+    scenario = load_scenario("quintic", [setting], trust=True)
+    with pytest.raises(ScenarioError, match=r"own_test_blocks.OneArgument: mend its constructor"):
+        make_nonstop(scenario)
+
+
+def test_error_during_a_run_names_block_and_line(folder):
+    setting = "optimization_layer=own_test_blocks.Failing"
+    scenario = load_scenario("quintic", ["duration=0.3", setting], trust=True)
+    with pytest.raises(
+        RunStopped,
+        match=r"optimization_layer \(own_test_blocks.py:\d+\): ZeroDivisionError: nothing",
+    ):
+        simulate(scenario)

@@ -1,0 +1,107 @@
+"""Faults that happen for real: no room, a solver that throws, Ctrl-C while a file is written."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from drake_nonstop.cli.main import main
+from drake_nonstop.optimization.speed_program import SpeedProgram
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.simulate import RunStopped, simulate
+
+BRIEF = ["--quiet", "--no-figures", "--no-replay", "--set", "duration=0.3"]
+
+
+def command(folder, *more):
+    return [
+        *(sys.executable, "-m", "drake_nonstop.cli", "run", "quintic"),
+        *("--out", str(folder), *BRIEF, *more),
+    ]
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def test_no_room_for_the_results_leaves_the_earlier_ones(tmp_path):
+    """The kernel refuses to let any file grow beyond 20 kB, in the middle of signals.npz."""
+    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF]) == 0
+    before = contents(tmp_path)
+    limit = 20_000
+    assert len(before["signals.npz"]) > limit
+    result = subprocess.run(
+        command(tmp_path, "system.load_mass=1.1"),
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    assert result.returncode == 2
+    assert "give a folder with room to write to" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert contents(tmp_path) == before
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]
+
+
+def test_a_solver_that_throws_stops_the_run_with_its_cause_and_keeps_what_there_is(
+    tmp_path, monkeypatch, capsys
+):
+    solve = SpeedProgram.solve
+
+    def failing(program, data):
+        if data[2] > 0.3:  # rad, the orbit's phase: after 0.15 s
+            raise RuntimeError("the solver\nis out of licences")
+        return solve(program, data)
+
+    monkeypatch.setattr(SpeedProgram, "solve", failing)
+    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF]) == 1
+    error = capsys.readouterr().err
+    assert "RuntimeError: the solver is out of licences" in error
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert 0.1 < metrics["simulated_s"] < 0.2
+    with np.load(tmp_path / "signals.npz") as signals:
+        assert all(np.isfinite(values).all() for values in signals.values())
+
+
+def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch):
+    def broken(program, data):
+        parameters, outcome, slowest = solve(program, data)
+        return parameters * np.nan, outcome, slowest
+
+    solve = SpeedProgram.solve
+    monkeypatch.setattr(SpeedProgram, "solve", broken)
+    with pytest.raises(RunStopped, match="not finite"):
+        simulate(load_scenario("quintic", ["duration=0.3"]))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05])
+def test_ctrl_c_while_results_are_written_leaves_the_old_or_the_new(tmp_path, delay):
+    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF]) == 0
+    before = contents(tmp_path)
+    # The run takes longer than its results; the signal comes as the new folder appears.
+    process = subprocess.Popen(
+        [*command(tmp_path, "system.load_mass=1.1"), "duration=3"],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    while process.poll() is None:
+        if any(path.name.startswith(".new") for path in tmp_path.iterdir()):
+            time.sleep(delay)
+            process.send_signal(signal.SIGINT)
+            break
+    _, error = process.communicate(timeout=60)
+    assert "Traceback" not in error
+    after = contents(tmp_path)
+    assert after.keys() == before.keys()
+    json.loads(after["metrics.json"])
+    with np.load(tmp_path / "signals.npz") as signals:
+        assert len(signals["time"]) in (31, 301)
+    assert process.returncode in (0, 130)
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]

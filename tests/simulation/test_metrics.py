@@ -1,0 +1,169 @@
+"""The metrics, on runs made up so that each figure is known."""
+
+import numpy as np
+import pytest
+
+from drake_nonstop import load_scenario
+from drake_nonstop.simulation.metrics import compute_metrics, load_errors, segment_distances
+from drake_nonstop.simulation.simulate import Run
+
+KEYS = {
+    "": {
+        "scenario",
+        "simulated_s",
+        "is_steered",
+        "wall_s",
+        "real_time_factor",
+        "load",
+        "carriers",
+        "cables",
+        "optimizer",
+        "versions",
+    },
+    "load": {
+        "position_error_mean_m",
+        "position_error_max_m",
+        "position_error_final_m",
+        "orientation_error_mean_rad",
+        "orientation_error_max_rad",
+    },
+    "carriers": {
+        "n",
+        "speed_min_m_s",
+        "speed_max_m_s",
+        "speed_final_m_s",
+        "speed_bound_m_s",
+        "time_below_bound_s",
+        "separation_min_m",
+        "normal_acceleration_max_m_s2",
+        "climb_angle_max_rad",
+        "turn_radius_min_m",
+    },
+    "cables": {"tension_min_N", "tension_max_N", "slack_time_s", "separation_min_m"},
+    "optimizer": {
+        "updates",
+        "kept",
+        "solved",
+        "relaxed",
+        "held",
+        "solve_time_ms",
+        "xi_final_rad_s",
+        "A_final_N",
+    },
+    "versions": {"drake_nonstop", "drake", "numpy"},
+}
+
+
+def circling_run(*, radius=0.5, rate=2.0, tensions=None):
+    """Four carriers on level circles above the corners of a resting, level load."""
+    scenario = load_scenario("quintic")
+    time = np.linspace(0, 4, 4001)
+    corners = np.array(scenario.system.attachments)
+    angle = rate * time[:, None]
+    ring = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle + 1.6], axis=2)
+    swing = radius * rate * np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=2)
+    positions = corners + ring
+    velocities = np.broadcast_to(swing, positions.shape)
+    carriers = np.concatenate(
+        [positions.reshape(len(time), -1), velocities.reshape(len(time), -1)], axis=1
+    )
+    load = np.zeros((len(time), 13))
+    load[:, 0] = 1
+    load[:, 4] = 0.003
+    reference = np.zeros((len(time), 22))
+    reference[:, 0] = 1
+    diagnostics = np.zeros((len(time), 7))
+    diagnostics[-1] = [1, 7, 4, 1, 1, 1, 0.2]
+    return Run(
+        scenario=scenario,
+        diagram=None,
+        time=time,
+        signals={
+            "load_plant.load_state": load,
+            "load_trajectory.reference": reference,
+            "optimization_layer.parameters": np.tile([2.0, 1.3], (len(time), 1)),
+        },
+        steps={
+            "time": time,
+            "load_state": load,
+            "carrier_state": carriers,
+            "tensions": np.full((len(time), 4), 2.5) if tensions is None else tensions(time),
+            "diagnostics": diagnostics,
+        },
+        solve_times=np.array([1e-3, 2e-3, 3e-3]),
+        wall_time=0.5,
+    )
+
+
+def test_the_keys_are_those_that_others_read():
+    metrics = compute_metrics(circling_run())
+    assert set(metrics) == KEYS[""]
+    for part in ("load", "carriers", "cables", "optimizer", "versions"):
+        assert set(metrics[part]) == KEYS[part]
+
+
+def test_level_circles_have_known_figures():
+    metrics = compute_metrics(circling_run(radius=0.5, rate=2.0))
+    carriers = metrics["carriers"]
+    assert carriers["n"] == 4
+    assert carriers["speed_min_m_s"] == pytest.approx(1.0, abs=1e-12)
+    assert carriers["speed_max_m_s"] == pytest.approx(1.0, abs=1e-12)
+    assert carriers["separation_min_m"] == pytest.approx(1.5, abs=1e-12)
+    assert carriers["normal_acceleration_max_m_s2"] == pytest.approx(2.0, rel=2e-3)
+    assert carriers["turn_radius_min_m"] == pytest.approx(0.5, rel=2e-3)
+    assert carriers["climb_angle_max_rad"] == 0
+    assert carriers["time_below_bound_s"] == 0
+    assert metrics["load"]["position_error_mean_m"] == pytest.approx(0.003)
+    assert metrics["real_time_factor"] == pytest.approx(8.0)
+    assert metrics["optimizer"]["solve_time_ms"]["p50"] == pytest.approx(2.0)
+    assert metrics["optimizer"]["held"] == 1
+
+
+def test_time_below_the_bound_is_the_time_that_any_carrier_is_slow():
+    run = circling_run(radius=0.25, rate=2.0)  # 0.5 m/s, under the bound of 0.55
+    assert compute_metrics(run)["carriers"]["time_below_bound_s"] == pytest.approx(4.0)
+    slow = run.steps["carrier_state"]
+    slow[run.steps["time"] > 1.0, 12:] *= 2
+    assert compute_metrics(run)["carriers"]["time_below_bound_s"] == pytest.approx(1.0, abs=2e-3)
+
+
+def test_slack_time_counts_any_slack_cable():
+    def tensions(time):
+        values = np.full((len(time), 4), 2.5)
+        values[(time > 1) & (time < 1.5), 2] = 0
+        return values
+
+    metrics = compute_metrics(circling_run(tensions=tensions))
+    assert metrics["cables"]["slack_time_s"] == pytest.approx(0.5, abs=3e-3)
+    assert metrics["cables"]["tension_min_N"] == 0
+
+
+def test_orientation_error_is_the_angle_even_when_small_or_the_quaternion_flips_sign():
+    run = circling_run()
+    for angle in (1e-9, 1e-4, 0.3, 3.0):
+        for sign in (1, -1):
+            run.signals["load_plant.load_state"][:, :4] = sign * np.array(
+                [np.cos(angle / 2), 0, np.sin(angle / 2), 0]
+            )
+            _, error = load_errors(run)
+            np.testing.assert_allclose(error[0], [0, angle, 0], rtol=1e-9, atol=1e-16)
+
+
+def test_segment_distance_equals_a_dense_search():
+    random = np.random.default_rng(5)
+    ends = random.normal(size=(4, 60, 3))
+    ends[1, :10] = ends[0, :10] + (ends[3, :10] - ends[2, :10])  # some parallel ones
+    s = np.linspace(0, 1, 201)
+    first = ends[0, :, None] + s[:, None] * (ends[1] - ends[0])[:, None]
+    second = ends[2, :, None] + s[:, None] * (ends[3] - ends[2])[:, None]
+    dense = np.linalg.norm(first[:, :, None] - second[:, None], axis=3).min(axis=(1, 2))
+    exact = segment_distances(*ends)
+    assert np.all(exact <= dense + 1e-12)
+    assert np.max(dense - exact) < 0.03
+
+
+def test_crossing_and_touching_segments_have_no_distance():
+    a, b = np.array([[0.0, 0, 0]]), np.array([[2.0, 0, 0]])
+    assert segment_distances(a, b, np.array([[1.0, -1, 0]]), np.array([[1.0, 1, 0]]))[0] == 0
+    assert segment_distances(a, b, b, np.array([[3.0, 4, 0]]))[0] == 0
+    assert segment_distances(a, b, np.array([[3.0, 0, 0]]), np.array([[5.0, 0, 0]]))[0] == 1

@@ -1,0 +1,134 @@
+"""A traced block has the ports that it is given, and is evaluated when they change, not before."""
+
+import numpy as np
+import pytest
+from helpers import fix, output
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Integrator, ZeroOrderHold
+
+from drake_nonstop import load_scenario, simulate
+from drake_nonstop.simulation.simulate import RunStopped
+from drake_nonstop.systems.sampled_integrator import SampledIntegrator
+from drake_nonstop.systems.traced_block import TracedBlock, _Traced
+from drake_nonstop.systems.tracing import NotFiniteError
+
+
+def spring(**more):
+    """A force and its power, of a mass on a spring."""
+
+    def function(state, push, gain):
+        rate = np.concatenate([state[1:], push - gain * state[:1]])
+        return rate, push * state[1:], gain * state[:1]
+
+    return TracedBlock(
+        function,
+        inputs={"push": 1, "gain": 1},
+        outputs={"power": 1, "force": 1},
+        state=Integrator(np.array([2.0, 3.0])),
+        **more,
+    )
+
+
+def test_ports_are_named_and_sized():
+    block = spring(state_port="motion")
+    assert [block.get_input_port(i).get_name() for i in range(2)] == ["push", "gain"]
+    names = [block.get_output_port(i).get_name() for i in range(block.num_output_ports())]
+    assert names == ["power", "force", "motion"]
+    assert not spring().HasOutputPort("motion")
+
+
+def test_outputs_and_rates_are_the_functions():
+    block = spring(state_port="motion")
+    context = block.CreateDefaultContext()
+    fix(block, context, push=[5.0], gain=[7.0])
+    assert output(block, context, "power") == [15.0]
+    assert output(block, context, "force") == [14.0]
+    np.testing.assert_array_equal(output(block, context, "motion"), [2.0, 3.0])
+    np.testing.assert_array_equal(block.EvalTimeDerivatives(context).CopyToVector(), [3.0, -9.0])
+
+
+def test_time_is_read_last():
+    block = TracedBlock(
+        lambda value, time: value * time,
+        inputs={"value": 2},
+        outputs={"result": 2},
+        reads_time=True,
+    )
+    context = block.CreateDefaultContext()
+    fix(block, context, value=[1.0, 2.0])
+    context.SetTime(3.0)
+    np.testing.assert_array_equal(output(block, context, "result"), [3.0, 6.0])
+
+
+@pytest.mark.parametrize(("reads_time", "count"), [(False, 1), (True, 2)])
+def test_a_held_input_is_not_evaluated_again(monkeypatch, reads_time, count):
+    calls = []
+    for name in ("_calc", "_calc_at_time"):
+        calc = getattr(_Traced, name)
+
+        def counted(self, *arguments, calc=calc):
+            calls.append(1)
+            return calc(self, *arguments)
+
+        monkeypatch.setattr(_Traced, name, counted)
+    builder = DiagramBuilder()
+    holds = [builder.AddSystem(ZeroOrderHold(1.0, 1)) for _ in range(2)]
+    block = builder.AddSystem(
+        TracedBlock(
+            lambda a, b, *time: (a + b, a - b),
+            inputs={"a": 1, "b": 1},
+            outputs={"sum": 1, "difference": 1},
+            reads_time=reads_time,
+        )
+    )
+    for hold, name in zip(holds, "ab", strict=True):
+        builder.Connect(hold.get_output_port(), block.GetInputPort(name))
+    for name in ("sum", "difference"):
+        builder.ExportOutput(block.GetOutputPort(name), name)
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    for time in (0.1, 0.2):
+        context.SetTime(time)
+        for name in ("sum", "difference"):
+            diagram.GetOutputPort(name).Eval(context)
+    assert len(calls) == count
+
+
+def test_a_value_that_is_not_finite_names_the_block():
+    block = spring()
+    block.set_name("spring")
+    context = block.CreateDefaultContext()
+    fix(block, context, push=[np.nan], gain=[1.0])
+    with pytest.raises(NotFiniteError, match="spring was given"):
+        output(block, context, "power")
+
+
+def test_sampled_integral_begins_at_the_first_sample():
+    block = SampledIntegrator(2, 0.5)
+    simulator = Simulator(block)
+    context = simulator.get_mutable_context()
+    fix(block, context, rate=[2.0, 4.0])
+    simulator.Initialize()
+    np.testing.assert_array_equal(output(block, context, "integral"), [0.0, 0.0])
+    simulator.AdvanceTo(1.2)
+    np.testing.assert_array_equal(output(block, context, "integral"), [2.0, 4.0])
+
+
+def test_a_block_of_the_time_alone():
+    block = TracedBlock(lambda time: 2 * time, inputs={}, outputs={"ramp": 1}, reads_time=True)
+    context = block.CreateDefaultContext()
+    for time in (1.0, 3.0):
+        context.SetTime(time)
+        assert output(block, context, "ramp") == [2 * time]
+
+
+def test_a_block_of_nothing_is_refused():
+    with pytest.raises(ValueError, match="inputs = none: give some, a state, or reads_time"):
+        TracedBlock(lambda: np.ones(1), inputs={}, outputs={"one": 1})
+
+
+def test_an_error_names_the_block_however_deep_inside_it():
+    settings = ["duration=0.1", "force_distribution=!BoundedTensionDistribution {max_tension: 1.2}"]
+    with pytest.raises(RunStopped, match=r": force_distribution \(force_distribution.py"):
+        simulate(load_scenario("line", settings))

@@ -1,0 +1,223 @@
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.systems.framework import LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
+
+from drake_nonstop.systems.wiring import (
+    WiringError,
+    check_outputs,
+    connect,
+    connections,
+    input_names,
+    output_names,
+    wires,
+)
+from drake_nonstop.validation import ScenarioError
+
+
+class Box(LeafSystem):
+    """Each output (2,) is the sum of all inputs (2,) plus its number, or a constant."""
+
+    def __init__(self, inputs=(), outputs=(), size=2):
+        super().__init__()
+        for name in inputs:
+            self.DeclareVectorInputPort(name, size)
+        for i, name in enumerate(outputs):
+            self.DeclareVectorOutputPort(
+                name, size, lambda context, value, i=i: value.SetFromVector(self._sum(context) + i)
+            )
+
+    def _sum(self, context):
+        ports = [self.get_input_port(i) for i in range(self.num_input_ports())]
+        return sum((port.Eval(context) for port in ports), np.ones(2))
+
+
+def figure():
+    return {
+        "source": Box([], ["force", "pose"]),
+        "controller": Box(["force", "pose"], ["command"]),
+        "plant": Box(["command", "force"], ["state"]),
+    }
+
+
+FIGURE_WIRES = [
+    "source.force -> controller.force",
+    "source.pose -> controller.pose",
+    "controller.command -> plant.command",
+    "source.force -> plant.force",
+]
+
+
+def test_port_names_in_order():
+    assert input_names(figure()["plant"]) == ["command", "force"]
+    assert output_names(figure()["source"]) == ["force", "pose"]
+
+
+def test_wires_follow_from_the_names():
+    assert wires(figure()) == FIGURE_WIRES
+
+
+def test_wires_do_not_depend_on_the_order_of_the_blocks():
+    backwards = dict(reversed(figure().items()))
+    assert sorted(wires(backwards)) == sorted(FIGURE_WIRES)
+
+
+def test_built_diagram_has_the_wires_and_the_names():
+    diagram = connect(figure(), name="loop")
+    assert sorted(connections(diagram)) == sorted(FIGURE_WIRES)
+    assert diagram.get_name() == "loop"
+    assert [block.get_name() for block in diagram.GetSystems()] == [*figure()]
+    assert diagram.num_input_ports() == 0
+
+
+def test_every_signal_is_exported_by_its_name_and_has_its_value():
+    diagram = connect(figure(), name="loop")
+    context = diagram.CreateDefaultContext()
+    expected = {"force": 1, "pose": 2, "command": 1 + 1 + 2, "state": 1 + 4 + 1}
+    assert diagram.num_output_ports() == len(expected)
+    for name, value in expected.items():
+        np.testing.assert_array_equal(diagram.GetOutputPort(name).Eval(context), [value, value])
+
+
+def test_misspelt_input_is_told_the_valid_names():
+    blocks = figure() | {"plant": Box(["comand"], ["state"])}
+    with pytest.raises(WiringError) as error:
+        connect(blocks, name="loop")
+    assert str(error.value) == (
+        "plant = Box with inputs comand (2): comand (2) is not among the signals command (2), "
+        "force (2), pose (2), state (2); rename or resize the ports"
+    )
+    assert isinstance(error.value, ScenarioError)
+
+
+def test_two_blocks_with_the_same_signal_are_both_named():
+    blocks = figure() | {"second": Box([], ["pose"])}
+    with pytest.raises(WiringError, match=r"second\.pose = .*source.*rename"):
+        connect(blocks, name="loop")
+
+
+def test_sizes_that_differ_are_both_given():
+    blocks = figure() | {"plant": Box(["command"], ["state"], size=3)}
+    with pytest.raises(WiringError) as error:
+        connect(blocks, name="loop")
+    assert str(error.value) == (
+        "plant = Box with inputs command (3): expected command (2); rename or resize the ports"
+    )
+
+
+def test_all_inputs_that_cannot_be_wired_are_told_at_once():
+    blocks = figure() | {"plant": Box(["comand", "force", "torque"], ["state"])}
+    with pytest.raises(WiringError) as error:
+        connect(blocks, name="loop")
+    assert "with inputs comand (2), force (2), torque (2): comand (2), torque (2) are not" in str(
+        error.value
+    )
+
+
+class Abstract(LeafSystem):
+    """A string through ports that are no vectors."""
+
+    def __init__(self, inputs=(), outputs=()):
+        super().__init__()
+        for name in inputs:
+            self.DeclareAbstractInputPort(name, Value(""))
+        for name in outputs:
+            self.DeclareAbstractOutputPort(name, lambda: Value(""), lambda context, value: None)
+
+
+def test_abstract_ports_are_wired_to_each_other():
+    blocks = figure() | {"mode": Abstract([], ["mode"]), "display": Abstract(["mode"], [])}
+    assert set(connections(connect(blocks, name="loop"))) == {
+        *FIGURE_WIRES,
+        "mode.mode -> display.mode",
+    }
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        ({"display": Abstract(["force"], [])}, "display = Abstract with inputs force (abstract): "),
+        (
+            {"mode": Abstract([], ["mode"]), "sink": Box(["mode"])},
+            "sink = Box with inputs mode (2)",
+        ),
+    ],
+)
+def test_abstract_port_does_not_fit_a_vector(extra, said):
+    with pytest.raises(WiringError) as error:
+        connect(figure() | extra, name="loop")
+    assert str(error.value).startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "said"),
+    [
+        (["force", "pose"], None),
+        (["force"], None),
+        (["force", "heading"], None),
+        (["pose"], "with outputs pose (2): expected force (2), optional pose (2); rename"),
+        ([], "with outputs none: expected force (2), optional pose (2); rename"),
+    ],
+)
+def test_outputs_are_compared_with_what_is_expected(outputs, said):
+    block = Box([], outputs)
+    if said is None:
+        check_outputs("source", block, {"force": 2}, {"pose": 2})
+    else:
+        with pytest.raises(WiringError) as error:
+            check_outputs("source", block, {"force": 2}, {"pose": 2})
+        assert str(error.value) == f"source = Box {said} or resize the ports"
+
+
+@pytest.mark.parametrize(("required", "optional"), [({"force": 3}, {}), ({}, {"force": 3})])
+@pytest.mark.parametrize("block", [Box([], ["force"]), Abstract([], ["force"])])
+def test_outputs_of_another_size_are_told(block, required, optional):
+    with pytest.raises(WiringError, match=r"with outputs force \((2|abstract)\): .*force \(3\);"):
+        check_outputs("source", block, required, optional)
+
+
+def test_readers_of_a_replaced_signal_get_the_replacement_but_not_its_maker():
+    blocks = figure() | {"hold": Box(["force"], ["held_force"])}
+    result = wires(blocks, {"force": "held_force"})
+    assert "source.force -> hold.force" in result
+    assert "hold.held_force -> controller.force" in result
+    assert "hold.held_force -> plant.force" in result
+    assert len(result) == 5
+    assert sorted(
+        connections(connect(blocks, name="loop", replaced_signals={"force": "held_force"}))
+    ) == sorted(result)
+
+
+def test_makers_of_replaced_signals_read_nothing_that_is_replaced():
+    # `feedback` makes a replaced signal of another one: behind the hold it would lag.
+    blocks = {
+        "source": Box([], ["force"]),
+        "feedback": Box(["force"], ["pose"]),
+        "hold": Box(["force", "pose"], ["held_force", "held_pose"]),
+        "controller": Box(["force", "pose"], ["command"]),
+    }
+    assert wires(blocks, {"force": "held_force", "pose": "held_pose"}) == [
+        "source.force -> feedback.force",
+        "source.force -> hold.force",
+        "feedback.pose -> hold.pose",
+        "hold.held_force -> controller.force",
+        "hold.held_pose -> controller.pose",
+    ]
+
+
+def test_replacement_that_nobody_makes_is_an_error():
+    with pytest.raises(WiringError, match=r"^replacement of force = held_force: no block .* pose"):
+        wires(figure(), {"force": "held_force"})
+
+
+def test_drakes_own_systems_are_named_after_their_keys():
+    source = ConstantVectorSource([1.0, 2.0])
+    diagram = connect({"constant": source}, name="loop")
+    assert diagram.GetSubsystemByName("constant") is source
+
+
+def test_blocks_in_an_algebraic_loop_do_not_build():
+    blocks = {"a": Box(["two"], ["one"]), "b": Box(["one"], ["two"])}
+    with pytest.raises(RuntimeError, match="algebraic loop"):
+        connect(blocks, name="loop")

@@ -1,0 +1,135 @@
+"""The visualizer beside the loop: what it shows, and that nothing else notices it."""
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from drake_nonstop.blocks.optimization_layer import ConstantParameters
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError
+from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer
+from drake_nonstop.visualization.scene import ROOT, start_meshcat
+
+
+@pytest.fixture(scope="module")
+def meshcat():
+    return start_meshcat()
+
+
+def transforms(meshcat):
+    names = ["load", "reference", "carriers/0", "cables/3"]
+    return [meshcat._GetPackedTransform(f"{ROOT}/{name}") for name in names]
+
+
+def short(name="quintic", duration=0.3):
+    return load_scenario(name, [f"duration={duration}"])
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_run_is_the_same_to_the_bit_with_any_number_of_viewers(count):
+    alone = simulate(short())
+    watched = simulate(short(), viewers=[start_meshcat() for _ in range(count)])
+    assert alone.signals.keys() == watched.signals.keys()
+    for name, values in alone.signals.items():
+        np.testing.assert_array_equal(values, watched.signals[name], err_msg=name)
+    np.testing.assert_array_equal(alone.steps["time"], watched.steps["time"])
+
+
+def beside(scenario, meshcat, **options):
+    """A simulator of the loop with a visualizer, and the latter."""
+    nonstop = make_nonstop(scenario)
+    builder = DiagramBuilder()
+    builder.AddSystem(nonstop)
+    visualizer = NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat, **options)
+    simulator = Simulator(builder.Build())
+    ApplySimulatorConfig(scenario.simulator, simulator)
+    context = simulator.get_mutable_context()
+    set_equilibrium(nonstop, nonstop.GetMyMutableContextFromRoot(context))
+    return simulator, visualizer
+
+
+def test_it_shows_the_start_and_frames_as_often_as_asked(meshcat):
+    frames = {}
+    for rate in (1e-3, 1e6):
+        simulator, visualizer = beside(short(), meshcat, frame_rate=rate)
+        shown = []
+        visualizer.scene.show = lambda canvas, snapshot, shown=shown: shown.append(snapshot.time)
+        simulator.AdvanceTo(0.1)
+        frames[rate] = shown
+    assert frames[1e-3] == [0.0]
+    assert len(frames[1e6]) >= 20  # every step
+    assert frames[1e6] == sorted(frames[1e6])
+
+
+def test_a_forced_publish_shows_the_instant(meshcat):
+    simulator, visualizer = beside(short(), meshcat, frame_rate=1e-3)
+    simulator.AdvanceTo(0.2)
+    before = transforms(meshcat)
+    visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(simulator.get_context()))
+    assert all(a != b for a, b in zip(before[2:], transforms(meshcat)[2:], strict=True))
+
+
+def test_a_run_that_starts_anew_is_drawn_anew(meshcat):
+    simulator, visualizer = beside(short(), meshcat, frame_rate=1e-3)
+    simulator.Initialize()
+    at_start = transforms(meshcat)
+    simulator.AdvanceTo(0.2)
+    context = visualizer.GetMyContextFromRoot(simulator.get_context())
+    visualizer.ForcedPublish(context)
+    assert transforms(meshcat) != at_start
+    simulator, visualizer = beside(short(), meshcat, frame_rate=1e-3)
+    simulator.Initialize()
+    assert transforms(meshcat) == at_start
+
+
+def test_the_bound_may_come_from_a_port_or_not_at_all(meshcat):
+    bounds = []
+    visualizer = NonstopVisualizer(SystemParameters(), meshcat, speed_bound=0.3)
+    visualizer.scene.show = lambda canvas, snapshot: bounds.append(snapshot.speed_bound)
+    context = visualizer.CreateDefaultContext()
+    upright = [1.0, *[0.0] * 21]
+    for name, value in (
+        ("load_state", upright[:13]),
+        ("reference", upright),
+        ("carrier_state", np.linspace(0, 1, 24)),
+        ("tensions", np.ones(4)),
+    ):
+        visualizer.GetInputPort(name).FixValue(context, value)
+    visualizer.ForcedPublish(context)
+    visualizer.GetInputPort("speed_bound").FixValue(context, 0.7)
+    visualizer.ForcedPublish(context)
+    assert bounds == [0.3, 0.7]
+    visualizer.GetInputPort("tensions").FixValue(context, [1.0, np.nan, 1.0, 1.0])
+    visualizer.ForcedPublish(context)  # not its business
+    assert len(bounds) == 2
+
+
+def test_it_can_stand_beside_a_loop_whose_layer_has_no_bound(meshcat):
+    class Plain(ConstantParameters):
+        """A layer of a user's own."""
+
+        def DeclareVectorOutputPort(self, name, *arguments):  # noqa: N802
+            if name != "speed_bound":
+                super().DeclareVectorOutputPort(name, *arguments)
+
+    run = simulate(short(), viewers=[meshcat], optimization_layer=Plain)
+    assert run.time[-1] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("name", ["three_carriers", "static_hold_open_loop", "line"])
+def test_it_shows_any_scenario(meshcat, name):
+    simulate(short(name, 0.1), viewers=[meshcat])
+    n = len(load_scenario(name).system.attachments)
+    assert meshcat.HasPath(f"{ROOT}/carriers/{n - 1}/mark")
+    assert not meshcat.HasPath(f"{ROOT}/carriers/{n}")
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("inf"), "fast"])
+def test_bad_frame_rate(meshcat, rate):
+    with pytest.raises(ScenarioError, match=r"visualizer\.frame_rate = "):
+        NonstopVisualizer(SystemParameters(), meshcat, frame_rate=rate)

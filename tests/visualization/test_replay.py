@@ -1,0 +1,133 @@
+"""The page that a run is kept in; tests/browser plays it."""
+
+import base64
+import logging
+import re
+
+import numpy as np
+import pytest
+from helpers import circling_run
+
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.simulate import Run, simulate
+from drake_nonstop.visualization.replay import record_replay
+
+MEGABYTE = 1e6
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    scenario = load_scenario("quintic")
+    scenario.duration = 0.5
+    return simulate(scenario)
+
+
+def shortened(run, samples):
+    signals = {name: values[:samples].copy() for name, values in run.signals.items()}
+    return Run(**{**vars(run), "time": run.time[:samples], "signals": signals})
+
+
+def commands(html):
+    """What the page tells the viewer, each in msgpack."""
+    return map(base64.b64decode, re.findall(r"octet-binary;base64,([\w+/=]+)", html))
+
+
+def paths(html):
+    """The scene's bodies that have an object in the page."""
+    objects = [content for content in commands(html) if b"set_object" in content]
+    path = rb"/nonstop/(load|reference|carriers/\d+|cables/\d+)\b"
+    return {found.decode() for content in objects for found in re.findall(path, content)}
+
+
+def expected_paths(n):
+    return {"load", "reference"} | {f"{k}/{i}" for k in ("carriers", "cables") for i in range(n)}
+
+
+def polyline(html, index):
+    points = re.findall(r'points="([^"]*)"', html)[index]
+    return np.array([pair.split(",") for pair in points.split()], dtype=float)
+
+
+def test_page_refers_to_nothing_outside(simulated):
+    html = record_replay(simulated)
+    assert "<script" in html
+    tags = re.findall(r"<(?:script|link|img|iframe)\b[^>]*>", html)
+    assert not [tag for tag in tags if re.search(r"\b(src|href)\s*=", tag)]
+    addresses = re.findall(r"""fetch\(["'](.{0,40})""", html)
+    assert addresses
+    assert all(address.startswith("data:") for address in addresses)
+
+
+@pytest.mark.parametrize("n", [3, 6])
+def test_page_shows_all_bodies(n):
+    assert paths(record_replay(circling_run(n))) == expected_paths(n)
+
+
+def test_page_of_a_simulated_run_shows_all_bodies(simulated):
+    assert paths(record_replay(simulated)) == expected_paths(4)
+
+
+def test_thirty_seconds_of_four_carriers_take_less_than_five_megabytes():
+    assert len(record_replay(circling_run(duration=30.0))) < 5 * MEGABYTE
+
+
+def test_page_compares_the_slowest_carrier_with_the_bound(simulated):
+    html = record_replay(simulated)
+    frames = slice(None, None, 4)  # 25 Hz of 100
+    bound, slowest = polyline(html, 0), polyline(html, 1)
+    np.testing.assert_allclose(bound[:, 1], 0.55)
+    np.testing.assert_allclose(slowest[:, 0], simulated.time[frames], atol=1e-6)
+    velocities = simulated.signal("carrier_state")[frames, 12:].reshape(-1, 4, 3)
+    speeds = np.linalg.norm(velocities, axis=2).min(axis=1)
+    np.testing.assert_allclose(slowest[:, 1], speeds, rtol=1e-3)
+
+
+def test_name_and_colours_are_told_as_text():
+    run = circling_run()
+    run.scenario.name = "<b>&"
+    run.scenario.scene.slack_colour = "#123456"
+    html = record_replay(run)
+    assert "&lt;b&gt;&amp;" in html
+    assert "#123456" in html
+
+
+def test_frame_rate_is_at_most_that_of_the_signals():
+    fast, faster = (
+        [content for content in commands(html) if b"set_animation" in content]
+        for html in (record_replay(circling_run(), frame_rate=rate) for rate in (100.0, 1000.0))
+    )
+    assert len(fast) == 1
+    assert fast == faster
+
+
+@pytest.mark.parametrize("samples", [1, 2])
+def test_run_of_hardly_any_samples(simulated, samples):
+    assert paths(record_replay(shortened(simulated, samples))) == expected_paths(4)
+
+
+def test_samples_from_the_first_that_is_not_finite_are_left_out(simulated):
+    run = shortened(simulated, len(simulated.time))
+    run.signal("carrier_state")[40, 2] = np.nan
+    run.signal("load_state")[45:, 4] = np.inf
+    html = record_replay(run)
+    assert len(polyline(html, 1)) == 10
+    assert paths(html) == expected_paths(4)
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf, 0.0])
+def test_run_without_a_usable_sample_gives_an_empty_page(simulated, broken):
+    run = shortened(simulated, 1)
+    run.signal("load_state")[:] = broken
+    assert paths(record_replay(run)) == set()
+
+
+def test_recording_leaves_no_trace_in_the_log(caplog):
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.INFO)
+    try:
+        record_replay(circling_run(duration=0.1))
+        assert logger.level == logging.INFO
+    finally:
+        logger.setLevel(level)
+    assert not caplog.records
