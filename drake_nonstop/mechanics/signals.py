@@ -1,0 +1,161 @@
+"""The flat vectors between the blocks, by the names of their parts.
+
+Each class names the parts of one vector, in their order. `view` slices an array over its last
+axis, so that it serves single vectors, object arrays and whole logs (k, size) alike. The parts are
+views: nothing is copied, and writing to a part writes to the array. `np.concatenate` of an
+instance is the vector again (of logs: with axis=-1).
+
+    velocity = LoadState.view(load_state).velocity
+    load_state = np.concatenate(LoadState(quaternion, position, angular_velocity, velocity))
+
+All quantities are SI. Frames are W, unless said otherwise.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+POSE_SIZE = 7
+LOAD_STATE_SIZE = 13
+LOAD_REFERENCE_SIZE = 22
+WRENCH_SIZE = 6
+TRACKING_ERROR_SIZE = 12
+PARAMETERS_SIZE = 2
+PHASE_SIZE = 2
+
+
+class Pose(NamedTuple):
+    """The load's pose: what load states and references begin with."""
+
+    quaternion: NDArray  # (..., 4), w x y z, of R_WL
+    position: NDArray  # (..., 3), m
+
+    @classmethod
+    def view(cls, values: NDArray) -> "Pose":
+        """The parts of an array (..., 7), or of a longer one that begins in the same way."""
+        return cls(values[..., :4], values[..., 4:7])
+
+
+class LoadState(NamedTuple):
+    """Pose and twist of the load, in the order of a free body in Drake's MultibodyPlant."""
+
+    quaternion: NDArray  # (..., 4), w x y z, of R_WL
+    position: NDArray  # (..., 3), m
+    angular_velocity: NDArray  # (..., 3), rad/s
+    velocity: NDArray  # (..., 3), m/s
+
+    @classmethod
+    def view(cls, values: NDArray) -> "LoadState":
+        """The parts of an array (..., 13), or of a longer one such as a reference.
+
+        Of a state's rate they are the rates of the parts.
+        """
+        return cls(values[..., :4], values[..., 4:7], values[..., 7:10], values[..., 10:13])
+
+
+class LoadReference(NamedTuple):
+    """The desired motion of the load."""
+
+    quaternion: NDArray  # (..., 4), w x y z, of R_WD
+    position: NDArray  # (..., 3), m
+    angular_velocity: NDArray  # (..., 3), rad/s
+    velocity: NDArray  # (..., 3), m/s
+    angular_acceleration: NDArray  # (..., 3), rad/s²
+    acceleration: NDArray  # (..., 3), m/s²
+    jerk: NDArray  # (..., 3), m/s³
+
+    @classmethod
+    def view(cls, values: NDArray) -> "LoadReference":
+        """The parts of an array (..., 22)."""
+        return cls(
+            values[..., :4],
+            values[..., 4:7],
+            values[..., 7:10],
+            values[..., 10:13],
+            values[..., 13:16],
+            values[..., 16:19],
+            values[..., 19:22],
+        )
+
+
+class Wrench(NamedTuple):
+    """A wrench at the load's centre of mass, or its rate."""
+
+    torque: NDArray  # (..., 3), N m
+    force: NDArray  # (..., 3), N
+
+    @classmethod
+    def view(cls, values: NDArray) -> "Wrench":
+        """The parts of an array (..., 6)."""
+        return cls(values[..., :3], values[..., 3:6])
+
+
+class TrackingError(NamedTuple):
+    """The load's state minus its reference: angular parts in L, the others in W."""
+
+    orientation: NDArray  # (..., 3), e_R, rad for small angles, in L
+    position: NDArray  # (..., 3), e_p, m
+    angular_velocity: NDArray  # (..., 3), e_ω, rad/s, in L
+    velocity: NDArray  # (..., 3), e_v, m/s
+
+    @classmethod
+    def view(cls, values: NDArray) -> "TrackingError":
+        """The parts of an array (..., 12)."""
+        return cls(values[..., :3], values[..., 3:6], values[..., 6:9], values[..., 9:12])
+
+
+class CarrierStates(NamedTuple):
+    """Positions and velocities of n carriers, or their references."""
+
+    positions: NDArray  # (..., n, 3), m
+    velocities: NDArray  # (..., n, 3), m/s
+
+    @classmethod
+    def view(cls, values: NDArray) -> "CarrierStates":
+        """The parts of an array (..., 6n) = [p_1 … p_n, v_1 … v_n]."""
+        parts = values.reshape(*values.shape[:-1], 2, -1, 3)
+        return cls(parts[..., 0, :, :], parts[..., 1, :, :])
+
+    def flat(self) -> NDArray:
+        """The array (..., 6n) of these parts."""
+        lead = self.positions.shape[:-2]
+        flat = (part.reshape(*lead, -1) for part in self)
+        return np.concatenate([*flat], axis=-1)
+
+
+class Parameters(NamedTuple):
+    """Those of the internal force, each with a last axis of length 1."""
+
+    frequency: NDArray  # (..., 1), ξ, rad/s
+    amplitude: NDArray  # (..., 1), A, N
+
+    @classmethod
+    def view(cls, values: NDArray) -> "Parameters":
+        """The parts of an array (..., 2)."""
+        return cls(values[..., :1], values[..., 1:2])
+
+
+class Phase(NamedTuple):
+    """The internal force's phase, each part with a last axis of length 1."""
+
+    angle: NDArray  # (..., 1), θ, rad
+    slope: NDArray  # (..., 1), ∂θ/∂ξ, s
+
+    @classmethod
+    def view(cls, values: NDArray) -> "Phase":
+        """The parts of an array (..., 2)."""
+        return cls(values[..., :1], values[..., 1:2])
+
+
+class InternalForce(NamedTuple):
+    """The m internal-force coordinates and their rates."""
+
+    values: NDArray  # (..., m), λ, N
+    rates: NDArray  # (..., m), λ̇, N/s
+
+    @classmethod
+    def view(cls, values: NDArray) -> "InternalForce":
+        """The parts of an array (..., 2m)."""
+        half = values.shape[-1] // 2
+        return cls(values[..., :half], values[..., half:])
