@@ -1,4 +1,4 @@
-"""Box "Cable Forces" of the figure: cables that are all alike, or that need not be."""
+"""Box "Cable Forces" of the figure."""
 
 from dataclasses import dataclass, field
 
@@ -6,29 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import is_number, require, require_array
 
 
-class CableForces(TracedBlock):
+class _CableForces(TracedBlock):
     """Massless, tension-only spring-dampers from the load to the carriers.
 
-    .. pydrake_system::
-
-        name: CableForces
-        input_ports:
-        - load_state
-        - carrier_state
-        output_ports:
-        - cable_forces
-        - tensions
-
-    `load_state` (13), `carrier_state` (6n) in W; `cable_forces` (3n) are those on the
-    load, in N, in W; `tensions` (n) in N, 0 where slack. See `mechanics.cable`.
-
     Args:
-        model: whose attachments the cables have.
+        model: the model with the attachments.
         rest_length: in m, one for all or (n, 1), as are the others.
         stiffness: in N/m.
         damping: in N s/m.
@@ -54,7 +42,7 @@ class CableForces(TracedBlock):
 
         super().__init__(
             forces,
-            inputs={"load_state": 13, "carrier_state": 6 * model.n},
+            inputs={"load_state": LOAD_STATE_SIZE, "carrier_state": 6 * model.n},
             outputs={"cable_forces": 3 * model.n, "tensions": model.n},
         )
 
@@ -64,8 +52,23 @@ class CablesConfig:
     """No parameters: length, stiffness and damping are the system's."""
 
 
-class Cables(CableForces):
+class Cables(_CableForces):
     """Cables of the system's length, stiffness and damping.
+
+    Massless, tension-only spring-dampers (eq. 4), see `mechanics.cable`.
+
+    .. pydrake_system::
+
+        name: Cables
+        input_ports:
+        - load_state
+        - carrier_state
+        output_ports:
+        - cable_forces
+        - tensions
+
+    `load_state` (13), SI, and `carrier_state` (6n) = [positions (m), velocities (m/s)] in W;
+    `cable_forces` (3n) are those on the load, in N, in W; `tensions` (n) in N, 0 where slack.
 
     Raises:
         ScenarioError: the simulated stiffness is not finite.
@@ -96,8 +99,25 @@ class IndividualCablesConfig:
     rest_length: list[float] = field(default_factory=list)  # m, unstretched
 
 
-class IndividualCables(CableForces):
-    """Cables that need not be alike.
+class IndividualCables(_CableForces):
+    """Cables of different length, stiffness and damping.
+
+    Massless, tension-only spring-dampers (eq. 4), see `mechanics.cable`.
+
+    .. pydrake_system::
+
+        name: IndividualCables
+        input_ports:
+        - load_state
+        - carrier_state
+        output_ports:
+        - cable_forces
+        - tensions
+
+    `load_state` (13), SI, and `carrier_state` (6n) = [positions (m), velocities (m/s)] in W;
+    `cable_forces` (3n) are those on the load, in N, in W; `tensions` (n) in N, 0 where slack.
+
+    Parameters: the fields of `IndividualCablesConfig`.
 
     Raises:
         ScenarioError: a list has another length than there are cables, or a number in it is
@@ -106,16 +126,16 @@ class IndividualCables(CableForces):
 
     def __init__(self, model: Model, config: IndividualCablesConfig | None = None):
         config = config or IndividualCablesConfig()
-        stiffness = _each(model, "stiffness", config.stiffness, model.cable_stiffness)
-        damping = _each(model, "damping", config.damping, model.cable_damping)
-        rest_length = _each(model, "rest_length", config.rest_length, model.cable_length)
+        stiffness = _column(model, "stiffness", config.stiffness, model.cable_stiffness)
+        damping = _column(model, "damping", config.damping, model.cable_damping)
+        rest_length = _column(model, "rest_length", config.rest_length, model.cable_length)
         require(np.all(stiffness > 0), "cables.stiffness", config.stiffness, "give no zero")
         require(np.all(rest_length > 0), "cables.rest_length", config.rest_length, "give no zero")
         super().__init__(model, rest_length=rest_length, stiffness=stiffness, damping=damping)
 
 
-def _each(model: Model, name: str, given: list[float], default: float) -> NDArray:
-    """A column (n, 1) of what is given, or of n times the default."""
+def _column(model: Model, name: str, given: list[float], default: float) -> NDArray:
+    """The given values as a column (n, 1), or n times the default."""
     values = require_array(f"cables.{name}", given or [default] * model.n, [None], "one per cable")
     require(
         len(values) == model.n and np.all(values >= 0),

@@ -5,14 +5,16 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Adder, Gain, LinearSystem
+from pydrake.systems.primitives import Adder, Gain
 
 from drake_nonstop.mechanics.carrier import carrier_acceleration, loaded_pid_forces, pid_forces
 from drake_nonstop.mechanics.internal_force import internal_force_acceleration
 from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, PARAMETERS_SIZE, Pose
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock
+from drake_nonstop.systems.linear_block import LinearBlock
 from drake_nonstop.systems.traced_block import Equations, TracedBlock
 from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import require_non_negative, require_positive
@@ -20,25 +22,14 @@ from drake_nonstop.validation import require_non_negative, require_positive
 _OWNER = "carrier_controller"
 
 
-class CarrierPositionPid(DiagramBlock):
+class _PositionPid(DiagramBlock):
     """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), for every carrier.
 
-    .. pydrake_system::
-
-        name: CarrierPositionPid
-        input_ports:
-        - carrier_reference
-        - carrier_state
-        output_ports:
-        - carrier_forces
-
-    `carrier_reference` and `carrier_state` (6n) = [positions, velocities], in W;
-    `carrier_forces` (3n) in N, in W. The integrals are the state, where their gain is
-    not zero. The law is made of Drake's own systems, which take half as long as a callback;
-    `equations` are the same from `mechanics.carrier`, for a fused plant.
+    The integrals are the state, where their gain is not zero. Drake's own systems evaluate the
+    law, in half the time of a callback; `equations` are the same, for a fused plant.
 
     Args:
-        model: how many carriers there are.
+        model: the number of carriers.
         gains: position_gain (N/m), velocity_gain (N s/m) and integral_gain (N/(m s)).
         feedforward: a block with one output, forces (3n) to add; its input ports are the
             controller's, too.
@@ -49,21 +40,11 @@ class CarrierPositionPid(DiagramBlock):
     ):
         super().__init__()
         size = 3 * model.n
-        self.equations = _equations(size, gains, feedforward)
-        eye, none = np.eye(size), np.zeros((size, size))
         builder = DiagramBuilder()
         minus = builder.AddNamedSystem("minus", Gain(-1.0, 2 * size))
         error = builder.AddNamedSystem("error", Adder(2, 2 * size))
-        states = size if gains["integral_gain"] > 0 else 0
-        pid = builder.AddNamedSystem(
-            "pid",
-            LinearSystem(
-                A=none[:states, :states],
-                B=np.hstack([eye, none])[:states],
-                C=gains["integral_gain"] * eye[:, :states],
-                D=np.hstack([gains["position_gain"] * eye, gains["velocity_gain"] * eye]),
-            ),
-        )
+        pid = builder.AddNamedSystem("pid", _pid(size, gains))
+        self.equations = _equations(size, pid.equations, feedforward)
         builder.Connect(minus.get_output_port(), error.get_input_port(1))
         builder.Connect(error.get_output_port(), pid.get_input_port())
         builder.ExportInput(error.get_input_port(0), "carrier_reference")
@@ -81,39 +62,69 @@ class CarrierPositionPid(DiagramBlock):
         builder.BuildInto(self)
 
 
-def _equations(size: int, gains: dict[str, float], feedforward: TracedBlock | None) -> Equations:
-    """Those of `CarrierPositionPid`, whose `size` is 3n."""
+def _pid(size: int, gains: dict[str, float]) -> LinearBlock:
+    """The forces (`size`, 3n) of the error, and its integral as the state if that has a gain."""
+    inputs, outputs = {"error": 2 * size}, {"forces": size}
+    if gains["integral_gain"] == 0:
+        return LinearBlock(
+            lambda error: pid_forces(error, np.zeros(size), **gains), inputs=inputs, outputs=outputs
+        )
+    return LinearBlock(
+        lambda integral, error: (np.split(error, 2)[0], pid_forces(error, integral, **gains)),
+        inputs=inputs,
+        outputs=outputs,
+        state_size=size,
+    )
+
+
+def _equations(size: int, pid: Equations, feedforward: TracedBlock | None) -> Equations:
+    """Those of `_PositionPid`, whose `size` is 3n."""
     inputs = {"carrier_reference": 2 * size, "carrier_state": 2 * size}
-    states = size if gains["integral_gain"] > 0 else 0
     added = feedforward.equations if feedforward is not None else None
     if added is not None:
         inputs |= added.inputs
+    has_integral = len(pid.initial_state) > 0
 
     def function(*values: NDArray) -> tuple[NDArray, ...]:
-        integral = values[0] if states else np.zeros(size)
-        reference, state, *others = values[1:] if states else values
-        forces = pid_forces(reference, state, integral, **gains)
+        integral, others = ([values[0]], values[1:]) if has_integral else ([], values)
+        reference, state, *further = others
+        results = pid.function(*integral, reference - state)
+        *rate, forces = results if has_integral else (results,)
         if added is not None:
-            forces = forces + added.function(*others)
-        error = (reference - state)[:size]
-        return (error, forces) if states else (forces,)
+            forces = forces + added.function(*further)
+        return (*rate, forces)
 
-    return Equations(function, inputs, {"carrier_forces": size}, np.zeros(states))
+    return Equations(function, inputs, {"carrier_forces": size}, pid.initial_state)
 
 
 @dataclass(kw_only=True)
 class CarrierPidConfig:
-    """Gains on each axis; the paper prints 1000 and 1.5 and names no integral gain."""
+    """Gains on each axis; the paper gives 1000 and 1.5 and no integral gain."""
 
     position_gain: float = 1000.0  # N/m
-    velocity_gain: float = 10.0  # N s/m; 1.5 as printed is a damping ratio of 0.075
+    velocity_gain: float = 10.0  # N s/m; the paper's 1.5 is a damping ratio of 0.075
     integral_gain: float = 0.0  # N/(m s)
 
 
-class CarrierPid(CarrierPositionPid):
-    """PID on the position of every carrier, as printed.
+class CarrierPid(_PositionPid):
+    """PID on the position of every carrier, as in the paper.
 
-    Ports as `CarrierPositionPid`.
+    u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p).
+
+    .. pydrake_system::
+
+        name: CarrierPid
+        input_ports:
+        - carrier_reference
+        - carrier_state
+        output_ports:
+        - carrier_forces
+
+    `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)], in W;
+    `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
+    state, where their gain is not zero.
+
+    Parameters: the fields of `CarrierPidConfig`.
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -125,35 +136,12 @@ class CarrierPid(CarrierPositionPid):
         super().__init__(model, gains)
 
 
-class CarrierFeedforwardPid(CarrierPositionPid):
-    """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d, for every carrier.
-
-    The references' acceleration a_d is that of the internal forces' turning, exact where the
-    wrench on the load changes slowly: f̈_d = R N₀ λ̈. It frees the carriers from the lag of
-    m_c a_d/K_p that a PID needs to keep its circle.
-
-    .. pydrake_system::
-
-        name: CarrierFeedforwardPid
-        input_ports:
-        - carrier_reference
-        - carrier_state
-        - reference
-        - desired_cable_forces
-        - desired_cable_force_rates
-        - internal_force
-        - parameters
-        output_ports:
-        - carrier_forces
-
-    `carrier_reference` and `carrier_state` (6n) = [positions, velocities], `reference` (22),
-    `desired_cable_forces` and their rates (3n), all in W; `internal_force` (2m) = [λ; λ̇],
-    `parameters` (2) = [ξ, A]; `carrier_forces` (3n) in N, in W. The integrals are the state,
-    where their gain is not zero.
+class _FeedforwardPid(_PositionPid):
+    """A `_PositionPid` with the forces m_c a_d that the references' acceleration needs.
 
     Args:
         model: carriers, cables and pattern.
-        gains: as of `CarrierPositionPid`.
+        gains: as of `_PositionPid`.
     """
 
     def __init__(self, model: Model, gains: dict[str, float]):
@@ -167,7 +155,7 @@ class CarrierFeedforwardPid(CarrierPositionPid):
             parameters: NDArray,
         ) -> NDArray:
             second_rates = internal_force_acceleration(parameters, internal_force)
-            R_WL = rotation_matrix(reference[:4])
+            R_WL = rotation_matrix(Pose.view(reference).quaternion)
             acceleration = carrier_acceleration(
                 reference,
                 cable_forces.reshape(n, 3),
@@ -180,11 +168,11 @@ class CarrierFeedforwardPid(CarrierPositionPid):
             return model.carrier_mass * acceleration.reshape(3 * n)
 
         sizes = {
-            "reference": 22,
+            "reference": LOAD_REFERENCE_SIZE,
             "desired_cable_forces": 3 * n,
             "desired_cable_force_rates": 3 * n,
             "internal_force": 2 * model.m,
-            "parameters": 2,
+            "parameters": PARAMETERS_SIZE,
         }
         feedforward = TracedBlock(inertial_forces, inputs=sizes, outputs={"inertial_forces": 3 * n})
         super().__init__(model, gains, feedforward)
@@ -195,10 +183,34 @@ class FeedforwardCarrierPidConfig(CarrierPidConfig):
     """Gains on each axis."""
 
 
-class FeedforwardCarrierPid(CarrierFeedforwardPid):
-    """PID with the acceleration that a turning cable asks for.
+class FeedforwardCarrierPid(_FeedforwardPid):
+    """PID with the acceleration of a carrier on its orbit as feedforward.
 
-    Ports as `CarrierFeedforwardPid`.
+    u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d. The references' acceleration a_d
+    is that of the internal forces' rotation, exact where the wrench on the load changes slowly:
+    f̈_d = R N₀ λ̈. A PID without it lags behind its circle by m_c a_d/K_p.
+
+    .. pydrake_system::
+
+        name: FeedforwardCarrierPid
+        input_ports:
+        - carrier_reference
+        - carrier_state
+        - reference
+        - desired_cable_forces
+        - desired_cable_force_rates
+        - internal_force
+        - parameters
+        output_ports:
+        - carrier_forces
+
+    `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)],
+    `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s), all in W;
+    `internal_force` (2m) = [λ (N); λ̇ (N/s)]; `parameters` (2) = [ξ (rad/s), A (N)];
+    `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
+    state, where their gain is not zero.
+
+    Parameters: the fields of `FeedforwardCarrierPidConfig`.
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -212,17 +224,32 @@ class FeedforwardCarrierPid(CarrierFeedforwardPid):
 
 @dataclass(kw_only=True)
 class TunedCarrierPidConfig:
-    """Where the poles of every carrier are to be; the default is that of `CarrierPid`'s gains."""
+    """The desired poles of every carrier; the default is that of `CarrierPid`'s gains."""
 
     frequency: float = 100.0  # rad/s, natural frequency of a carrier about its reference
     damping: float = 0.5  # damping ratio
     integral_rate: float = 0.0  # rad/s, of the pole that an integral adds; 0: no integral
 
 
-class TunedCarrierPid(CarrierPositionPid):
+class TunedCarrierPid(_PositionPid):
     """PID whose gains follow from a natural frequency and the carriers' mass.
 
-    Ports as `CarrierPositionPid`, gains from `mechanics.tuning.pid_gains`.
+    u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), gains from `mechanics.tuning.pid_gains`.
+
+    .. pydrake_system::
+
+        name: TunedCarrierPid
+        input_ports:
+        - carrier_reference
+        - carrier_state
+        output_ports:
+        - carrier_forces
+
+    `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)], in W;
+    `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
+    state, where their gain is not zero.
+
+    Parameters: the fields of `TunedCarrierPidConfig`.
 
     Raises:
         ScenarioError: the frequency is not positive, or another parameter is negative.
@@ -234,13 +261,36 @@ class TunedCarrierPid(CarrierPositionPid):
 
 @dataclass(kw_only=True)
 class TunedFeedforwardCarrierPidConfig(TunedCarrierPidConfig):
-    """Where the poles of every carrier are to be."""
+    """The desired poles of every carrier."""
 
 
-class TunedFeedforwardCarrierPid(CarrierFeedforwardPid):
+class TunedFeedforwardCarrierPid(_FeedforwardPid):
     """`FeedforwardCarrierPid` whose gains follow from a natural frequency and the carriers' mass.
 
-    Ports as `CarrierFeedforwardPid`, gains from `mechanics.tuning.pid_gains`.
+    u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d, gains from
+    `mechanics.tuning.pid_gains`.
+
+    .. pydrake_system::
+
+        name: TunedFeedforwardCarrierPid
+        input_ports:
+        - carrier_reference
+        - carrier_state
+        - reference
+        - desired_cable_forces
+        - desired_cable_force_rates
+        - internal_force
+        - parameters
+        output_ports:
+        - carrier_forces
+
+    `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)],
+    `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s), all in W;
+    `internal_force` (2m) = [λ (N); λ̇ (N/s)]; `parameters` (2) = [ξ (rad/s), A (N)];
+    `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
+    state, where their gain is not zero.
+
+    Parameters: the fields of `TunedFeedforwardCarrierPidConfig`.
 
     Raises:
         ScenarioError: the frequency is not positive, or another parameter is negative.
@@ -269,8 +319,8 @@ class LoadedCarrierPidConfig:
 class LoadedCarrierPid(TracedBlock):
     """u = K_p (p_d − p) + K_d (v_d − v) + m_c g e₃ + f_d, for every carrier.
 
-    It carries the weight and the desired pull of the cable beforehand; the load's wrench
-    controller, which integrates, corrects what it believes wrongly of the load.
+    Weight and desired cable force are feedforward; the integral of the wrench controller corrects
+    for errors in the model of the load.
 
     .. pydrake_system::
 
@@ -282,8 +332,10 @@ class LoadedCarrierPid(TracedBlock):
         output_ports:
         - carrier_forces
 
-    `carrier_reference` and `carrier_state` (6n) = [positions, velocities], in W;
+    `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)], in W;
     `desired_cable_forces` and `carrier_forces` (3n) in N, in W.
+
+    Parameters: the fields of `LoadedCarrierPidConfig`.
 
     Raises:
         ScenarioError: a gain is negative or not finite.

@@ -3,14 +3,13 @@
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Gain, Integrator, Multiplexer, Selector
+from pydrake.systems.primitives import Integrator, Selector
 
 from drake_nonstop.mechanics.carrier import double_integrator_rate, loaded_carrier_rate
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import BlockType, DiagramBlock
-from drake_nonstop.systems.traced_block import Equations, TracedBlock, stacking
+from drake_nonstop.systems.block import BlockType
+from drake_nonstop.systems.linear_block import LinearBlock
+from drake_nonstop.systems.traced_block import TracedBlock, stacking
 from drake_nonstop.validation import is_number, require
 
 
@@ -19,7 +18,7 @@ class CarrierDynamicsConfig:
     """No parameters: the carrier mass is the system's."""
 
 
-class CarrierDynamics(DiagramBlock):
+class CarrierDynamics(LinearBlock):
     """Double integrators: m_c p̈ = u, without weight or cable reaction, as in the paper.
 
     .. pydrake_system::
@@ -30,47 +29,30 @@ class CarrierDynamics(DiagramBlock):
         output_ports:
         - carrier_state
 
-    `carrier_forces` (3n) in N, in W; `carrier_state` (6n) = [positions, velocities], in
-    W, is the state. It is made of Drake's own systems, which take half as long as a callback;
-    `equations` are the same from `mechanics.carrier`, for a fused plant.
+    `carrier_forces` (3n) in N, in W; `carrier_state` (6n) = [positions (m), velocities (m/s)], in
+    W, is the state.
     """
 
     def __init__(self, model: Model, config: CarrierDynamicsConfig | None = None):
-        super().__init__()
-        size = 3 * model.n
-        self.equations = Equations(
+        super().__init__(
             lambda state, forces: double_integrator_rate(state, forces, mass=model.carrier_mass),
-            inputs={"carrier_forces": size},
-            outputs={},
-            initial_state=np.zeros(2 * size),
+            inputs={"carrier_forces": 3 * model.n},
+            state_size=6 * model.n,
             state_port="carrier_state",
         )
-        builder = DiagramBuilder()
-        # In the order of the state.
-        positions = builder.AddNamedSystem("positions", Integrator(size))
-        velocities = builder.AddNamedSystem("velocities", Integrator(size))
-        accelerations = builder.AddNamedSystem("accelerations", Gain(1 / model.carrier_mass, size))
-        state = builder.AddNamedSystem("state", Multiplexer([size, size]))
-        builder.ExportInput(accelerations.get_input_port(), "carrier_forces")
-        builder.Connect(accelerations.get_output_port(), velocities.get_input_port())
-        builder.Connect(velocities.get_output_port(), positions.get_input_port())
-        for i, part in enumerate((positions, velocities)):
-            builder.Connect(part.get_output_port(), state.get_input_port(i))
-        builder.ExportOutput(state.get_output_port(), "carrier_state")
-        builder.BuildInto(self)
 
 
 @dataclass(kw_only=True)
 class LoadedCarrierDynamicsConfig:
-    """What a carrier can do; its mass is the system's."""
+    """The limit of a carrier; its mass is the system's."""
 
     max_force: float = math.inf  # N, of a carrier
 
 
 class LoadedCarrierDynamics(TracedBlock):
-    """Carriers that feel their weight and their cable: m_c p̈ = sat(u) − m_c g e₃ − f.
+    """Carriers with weight and cable reaction: m_c p̈ = sat(u) − m_c g e₃ − f.
 
-    A controller that knows of neither lets them sag; see `LoadedCarrierPid`.
+    They sag under a controller that compensates for neither; see `LoadedCarrierPid`.
 
     .. pydrake_system::
 
@@ -81,8 +63,10 @@ class LoadedCarrierDynamics(TracedBlock):
         output_ports:
         - carrier_state
 
-    `carrier_forces` (3n), each cut down to `max_force`, and `cable_forces` (3n) on the load
-    in N, in W; `carrier_state` (6n) = [positions, velocities], in W, is the state.
+    `carrier_forces` (3n), each limited to `max_force`, and `cable_forces` (3n) on the load
+    in N, in W; `carrier_state` (6n) = [positions (m), velocities (m/s)], in W, is the state.
+
+    Parameters: the fields of `LoadedCarrierDynamicsConfig`.
 
     Raises:
         ScenarioError: `max_force` is not positive.
@@ -119,10 +103,10 @@ class IdealCarriersConfig:
 
 
 class IdealCarriers(Selector, metaclass=BlockType):
-    """Ideal tracking: the carriers are always where they should be, whatever steers them.
+    """Ideal tracking: the carriers' state is their reference, whatever the controller does.
 
-    What is left of the load's error with them is none of the carriers' fault. Behind sampled
-    controllers their references are no smooth motion: they jump a little at every sample.
+    The load's error that remains with them is not due to the carriers. Behind sampled
+    controllers the references, and so the carriers, jump a little at every sample.
 
     .. pydrake_system::
 
@@ -132,7 +116,7 @@ class IdealCarriers(Selector, metaclass=BlockType):
         output_ports:
         - carrier_state
 
-    Both (6n) = [positions, velocities], in W.
+    Both (6n) = [positions (m), velocities (m/s)], in W.
     """
 
     def __init__(self, model: Model, config: IdealCarriersConfig | None = None):

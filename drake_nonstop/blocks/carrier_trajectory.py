@@ -6,35 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.carrier import carrier_motion
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import TracedBlock
 
 
-class CarrierMotion(TracedBlock):
-    """Where each carrier has to be for its cable to pull as desired (eqs. 1, 22).
+class _TrajectoryAboveLoad(TracedBlock):
+    """The carriers' positions and velocities for the desired cable forces (eqs. 1, 22).
 
-    A load pose carries the cables. Behind a sampled controller the references go on along
-    their velocity between the samples.
-
-    .. pydrake_system::
-
-        name: CarrierMotion
-        input_ports:
-        - (the load's pose)
-        - desired_cable_forces
-        - desired_cable_force_rates
-        - sample_time (where the model has a control period)
-        output_ports:
-        - carrier_reference
-
-    `desired_cable_forces` and `desired_cable_force_rates` (3n) in W; `sample_time` (1) in s;
-    `carrier_reference` (6n) = [positions, velocities] in W.
+    The attachments are those of a given load pose. Behind a sampled controller the references
+    move along their velocities between the samples.
 
     Args:
         model: attachments and cables.
-        pose: the signal of the pose that carries the cables, and its size: a load state, or
-            what begins with one.
-        compliance: 1/K_c (m/N), by which the cables are taken to stretch.
+        pose: the signal with the load's pose, and its size: a load state, or what begins with
+            one.
+        compliance: the cables' 1/K_c (m/N).
     """
 
     def __init__(self, model: Model, *, pose: tuple[str, int], compliance: float):
@@ -70,15 +57,31 @@ class CarrierTrajectoryConfig:
     """No parameters: cable length and stiffness are the system's."""
 
 
-class CarrierTrajectory(CarrierMotion):
-    """Cables on the desired load pose, as long as they are under the desired forces.
+class CarrierTrajectory(_TrajectoryAboveLoad):
+    """Carriers above the desired load pose, on cables stretched by the desired forces (eqs. 1, 22).
 
-    Ports as `CarrierMotion`, with the `reference` (22) as the load's pose. The cables stretch
-    by the system's stiffness (.inf: L_i = L₀, as printed).
+    The cables stretch by the system's stiffness (.inf: L_i = L₀, as in the paper).
+
+    .. pydrake_system::
+
+        name: CarrierTrajectory
+        input_ports:
+        - reference
+        - desired_cable_forces
+        - desired_cable_force_rates
+        - sample_time (where the model has a control period)
+        output_ports:
+        - carrier_reference
+
+    `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
+    `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W.
+    Between samples the reference moves along its velocity.
     """
 
     def __init__(self, model: Model, config: CarrierTrajectoryConfig | None = None):
-        super().__init__(model, pose=("reference", 22), compliance=model.cable_compliance)
+        super().__init__(
+            model, pose=("reference", LOAD_REFERENCE_SIZE), compliance=model.cable_compliance
+        )
 
 
 @dataclass(kw_only=True)
@@ -86,15 +89,30 @@ class InextensibleCarrierTrajectoryConfig:
     """No parameters: the cable length is the system's."""
 
 
-class InextensibleCarrierTrajectory(CarrierMotion):
-    """Cables on the desired load pose that never stretch, L_i = L₀, as printed.
+class InextensibleCarrierTrajectory(_TrajectoryAboveLoad):
+    """Carriers above the desired load pose, on inextensible cables L_i = L₀, as in the paper.
 
-    Ports as `CarrierMotion`, with the `reference` (22) as the load's pose. Cables that do
-    stretch then let the load hang lower, until the wrench controller's integral lifts it.
+    If the simulated cables stretch, the load hangs lower until the wrench controller's integral
+    lifts it.
+
+    .. pydrake_system::
+
+        name: InextensibleCarrierTrajectory
+        input_ports:
+        - reference
+        - desired_cable_forces
+        - desired_cable_force_rates
+        - sample_time (where the model has a control period)
+        output_ports:
+        - carrier_reference
+
+    `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
+    `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W.
+    Between samples the reference moves along its velocity.
     """
 
     def __init__(self, model: Model, config: InextensibleCarrierTrajectoryConfig | None = None):
-        super().__init__(model, pose=("reference", 22), compliance=0.0)
+        super().__init__(model, pose=("reference", LOAD_REFERENCE_SIZE), compliance=0.0)
 
 
 @dataclass(kw_only=True)
@@ -102,15 +120,31 @@ class MeasuredCarrierTrajectoryConfig:
     """No parameters: cable length and stiffness are the system's."""
 
 
-class MeasuredCarrierTrajectory(CarrierMotion):
-    """Cables on the measured load pose: the carriers follow the load wherever it is.
+class MeasuredCarrierTrajectory(_TrajectoryAboveLoad):
+    """Carriers above the measured load pose: they follow the load wherever it is.
 
-    Ports as `CarrierMotion`, with the `measured_load_state` (13) as the load's pose. Only the
-    wrench controller then leads the load back.
+    Only the wrench controller then corrects the load's pose.
+
+    .. pydrake_system::
+
+        name: MeasuredCarrierTrajectory
+        input_ports:
+        - measured_load_state
+        - desired_cable_forces
+        - desired_cable_force_rates
+        - sample_time (where the model has a control period)
+        output_ports:
+        - carrier_reference
+
+    `measured_load_state` (13), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
+    `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W.
+    Between samples the reference moves along its velocity.
     """
 
     def __init__(self, model: Model, config: MeasuredCarrierTrajectoryConfig | None = None):
-        super().__init__(model, pose=("measured_load_state", 13), compliance=model.cable_compliance)
+        super().__init__(
+            model, pose=("measured_load_state", LOAD_STATE_SIZE), compliance=model.cable_compliance
+        )
 
 
 VARIANTS = (

@@ -20,6 +20,7 @@ from drake_nonstop.mechanics.grasp import (
     null_space_correction,
 )
 from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadState
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock, weakly
 from drake_nonstop.systems.traced_block import TracedBlock
@@ -28,7 +29,7 @@ from drake_nonstop.validation import is_number, require, require_non_negative
 
 _OUTPUTS = ("desired_cable_forces", "desired_cable_force_rates")
 
-_ACCURACY = 1e-12  # of the quadratic program's cost, in units of the largest bound that is missed
+_ACCURACY = 1e-12  # of the quadratic program's cost, in units of the largest violation of a bound
 _SLACK = 1.01  # of a tension over its bound: the program bounds the part along a direction
 _AT_BOUND = 1e-5  # from a bound to what counts as on it, in the same units
 
@@ -53,8 +54,9 @@ class CableForceDistribution(TracedBlock):
         - desired_cable_forces
         - desired_cable_force_rates
 
-    `measured_load_state` (13), `wrench` and `wrench_rate` (6, [torque; force]) in W,
-    `internal_force` (2m); the outputs (3n) are in W, in N and N/s.
+    `measured_load_state` (13), SI, in W; `wrench` and `wrench_rate` (6), [torque (N m); force (N)]
+    and its rate, in W; `internal_force` (2m) = [λ (N); λ̇ (N/s)]; the outputs (3n) are in W, in N
+    and N/s.
     """
 
     def __init__(self, model: Model, config: CableForceDistributionConfig | None = None):
@@ -69,9 +71,9 @@ class CableForceDistribution(TracedBlock):
         super().__init__(
             distribute,
             inputs={
-                "measured_load_state": 13,
-                "wrench": 6,
-                "wrench_rate": 6,
+                "measured_load_state": LOAD_STATE_SIZE,
+                "wrench": WRENCH_SIZE,
+                "wrench_rate": WRENCH_SIZE,
                 "internal_force": 2 * model.m,
             },
             outputs=dict.fromkeys(_OUTPUTS, 3 * model.n),
@@ -88,21 +90,36 @@ class BoundedTensionDistributionConfig:
 
 
 class BoundedTensionDistribution(DiagramBlock):
-    """The pseudo-inverse's forces, changed as little as bounds on the tensions ask for.
+    """The pseudo-inverse's forces with the smallest change that keeps the tensions within bounds.
 
-    A quadratic program: of all cable forces with the wrench that is asked for, those nearest
-    to G† w_d + f̃⁰ + N λ whose components along these are within the bounds (a tension may
-    exceed `max_tension` by 1 %, since a force has a part across, too). It is solved by Drake's
-    MathematicalProgram with Clarabel, where a bound is missed; the bounds that it finds active
-    then give forces and exact rates in closed form. The rates jump where a bound becomes
-    active, and the optimization layer does not know of the change: its predicted speeds are
-    those without it.
+    A quadratic program: of all cable forces with the desired wrench, those nearest to
+    G† w_d + f̃⁰ + N λ whose components along these are within the bounds (a tension may exceed
+    `max_tension` by 1 %, since a force also has a part across). Drake's MathematicalProgram with
+    Clarabel solves it where a bound is violated; its active bounds then give forces and exact
+    rates in closed form. The rates jump where a bound becomes active. The optimization layer
+    does not model the change: it predicts the speeds without it.
 
-    Ports as `CableForceDistribution`.
+    .. pydrake_system::
+
+        name: BoundedTensionDistribution
+        input_ports:
+        - measured_load_state
+        - wrench
+        - wrench_rate
+        - internal_force
+        output_ports:
+        - desired_cable_forces
+        - desired_cable_force_rates
+
+    `measured_load_state` (13), SI, in W; `wrench` and `wrench_rate` (6), [torque (N m); force (N)]
+    and its rate, in W; `internal_force` (2m) = [λ (N); λ̇ (N/s)]; the outputs (3n) are in W, in N
+    and N/s.
+
+    Parameters: the fields of `BoundedTensionDistributionConfig`.
 
     Raises:
         ScenarioError: a bound is negative, or the two are not in order.
-        RuntimeError: during a run, where no such cable forces are found.
+        RuntimeError: during a run, if no such cable forces are found.
     """
 
     def __init__(self, model: Model, config: BoundedTensionDistributionConfig | None = None):
@@ -122,7 +139,7 @@ class BoundedTensionDistribution(DiagramBlock):
 
 
 class _TensionBounds(InnerBlock):
-    """Cable forces and rates, changed as little as the bounds ask for."""
+    """The smallest change of cable forces and rates that keeps the bounds."""
 
     def __init__(self, model: Model, config: BoundedTensionDistributionConfig):
         super().__init__()
@@ -136,16 +153,18 @@ class _TensionBounds(InnerBlock):
             limit,
             f"give more than min_tension = {config.min_tension:g} N, or .inf for no limit",
         )
-        # The last rows of Vᵀ span what the grasp matrix, of rank 6, takes to zero.
+        # The last rows of Vᵀ span the null space of the grasp matrix, which has rank 6.
         self._null_space = np.linalg.svd(grasp_matrix(model.attachments))[2][6:].T
-        self._measured_load_state = self.DeclareVectorInputPort("measured_load_state", 13)
+        self._measured_load_state = self.DeclareVectorInputPort(
+            "measured_load_state", LOAD_STATE_SIZE
+        )
         self._desired = [self.DeclareVectorInputPort(name, 3 * model.n) for name in _OUTPUTS]
         entry = self.DeclareCacheEntry(
             "forces and rates",
             ValueProducer(Value(()).Clone, weakly(self._calc)),
             {self.all_input_ports_ticket()},
         )
-        self._entry_index = entry.cache_index()  # the entry would keep this block for ever
+        self._entry_index = entry.cache_index()  # the entry would hold this block for ever
         for name, calc in zip(_OUTPUTS, (self._calc_forces, self._calc_rates), strict=True):
             self.DeclareVectorOutputPort(name, 3 * model.n, calc, {entry.ticket()})
 
@@ -169,7 +188,8 @@ class _TensionBounds(InnerBlock):
         low, high = self._config.min_tension - tensions, self._config.max_tension - tensions
         if np.all(low <= 0) and np.all(high >= 0):
             return forces, rates
-        R_WL, angular_velocity = rotation_matrix(state[:4]), state[7:10]
+        load = LoadState.view(state)
+        R_WL, angular_velocity = rotation_matrix(load.quaternion), load.angular_velocity
         # In the load frame, where the null space is constant.
         forces_L = forces @ R_WL
         rates_L = (rates - np.cross(angular_velocity, forces)) @ R_WL
@@ -177,12 +197,12 @@ class _TensionBounds(InnerBlock):
         tension_rates = (directions * rates_L).sum(axis=1)
         direction_rates = (rates_L - tension_rates[:, None] * directions) / tensions[:, None]
         active, shortfalls = self._active_bounds(directions, low, high)
-        along = np.zeros((len(active), *forces.shape))
-        turning = np.zeros(along.shape)
-        along[np.arange(len(active)), active] = directions[active]
-        turning[np.arange(len(active)), active] = direction_rates[active]
+        rows = np.zeros((len(active), *forces.shape))
+        row_rates = np.zeros(rows.shape)
+        rows[np.arange(len(active)), active] = directions[active]
+        row_rates[np.arange(len(active)), active] = direction_rates[active]
         change, change_rate = null_space_correction(
-            along, turning, shortfalls, -tension_rates[active], self._null_space
+            rows, row_rates, shortfalls, -tension_rates[active], self._null_space
         )
         if np.max(np.linalg.norm(forces_L + change, axis=1)) > _SLACK * self._config.max_tension:
             raise RuntimeError(self._failure())
@@ -200,16 +220,16 @@ class _TensionBounds(InnerBlock):
     def _active_bounds(
         self, directions: NDArray, low: NDArray, high: NDArray
     ) -> tuple[NDArray, NDArray]:
-        """The cables that the quadratic program puts on a bound, and by how much it is missed.
+        """The cables on a bound in the quadratic program, and the violations, in N.
 
-        `directions` (n, 3) are those of the forces, `low` and `high` (n,) what the bounds
-        leave the tensions to change by, in N.
+        `directions` (n, 3) are those of the forces, `low` and `high` (n,) the least and the
+        largest change of each tension within the bounds, in N.
         """
         n = len(directions)
         rows = np.zeros((n, n, 3))
         rows[np.arange(n), np.arange(n)] = directions
         matrix = rows.reshape(n, -1) @ self._null_space
-        scale = max(np.max(low), np.max(-high))  # the program in units of what is missed
+        scale = max(np.max(low), np.max(-high))  # the program is in units of the violation
         program = MathematicalProgram()
         y = program.NewContinuousVariables(matrix.shape[1])
         program.AddQuadraticCost(np.eye(len(y)), np.zeros(len(y)), y)

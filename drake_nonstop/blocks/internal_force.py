@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, Phase
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import TracedBlock
 
@@ -31,8 +32,10 @@ class InternalForceTrajectory(TracedBlock):
     def __init__(self, model: Model, config: InternalForceTrajectoryConfig | None = None):
         phases = model.pattern.phases
         super().__init__(
-            lambda parameters, phase: internal_force(parameters, phase[:1], phases=phases),
-            inputs={"parameters": 2, "phase": 2},
+            lambda parameters, phase: internal_force(
+                parameters, Phase.view(phase).angle, phases=phases
+            ),
+            inputs={"parameters": PARAMETERS_SIZE, "phase": PHASE_SIZE},
             outputs={"internal_force": 2 * model.m},
         )
 

@@ -1,10 +1,11 @@
-"""Box "load_disturbance": none."""
+"""Box "load_disturbance": the wrench on the load besides cables and gravity."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context
 
+from drake_nonstop.mechanics.signals import WRENCH_SIZE, Wrench
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import (
@@ -21,7 +22,7 @@ class NoDisturbanceConfig:
 
 
 class NoDisturbance(LeafBlock):
-    """No wrench on the load but that of the cables and gravity.
+    """Only cables and gravity act on the load.
 
     .. pydrake_system::
 
@@ -29,15 +30,17 @@ class NoDisturbance(LeafBlock):
         output_ports:
         - disturbance_wrench
 
-    `disturbance_wrench` (6): [torque; force] at the centre of mass, in W: zero.
+    `disturbance_wrench` (6) = [torque (N m); force (N)] at the centre of mass, in W: zero.
     """
 
     def __init__(self, model: Model, config: NoDisturbanceConfig | None = None):
         super().__init__()
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc, {self.nothing_ticket()})
+        self.DeclareVectorOutputPort(
+            "disturbance_wrench", WRENCH_SIZE, self._calc, {self.nothing_ticket()}
+        )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.zeros(6))
+        output.SetFromVector(np.zeros(WRENCH_SIZE))
 
 
 _WAVES = 32  # per axis, of a gust
@@ -49,14 +52,14 @@ class WindConfig:
 
     force: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N, in W
     torque: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N m, in W
-    start_time: float = 0.0  # s, before it there is no wind
+    start_time: float = 0.0  # s, no wind before it
     gust_force: float = 0.0  # N, standard deviation on each axis
     gust_time: float = 1.0  # s, correlation time of the gust
     seed: int = 0  # of the gust
 
 
 class Wind(LeafBlock):
-    """A wrench on the load that is constant but for a seeded, coloured gust.
+    """A constant wrench on the load, with a seeded, coloured gust.
 
     The gust is a sum of waves with random phases, whose spectrum is that of first-order
     filtered white noise, σ² 2τ/(1 + (ωτ)²)/2π over ω, up to ωτ = 30: a function of time
@@ -68,7 +71,9 @@ class Wind(LeafBlock):
         output_ports:
         - disturbance_wrench
 
-    `disturbance_wrench` (6): [torque; force] at the centre of mass, in W.
+    `disturbance_wrench` (6) = [torque (N m); force (N)] at the centre of mass, in W.
+
+    Parameters: the fields of `WindConfig`.
 
     Raises:
         ScenarioError: a field is out of range.
@@ -92,15 +97,16 @@ class Wind(LeafBlock):
         self._phases = random.uniform(0, 2 * np.pi, (3, _WAVES))
         self._amplitude = config.gust_force * np.sqrt(2 / _WAVES)
         ticket = self.time_ticket()
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc, {ticket})
+        self.DeclareVectorOutputPort("disturbance_wrench", WRENCH_SIZE, self._calc, {ticket})
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         time = context.get_time()
-        wrench = np.zeros(6)
+        wrench = np.zeros(WRENCH_SIZE)
         if time >= self._start_time:
             waves = np.sin(self._frequencies * time + self._phases)
             wrench = self._constant.copy()
-            wrench[3:] += self._amplitude * waves.sum(axis=1)
+            force = Wrench.view(wrench).force
+            force += self._amplitude * waves.sum(axis=1)
         output.SetFromVector(wrench)
 
 

@@ -1,4 +1,4 @@
-"""Box "load_feedback": the plain wire of the paper's figure."""
+"""Box "load_feedback": the measurement of the load's state, a wire in the paper's figure."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,7 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 from pydrake.systems.primitives import Selector
 
 from drake_nonstop.mechanics.rotation import rotate_quaternion
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE, Pose
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, LeafBlock
 from drake_nonstop.systems.traced_block import stacking
@@ -25,7 +26,7 @@ class IdealFeedbackConfig:
 
 
 class IdealFeedback(Selector, metaclass=BlockType):
-    """Passes the load's state on, unchanged and at once.
+    """The load's state, exact and without delay.
 
     .. pydrake_system::
 
@@ -35,11 +36,12 @@ class IdealFeedback(Selector, metaclass=BlockType):
         output_ports:
         - measured_load_state
 
-    Both (13): [quaternion, position, angular velocity, velocity], in W.
+    Both (13) = [quaternion w x y z, position (m), angular velocity
+    (rad/s), velocity (m/s)], in W.
     """
 
     def __init__(self, model: Model, config: IdealFeedbackConfig | None = None):
-        super().__init__(stacking({"load_state": 13}, "measured_load_state"))
+        super().__init__(stacking({"load_state": LOAD_STATE_SIZE}, "measured_load_state"))
 
 
 @dataclass(kw_only=True)
@@ -48,10 +50,10 @@ class DesiredStateFeedbackConfig:
 
 
 class DesiredStateFeedback(LeafBlock):
-    """Opens the loop: what the controllers take for the load's state is its reference.
+    """Opens the loop: the controllers get the reference in place of the load's state.
 
-    With it the wrench controller asks for the wrench of the desired motion alone, which
-    is the open-loop method that the paper starts from.
+    The wrench controller then demands the wrench of the desired motion alone: the open-loop
+    method that the paper starts from.
 
     .. pydrake_system::
 
@@ -61,18 +63,19 @@ class DesiredStateFeedback(LeafBlock):
         output_ports:
         - measured_load_state
 
-    `measured_load_state` (13) is the first part of `reference` (22).
+    `measured_load_state` (13) = [quaternion w x y z, position (m), angular velocity
+    (rad/s), velocity (m/s)], in W: the first part of `reference` (22).
     """
 
     def __init__(self, model: Model, config: DesiredStateFeedbackConfig | None = None):
         super().__init__()
-        self._reference = self.DeclareVectorInputPort("reference", 22)
+        self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
         self.DeclareVectorOutputPort(
-            "measured_load_state", 13, self._calc, {self.all_input_ports_ticket()}
+            "measured_load_state", LOAD_STATE_SIZE, self._calc, {self.all_input_ports_ticket()}
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._reference.Eval(context)[:13])
+        output.SetFromVector(self._reference.Eval(context)[:LOAD_STATE_SIZE])
 
 
 @dataclass(kw_only=True)
@@ -84,18 +87,18 @@ class NoisyFeedbackConfig:
     velocity_noise: float = 0.0  # m/s
     angular_velocity_noise: float = 0.0  # rad/s
     delay: float = 0.0  # s, a multiple of the period
-    period: float = 0.01  # s, between samples of the noise and of what is delayed
+    period: float = 0.01  # s, between samples of the noise and of the delayed state
     seed: int = 0  # of the noise
 
 
 class NoisyFeedback(LeafBlock):
-    """Passes the load's state on with noise, after a delay.
+    """The load's state with noise and delay.
 
     The noise is white and normal: a sample per `period`, held to the next, drawn from the
     seed and the sample's number alone, so that runs repeat to the bit. The orientation is
-    turned by a random rotation vector in W. With a delay of N periods, what a controller
-    sees that samples every period is the state N periods ago; before that the state at the
-    start.
+    rotated by a random rotation vector in W. With a delay of N periods, a controller that
+    samples every period gets the state of N periods before; in the first N periods the state at
+    the start.
 
     .. pydrake_system::
 
@@ -105,7 +108,10 @@ class NoisyFeedback(LeafBlock):
         output_ports:
         - measured_load_state
 
-    Both (13): [quaternion, position, angular velocity, velocity], in W.
+    Both (13) = [quaternion w x y z, position (m), angular velocity
+    (rad/s), velocity (m/s)], in W.
+
+    Parameters: the fields of `NoisyFeedbackConfig`.
 
     Raises:
         ScenarioError: a field is out of range, or the delay no multiple of the period.
@@ -133,27 +139,29 @@ class NoisyFeedback(LeafBlock):
         )
         self._period, self._seed = config.period, config.seed
         self._deviations = np.repeat(list(deviations.values()), 3)
-        self._load_state = self.DeclareVectorInputPort("load_state", 13)
+        self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
         prerequisites = {self.all_input_ports_ticket(), self.time_ticket()}
         if self._periods > 0:
-            # The last samples, the newest first, how many of them there are, and when it was.
-            self._samples = self.DeclareDiscreteState(13 * self._periods)
+            # The last samples, the newest first, their number, and the time of the newest.
+            self._samples = self.DeclareDiscreteState(LOAD_STATE_SIZE * self._periods)
             self._count = self.DeclareDiscreteState(1)
             self._newest = self.DeclareDiscreteState([-np.inf])
             self.DeclareInitializationDiscreteUpdateEvent(self._sample)
-            # The same offset as the sample-and-hold's: with another one rounding would have the
-            # two events now together and now one after the other.
+            # The same offset as the sample-and-hold's: with another one, rounding would decide
+            # at each sample which of the two events comes first.
             self.DeclarePeriodicDiscreteUpdateEvent(config.period, config.period, self._sample)
             prerequisites.add(self.xd_ticket())
-        self.DeclareVectorOutputPort("measured_load_state", 13, self._calc, prerequisites)
+        self.DeclareVectorOutputPort(
+            "measured_load_state", LOAD_STATE_SIZE, self._calc, prerequisites
+        )
 
     def _sample(self, context: Context, discrete_state: DiscreteValues) -> None:
         newest = context.get_discrete_state(self._newest).value()[0]
         if context.get_time() < newest + self._period / 2:
-            return  # a run that starts at the instant of a sample fires both events
+            return  # a run that starts at the instant of a sample triggers both events
         samples = context.get_discrete_state(self._samples).value()
         count = context.get_discrete_state(self._count).value()[0]
-        samples = np.concatenate([self._load_state.Eval(context), samples[:-13]])
+        samples = np.concatenate([self._load_state.Eval(context), samples[:-LOAD_STATE_SIZE]])
         discrete_state.set_value(self._samples, samples)
         discrete_state.set_value(self._newest, [context.get_time()])
         discrete_state.set_value(self._count, [min(count + 1, self._periods)])
@@ -162,9 +170,9 @@ class NoisyFeedback(LeafBlock):
         state = self._load_state.Eval(context)
         if self._periods > 0:
             count = int(context.get_discrete_state(self._count).value()[0])
-            if count > 0:  # else this is the start
+            if count > 0:  # otherwise the state at the start
                 samples = context.get_discrete_state(self._samples).value()
-                state = samples[13 * (count - 1) : 13 * count]
+                state = samples[LOAD_STATE_SIZE * (count - 1) : LOAD_STATE_SIZE * count]
         output.SetFromVector(self._noisy(state, context.get_time()))
 
     def _noisy(self, state: NDArray, time: float) -> NDArray:
@@ -172,7 +180,11 @@ class NoisyFeedback(LeafBlock):
             return state
         number = int(np.floor(time / self._period + 1e-6))
         noise = self._deviations * np.random.default_rng([self._seed, number]).standard_normal(12)
-        return np.concatenate([rotate_quaternion(state[:4], noise[:3]), state[4:] + noise[3:]])
+        rotation, others = noise[:3], noise[3:]
+        quaternion = Pose.view(state).quaternion
+        return np.concatenate(
+            [rotate_quaternion(quaternion, rotation), state[len(quaternion) :] + others]
+        )
 
 
 VARIANTS = (

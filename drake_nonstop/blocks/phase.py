@@ -1,4 +1,4 @@
-"""The phase of the internal forces, accumulated."""
+"""Box "phase" of the internal forces, part of their trajectories in the paper."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, ContinuousState, State
 
+from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
 
@@ -16,10 +17,9 @@ class AccumulatedPhaseConfig:
 
 
 class AccumulatedPhase(LeafBlock):
-    """θ̇ = ξ: the phase goes on smoothly whatever ξ does.
+    """θ̇ = ξ: the phase is continuous, also where ξ jumps.
 
-    The paper prints cos(ξ(t) t + φ), which jumps by t Δξ when ξ changes; `PaperPhase`
-    is that.
+    The paper's cos(ξ(t) t + φ), that of `PaperPhase`, jumps by t Δξ when ξ changes.
 
     .. pydrake_system::
 
@@ -35,20 +35,21 @@ class AccumulatedPhase(LeafBlock):
 
     def __init__(self, model: Model, config: AccumulatedPhaseConfig | None = None):
         super().__init__()
-        self._parameters = self.DeclareVectorInputPort("parameters", 2)
+        self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
         self._period = model.control_period
         if self._period > 0:
-            index = self.DeclareDiscreteState(2)
+            index = self.DeclareDiscreteState(PHASE_SIZE)
             # Unrestricted, because Drake runs these before the discrete updates: θ steps
             # with the ξ of the interval that ends, and the optimization layer, which
             # updates at the same instant, reads the stepped phase.
             self.DeclarePeriodicUnrestrictedUpdateEvent(self._period, self._period, self._step)
         else:
-            index = self.DeclareContinuousState(2)
+            index = self.DeclareContinuousState(PHASE_SIZE)
         self.DeclareStateOutputPort("phase", index)
 
     def _rate(self, context: Context) -> NDArray:
-        return np.array([self._parameters.Eval(context)[0], 0.0])
+        frequency, _ = self._parameters.Eval(context)
+        return np.array([frequency, 0.0])
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
         if self._period == 0:
@@ -65,7 +66,7 @@ class PaperPhaseConfig:
 
 
 class PaperPhase(LeafBlock):
-    """θ = ξ(t) t (eq. 23), for the current frequency ξ.
+    """θ = ξ(t) t with the current frequency ξ, as printed in the paper (eq. 23).
 
     .. pydrake_system::
 
@@ -77,25 +78,26 @@ class PaperPhase(LeafBlock):
         - phase
 
     `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ = ξ t (rad), ∂θ/∂ξ = t (s)].
-    Behind a sampled controller t is the sample's time.
+    Behind a sampled controller t is the `sample_time` (1), in s.
     """
 
     def __init__(self, model: Model, config: PaperPhaseConfig | None = None):
         super().__init__()
-        self._parameters = self.DeclareVectorInputPort("parameters", 2)
+        self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
         self._sample_time = None
         prerequisites = {self.all_input_ports_ticket()}
         if model.control_period > 0:
             self._sample_time = self.DeclareVectorInputPort("sample_time", 1)
         else:
             prerequisites.add(self.time_ticket())
-        self.DeclareVectorOutputPort("phase", 2, self._calc_phase, prerequisites)
+        self.DeclareVectorOutputPort("phase", PHASE_SIZE, self._calc_phase, prerequisites)
 
     def _calc_phase(self, context: Context, output: BasicVector) -> None:
         time = context.get_time()
         if self._sample_time is not None:
             time = self._sample_time.Eval(context)[0]
-        output.SetFromVector([self._parameters.Eval(context)[0] * time, time])
+        frequency, _ = self._parameters.Eval(context)
+        output.SetFromVector([frequency * time, time])
 
 
 VARIANTS = (

@@ -9,6 +9,13 @@ from pydrake.systems.framework import System
 from pydrake.systems.primitives import Integrator
 
 from drake_nonstop.mechanics import wrench
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    TRACKING_ERROR_SIZE,
+    WRENCH_SIZE,
+    TrackingError,
+)
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.sampled_integrator import SampledIntegrator
@@ -16,31 +23,17 @@ from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import require, require_non_negative, require_positive
 
 _OWNER = "wrench_controller"
+_INTEGRALS_SIZE = 6  # of the errors of orientation and position
 
 
-class LoadWrenchPid(TracedBlock):
+class _WrenchPid(TracedBlock):
     """PID on the load's pose with feedforward, and the exact rate of its wrench.
 
     Equations 14-15 and `mechanics.wrench`. The integrals are the block's state, where one of
     their gains is not zero: continuous, or discrete where the model has a control period.
 
-    .. pydrake_system::
-
-        name: LoadWrenchPid
-        input_ports:
-        - measured_load_state
-        - reference
-        output_ports:
-        - wrench
-        - wrench_rate
-        - tracking_error
-
-    `measured_load_state` (13) and `reference` (22) as everywhere, in W; `wrench` and
-    `wrench_rate` (6) are [torque; force] at the centre of mass, in W; `tracking_error`
-    (12) is [e_R, e_p, e_ω, e_v].
-
     Args:
-        model: the load that the controller believes in.
+        model: the controller's model of the load.
         gains: those of `mechanics.wrench.wrench_and_rate`, and its weight `feedforward`.
     """
 
@@ -48,19 +41,8 @@ class LoadWrenchPid(TracedBlock):
         def outputs(integrals: NDArray, state: NDArray, reference: NDArray) -> tuple:
             error = wrench.tracking_error(state, reference)
             return (
-                error[:6],
-                *wrench.wrench_and_rate(
-                    state,
-                    reference,
-                    integrals,
-                    **gains,
-                    mass=model.load_mass,
-                    inertia=model.load_inertia,
-                    inertia_inverse=model.load_inertia_inverse,
-                    drag=model.load_drag,
-                    angular_drag=model.load_angular_drag,
-                    gravity=model.gravity,
-                ),
+                np.concatenate(TrackingError.view(error)[:2]),  # e_R and e_p
+                *wrench.wrench_and_rate(model.load, state, reference, integrals, **gains),
                 error,
             )
 
@@ -70,11 +52,18 @@ class LoadWrenchPid(TracedBlock):
         period = model.control_period
         state: System | None = None
         if integrates:
-            state = SampledIntegrator(6, period) if period > 0 else Integrator(6)
+            size = _INTEGRALS_SIZE
+            state = SampledIntegrator(size, period) if period > 0 else Integrator(size)
         super().__init__(
-            outputs if integrates else lambda *inputs: outputs(np.zeros(6), *inputs)[1:],
-            inputs={"measured_load_state": 13, "reference": 22},
-            outputs={"wrench": 6, "wrench_rate": 6, "tracking_error": 12},
+            outputs
+            if integrates
+            else lambda *inputs: outputs(np.zeros(_INTEGRALS_SIZE), *inputs)[1:],
+            inputs={"measured_load_state": LOAD_STATE_SIZE, "reference": LOAD_REFERENCE_SIZE},
+            outputs={
+                "wrench": WRENCH_SIZE,
+                "wrench_rate": WRENCH_SIZE,
+                "tracking_error": TRACKING_ERROR_SIZE,
+            },
             state=state,
             key=("wrench", integrates, vars(model), gains),
         )
@@ -90,13 +79,30 @@ class WrenchControllerConfig:
     orientation_gain: float = 0.5  # N m, K_R
     angular_velocity_gain: float = 0.06  # N m s, K_omega
     orientation_integral_gain: float = 0.1  # N m/s, K_iR
-    feedforward: float = 1.0  # weight of the reference's own wrench; 0: as printed
+    feedforward: float = 1.0  # weight of the reference's own wrench; 0: as in the paper
 
 
-class WrenchController(LoadWrenchPid):
+class WrenchController(_WrenchPid):
     """PID with feedforward: equations 14-15 with the sign of e_ω that damps.
 
-    Ports as `LoadWrenchPid`.
+    .. pydrake_system::
+
+        name: WrenchController
+        input_ports:
+        - measured_load_state
+        - reference
+        output_ports:
+        - wrench
+        - wrench_rate
+        - tracking_error
+
+    `measured_load_state` (13) and `reference` (22), SI, in W; `wrench` (6) = [torque (N m);
+    force (N)] at the centre of mass and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
+    (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W. The integrals
+    of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
+    discrete where the model has a control period.
+
+    Parameters: the fields of `WrenchControllerConfig`.
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -112,15 +118,34 @@ class WrenchController(LoadWrenchPid):
 class PaperWrenchControllerConfig(WrenchControllerConfig):
     """The paper's gains (Table I)."""
 
-    feedforward: float = 0.0  # weight of the reference's own wrench; 0: as printed
+    feedforward: float = 0.0  # weight of the reference's own wrench; 0: as in the paper
 
 
-class PaperWrenchController(LoadWrenchPid):
-    """The PID to the letter: e_ω = RᵀR_d ω_d − ω under −K_ω drives a turning load further.
+class PaperWrenchController(_WrenchPid):
+    """The PID as printed in the paper: with e_ω = RᵀR_d ω_d − ω, −K_ω is anti-damping.
 
-    Ports as `LoadWrenchPid`; the `tracking_error` has the e_ω of the other controllers. A load
-    that got this wrench would tumble. On cables to carriers that follow the desired pose little
-    of it shows: they hold the load upright by themselves.
+    A free load under this wrench would tumble. On cables to carriers that follow the desired
+    pose it has little effect: they hold the load upright by themselves. The `tracking_error` has
+    the e_ω of the other controllers.
+
+    .. pydrake_system::
+
+        name: PaperWrenchController
+        input_ports:
+        - measured_load_state
+        - reference
+        output_ports:
+        - wrench
+        - wrench_rate
+        - tracking_error
+
+    `measured_load_state` (13) and `reference` (22), SI, in W; `wrench` (6) = [torque (N m);
+    force (N)] at the centre of mass and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
+    (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W. The integrals
+    of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
+    discrete where the model has a control period.
+
+    Parameters: the fields of `PaperWrenchControllerConfig`.
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -142,11 +167,25 @@ class GeometricPdConfig:
     angular_velocity_gain: float = 0.06  # N m s, K_omega
 
 
-class GeometricPd(LoadWrenchPid):
+class GeometricPd(_WrenchPid):
     """Geometric PD that carries the weight, without integrals and feedforward.
 
-    Ports as `LoadWrenchPid`. What it leaves is what the integrals and the feedforward of
-    `WrenchController` are for.
+    .. pydrake_system::
+
+        name: GeometricPd
+        input_ports:
+        - measured_load_state
+        - reference
+        output_ports:
+        - wrench
+        - wrench_rate
+        - tracking_error
+
+    `measured_load_state` (13) and `reference` (22), SI, in W; `wrench` (6) = [torque (N m);
+    force (N)] at the centre of mass and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
+    (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W.
+
+    Parameters: the fields of `GeometricPdConfig`.
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -163,7 +202,7 @@ class GeometricPd(LoadWrenchPid):
 
 @dataclass(kw_only=True)
 class TunedWrenchControllerConfig:
-    """Where the poles of the error are to be: on cables without dynamics they are there."""
+    """The desired poles of the error, exact on cables without dynamics."""
 
     position_frequency: float = 2.0  # rad/s, natural frequency
     position_damping: float = 0.8  # damping ratio
@@ -174,16 +213,35 @@ class TunedWrenchControllerConfig:
     feedforward: float = 1.0  # weight of the reference's own wrench
 
 
-class TunedWrenchController(LoadWrenchPid):
+class TunedWrenchController(_WrenchPid):
     """PID with feedforward whose gains follow from natural frequencies, mass and inertia.
 
-    Ports as `LoadWrenchPid`, gains from `mechanics.tuning.pid_gains`; the gains of the
-    orientation are matrices in the proportions of the inertia, so that roll, pitch and yaw
-    answer alike. The damping of the load's drag is counted in.
+    Gains from `mechanics.tuning.pid_gains`; those of the orientation are matrices proportional
+    to the inertia, so that roll, pitch and yaw respond alike. The damping of the load's drag is
+    taken into account.
+
+    .. pydrake_system::
+
+        name: TunedWrenchController
+        input_ports:
+        - measured_load_state
+        - reference
+        output_ports:
+        - wrench
+        - wrench_rate
+        - tracking_error
+
+    `measured_load_state` (13) and `reference` (22), SI, in W; `wrench` (6) = [torque (N m);
+    force (N)] at the centre of mass and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
+    (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W. The integrals
+    of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
+    discrete where the model has a control period.
+
+    Parameters: the fields of `TunedWrenchControllerConfig`.
 
     Raises:
         ScenarioError: a frequency is not positive, another parameter is negative, or the
-            drag alone damps more than what is asked for.
+            drag alone damps more than desired.
     """
 
     def __init__(self, model: Model, config: TunedWrenchControllerConfig | None = None):
@@ -198,9 +256,10 @@ class TunedWrenchController(LoadWrenchPid):
         position, velocity, integral = pid_gains(
             config.position_frequency, config.position_damping, config.position_integral_rate
         )
-        gains["position_gain"] = model.load_mass * position
-        gains["velocity_gain"] = model.load_mass * velocity - model.load_drag
-        gains["position_integral_gain"] = model.load_mass * integral
+        load = model.load
+        gains["position_gain"] = load.mass * position
+        gains["velocity_gain"] = load.mass * velocity - load.drag
+        gains["position_integral_gain"] = load.mass * integral
         require(
             gains["velocity_gain"] >= 0,
             f"{_OWNER}.position_damping",
@@ -212,11 +271,9 @@ class TunedWrenchController(LoadWrenchPid):
             config.orientation_damping,
             config.orientation_integral_rate,
         )
-        gains["orientation_gain"] = model.load_inertia * position
-        gains["angular_velocity_gain"] = (
-            model.load_inertia * velocity - model.load_angular_drag * np.eye(3)
-        )
-        gains["orientation_integral_gain"] = model.load_inertia * integral
+        gains["orientation_gain"] = load.inertia * position
+        gains["angular_velocity_gain"] = load.inertia * velocity - load.angular_drag * np.eye(3)
+        gains["orientation_integral_gain"] = load.inertia * integral
         require(
             np.linalg.eigvalsh(gains["angular_velocity_gain"])[0] >= 0,
             f"{_OWNER}.orientation_damping",

@@ -1,14 +1,14 @@
 """Cables: massless, tension-only spring-dampers between load and carriers."""
 
-import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
+from drake_nonstop.mechanics.rotation import absolute, cross, norm, rotation_matrix
+from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 
 
 def positive_part(a: NDArray) -> NDArray:
     """max(a, 0), exact, for any scalar type and without a branch."""
-    return (a + np.abs(a)) / 2
+    return (a + absolute(a)) / 2
 
 
 def cable_forces_and_tensions(
@@ -32,11 +32,10 @@ def cable_forces_and_tensions(
     wherever the cable is taut; as it goes slack the tension falls to zero without a
     jump, which a damper that switches off at s = 0 would leave behind.
     """
-    n = len(attachments)
-    carriers = carrier_state.reshape(2, n, 3)
-    levers = attachments @ rotation_matrix(load_state[:4]).T
-    stretch = carriers[0] - load_state[4:7] - levers
-    stretch_rate = carriers[1] - load_state[10:13] - cross(load_state[7:10], levers)
+    load, carriers = LoadState.view(load_state), CarrierStates.view(carrier_state)
+    levers = attachments @ rotation_matrix(load.quaternion).T
+    stretch = carriers.positions - load.position - levers
+    stretch_rate = carriers.velocities - load.velocity - cross(load.angular_velocity, levers)
     length = norm(stretch)
     direction = stretch / length
     length_rate = (direction * stretch_rate).sum(axis=1, keepdims=True)

@@ -1,10 +1,11 @@
-"""The carriers: where the cables want them, how they are steered and how they move."""
+"""The carriers: their desired motion, their controllers and their dynamics."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import positive_part
 from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
+from drake_nonstop.mechanics.signals import LoadReference, LoadState
 
 
 def carrier_motion(
@@ -25,19 +26,20 @@ def carrier_motion(
 
         p = p_L + R b + ℓ q,   v = ṗ_L + ω × R b + (ℓ/T) Π ḟ + (qᵀḟ/K_c) q.
 
-    With compliance 0 these are the paper's; the last term is the own derivation that a
-    stretching cable asks for.
+    With compliance 0 these are the paper's equations; the last term, of a cable that stretches,
+    is an own derivation.
     """
-    levers = attachments @ rotation_matrix(load_state[:4]).T
+    load = LoadState.view(load_state)
+    levers = attachments @ rotation_matrix(load.quaternion).T
     tension = norm(forces)
     direction = forces / tension
     length = rest_length + compliance * tension
     tension_rate = (direction * rates).sum(axis=1, keepdims=True)
     swing = length / tension * (rates - tension_rate * direction)
     return (
-        load_state[4:7] + levers + length * direction,
-        load_state[10:13]
-        + cross(load_state[7:10], levers)
+        load.position + levers + length * direction,
+        load.velocity
+        + cross(load.angular_velocity, levers)
         + swing
         + compliance * tension_rate * direction,
     )
@@ -62,8 +64,8 @@ def carrier_acceleration(
 
     Own derivation.
     """
-    levers = attachments @ rotation_matrix(reference[:4]).T
-    angular_velocity = reference[7:10]
+    load = LoadReference.view(reference)
+    levers = attachments @ rotation_matrix(load.quaternion).T
     tension = norm(forces)
     squared = tension * tension
     shrinking = (forces * rates).sum(axis=1, keepdims=True) / squared
@@ -71,17 +73,16 @@ def carrier_acceleration(
     bending = both - 3 * shrinking * shrinking
     swing = second_rates - 2 * shrinking * rates - bending * forces
     return (
-        reference[16:19]
-        + cross(reference[13:16], levers)
-        + cross(angular_velocity, cross(angular_velocity, levers))
+        load.acceleration
+        + cross(load.angular_acceleration, levers)
+        + cross(load.angular_velocity, cross(load.angular_velocity, levers))
         + rest_length / tension * swing
         + compliance * second_rates
     )
 
 
 def pid_forces(
-    carrier_reference: NDArray,
-    carrier_state: NDArray,
+    error: NDArray,
     integral: NDArray,
     *,
     position_gain: float,
@@ -90,17 +91,20 @@ def pid_forces(
 ) -> NDArray:
     """Forces (3n,) on the carriers, in W, that pull them to their references.
 
-    `carrier_reference` and `carrier_state` are (6n,) [positions, velocities] in W,
-    `integral` (3n,) is that of the position error, reference minus state.
+    `error` (6n,) is the reference minus the state, [positions, velocities] in W, `integral`
+    (3n,) that of its positions. The forces are linear in both.
     """
-    error = carrier_reference - carrier_state
-    half = len(error) // 2
-    return position_gain * error[:half] + velocity_gain * error[half:] + integral_gain * integral
+    position, velocity = np.split(error, 2)
+    return position_gain * position + velocity_gain * velocity + integral_gain * integral
 
 
 def double_integrator_rate(carrier_state: NDArray, forces: NDArray, *, mass: float) -> NDArray:
-    """The rate (6n,) of [positions, velocities] of free masses under forces (3n,), in W."""
-    return np.concatenate([carrier_state[len(carrier_state) // 2 :], forces / mass])
+    """The rate (6n,) of [positions, velocities] of free masses under forces (3n,), in W.
+
+    It is linear in both arguments.
+    """
+    _, velocities = np.split(carrier_state, 2)
+    return np.concatenate([velocities, forces / mass])
 
 
 def loaded_pid_forces(
@@ -113,21 +117,20 @@ def loaded_pid_forces(
     mass: float,
     gravity: float,
 ) -> NDArray:
-    """Forces (3n,) on carriers that have to carry their weight and pull a cable, in W.
+    """Forces (3n,), in W, on carriers with weight and cable tension.
 
     PD on [positions, velocities] (6n,), plus the weight and the desired cable forces (3n,),
     both in W.
     """
     size = len(desired_cable_forces)
-    steering = pid_forces(
-        carrier_reference,
-        carrier_state,
+    feedback = pid_forces(
+        carrier_reference - carrier_state,
         np.zeros(size),
         position_gain=position_gain,
         velocity_gain=velocity_gain,
         integral_gain=0.0,
     )
-    return steering + np.tile([0.0, 0.0, mass * gravity], size // 3) + desired_cable_forces
+    return feedback + np.tile([0.0, 0.0, mass * gravity], size // 3) + desired_cable_forces
 
 
 def loaded_carrier_rate(
@@ -142,11 +145,12 @@ def loaded_carrier_rate(
     """The rate (6n,) of [positions, velocities] of carriers under weight and cable, in W.
 
     `cable_forces` (3n,) are those on the load; each of the `forces` (3n,), with u its norm,
-    is cut down to `max_force`, u_max: sat(u) = u u_max / (u_max + max(‖u‖ − u_max, 0)).
+    is limited to `max_force`, u_max: sat(u) = u u_max / (u_max + max(‖u‖ − u_max, 0)).
     """
-    each = forces.reshape(-1, 3)
+    applied = forces.reshape(-1, 3)
     if max_force < np.inf:
-        excess = positive_part(norm(each) - max_force)
-        each = each * max_force / (max_force + excess)
-    acceleration = (each - cable_forces.reshape(-1, 3)) / mass - np.array([0.0, 0.0, gravity])
-    return np.concatenate([carrier_state[len(carrier_state) // 2 :], acceleration.ravel()])
+        excess = positive_part(norm(applied) - max_force)
+        applied = applied * max_force / (max_force + excess)
+    acceleration = (applied - cable_forces.reshape(-1, 3)) / mass - np.array([0.0, 0.0, gravity])
+    _, velocities = np.split(carrier_state, 2)
+    return np.concatenate([velocities, acceleration.ravel()])

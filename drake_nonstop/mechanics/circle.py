@@ -7,7 +7,7 @@ from drake_nonstop.mechanics.rotation import components
 
 
 def circular_motion(angle: NDArray, radius: float) -> NDArray:
-    """A point that goes round the origin of a plane, and its three derivatives, (4, 2) in m.
+    """A point on a circle about the origin of a plane, and three derivatives, (4, 2) in m, s.
 
     `angle` (4,) is θ, from the first axis towards the second, with its three derivatives in
     rad, s. With e = (cos θ, sin θ) and n = (−sin θ, cos θ), so that ė = θ̇ n and ṅ = −θ̇ e,

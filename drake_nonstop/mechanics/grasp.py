@@ -1,13 +1,14 @@
 """The grasp matrix and the distribution of a load wrench over the cables (eqs. 7-9).
 
 The paper stacks a wrench as [force; torque]; Drake, and every array here, stacks it as
-[torque; force]. `grasp_matrix` is where the one order becomes the other.
+[torque; force]. Only `grasp_matrix` exchanges the two.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix, skew
+from drake_nonstop.mechanics.signals import InternalForce, LoadState, Wrench
 
 
 def grasp_matrix(attachments: NDArray) -> NDArray:
@@ -33,13 +34,14 @@ def in_load_frame(
     `load_state` (13,) is in W. The rate is that of the components in L:
     d(Rᵀτ)/dt = Rᵀτ̇ − ω × Rᵀτ, and likewise of the force.
     """
-    R_LW = rotation_matrix(load_state[:4]).T
-    angular_velocity = R_LW @ load_state[7:10]
-    torque, force = R_LW @ wrench[:3], R_LW @ wrench[3:]
+    load, rate = LoadState.view(load_state), Wrench.view(wrench_rate)
+    R_LW = rotation_matrix(load.quaternion).T
+    angular_velocity = R_LW @ load.angular_velocity
+    torque, force = (R_LW @ part for part in Wrench.view(wrench))
     wrench_rate_L = np.concatenate(
         [
-            R_LW @ wrench_rate[:3] - cross(angular_velocity, torque),
-            R_LW @ wrench_rate[3:] - cross(angular_velocity, force),
+            R_LW @ rate.torque - cross(angular_velocity, torque),
+            R_LW @ rate.force - cross(angular_velocity, force),
         ]
     )
     return R_LW, angular_velocity, np.concatenate([torque, force]), wrench_rate_L
@@ -66,9 +68,9 @@ def cable_forces_and_rates(
     exact, with ω in L. Own derivation, equal to Ġ†w + G†ẇ + Ṅλ + Nλ̇ of the paper.
     """
     R_LW, angular_velocity, wrench_L, wrench_rate_L = in_load_frame(load_state, wrench, wrench_rate)
-    m = basis.shape[1]
-    forces_L = pseudo_inverse @ wrench_L + offset + basis @ internal_force[:m]
-    rates_L = pseudo_inverse @ wrench_rate_L + basis @ internal_force[m:]
+    internal = InternalForce.view(internal_force)
+    forces_L = pseudo_inverse @ wrench_L + offset + basis @ internal.values
+    rates_L = pseudo_inverse @ wrench_rate_L + basis @ internal.rates
     forces_L, rates_L = forces_L.reshape(-1, 3), rates_L.reshape(-1, 3)
     return forces_L @ R_LW, (rates_L + cross(angular_velocity, forces_L)) @ R_LW
 
@@ -80,7 +82,7 @@ def null_space_correction(
     shortfall_rates: NDArray,
     null_space: NDArray,
 ) -> tuple[NDArray, NDArray]:
-    """The smallest forces (n, 3) without a wrench that mend some tensions, and their rates.
+    """The smallest forces (n, 3) without a wrench that correct some tensions, and their rates.
 
     Of all y, the least with q_iᵀ(Z y)_i = s_i for the k cables in question, and its exact rate
     while these stay the same: y = Aᵀμ and ẏ = Ȧᵀμ + Aᵀμ̇ with A Aᵀ μ = s. Own derivation.
@@ -88,7 +90,7 @@ def null_space_correction(
     Args:
         directions: q (k, n, 3), the unit direction of a cable in its row i and zero elsewhere.
         direction_rates: q̇, of the same shape.
-        shortfalls: s (k,), N, what the tensions lack along the directions.
+        shortfalls: s (k,), N, missing tensions along the directions.
         shortfall_rates: ṡ (k,), N/s.
         null_space: Z (3n, 3n − 6), an orthonormal basis of the null space of the grasp matrix.
     """

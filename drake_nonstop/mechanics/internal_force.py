@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
+from drake_nonstop.mechanics.signals import InternalForce, Parameters
 
 
 def hamiltonian_cycle(attachments: NDArray) -> NDArray:
@@ -26,7 +27,7 @@ def hamiltonian_cycle(attachments: NDArray) -> NDArray:
 
 
 def carousel(attachments: NDArray) -> NDArray:
-    """Forces (3n, 2) that turn like a wheel of fixed directions, as near as the null space has.
+    """Horizontal forces (3n, 2) that rotate together, without a wrench on the load.
 
     For attachments (n, 3) at the angles β_i about the load's vertical, columns for the phases 0
     and −π/2 of (cos(θ − β_i), sin(θ − β_i), 0). On a regular polygon they have no wrench; for
@@ -70,19 +71,19 @@ def internal_force(
 
     λ_k = A cos(θ + φ_k) and λ̇_k = −A ξ sin(θ + φ_k), for constant ξ and A.
     """
-    frequency, amplitude = parameters[:1], parameters[1:]
+    frequency, amplitude = Parameters.view(parameters)
     angles = phase + phases
     return amplitude * np.cos(angles), -amplitude * frequency * np.sin(angles)
 
 
 def internal_force_acceleration(parameters: NDArray, internal_force: NDArray) -> NDArray:
     """λ̈ = −ξ² λ (m,), for constant ξ and A, of [ξ, A] (2,) and [λ; λ̇] (2m,)."""
-    frequency = parameters[:1]
-    return -frequency * frequency * internal_force[: len(internal_force) // 2]
+    frequency = Parameters.view(parameters).frequency
+    return -frequency * frequency * InternalForce.view(internal_force).values
 
 
 def ellipse_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
-    """The conjugate axes (n, 3) each, in L, of the ellipses that the forces N₀ λ run on.
+    """The conjugate axes (n, 3) each, in L, of the ellipses along which the forces N₀ λ move.
 
     Cable i's internal force at A = 1 is a_i cos θ − b_i sin θ; where a_i and b_i are
     parallel the ellipse is a line, and that carrier stops twice a turn.

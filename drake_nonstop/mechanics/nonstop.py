@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import in_load_frame
 from drake_nonstop.mechanics.internal_force import ellipse_axes, internal_force
-from drake_nonstop.mechanics.rotation import cross, quaternion_rate, rotation_matrix
+from drake_nonstop.mechanics.rotation import absolute, cross, quaternion_rate, rotation_matrix
 
 
 def phase_of(parameters: NDArray, previous: NDArray, phase: NDArray) -> NDArray:
@@ -242,6 +242,6 @@ def separation_squares(
     half_step = np.pi / len(turns)
     opening_squared = (opening * opening).sum(axis=-1) + 1e-30
     nearest = -(gap * opening).sum(axis=-1) / opening_squared
-    nearest = (np.abs(nearest + half_step) - np.abs(nearest - half_step)) / 2  # clipped to it
+    nearest = (absolute(nearest + half_step) - absolute(nearest - half_step)) / 2  # clipped to it
     gap = gap + nearest[..., None] * opening
     return (gap * gap).sum(axis=-1)

@@ -1,4 +1,4 @@
-"""Rotations: quaternions, roll-pitch-yaw angles and the vector products."""
+"""Rotations: quaternions, roll-pitch-yaw angles, and the vector algebra that they need."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,19 @@ def cross(a: NDArray, b: NDArray) -> NDArray:
 def components(a: NDArray) -> list[NDArray]:
     """The entries along the last axis, each still an array with a last axis of length 1.
 
-    A bare entry of an object array is no array, and NumPy may not know what to do with it.
+    A bare entry of an object array is not an array, and NumPy's functions may fail on it.
     """
     return [a[..., i : i + 1] for i in range(a.shape[-1])]
+
+
+def absolute(a: NDArray) -> NDArray:
+    """|a| of each entry, for any scalar type.
+
+    `np.abs` fails on the symbols of CasADi below 3.8, and `np.fabs` on pydrake's types.
+    """
+    if a.dtype == object and not hasattr(a.flat[0], "fabs"):
+        return np.abs(a)
+    return np.fabs(a)
 
 
 def skew(a: NDArray) -> NDArray:
@@ -56,28 +66,48 @@ def rotation_matrix(quaternion: NDArray) -> NDArray:
     ).reshape(*quaternion.shape[:-1], 3, 3)
 
 
-def quaternion_rate(quaternion: NDArray, angular_velocity: NDArray) -> NDArray:
-    """q̇ (4,) = ½ (0, ω) ⊗ q, with the angular velocity (3,) in the world frame."""
-    scalar, vector = quaternion[:1], quaternion[1:]
-    return (
-        np.concatenate(
-            [
-                -(angular_velocity * vector).sum(keepdims=True),
-                scalar * angular_velocity + cross(angular_velocity, vector),
-            ]
-        )
-        / 2
+def quaternion_product(a: NDArray, b: NDArray) -> NDArray:
+    """The product a ⊗ b (..., 4) of quaternions w x y z, (..., 4) each, that broadcast."""
+    a_scalar, a_vector = a[..., :1], a[..., 1:]
+    b_scalar, b_vector = b[..., :1], b[..., 1:]
+    return np.concatenate(
+        [
+            a_scalar * b_scalar - (a_vector * b_vector).sum(axis=-1, keepdims=True),
+            a_scalar * b_vector + b_scalar * a_vector + cross(a_vector, b_vector),
+        ],
+        axis=-1,
     )
+
+
+def quaternion_conjugate(quaternion: NDArray) -> NDArray:
+    """The quaternion (..., 4), w x y z, of the inverse rotation, of the same norm."""
+    return np.concatenate([quaternion[..., :1], -quaternion[..., 1:]], axis=-1)
+
+
+def rotation_vector(quaternion: NDArray) -> NDArray:
+    """The rotation vector (..., 3), rad, of quaternions (..., 4), w x y z, of any norm.
+
+    Its norm is at most π. From q_1 to q_2 it is that of q_2 ⊗ q̄_1 in W, and that of q̄_1 ⊗ q_2 in
+    the rotated frame. For floats only, since its sign depends on a comparison.
+    """
+    scalar, vector = quaternion[..., :1], quaternion[..., 1:]
+    sine = norm(vector)
+    angle = 2 * np.arctan2(sine, np.fabs(scalar))
+    factor = np.where(sine > 0, angle / np.maximum(sine, 1e-300), 2.0)
+    return np.where(scalar < 0, -vector, vector) * factor
+
+
+def quaternion_rate(quaternion: NDArray, angular_velocity: NDArray) -> NDArray:
+    """q̇ (..., 4) = ½ (0, ω) ⊗ q, with the angular velocity (..., 3) in the world frame."""
+    scalar = 0 * angular_velocity[..., :1]
+    return quaternion_product(np.concatenate([scalar, angular_velocity], axis=-1), quaternion) / 2
 
 
 def rotate_quaternion(quaternion: NDArray, rotation: NDArray) -> NDArray:
-    """The quaternion (4,) of an attitude that is turned by a rotation vector (3,) in W."""
-    angle = np.sqrt((rotation * rotation).sum(keepdims=True) + 1e-300)
-    scalar, vector = np.cos(angle / 2), rotation * (np.sin(angle / 2) / angle)
-    q, p = quaternion[:1], quaternion[1:]
-    return np.concatenate(
-        [scalar * q - (vector * p).sum(keepdims=True), scalar * p + q * vector + cross(vector, p)]
-    )
+    """The quaternion (..., 4) after one more rotation, by a rotation vector (..., 3) in W, rad."""
+    angle = np.sqrt((rotation * rotation).sum(axis=-1, keepdims=True) + 1e-300)
+    turn = [np.cos(angle / 2), rotation * (np.sin(angle / 2) / angle)]
+    return quaternion_product(np.concatenate(turn, axis=-1), quaternion)
 
 
 def roll_pitch_yaw_to_quaternion(roll_pitch_yaw: NDArray) -> NDArray:
@@ -100,7 +130,7 @@ def angular_motion(
 ) -> tuple[NDArray, NDArray]:
     """Angular velocity and acceleration (3,), in W, of moving roll-pitch-yaw angles.
 
-    ω = E ṙpy, whose columns are the axes about which roll, pitch and yaw turn, and
+    ω = E ṙpy, where the columns of E are the axes of roll, pitch and yaw, and
     ω̇ = E r̈py + Ė ṙpy. Own derivation.
     """
     _, cp, cy = components(np.cos(roll_pitch_yaw))

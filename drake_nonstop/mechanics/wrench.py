@@ -1,15 +1,16 @@
 """The load wrench controller: PID on the pose error, feedforward, and its rate.
 
-Eqs. 10-13 (errors), 14-15 (PID). Two departures from the print: e_ω = ω − RᵀR_d ω_d has
-the opposite sign, since the printed one with −K_ω is anti-damping, and the feedforward
-of the desired motion is added with the weight `feedforward` (0: as printed).
+Eqs. 10-13 (errors), 14-15 (PID). Two departures from the paper: e_ω = ω − RᵀR_d ω_d has
+the opposite sign, since the paper's with −K_ω is anti-damping, and the feedforward of the
+desired motion is added with the weight `feedforward` (0: as in the paper).
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.rigid_load import load_acceleration
+from drake_nonstop.mechanics.rigid_load import RigidLoad, load_acceleration
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix, vee
+from drake_nonstop.mechanics.signals import LoadReference, LoadState, TrackingError, Wrench
 
 
 def tracking_error(load_state: NDArray, reference: NDArray) -> NDArray:
@@ -19,19 +20,21 @@ def tracking_error(load_state: NDArray, reference: NDArray) -> NDArray:
     velocity, angular acceleration, acceleration, jerk], all in W.
     e_R = ½ (R_dᵀR − RᵀR_d)^∨ (rad for small angles), e_ω = ω − RᵀR_d ω_d.
     """
-    R_WL = rotation_matrix(load_state[:4])
-    R_LD = R_WL.T @ rotation_matrix(reference[:4])
+    state, desired = LoadState.view(load_state), LoadReference.view(reference)
+    R_WL = rotation_matrix(state.quaternion)
+    R_LD = R_WL.T @ rotation_matrix(desired.quaternion)
     return np.concatenate(
         [
             vee(R_LD.T - R_LD) / 2,
-            load_state[4:7] - reference[4:7],
-            R_WL.T @ (load_state[7:10] - reference[7:10]),
-            load_state[10:13] - reference[10:13],
+            state.position - desired.position,
+            R_WL.T @ (state.angular_velocity - desired.angular_velocity),
+            state.velocity - desired.velocity,
         ]
     )
 
 
 def wrench_and_rate(
+    load: RigidLoad,
     load_state: NDArray,
     reference: NDArray,
     integrals: NDArray,
@@ -43,17 +46,11 @@ def wrench_and_rate(
     angular_velocity_gain: float | NDArray,
     orientation_integral_gain: float | NDArray,
     feedforward: float,
-    mass: float,
-    inertia: NDArray,
-    inertia_inverse: NDArray,
-    drag: float,
-    angular_drag: float = 0.0,
-    gravity: float,
 ) -> tuple[NDArray, NDArray]:
     """w_d and ẇ_d, each (6,) [torque; force] in W.
 
-    `integrals` (6,) is [∫e_R, ∫e_p]; the orientation's gains are numbers or (3, 3), in L. With
-    k = `feedforward`,
+    `load` is the controller's model. `integrals` (6,) is [∫e_R, ∫e_p]; the orientation's gains
+    are numbers or (3, 3), in L. With k = `feedforward`,
 
         f_d  = m g e₃ − K_p e_p − K_v e_v − K_i ∫e_p + k (m p̈_d + B_L ṗ_d)
         ᴸτ_d = ω × J ω − K_R e_R − K_ω e_ω − K_iR ∫e_R + k (J d(RᵀR_d ω_d)/dt + C_L RᵀR_d ω_d)
@@ -62,49 +59,36 @@ def wrench_and_rate(
     differentiation); only the reference's angular jerk is taken as zero. Own derivation:
     ė_R = ½ (tr(RᵀR_d) I − RᵀR_d) e_ω, and the world torque's rate is R (ᴸτ̇ + ω × ᴸτ).
     """
-    R_WL = rotation_matrix(load_state[:4])
+    state, desired = LoadState.view(load_state), LoadReference.view(reference)
+    R_WL = rotation_matrix(state.quaternion)
     R_LW = R_WL.T
-    R_LD = R_LW @ rotation_matrix(reference[:4])
-    omega = R_LW @ load_state[7:10]
-    desired_omega = R_LW @ reference[7:10]
-    desired_velocity = reference[10:13]
-    desired_alpha, acceleration, jerk = (
-        R_LW @ reference[13:16],
-        reference[16:19],
-        reference[19:22],
-    )
-    errors = tracking_error(load_state, reference)
-    e_R, e_p, e_omega, e_v = errors[:3], errors[3:6], errors[6:9], errors[9:]
-    momentum = inertia @ omega
+    R_LD = R_LW @ rotation_matrix(desired.quaternion)
+    omega = R_LW @ state.angular_velocity
+    desired_omega = R_LW @ desired.angular_velocity
+    desired_alpha = R_LW @ desired.angular_acceleration
+    e_R, e_p, e_omega, e_v = TrackingError.view(tracking_error(load_state, reference))
+    integral = Wrench.view(integrals)  # ∫e_R for the torque, ∫e_p for the force
+    momentum = load.inertia @ omega
 
     # d(Rᵀω_d)/dt, with ω_d in W: the desired angular acceleration as the load sees it.
     desired_omega_rate = desired_alpha - cross(omega, desired_omega)
     force = (
-        np.array([0.0, 0.0, mass * gravity])
+        np.array([0.0, 0.0, load.mass * load.gravity])
         - position_gain * e_p
         - velocity_gain * e_v
-        - position_integral_gain * integrals[3:]
-        + feedforward * (mass * acceleration + drag * desired_velocity)
+        - position_integral_gain * integral.force
+        + feedforward * (load.mass * desired.acceleration + load.drag * desired.velocity)
     )
     torque = (
         cross(omega, momentum)
         - np.dot(orientation_gain, e_R)
         - np.dot(angular_velocity_gain, e_omega)
-        - np.dot(orientation_integral_gain, integrals[:3])
-        + feedforward * (inertia @ desired_omega_rate + angular_drag * desired_omega)
+        - np.dot(orientation_integral_gain, integral.torque)
+        + feedforward * (load.inertia @ desired_omega_rate + load.angular_drag * desired_omega)
     )
     wrench = np.concatenate([R_WL @ torque, force])
 
-    angular, translational = load_acceleration(
-        load_state,
-        wrench,
-        mass=mass,
-        inertia=inertia,
-        inertia_inverse=inertia_inverse,
-        drag=drag,
-        angular_drag=angular_drag,
-        gravity=gravity,
-    )
+    angular, translational = load_acceleration(load, load_state, wrench)
     omega_rate = R_LW @ angular
     trace = (R_LD * np.eye(3)).sum(keepdims=True).reshape(1)
     e_R_rate = (trace * e_omega - R_LD @ e_omega) / 2
@@ -115,16 +99,17 @@ def wrench_and_rate(
     )
     force_rate = (
         -position_gain * e_v
-        - velocity_gain * (translational - acceleration)
+        - velocity_gain * (translational - desired.acceleration)
         - position_integral_gain * e_p
-        + feedforward * (mass * jerk + drag * acceleration)
+        + feedforward * (load.mass * desired.jerk + load.drag * desired.acceleration)
     )
     torque_rate = (
         cross(omega_rate, momentum)
-        + cross(omega, inertia @ omega_rate)
+        + cross(omega, load.inertia @ omega_rate)
         - np.dot(orientation_gain, e_R_rate)
         - np.dot(angular_velocity_gain, omega_rate - desired_omega_rate)
         - np.dot(orientation_integral_gain, e_R)
-        + feedforward * (inertia @ desired_omega_second_rate + angular_drag * desired_omega_rate)
+        + feedforward
+        * (load.inertia @ desired_omega_second_rate + load.angular_drag * desired_omega_rate)
     )
     return wrench, np.concatenate([R_WL @ (torque_rate + cross(omega, torque)), force_rate])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
-from drake_nonstop.mechanics.rigid_load import gravity_wrench
+from drake_nonstop.mechanics.rigid_load import RigidLoad, gravity_wrench
 from drake_nonstop.model.pattern import InternalForcePattern, check_pattern
 from drake_nonstop.validation import (
     is_number,
@@ -124,17 +124,19 @@ class Model:
             "believe in no stretch",
         )
         self.control_period = control_period
-        self.load_mass = system.load_mass
-        self.load_drag = system.load_drag
-        self.load_angular_drag = system.load_angular_drag
+        self.load = RigidLoad(
+            mass=system.load_mass,
+            inertia=_checked_inertia(f"{field}.load_inertia", system.load_inertia),
+            drag=system.load_drag,
+            angular_drag=system.load_angular_drag,
+            gravity=system.gravity,
+        )
         self.cable_length = system.cable_length
         self.cable_stiffness = stiffness
         self.cable_compliance = 1 / stiffness  # m/N, 0 without stretch
         self.cable_damping = system.cable_damping
         self.carrier_mass = system.carrier_mass
         self.gravity = system.gravity
-        self.load_inertia = _checked_inertia(f"{field}.load_inertia", system.load_inertia)
-        self.load_inertia_inverse = np.linalg.inv(self.load_inertia)
 
         name = f"{field}.attachments"
         self.attachments = require_array(
@@ -155,8 +157,13 @@ class Model:
         self.pseudo_inverse = np.linalg.pinv(grasp)  # (3n, 6)
         self.pattern = pattern.make(self.attachments)
         self.m = len(self.pattern.phases)
-        weight = gravity_wrench(self.load_mass, self.gravity)
+        weight = gravity_wrench(self.load.mass, self.gravity)
         check_pattern(self.pattern, self.attachments, (self.pseudo_inverse @ weight).reshape(-1, 3))
+
+    @property
+    def load_mass(self) -> float:
+        """The load's mass in kg, that of `load`."""
+        return self.load.mass
 
 
 def _checked_inertia(name: str, value: list[list[float]]) -> NDArray:

@@ -331,16 +331,7 @@ class SpeedProgram:
         """The products (25, instants, n), and the last instant's forces and levers (n, 3)."""
         state, reference, *wrenches = np.split(data[4:57], [13, 35, 41, 47])
         model = self._model
-        accelerations = load_acceleration(
-            state,
-            wrenches[0],
-            mass=model.load_mass,
-            inertia=model.load_inertia,
-            inertia_inverse=model.load_inertia_inverse,
-            drag=model.load_drag,
-            angular_drag=model.load_angular_drag,
-            gravity=model.gravity,
-        )
+        accelerations = load_acceleration(model.load, state, wrenches[0])
         products = []
         for instant in self._instants:
             ahead = motion = nonstop.advance(state, *accelerations, instant)

@@ -9,18 +9,12 @@ from drake_nonstop.blocks.load_disturbance import NoDisturbance
 from drake_nonstop.blocks.load_feedback import DesiredStateFeedback, IdealFeedback
 from drake_nonstop.blocks.load_plant import LoadPlant
 from drake_nonstop.blocks.wrench_controller import WrenchController, WrenchControllerConfig
-from drake_nonstop.mechanics.rigid_load import load_state_rate
+from drake_nonstop.mechanics.rigid_load import RigidLoad, load_state_rate
 from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError
 
-BODY = {
-    "mass": 1.0,
-    "inertia": INERTIA,
-    "inertia_inverse": np.linalg.inv(INERTIA),
-    "drag": 0.7,
-    "gravity": 9.81,
-}
+LOAD = RigidLoad(mass=1.0, inertia=INERTIA, drag=0.7, gravity=9.81)
 
 
 @pytest.mark.parametrize("n", [3, 4, 6])
@@ -30,7 +24,7 @@ def test_load_plant_integrates_newton_euler(rng, n):
     state, forces, wrench = Motion(50).state(0.3), rng.normal(size=3 * n), rng.normal(size=6)
     context.SetContinuousState(state)
     fix(block, context, cable_forces=forces, disturbance_wrench=wrench)
-    expected = load_state_rate(state, forces, wrench, attachments=regular(n), **BODY)
+    expected = load_state_rate(LOAD, state, forces, wrench, attachments=regular(n))
     rate = block.EvalTimeDerivatives(context).CopyToVector()
     np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-10)
     np.testing.assert_array_equal(output(block, context, "load_state"), state)
@@ -109,7 +103,7 @@ def test_wrench_controller_gives_wrench_rate_and_error(rng, period):
     else:
         context.SetContinuousState(integrals)
     fix(block, context, measured_load_state=state, reference=reference)
-    wrench, rate = wrench_and_rate(state, reference, integrals, **GAINS, **BODY)
+    wrench, rate = wrench_and_rate(LOAD, state, reference, integrals, **GAINS)
     error = tracking_error(state, reference)
     for name, expected in (("wrench", wrench), ("wrench_rate", rate), ("tracking_error", error)):
         np.testing.assert_allclose(

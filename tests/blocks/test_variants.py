@@ -112,7 +112,7 @@ def test_tuned_rotation_answers_alike_about_all_axes():
         measured_load_state=turned,
         reference=still,
     )["wrench"][:3]
-    acceleration = np.linalg.solve(body.load_inertia, torque)
+    acceleration = np.linalg.solve(body.load.inertia, torque)
     np.testing.assert_allclose(acceleration, -16.0 * 2 * turned[1:4], rtol=1e-3)
 
 

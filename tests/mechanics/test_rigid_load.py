@@ -6,19 +6,14 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlan
 from pydrake.multibody.tree import RotationalInertia, SpatialInertia
 
 from drake_nonstop.mechanics.rigid_load import (
+    RigidLoad,
     gravity_wrench,
     load_acceleration,
     load_state_rate,
 )
 
 MASS, DRAG, GRAVITY = 1.3, 0.7, 9.7
-CONSTANTS = {
-    "mass": MASS,
-    "inertia": INERTIA,
-    "inertia_inverse": np.linalg.inv(INERTIA),
-    "drag": DRAG,
-    "gravity": GRAVITY,
-}
+LOAD = RigidLoad(mass=MASS, inertia=INERTIA, drag=DRAG, gravity=GRAVITY)
 
 
 @pytest.fixture(scope="module")
@@ -56,37 +51,39 @@ def test_load_moves_as_a_free_body_of_multibody_plant(plant, rng, shape, time):
     applied.append(external_force(plant, np.zeros(3), disturbance[:3], disturbance[3:]))
     plant.get_applied_spatial_force_input_port().FixValue(context, applied)
     expected = plant.EvalTimeDerivatives(context).CopyToVector()
-    rate = load_state_rate(state, forces.ravel(), disturbance, attachments=attachments, **CONSTANTS)
+    rate = load_state_rate(LOAD, state, forces.ravel(), disturbance, attachments=attachments)
     np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-9)
 
 
 def test_rate_does_not_change_with_the_norm_of_the_quaternion_but_in_its_own_scale(rng):
     state, forces = Motion(5).state(0.4), rng.normal(size=12)
     arguments = forces, np.zeros(6)
-    constants = {"attachments": SHAPES["spatial-4"], **CONSTANTS}
     scaled = np.concatenate([1.1 * state[:4], state[4:]])
-    rate, scaled_rate = (load_state_rate(s, *arguments, **constants) for s in (state, scaled))
+    rate, scaled_rate = (
+        load_state_rate(LOAD, s, *arguments, attachments=SHAPES["spatial-4"])
+        for s in (state, scaled)
+    )
     np.testing.assert_allclose(scaled_rate[:4], 1.1 * rate[:4], rtol=1e-12)
     np.testing.assert_allclose(scaled_rate[4:], rate[4:], rtol=1e-12)
 
 
 def test_load_under_its_gravity_wrench_stays_at_rest():
     state = np.concatenate([Motion(6).state(1.0)[:7], np.zeros(6)])
-    angular, translational = load_acceleration(state, gravity_wrench(MASS, GRAVITY), **CONSTANTS)
+    angular, translational = load_acceleration(LOAD, state, gravity_wrench(MASS, GRAVITY))
     np.testing.assert_allclose(angular, 0, rtol=0, atol=1e-15)
     np.testing.assert_allclose(translational, 0, rtol=0, atol=1e-14)
 
 
 def test_falling_load_reaches_its_terminal_velocity():
     state = np.array([1.0, *np.zeros(11), -MASS * GRAVITY / DRAG])
-    _, translational = load_acceleration(state, np.zeros(6), **CONSTANTS)
+    _, translational = load_acceleration(LOAD, state, np.zeros(6))
     np.testing.assert_allclose(translational, 0, rtol=0, atol=1e-14)
 
 
 def test_torque_free_load_keeps_its_angular_momentum_and_energy():
     state = Motion(7).state(0.8)
     R = rotation(state[:4])
-    angular, _ = load_acceleration(state, np.zeros(6), **CONSTANTS)
+    angular, _ = load_acceleration(LOAD, state, np.zeros(6))
     omega = state[7:10]
     J = R @ INERTIA @ R.T
     # d(J ω)/dt = J ω̇ + ω × J ω and d(½ ωᵀJω)/dt = ωᵀ J ω̇, in W

@@ -3,15 +3,20 @@ import pytest
 from helpers import Motion, difference, rotation
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
+from scipy.spatial.transform import Rotation
 
 from drake_nonstop.mechanics.rotation import (
     angular_motion,
     components,
     cross,
     norm,
+    quaternion_conjugate,
+    quaternion_product,
     quaternion_rate,
     roll_pitch_yaw_to_quaternion,
+    rotate_quaternion,
     rotation_matrix,
+    rotation_vector,
     skew,
     vee,
 )
@@ -50,6 +55,50 @@ def test_rotation_matrix_of_a_quaternion_of_any_norm_is_the_same_rotation(rng):
         np.testing.assert_allclose(
             rotation_matrix(scale * quaternion), rotation_matrix(quaternion), rtol=0, atol=1e-14
         )
+
+
+def test_quaternion_product_is_drakes_row_by_row(rng):
+    a, b = rng.normal(size=(2, 20, 4))
+    a, b = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (a, b))
+    expected = [
+        Quaternion(wxyz=p).multiply(Quaternion(wxyz=q)).wxyz() for p, q in zip(a, b, strict=True)
+    ]
+    np.testing.assert_allclose(quaternion_product(a, b), expected, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(quaternion_product(a[0], b[0]), expected[0], rtol=0, atol=1e-15)
+
+
+def test_conjugate_is_the_inverse_rotation(rng):
+    quaternion = rng.normal(size=4)
+    np.testing.assert_allclose(
+        rotation_matrix(quaternion_conjugate(quaternion)),
+        rotation_matrix(quaternion).T,
+        rtol=0,
+        atol=1e-15,
+    )
+    identity = quaternion_product(quaternion_conjugate(quaternion), quaternion)
+    np.testing.assert_allclose(identity, [quaternion @ quaternion, 0, 0, 0], rtol=0, atol=1e-15)
+
+
+def test_rotation_vector_is_scipys_whatever_norm_and_sign(rng):
+    quaternions = rng.normal(size=(50, 4))
+    expected = Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).as_rotvec()
+    for scale in (1.0, -1.0, 0.2):
+        vectors = rotation_vector(scale * quaternions)
+        np.testing.assert_allclose(vectors, expected, rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(rotation_vector(np.array([-1.0, 0, 0, 0])), 0)
+    small = rotation_vector(np.array([1.0, 1e-9, -2e-9, 0]))
+    np.testing.assert_allclose(small, [2e-9, -4e-9, 0], rtol=1e-15)
+
+
+def test_rotation_vector_undoes_rotate_quaternion_in_w_and_in_the_rotated_frame(rng):
+    start = rng.normal(size=(20, 4))
+    vectors = rng.uniform(-1.5, 1.5, (20, 3))
+    end = rotate_quaternion(start, vectors)
+    in_W = rotation_vector(quaternion_product(end, quaternion_conjugate(start)))
+    np.testing.assert_allclose(in_W, vectors, rtol=0, atol=1e-14)
+    in_L = rotation_vector(quaternion_product(quaternion_conjugate(start), end))
+    back = np.einsum("kij,kj->ki", rotation_matrix(start), in_L)
+    np.testing.assert_allclose(back, vectors, rtol=0, atol=1e-14)
 
 
 def test_quaternion_rate_is_that_of_a_turn_at_constant_angular_velocity(rng):

@@ -28,13 +28,7 @@ GRASP = {
     "basis": BASIS,
     "offset": BASIS @ np.array([0.2, 0.1, -0.3]),
 }
-BODY = {
-    "mass": 1.3,
-    "inertia": INERTIA,
-    "inertia_inverse": np.linalg.inv(INERTIA),
-    "drag": 0.7,
-    "gravity": 9.81,
-}
+LOAD = rigid_load.RigidLoad(mass=1.3, inertia=INERTIA, drag=0.7, gravity=9.81)
 CABLES = {"attachments": ATTACHMENTS, "rest_length": 0.2}
 CONTROL = {**GAINS, "feedforward": 1.0}
 
@@ -74,11 +68,15 @@ def separations(x, state, motion, *wrenches):
 EQUATIONS = {
     "cross": (rotation.cross, [3, 3]),
     "components": (lambda a: tuple(rotation.components(a)), [3]),
+    "absolute": (rotation.absolute, [4]),
     "skew": (rotation.skew, [3]),
     "vee": (lambda a: rotation.vee(a.reshape(3, 3)), [9]),
     "norm": (lambda a: rotation.norm(a.reshape(2, 3)), [6]),
     "rotation_matrix": (rotation.rotation_matrix, [4]),
+    "quaternion_product": (rotation.quaternion_product, [4, 4]),
+    "quaternion_conjugate": (rotation.quaternion_conjugate, [4]),
     "quaternion_rate": (rotation.quaternion_rate, [4, 3]),
+    "rotate_quaternion": (rotation.rotate_quaternion, [4, 3]),
     "roll_pitch_yaw_to_quaternion": (rotation.roll_pitch_yaw_to_quaternion, [3]),
     "angular_motion": (rotation.angular_motion, [3, 3, 3]),
     "circular_motion": (lambda angle: circle.circular_motion(angle, 1.3), [4]),
@@ -96,14 +94,14 @@ EQUATIONS = {
         lambda basis, phases: internal_force.ellipse_axes(basis.reshape(9, 3), phases),
         [27, 3],
     ),
-    "load_acceleration": (lambda *a: rigid_load.load_acceleration(*a, **BODY), [13, 6]),
+    "load_acceleration": (lambda *a: rigid_load.load_acceleration(LOAD, *a), [13, 6]),
     "load_state_rate": (
-        lambda *a: rigid_load.load_state_rate(*a, attachments=ATTACHMENTS, **BODY),
+        lambda *a: rigid_load.load_state_rate(LOAD, *a, attachments=ATTACHMENTS),
         [13, 3 * N, 6],
     ),
     "tracking_error": (wrench.tracking_error, [13, 22]),
     "wrench_and_rate": (
-        lambda *a: wrench.wrench_and_rate(*a, **CONTROL, **BODY),
+        lambda *a: wrench.wrench_and_rate(LOAD, *a, **CONTROL),
         [13, 22, 6],
     ),
     "positive_part": (cable.positive_part, [4]),
@@ -127,7 +125,17 @@ EQUATIONS = {
         lambda *a: carrier.pid_forces(
             *a, position_gain=1000.0, velocity_gain=10.0, integral_gain=3.0
         ),
+        [6 * N, 3 * N],
+    ),
+    "loaded_pid_forces": (
+        lambda *a: carrier.loaded_pid_forces(
+            *a, position_gain=1000.0, velocity_gain=10.0, mass=0.1, gravity=9.81
+        ),
         [6 * N, 6 * N, 3 * N],
+    ),
+    "loaded_carrier_rate": (
+        lambda *a: carrier.loaded_carrier_rate(*a, mass=0.1, gravity=9.81, max_force=0.8),
+        [6 * N, 3 * N, 3 * N],
     ),
     "double_integrator_rate": (
         lambda *a: carrier.double_integrator_rate(*a, mass=0.1),

@@ -3,22 +3,16 @@ import pytest
 from helpers import GAINS, INERTIA, Motion, difference, rotation
 from pydrake.math import RollPitchYaw, RotationMatrix
 
-from drake_nonstop.mechanics.rigid_load import load_state_rate
+from drake_nonstop.mechanics.rigid_load import RigidLoad, load_state_rate
 from drake_nonstop.mechanics.rotation import quaternion_rate
 from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
 
-BODY = {
-    "mass": 1.3,
-    "inertia": INERTIA,
-    "inertia_inverse": np.linalg.inv(INERTIA),
-    "drag": 0.7,
-    "gravity": 9.7,
-}
+LOAD = RigidLoad(mass=1.3, inertia=INERTIA, drag=0.7, gravity=9.7)
 NO_GAINS = dict.fromkeys(GAINS, 0.0)
 
 
-def rotate_quaternion(angle, axis):
-    """A load state and a reference at rest, the load turned about an axis of its own."""
+def rotated_load(angle, axis):
+    """A load state and a reference at rest, the load rotated about an axis of its own."""
     reference = np.zeros(22)
     reference[:4] = RollPitchYaw([0.3, -0.2, 0.9]).ToQuaternion().wxyz()
     turn = RotationMatrix(RollPitchYaw(angle * np.array(axis)))
@@ -31,7 +25,7 @@ def rotate_quaternion(angle, axis):
 @pytest.mark.parametrize("axis", [[1, 0, 0], [0, 1, 0], [0, 0, 1]])
 @pytest.mark.parametrize("angle", [0.4, -1.2])
 def test_orientation_error_is_the_sine_of_the_angle_about_the_axis(axis, angle):
-    error = tracking_error(*rotate_quaternion(angle, axis))
+    error = tracking_error(*rotated_load(angle, axis))
     np.testing.assert_allclose(error[:3], np.sin(angle) * np.array(axis), rtol=0, atol=1e-15)
     np.testing.assert_array_equal(error[3:], 0)
 
@@ -67,8 +61,8 @@ def test_orientation_error_rate_in_closed_form():
 
 
 def test_wrench_of_a_load_on_its_resting_reference_is_its_weight():
-    state, reference = rotate_quaternion(0, [1, 0, 0])
-    wrench, rate = wrench_and_rate(state, reference, np.zeros(6), **GAINS, feedforward=1.0, **BODY)
+    state, reference = rotated_load(0, [1, 0, 0])
+    wrench, rate = wrench_and_rate(LOAD, state, reference, np.zeros(6), **GAINS, feedforward=1.0)
     np.testing.assert_allclose(wrench, [0, 0, 0, 0, 0, 1.3 * 9.7], rtol=0, atol=1e-15)
     np.testing.assert_allclose(rate, 0, rtol=0, atol=1e-13)
 
@@ -88,9 +82,7 @@ def test_wrench_in_closed_form(rng, feedforward):
     force += feedforward * (1.3 * reference[16:19] + 0.7 * reference[10:13])
     torque = np.cross(omega, INERTIA @ omega) - 0.5 * e_R - 0.06 * e_omega - 0.1 * integrals[:3]
     torque += feedforward * INERTIA @ desired_omega_rate
-    wrench, _ = wrench_and_rate(
-        state, reference, integrals, **GAINS, feedforward=feedforward, **BODY
-    )
+    wrench, _ = wrench_and_rate(LOAD, state, reference, integrals, **GAINS, feedforward=feedforward)
     np.testing.assert_allclose(wrench, [*(R @ torque), *force], rtol=0, atol=1e-11)
 
 
@@ -108,18 +100,18 @@ def differences_of_wrench(gains, feedforward, reference_at):
 
     def control(t, y):
         return wrench_and_rate(
+            LOAD,
             y[:13],
             reference_at(t, y[19:]),
             y[13:19],
             **gains,
             feedforward=feedforward,
-            **BODY,
         )
 
     def rate(t, y):
         reference = reference_at(t, y[19:])
         load_rate = load_state_rate(
-            y[:13], np.zeros(3), control(t, y)[0], attachments=np.zeros((1, 3)), **BODY
+            LOAD, y[:13], np.zeros(3), control(t, y)[0], attachments=np.zeros((1, 3))
         )
         error = tracking_error(y[:13], reference)[:6]
         return np.concatenate([load_rate, error, quaternion_rate(y[19:], reference[7:10])])
@@ -177,25 +169,23 @@ def test_feedforward_alone_carries_the_load_along_its_reference():
     for time in (0.2, 1.6):
         state, reference = motion.state(time), motion.reference(time)
         wrench, _ = wrench_and_rate(
-            state, reference, np.zeros(6), **NO_GAINS, feedforward=1.0, **BODY
+            LOAD, state, reference, np.zeros(6), **NO_GAINS, feedforward=1.0
         )
-        rate = load_state_rate(state, np.zeros(3), wrench, attachments=np.zeros((1, 3)), **BODY)
+        rate = load_state_rate(LOAD, state, np.zeros(3), wrench, attachments=np.zeros((1, 3)))
         np.testing.assert_allclose(rate[7:], reference[13:19], rtol=0, atol=1e-13)
 
 
 def test_table_gains_damp_the_rotation():
     J, K_omega, K_R, K_i = 0.01, 0.06, 0.5, 0.1
-    body = {**BODY, "inertia": J * np.eye(3), "inertia_inverse": np.eye(3) / J}
+    load = RigidLoad(mass=1.3, inertia=J * np.eye(3), drag=0.7, gravity=9.7)
     reference = np.array([1.0, *np.zeros(21)])
 
     def rate(y):
         """Of [∫e_R, small rotation, ω] about x."""
         state = np.array([1.0, y[1] / 2, *np.zeros(5), y[2], *np.zeros(5)])
         integrals = np.array([y[0], *np.zeros(5)])
-        wrench, _ = wrench_and_rate(state, reference, integrals, **GAINS, feedforward=1.0, **body)
-        load_rate = load_state_rate(
-            state, np.zeros(3), wrench, attachments=np.zeros((1, 3)), **body
-        )
+        wrench, _ = wrench_and_rate(load, state, reference, integrals, **GAINS, feedforward=1.0)
+        load_rate = load_state_rate(load, state, np.zeros(3), wrench, attachments=np.zeros((1, 3)))
         return np.array([tracking_error(state, reference)[0], y[2], load_rate[7]])
 
     h = 1e-6
