@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, State
 from pydrake.systems.primitives import Selector
 
+from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.traced_block import Equations, stacking, taking_apart
 from drake_nonstop.systems.tracing import TracedFunction
@@ -16,37 +17,37 @@ _MOVING = "carrier_reference"
 
 
 class FusedPlant(DiagramBlock):
-    """Several blocks as one, whose states it steps from one sample of the controllers to the next.
+    """Several blocks in one, stepped from one sample of the controllers to the next.
 
-    What the blocks compute is traced to one function, with all steps in a control period of
-    the third-order Runge-Kutta scheme that is Drake's RungeKutta3Integrator, so that Python is
-    called once in a period and not five times in each stage of each step. The state is
-    discrete. An output between two samples is that of as many, shorter steps from the first.
+    The blocks' equations are traced to one function, with all steps in a control period of the
+    third-order Runge-Kutta scheme of Drake's RungeKutta3Integrator, so that Python is called once
+    in a period instead of five times in each stage of each step. The state is discrete. An output
+    between two samples is that of as many, shorter steps from the earlier one.
 
     .. pydrake_system::
 
         name: FusedPlant
         input_ports:
         - disturbance_wrench
-        - (the parts' inputs that none of them makes)
+        - (the parts' inputs that are not outputs of other parts)
         output_ports:
-        - (all that the parts make)
+        - (the parts' outputs)
 
     Names and sizes are those of the parts' ports. Over a period the `disturbance_wrench` is
     held at its value at the beginning, the `carrier_reference` moves along its velocities, as
-    `CarrierMotion` has it, and other inputs are taken to be constant. Where they are, the
+    that of `CarrierTrajectory`, and other inputs are assumed to be constant. If they are, the
     results at the samples are those of the parts to round-off, if the integrator's step
     divides the period and no event cuts a step short.
 
     Args:
-        parts: the equations of the blocks by their names, each after those it reads from.
+        parts: the equations of the blocks by their names, each after its sources.
         period: the controllers' sample time in s.
-        steps: how many the integrator takes in a period.
+        steps: the integrator's steps in a period.
     """
 
     def __init__(self, parts: Mapping[str, Equations], *, period: float, steps: int):
         super().__init__()
-        together = _Together(parts)
+        together = _CombinedEquations(parts)
         builder = DiagramBuilder()
         stepped = builder.AddNamedSystem("stepped", _Stepped(together, period, steps))
         stacked = builder.AddNamedSystem("stacked", Selector(stacking(together.inputs)))
@@ -71,7 +72,7 @@ class FusedPlant(DiagramBlock):
         stepped.set_states(self.GetMutableSubsystemContext(stepped, context), states)
 
     def states(self, context: Context) -> dict[str, NDArray]:
-        """The states at the last sample, by their ports, or their parts where none shows them."""
+        """The states at the last sample, by their ports, or their parts where there is no port."""
         stepped = self.GetSubsystemByName("stepped")
         return stepped.states(self.GetSubsystemContext(stepped, context))
 
@@ -81,12 +82,12 @@ class FusedPlant(DiagramBlock):
         return stepped.rates(self.GetSubsystemContext(stepped, context))
 
 
-class _Together:
+class _CombinedEquations:
     """The equations of all parts as one.
 
-    `inputs` are the sizes of what comes from outside, but for the disturbance, and `outputs`
-    those of what the parts make, by the names of the ports. `states` are those of the parts'
-    states, by the names of the ports that show them or, where none does, of the parts.
+    `inputs` are the sizes of the inputs from outside, except the disturbance, and `outputs`
+    those of the parts' outputs, by the names of the ports. `states` are those of the parts'
+    states, by the names of the ports that show them or, where there is none, of the parts.
     """
 
     def __init__(self, parts: Mapping[str, Equations]):
@@ -120,17 +121,17 @@ class _Together:
 
 
 class _Stepped(InnerBlock):
-    """Steps the parts; its state is theirs and the disturbance at the last sample, and its time.
+    """Steps the parts; its state is theirs, the disturbance at the last sample, and its time.
 
     The time is infinite before the first sample.
     """
 
-    def __init__(self, together: _Together, period: float, steps: int):
+    def __init__(self, together: _CombinedEquations, period: float, steps: int):
         super().__init__()
         self._sizes = together.states
         self._size = size = sum(together.states.values())
         input_size, output_size = sum(together.inputs.values()), sum(together.outputs.values())
-        self._at = at = TracedFunction(together, [size, input_size, 6], name=self.box)
+        self._at = at = TracedFunction(together, [size, input_size, WRENCH_SIZE], name=self.box)
 
         def stepped(inputs: NDArray, memory: NDArray, time: NDArray) -> NDArray:
             state, held = memory[:size], memory[size:-1]
@@ -152,10 +153,10 @@ class _Stepped(InnerBlock):
                 state = state + step / 6 * (first + 4 * second + third)
             return np.concatenate([state, at.traced(state, inputs, held)[1]])
 
-        self._step = TracedFunction(stepped, [input_size, size + 7, 1], name=self.box)
+        self._step = TracedFunction(stepped, [input_size, size + WRENCH_SIZE + 1, 1], name=self.box)
         self._inputs = self.DeclareVectorInputPort("inputs", input_size)
-        self._held = self.DeclareVectorInputPort(_HELD, 6)
-        initial = [*together.initial_states.values(), np.array([0.0] * 6 + [np.inf])]
+        self._held = self.DeclareVectorInputPort(_HELD, WRENCH_SIZE)
+        initial = [*together.initial_states.values(), np.zeros(WRENCH_SIZE), [np.inf]]
         self.DeclareDiscreteState(np.concatenate(initial))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
         # With the sample-and-hold, which then sees the state that this step ends with.

@@ -13,7 +13,8 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.mechanics.circle import circular_motion
 from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_quaternion
-from drake_nonstop.model.pose_samples import read_samples, sample_array
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
+from drake_nonstop.model.pose_samples import read_samples, sample_array, split_samples
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.tracing import TracedFunction
@@ -29,7 +30,7 @@ _OWNER = "load_trajectory"  # what error messages call the box
 
 
 class LoadTrajectory(LeafBlock):
-    """The desired pose of the load, its derivatives up to jerk, from a piecewise polynomial.
+    """The desired motion of the load along a piecewise polynomial.
 
     .. pydrake_system::
 
@@ -37,16 +38,16 @@ class LoadTrajectory(LeafBlock):
         output_ports:
         - reference
 
-    `reference` (22): [quaternion, position, angular velocity, velocity, angular
-    acceleration, acceleration, jerk], in W.
+    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
+    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
     Args:
-        trajectory: the rows [roll, pitch, yaw (rad), x, y, z (m)], or other coordinates for
-            `pose` to turn into these, twice continuously differentiable where the load is to
+        trajectory: the rows [roll, pitch, yaw (rad), x, y, z (m)], or other coordinates that
+            `pose` converts to these, twice continuously differentiable where the load has to
             follow closely. Before its start and after its end the load rests at its first and
             last pose.
-        pose: takes the coordinates and their three derivatives (4, rows) to those of [roll,
-            pitch, yaw, x, y, z], (4, 6), and runs on object arrays. None: they are these.
+        pose: maps the coordinates and their three derivatives (4, rows) to those of [roll,
+            pitch, yaw, x, y, z], (4, 6), and runs on object arrays. None: the rows are these.
     """
 
     def __init__(
@@ -61,7 +62,9 @@ class LoadTrajectory(LeafBlock):
             [4 * self._rows],
             name=self.get_name,
         )
-        self.DeclareVectorOutputPort("reference", 22, self._calc_reference, {self.time_ticket()})
+        self.DeclareVectorOutputPort(
+            "reference", LOAD_REFERENCE_SIZE, self._calc_reference, {self.time_ticket()}
+        )
 
     def _calc_reference(self, context: Context, output: BasicVector) -> None:
         time = context.get_time()
@@ -84,18 +87,19 @@ def _with_derivatives(trajectory: PiecewisePolynomial, order: int) -> PiecewiseP
 
 def _reference(values: NDArray) -> NDArray:
     """`reference` (22,) of [roll, pitch, yaw, x, y, z] and three derivatives (24,)."""
-    pose, rate, acceleration, jerk = values.reshape(4, 6)
-    angular_velocity, angular_acceleration = angular_motion(pose[:3], rate[:3], acceleration[:3])
+    derivatives = values.reshape(4, 2, 3)
+    roll_pitch_yaw, positions = derivatives[:, 0], derivatives[:, 1]
+    angular_velocity, angular_acceleration = angular_motion(*roll_pitch_yaw[:3])
     return np.concatenate(
-        [
-            roll_pitch_yaw_to_quaternion(pose[:3]),
-            pose[3:],
-            angular_velocity,
-            rate[3:],
-            angular_acceleration,
-            acceleration[3:],
-            jerk[3:],
-        ]
+        LoadReference(
+            quaternion=roll_pitch_yaw_to_quaternion(roll_pitch_yaw[0]),
+            position=positions[0],
+            angular_velocity=angular_velocity,
+            velocity=positions[1],
+            angular_acceleration=angular_acceleration,
+            acceleration=positions[2],
+            jerk=positions[3],
+        )
     )
 
 
@@ -116,11 +120,11 @@ def _rest_to_rest(
     rest_times: Iterable[float],
     move_times: Iterable[float],
 ) -> PiecewisePolynomial:
-    """Legs in which each coordinate rests, and then runs a quintic from rest to rest."""
+    """Legs in which each coordinate rests, and then follows a quintic from rest to rest."""
     segments: list[NDArray] = []
     breaks: list[float] = []
     for start, change, rest, move in zip(starts, changes, rest_times, move_times, strict=True):
-        if not breaks:  # the rest before the first leg is what is before the trajectory
+        if not breaks:  # the load rests before the trajectory begins
             breaks = [rest]
         elif rest > 0:
             segments.append(_segment(np.zeros(1), change, rest, start))
@@ -133,7 +137,7 @@ def _rest_to_rest(
 def _joined(segments: list[NDArray], breaks: list[float]) -> PiecewisePolynomial:
     """The segments one after the other, between the times at which they meet."""
     require(
-        np.all(np.diff(breaks) >= np.finfo(float).eps),  # Drake would end the process
+        np.all(np.diff(breaks) >= np.finfo(float).eps),  # Drake would abort the process
         f"{_OWNER} (instants in s)",
         breaks,
         "give times that are not lost in the rounding of others",
@@ -143,7 +147,7 @@ def _joined(segments: list[NDArray], breaks: list[float]) -> PiecewisePolynomial
 
 @dataclass(kw_only=True)
 class _StartPose:
-    """Where the load starts, for the configs of several blocks."""
+    """The load's pose at the start, for the configs of several blocks."""
 
     start_position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
     start_roll_pitch_yaw: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # rad
@@ -161,7 +165,7 @@ class _StartPose:
 
 @dataclass(kw_only=True)
 class RestToRestConfig(_StartPose):
-    """Rest, a move in which each coordinate runs a quintic from rest to rest, and rest."""
+    """Rest, a move in which each coordinate follows a quintic from rest to rest, and rest."""
 
     displacement: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
     roll_pitch_yaw: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # rad, change
@@ -170,7 +174,23 @@ class RestToRestConfig(_StartPose):
 
 
 class RestToRest(LoadTrajectory):
-    """The paper's second experiment: component-wise quintic polynomials from rest to rest."""
+    """The paper's second experiment: component-wise quintic polynomials from rest to rest.
+
+    .. pydrake_system::
+
+        name: RestToRest
+        output_ports:
+        - reference
+
+    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
+    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+
+    Parameters: the fields of `RestToRestConfig`.
+
+    Raises:
+        ScenarioError: move_time is not above zero, start_time is negative, or a vector does not
+            hold 3 finite numbers.
+    """
 
     def __init__(self, model: Model, config: RestToRestConfig | None = None):
         config = config or RestToRestConfig()
@@ -201,9 +221,23 @@ class ConstantVelocityMoveConfig(_StartPose):
 class ConstantVelocityMove(LoadTrajectory):
     """The paper's first experiment: the load rests, moves along a line, and rests.
 
-    The printed steps in velocity are blended over `blend_time`, velocity running a
-    quintic (so that the jerk is continuous) centred on the step: the line has the same
-    length and is crossed at the same times.
+    The paper's steps in velocity are blended over `blend_time`, by a quintic (so that the jerk is
+    continuous) centred on the step: the line has the same length and is crossed at the same times.
+
+    .. pydrake_system::
+
+        name: ConstantVelocityMove
+        output_ports:
+        - reference
+
+    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
+    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+
+    Parameters: the fields of `ConstantVelocityMoveConfig`.
+
+    Raises:
+        ScenarioError: move_time is not above zero, start_time or blend_time is negative,
+            blend_time is too long for them, or a vector does not hold 3 finite numbers.
     """
 
     def __init__(self, model: Model, config: ConstantVelocityMoveConfig | None = None):
@@ -258,11 +292,22 @@ class WaypointsConfig(_StartPose):
 
 
 class Waypoints(LoadTrajectory):
-    """The load goes from waypoint to waypoint, and rests at each of them.
+    """The load moves from waypoint to waypoint, and rests at each of them.
 
-    On each leg the coordinates of the pose run a quintic from rest to rest, together, as in
+    On each leg the coordinates of the pose follow a quintic from rest to rest, together, as in
     `RestToRest`: velocity and acceleration are continuous and are zero at each waypoint.
-    The angles run as given: from yaw 3 to yaw −3 the load turns back by 6 rad.
+    Angles are interpolated as given: from yaw 3 to yaw −3 the load rotates back by 6 rad.
+
+    .. pydrake_system::
+
+        name: Waypoints
+        output_ports:
+        - reference
+
+    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
+    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+
+    Parameters: the fields of `WaypointsConfig`.
 
     Raises:
         ScenarioError: the config's lists do not hold a finite row, and a time, per waypoint;
@@ -276,7 +321,8 @@ class Waypoints(LoadTrajectory):
             f"{_OWNER}.positions", config.positions, [None, 3], "metres, a row per waypoint"
         )
         count = len(positions)
-        angles, rests = np.tile(start[:3], (count, 1)), np.zeros(count)
+        start_angles, _ = np.split(start, 2)
+        angles, rests = np.tile(start_angles, (count, 1)), np.zeros(count)
         if len(config.roll_pitch_yaw) > 0:
             angles = require_array(
                 f"{_OWNER}.roll_pitch_yaw",
@@ -316,18 +362,29 @@ class CircleConfig(_StartPose):
 
     radius: float = 1.0  # m
     centre_direction: float = math.pi / 2  # rad, of the centre seen from the start, x to y
-    turns: float = 1.0  # how often round, counter-clockwise seen from above; negative: clockwise
-    turns_with_path: bool = False  # whether the load's yaw turns as much as its path does
+    turns: float = 1.0  # number of rounds, counter-clockwise from above; negative: clockwise
+    turns_with_path: bool = False  # whether the load's yaw rotates as much as its path
     start_time: float = 0.0  # s
     move_time: float = 20.0  # s
 
 
 class Circle(LoadTrajectory):
-    """The load goes round a level circle, at its start's height, from rest to rest.
+    """The load moves round a level circle, at the height of its start, from rest to rest.
 
-    The angle of the way round runs a quintic, so that velocity and acceleration are continuous,
+    The angle θ on the circle follows a quintic, so that velocity and acceleration are continuous,
     and the position is on the circle to rounding: p = c + r (cos θ, sin θ), with its
     derivatives by the chain rule.
+
+    .. pydrake_system::
+
+        name: Circle
+        output_ports:
+        - reference
+
+    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
+    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+
+    Parameters: the fields of `CircleConfig`.
 
     Raises:
         ScenarioError: radius or move_time is not above zero, start_time is negative, or
@@ -341,17 +398,18 @@ class Circle(LoadTrajectory):
         direction, turns = config.centre_direction, config.turns
         for name, value in (("centre_direction", direction), ("turns", turns)):
             require(is_number(value), f"{_OWNER}.{name}", value, "give a finite number")
-        start = config.start_pose()
+        *roll_pitch_yaw, x, y, z = config.start_pose()
         radius = config.radius
-        centre = start[3:5] + radius * np.array([np.cos(direction), np.sin(direction)])
+        centre = np.array([x, y]) + radius * np.array([np.cos(direction), np.sin(direction)])
         offset = np.vstack([centre, np.zeros((3, 2))])
 
         def pose(values: NDArray) -> NDArray:
             """[roll, pitch, yaw, x, y, z] of [roll, pitch, yaw, θ, z], each with derivatives."""
-            around = offset + circular_motion(values[:, 3], radius)
-            return np.concatenate([values[:, :3], around, values[:, 4:]], axis=1)
+            roll_pitch_yaw, angle, height = np.split(values, [3, 4], axis=1)
+            around = offset + circular_motion(angle[:, 0], radius)
+            return np.concatenate([roll_pitch_yaw, around, height], axis=1)
 
-        begin = np.array([*start[:3], direction + np.pi, start[5]])
+        begin = np.array([*roll_pitch_yaw, direction + np.pi, z])
         turn = 2 * np.pi * turns
         change = np.array([0.0, 0.0, turn if config.turns_with_path else 0.0, turn, 0.0])
         super().__init__(
@@ -363,16 +421,16 @@ class Circle(LoadTrajectory):
 class SampledTrajectoryConfig:
     """A smooth curve through poses at given times, from a file or in the scenario itself."""
 
-    # A CSV file to take the samples from as a scenario is loaded; the first line names the columns
+    # A CSV file with the samples, read as a scenario is loaded; its first line names the columns
     # t, x, y, z or t, x, y, z, roll, pitch, yaw. Empty: the samples are given here.
     file: str = ""
-    # Rows of t, x, y, z or of t, x, y, z, roll, pitch, yaw; angles left out are 0.
+    # Rows of t, x, y, z or of t, x, y, z, roll, pitch, yaw; omitted angles are 0.
     samples: list[list[float]] = field(  # s, m, rad
         default_factory=lambda: [[0.0, 0.0, 0.0, 0.0], [10.0, 1.0, 0.0, 0.0]]
     )
 
     def resolved(self) -> "SampledTrajectoryConfig":
-        """The config with the file's rows for samples, and without the file."""
+        """The config with the file's rows as samples, and without the file."""
         if not self.file:
             return self
         samples = read_samples(self.file, f"{_OWNER}.file")
@@ -386,21 +444,34 @@ class SampledTrajectoryConfig:
     @property
     def start_position(self) -> list[float]:
         """The first sample's position in m."""
-        return self.sample_array()[0, 1:4].tolist()
+        _, positions, _ = split_samples(self.sample_array())
+        return positions[0].tolist()
 
     @property
     def start_roll_pitch_yaw(self) -> list[float]:
         """The first sample's angles in rad."""
-        return self.sample_array()[0, 4:].tolist()
+        *_, roll_pitch_yaw = split_samples(self.sample_array())
+        return roll_pitch_yaw[0].tolist()
 
 
 class SampledTrajectory(LoadTrajectory):
-    """The load passes given poses at given times, along cubic splines through its coordinates.
+    """The load passes given poses at given times, along cubic splines of its coordinates.
 
-    Velocity and acceleration are continuous between the first sample and the last. There the
-    velocity is zero, and the acceleration steps: samples that begin and end at rest for a while
-    make these steps small. The jerk steps at each sample. Angles left out are zero; those
-    given are taken as they are, so that a yaw that jumps by 2π makes the load turn round.
+    Velocity and acceleration are continuous between the first sample and the last. At these two
+    the velocity is zero, and the acceleration steps: samples that begin and end at rest for a
+    while make these steps small. The jerk steps at each sample. Omitted angles are zero; given
+    ones are not unwrapped, so that a yaw that jumps by 2π makes the load rotate once.
+
+    .. pydrake_system::
+
+        name: SampledTrajectory
+        output_ports:
+        - reference
+
+    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
+    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+
+    Parameters: the fields of `SampledTrajectoryConfig`.
 
     Raises:
         ScenarioError: the file cannot be read, or the samples cannot be used: see
@@ -409,10 +480,11 @@ class SampledTrajectory(LoadTrajectory):
 
     def __init__(self, model: Model, config: SampledTrajectoryConfig | None = None):
         samples = (config or SampledTrajectoryConfig()).sample_array()
+        times, positions, roll_pitch_yaw = split_samples(samples)
         rest = np.zeros((6, 1))
         super().__init__(
             PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
-                samples[:, 0], samples[:, [4, 5, 6, 1, 2, 3]].T, rest, rest
+                times, np.hstack([roll_pitch_yaw, positions]).T, rest, rest
             )
         )
 

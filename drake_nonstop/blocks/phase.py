@@ -1,4 +1,4 @@
-"""Box "phase" of the internal forces, part of their trajectories in the paper."""
+"""Box "phase" of the internal forces, in the paper a part of their trajectories."""
 
 from dataclasses import dataclass
 

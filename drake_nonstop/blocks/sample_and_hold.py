@@ -1,15 +1,16 @@
-"""What a sampled controller sees: its inputs, held from one sample to the next."""
+"""The inputs of sampled controllers, held from one sample to the next."""
 
 from pydrake.systems.framework import Context, State
 
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
 
-HELD_SIGNALS = {"measured_load_state": 13, "reference": 22}  # name -> size
+HELD_SIGNALS = {"measured_load_state": LOAD_STATE_SIZE, "reference": LOAD_REFERENCE_SIZE}
 
 
 class SampleAndHold(LeafBlock):
-    """Samples what enters the controllers every `control_period`, and holds it.
+    """Samples the controllers' inputs every `control_period`, and holds them.
 
     The block stands once, in front of all controllers, instead of a hold in each, which
     would add a sample of delay per block. The sample is taken by an unrestricted update:
@@ -28,7 +29,8 @@ class SampleAndHold(LeafBlock):
         - held_reference
         - sample_time
 
-    Sizes as in `HELD_SIGNALS`; `sample_time` (1) is the time of the sample in s.
+    `measured_load_state` (13) and `reference` (22) are SI, in W, and so are the held ones;
+    `sample_time` (1) is the time of the sample in s.
     """
 
     def __init__(self, model: Model):

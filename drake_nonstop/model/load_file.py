@@ -1,4 +1,4 @@
-"""The load as others have described it: mass, inertia and attachments from SDF or URDF."""
+"""The load from a file: mass, inertia and attachments from SDF or URDF."""
 
 import logging
 from pathlib import Path
@@ -12,18 +12,18 @@ from drake_nonstop.validation import ScenarioError, require
 
 
 def read_load(path: str | Path, attachment_frames: list[str]) -> dict[str, Any]:
-    """The fields of a `System` that a file tells: load_mass, load_inertia and attachments.
+    """The fields of `SystemParameters` in a file: load_mass, load_inertia and attachments.
 
     The file holds one free body, or several welded together. The load's frame L has the axes
     of the first, and its origin at the centre of mass of all.
 
     Args:
         path: an SDF or URDF file.
-        attachment_frames: the names of the frames (or links) at whose origins the cables are
-            attached, in the order of the carriers.
+        attachment_frames: the names of the frames (or links) with the cables at their origins,
+            in the order of the carriers.
 
     Raises:
-        ScenarioError: the file cannot be read, is no single rigid load, or lacks a frame.
+        ScenarioError: the file cannot be read, is not one rigid load, or lacks a frame.
     """
     plant = MultibodyPlant(time_step=0.0)
     try:

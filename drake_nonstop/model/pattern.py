@@ -1,7 +1,7 @@
-"""Internal-force patterns: the scenario entry that the blocks using λ share.
+"""Internal-force patterns: a scenario's entry that all blocks with λ share.
 
-A pattern config makes N₀, φ and f̃⁰ (see `mechanics.internal_force`) for given
-attachments; anything with such a `make` will do.
+A pattern config makes N₀, φ and f̃⁰ (see `mechanics.internal_force`) for given attachments. Any
+class with such a `make` is one.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ from drake_nonstop.mechanics.internal_force import (
 )
 from drake_nonstop.validation import require, require_array, require_positive
 
-_SMALLEST_SINE = 1e-3  # smallest sine of an angle that still counts as an angle
+_MIN_SINE = 1e-3  # of an angle that counts as different from zero
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class HamiltonianCycleConfig:
         units = edges / lengths[:, None]
         for i in range(n):
             require(
-                np.linalg.norm(np.cross(units[i - 1], units[i])) > _SMALLEST_SINE,
+                np.linalg.norm(np.cross(units[i - 1], units[i])) > _MIN_SINE,
                 "system.attachments",
                 attachments.tolist(),
                 f"the edges of the cycle that meet at attachment {i + 1} are collinear, so "
@@ -67,7 +67,7 @@ class HamiltonianCycleConfig:
             phases = require_array("pattern.phases", self.phases, [n], "one phase per cable")
         for k in range(n):
             require(
-                abs(np.sin(phases[k] - phases[k - 1])) > _SMALLEST_SINE,
+                abs(np.sin(phases[k] - phases[k - 1])) > _MIN_SINE,
                 "pattern.phases",
                 phases.tolist(),
                 f"neighbouring phases {(k - 1) % n + 1} and {k + 1} coincide modulo pi, so "
@@ -78,7 +78,7 @@ class HamiltonianCycleConfig:
 
 @dataclass(kw_only=True)
 class CarouselConfig:
-    """Forces that turn together: the carriers keep apart at constant speed, cables cross.
+    """Forces that rotate together: the carriers keep apart at constant speed, cables cross.
 
     m = 2. On a regular polygon every carrier flies a circle above its attachment, all at the
     same speed; for other attachments the pattern is projected on the null space.
@@ -114,7 +114,7 @@ class SpreadCarouselConfig:
 
 
 def _require_directions(attachments: NDArray) -> None:
-    """Raises ScenarioError where an attachment has no direction from the middle of all."""
+    """Raises ScenarioError if an attachment has no direction from the centre of all."""
     from_centre = (attachments - attachments.mean(axis=0))[:, :2]
     radii = np.linalg.norm(from_centre, axis=1)
     require(
@@ -128,7 +128,7 @@ def _require_directions(attachments: NDArray) -> None:
 
 @dataclass(kw_only=True)
 class LinearPatternConfig:
-    """A pattern of the user's own: any matrix and offset in the null space, any phases."""
+    """A user's pattern: any matrix and offset in the null space, any phases."""
 
     # N₀, 3n rows of m numbers, in L; none: that of the cycle
     basis: list[list[float]] = field(default_factory=list)
@@ -156,7 +156,7 @@ class LinearPatternConfig:
 def check_pattern(
     pattern: InternalForcePattern, attachments: NDArray, gravity_forces: NDArray
 ) -> None:
-    """Checks what every pattern must fulfil, whatever made it.
+    """Checks the conditions on every pattern.
 
     `gravity_forces` (n, 3) are the shares of a resting, level load's weight, in L.
 
@@ -180,7 +180,7 @@ def check_pattern(
         volume = abs(np.linalg.det(np.stack(axes)))
         size = np.prod([np.linalg.norm(axis) for axis in axes])
         require(
-            volume > _SMALLEST_SINE * size,
+            volume > _MIN_SINE * size,
             "pattern.phases",
             pattern.phases.tolist(),
             f"cable {i + 1} swings in a plane or not at all, so its carrier would stop; "

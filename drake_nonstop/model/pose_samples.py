@@ -1,4 +1,4 @@
-"""Poses at times: rows of numbers from a CSV file, and what has to hold for them."""
+"""Poses at given times: rows of numbers, from a CSV file or a scenario, and their checks."""
 
 import csv
 import itertools
@@ -10,25 +10,27 @@ from numpy.typing import NDArray
 
 from drake_nonstop.validation import ScenarioError, require
 
-COLUMNS = ["t", "x", "y", "z", "roll", "pitch", "yaw"]  # s, m, rad; the angles may be left out
-_LARGEST = 1e6  # s, m, rad
-_SHORTEST = 1e-6  # s, between two samples
+COLUMNS = ["t", "x", "y", "z", "roll", "pitch", "yaw"]  # s, m, rad; the angles are optional
+_MAX_VALUE = 1e6  # s, m, rad
+_MIN_INTERVAL = 1e-6  # s, between two samples
 
 
 def read_samples(path: str | Path, field: str) -> list[list[float]]:
     """The rows of a CSV file, [t, x, y, z] or [t, x, y, z, roll, pitch, yaw] in s, m and rad.
 
-    Its first line names these columns, in this order. Empty lines are left out.
+    Its first line names these columns, in this order. Empty lines are skipped.
 
     Args:
         path: the file.
-        field: what error messages call it.
+        field: its name in error messages.
 
     Raises:
-        ScenarioError: the file cannot be read, or its rows are not what `sample_array` takes.
+        ScenarioError: the file cannot be read, or as `sample_array`.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")  # spreadsheets may put a mark in front
+        text = Path(path).read_text(
+            encoding="utf-8-sig"
+        )  # spreadsheets may write a byte-order mark
         lines = list(csv.reader(text.splitlines(), skipinitialspace=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ScenarioError(
@@ -60,12 +62,12 @@ def read_samples(path: str | Path, field: str) -> list[list[float]]:
 
 
 def sample_array(rows: list[list[float]], field: str, value: Any) -> NDArray:
-    """The rows as an array (n, 7), checked: [t, x, y, z, roll, pitch, yaw], angles 0 if left out.
+    """The rows as an array (n, 7), checked: [t, x, y, z, roll, pitch, yaw], omitted angles 0.
 
     Args:
         rows: n rows of 4 or of 7 numbers, in s, m and rad.
-        field: what error messages call them.
-        value: what error messages show of them.
+        field: their name in error messages.
+        value: their representation in error messages.
 
     Raises:
         ScenarioError: there are fewer than 2 rows, they differ in length, a number is not
@@ -85,7 +87,7 @@ def sample_array(rows: list[list[float]], field: str, value: Any) -> NDArray:
     for number, row in enumerate(rows):
         try:
             array[number, : len(row)] = row
-            is_sound = bool(np.all(np.abs(array[number]) <= _LARGEST))
+            is_sound = bool(np.all(np.abs(array[number]) <= _MAX_VALUE))
         except (TypeError, ValueError):
             is_sound = False
         require(
@@ -95,10 +97,18 @@ def sample_array(rows: list[list[float]], field: str, value: Any) -> NDArray:
     require(times[0] >= 0, field, value, f"give times from 0 up, not {times[0]:g} in row 1")
     for number, (before, after) in enumerate(itertools.pairwise(times), start=2):
         require(
-            after - before >= _SHORTEST,
+            after - before >= _MIN_INTERVAL,
             field,
             value,
             "give times that increase, by 1e-6 s or more: "
             f"row {number} has {after:.9g} after {before:.9g}",
         )
     return array
+
+
+def split_samples(samples: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Times (n,) in s, positions (n, 3) in m and roll-pitch-yaw angles (n, 3) in rad, as views.
+
+    Of samples (n, 7) as `sample_array` returns them.
+    """
+    return samples[:, 0], samples[:, 1:4], samples[:, 4:]

@@ -1,4 +1,4 @@
-"""What several blocks need to know: the load, its cables, its carriers and the pattern."""
+"""The model that several blocks share: load, cables, carriers and pattern."""
 
 import dataclasses
 import math
@@ -39,12 +39,12 @@ class SystemParameters:
         ]
     )
     cable_length: float = 0.8  # m, unstretched
-    cable_stiffness: float = 500.0  # N/m; .inf: the controllers believe in no stretch
+    cable_stiffness: float = 500.0  # N/m; .inf: the controllers assume no stretch
     cable_damping: float = 0.1  # N s/m
     carrier_mass: float = 0.1  # kg
     gravity: float = 9.81  # m/s²
-    # An SDF or URDF file to take load_mass, load_inertia and attachments from as a scenario is
-    # loaded, and the frames in it that the cables are attached to, in the order of the carriers.
+    # An SDF or URDF file with load_mass, load_inertia and attachments, read as a scenario is
+    # loaded, and its frames at the attachments, in the order of the carriers.
     load_file: str = ""
     attachment_frames: list[str] = field(default_factory=list)
 
@@ -58,13 +58,13 @@ SystemOverrides: Any = dataclasses.make_dataclass(
 
 
 def overridden(system: SystemParameters, overrides: Any) -> SystemParameters:
-    """The system with those fields replaced that `overrides` names."""
+    """The system with the fields replaced that `overrides` names."""
     given = {f.name: getattr(overrides, f.name) for f in dataclasses.fields(overrides)}
     return dataclasses.replace(system, **{k: v for k, v in given.items() if v is not None})
 
 
 class PatternConfig(Protocol):
-    """What a scenario's `pattern` entry has to offer."""
+    """The interface of a scenario's `pattern` entry."""
 
     def make(self, attachments: NDArray) -> InternalForcePattern:
         """The pattern for attachments (n, 3) in L."""
@@ -81,7 +81,7 @@ class Model:
         system: the physical parameters.
         pattern: the internal-force pattern, for instance HamiltonianCycleConfig().
         control_period: the controllers' sample time in s, 0 for continuous.
-        field: what error messages call the system.
+        field: the system's name in error messages.
 
     Raises:
         ScenarioError: a parameter is out of range, there are fewer than 3 attachments,
@@ -120,8 +120,7 @@ class Model:
             (is_number(stiffness) and stiffness > 0) or stiffness == math.inf,
             f"{field}.cable_stiffness",
             stiffness,
-            "give a number greater than zero, or .inf where the controllers are to "
-            "believe in no stretch",
+            "give a number greater than zero, or .inf if the controllers are to assume no stretch",
         )
         self.control_period = control_period
         self.load = RigidLoad(
