@@ -129,6 +129,23 @@ def output(block: LeafSystem, context: Context, name: str) -> NDArray:
     return block.GetOutputPort(name).Eval(context).copy()
 
 
+def outputs(
+    block: LeafSystem, state: NDArray | None = None, time: float = 0.0, **inputs: NDArray
+) -> dict[str, NDArray]:
+    """All outputs by their names, for a continuous state, a time and inputs."""
+    context = block.CreateDefaultContext()
+    context.SetTime(time)
+    if state is not None:
+        context.SetContinuousState(state)
+    fix(block, context, **inputs)
+    return {
+        block.get_output_port(i).get_name(): output(
+            block, context, block.get_output_port(i).get_name()
+        )
+        for i in range(block.num_output_ports())
+    }
+
+
 def circling_run(n=4, duration=0.5, cable_length=0.8):
     """A made-up run of `n` carriers that circle above a turning load on its way along x.
 

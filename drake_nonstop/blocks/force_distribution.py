@@ -55,8 +55,8 @@ class CableForceDistribution(TracedBlock):
         - desired_cable_force_rates
 
     `measured_load_state` (13), SI, in W; `wrench` and `wrench_rate` (6), [torque (N m); force (N)]
-    and its rate, in W; `internal_force` (2m) = [λ (N); λ̇ (N/s)]; the outputs (3n) are in W, in N
-    and N/s.
+    and its rate, in W; `internal_force` (2m) = [λ (N); λ̇ (N/s)]; `desired_cable_forces` (3n, N)
+    and their rates (3n, N/s) on the load, in W.
     """
 
     def __init__(self, model: Model, config: CableForceDistributionConfig | None = None):
@@ -112,8 +112,8 @@ class BoundedTensionDistribution(DiagramBlock):
         - desired_cable_force_rates
 
     `measured_load_state` (13), SI, in W; `wrench` and `wrench_rate` (6), [torque (N m); force (N)]
-    and its rate, in W; `internal_force` (2m) = [λ (N); λ̇ (N/s)]; the outputs (3n) are in W, in N
-    and N/s.
+    and its rate, in W; `internal_force` (2m) = [λ (N); λ̇ (N/s)]; `desired_cable_forces` (3n, N)
+    and their rates (3n, N/s) on the load, in W.
 
     Parameters: the fields of `BoundedTensionDistributionConfig`.
 

@@ -1,4 +1,4 @@
-"""Tensions within bounds: the wrench stays, the change is the least, its rate is exact."""
+"""The force distributions: the mechanics', and with tensions within bounds."""
 
 import math
 
@@ -12,9 +12,61 @@ from drake_nonstop.blocks.force_distribution import (
     BoundedTensionDistributionConfig,
     CableForceDistribution,
 )
-from drake_nonstop.mechanics.grasp import grasp_matrix
+from drake_nonstop.mechanics.grasp import cable_forces_and_rates, grasp_matrix
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.validation import ScenarioError
+
+counts = pytest.mark.parametrize("n", [3, 4, 6])
+
+
+@counts
+def test_force_distribution_of_the_mechanics(rng, n):
+    constants = model(n)
+    block = CableForceDistribution(constants)
+    context = block.CreateDefaultContext()
+    inputs = {
+        "measured_load_state": Motion(70).state(0.2),
+        "wrench": rng.normal(size=6),
+        "wrench_rate": rng.normal(size=6),
+        "internal_force": rng.normal(size=2 * n),
+    }
+    fix(block, context, **inputs)
+    forces, rates = cable_forces_and_rates(
+        *inputs.values(),
+        pseudo_inverse=constants.pseudo_inverse,
+        basis=constants.pattern.basis,
+        offset=constants.pattern.offset,
+    )
+    for name, expected in (
+        ("desired_cable_forces", forces),
+        ("desired_cable_force_rates", rates),
+    ):
+        np.testing.assert_allclose(
+            output(block, context, name), expected.ravel(), rtol=0, atol=1e-13
+        )
+
+
+@counts
+def test_level_load_at_rest_hangs_on_equal_vertical_forces(n):
+    block = CableForceDistribution(model(n))
+    context = block.CreateDefaultContext()
+    fix(
+        block,
+        context,
+        measured_load_state=np.array([1.0, *np.zeros(12)]),
+        wrench=np.array([0, 0, 0, 0, 0, 9.81]),
+        wrench_rate=np.zeros(6),
+        internal_force=np.zeros(2 * n),
+    )
+    np.testing.assert_allclose(
+        output(block, context, "desired_cable_forces"), [0, 0, 9.81 / n] * n, rtol=0, atol=1e-14
+    )
+    np.testing.assert_array_equal(output(block, context, "desired_cable_force_rates"), 0)
+
+
+def bounded(n=4, **bounds):
+    return BoundedTensionDistribution(model(n), BoundedTensionDistributionConfig(**bounds))
+
 
 MOTION = Motion(5)
 
@@ -40,8 +92,9 @@ def distributed(block, time, n=4):
     ]
 
 
-def bounded(n=4, **bounds):
-    return BoundedTensionDistribution(model(n), BoundedTensionDistributionConfig(**bounds))
+def test_wide_bounds_change_nothing():
+    plain = distributed(CableForceDistribution(model()), 0.3)
+    np.testing.assert_array_equal(distributed(bounded(min_tension=0.1), 0.3), plain)
 
 
 def tensions(forces):
@@ -52,11 +105,6 @@ def wrench_of(forces, time, n=4):
     R_WL = rotation_matrix(MOTION.state(time)[:4])
     in_L = grasp_matrix(model(n).attachments) @ (forces.reshape(-1, 3) @ R_WL).ravel()
     return np.concatenate([R_WL @ in_L[:3], R_WL @ in_L[3:]])
-
-
-def test_wide_bounds_change_nothing():
-    plain = distributed(CableForceDistribution(model()), 0.3)
-    np.testing.assert_array_equal(distributed(bounded(min_tension=0.1), 0.3), plain)
 
 
 @pytest.mark.parametrize("n", [3, 4, 6])

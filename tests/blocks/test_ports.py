@@ -1,11 +1,18 @@
 """What holds for every block: sizes, direct feedthrough, and outputs that never go stale."""
 
 import functools
+import importlib
+import inspect
+import pkgutil
+import re
 
 import numpy as np
 import pytest
+import yaml
 from helpers import Motion, fix, model, output
 
+from drake_nonstop import blocks
+from drake_nonstop.blocks import optimization_layer
 from drake_nonstop.blocks.cables import Cables, IndividualCables
 from drake_nonstop.blocks.carrier_controller import (
     CarrierPid,
@@ -396,3 +403,53 @@ def test_sample_and_hold_passes_nothing_through(n):
     for name in output_names(block):
         assert block.GetOutputPort(name).size() == size(name, n, n)
     assert feedthrough(block) == set()
+
+
+MODULES = [
+    importlib.import_module(f"drake_nonstop.blocks.{module.name}")
+    for module in pkgutil.iter_modules(blocks.__path__)
+]
+DOCUMENTED = [block for module in MODULES for block in getattr(module, "VARIANTS", ())]
+SOMETIMES = "(where the model has a control period)"
+
+
+SECTION = re.compile(r"\.\. pydrake_system::\n\n((?:    .*\n)+)")
+
+
+def docstring(block):
+    """The block's own, and not one that it inherits."""
+    return inspect.cleandoc(vars(block)["__doc__"])
+
+
+def documented_ports(block, period):
+    """The names, inputs and outputs in the `pydrake_system` section of a block's own docstring."""
+    ports = yaml.safe_load(SECTION.search(docstring(block))[1])
+    kinds = [ports.get(f"{kind}_ports", []) for kind in ("input", "output")]
+    present = [[port for port in kind if period > 0 or SOMETIMES not in port] for kind in kinds]
+    return ports["name"], *([port.replace(SOMETIMES, "").strip() for port in p] for p in present)
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+@pytest.mark.parametrize("block", DOCUMENTED, ids=lambda block: block.__name__)
+def test_docstring_lists_exactly_the_ports(block, period):
+    name, inputs, outputs = documented_ports(block, period)
+    assert name == block.__name__
+    made = built(block, 4, period)
+    assert inputs == input_names(made)
+    assert outputs == output_names(made)
+
+
+@pytest.mark.parametrize("block", DOCUMENTED, ids=lambda block: block.__name__)
+def test_docstring_has_the_size_of_each_port_and_names_the_config_that_has_fields(block):
+    text = docstring(block)
+    prose = SECTION.sub("", text)
+    _, inputs, outputs = documented_ports(block, 0.01)
+    assert "ports as" not in text.lower()
+    for port in (*inputs, *outputs):
+        named = f"`{port}`" in prose or "Both (" in prose
+        assert named or (port.endswith("_rates") and "their rates" in prose), port
+    config = inspect.signature(block).parameters["config"].annotation
+    if not isinstance(config, str):
+        config = next(part for part in config.__args__ if part is not type(None))
+        if inspect.signature(config).parameters and block not in optimization_layer.VARIANTS:
+            assert f"`{config.__name__}`" in text

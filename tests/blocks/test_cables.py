@@ -1,0 +1,110 @@
+"""The cables, alike and individual."""
+
+import math
+
+import numpy as np
+import pytest
+from helpers import Motion, fix, model, output, regular
+
+from drake_nonstop.blocks.cables import Cables, IndividualCables, IndividualCablesConfig
+from drake_nonstop.mechanics.cable import cable_forces_and_tensions
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.validation import ScenarioError
+
+counts = pytest.mark.parametrize("n", [3, 4, 6])
+
+
+@counts
+def test_cables_pull_on_the_load(rng, n):
+    block = Cables(model(n))
+    context = block.CreateDefaultContext()
+    state = Motion(60).state(0.3)
+    carriers = rng.uniform(-0.3, 0.3, 6 * n) + np.concatenate([[0, 0, 1.3] * n, np.zeros(3 * n)])
+    fix(block, context, load_state=state, carrier_state=carriers)
+    forces, tensions = cable_forces_and_tensions(
+        state, carriers, attachments=regular(n), rest_length=0.8, stiffness=500.0, damping=0.1
+    )
+    np.testing.assert_allclose(output(block, context, "cable_forces"), forces.ravel(), rtol=1e-12)
+    np.testing.assert_allclose(output(block, context, "tensions"), tensions, rtol=1e-12)
+    assert np.min(tensions) > 1
+
+
+def test_resting_carriers_straight_above_hold_a_load_by_stretched_cables():
+    block = Cables(model(4))
+    context = block.CreateDefaultContext()
+    above = regular(4) + np.array([0, 0, 0.8 + 0.005])
+    fix(
+        block,
+        context,
+        load_state=np.array([1.0, *np.zeros(12)]),
+        carrier_state=np.concatenate([above.ravel(), np.zeros(12)]),
+    )
+    np.testing.assert_allclose(output(block, context, "tensions"), 2.5, rtol=1e-12)
+    np.testing.assert_allclose(
+        output(block, context, "cable_forces"), [0, 0, 2.5] * 4, rtol=0, atol=1e-12
+    )
+
+
+def test_simulated_cables_need_a_finite_stiffness():
+    with pytest.raises(ScenarioError, match=r"simulated\.cable_stiffness = inf: simulated cables"):
+        Cables(model(cable_stiffness=math.inf))
+
+
+def test_cable_of_no_length_is_named():
+    block = Cables(model())
+    block.set_name("cables")
+    context = block.CreateDefaultContext()
+    carriers = np.concatenate([regular(4).ravel(), np.zeros(12)])
+    fix(block, context, load_state=np.array([1.0, *np.zeros(12)]), carrier_state=carriers)
+    with pytest.raises(NotFiniteError, match="cables"):
+        block.GetOutputPort("tensions").Eval(context)
+
+
+def state(n=4, height=0.85):
+    """A level load at the origin, and carriers `height` above its attachments: taut cables."""
+    load = np.array([1.0, *[0.0] * 12])
+    points = model(n).attachments + np.array([0.0, 0.0, height])
+    return load, np.concatenate([points.ravel(), np.zeros(3 * n)])
+
+
+def test_alike_cables_are_the_plain_ones_and_unlike_ones_are_not():
+    load, carriers = state()
+    plain, alike = Cables(model()), IndividualCables(model())
+    config = IndividualCablesConfig(stiffness=[100.0, 200.0, 400.0, 800.0])
+    unlike = IndividualCables(model(), config)
+    results = []
+    for block in (plain, alike, unlike):
+        context = block.CreateDefaultContext()
+        fix(block, context, load_state=load, carrier_state=carriers)
+        results.append(output(block, context, "tensions"))
+    np.testing.assert_array_equal(results[0], results[1])
+    np.testing.assert_allclose(results[2], 0.05 * np.array(config.stiffness))
+    short = IndividualCables(model(), IndividualCablesConfig(rest_length=[0.8, 0.86, 0.8, 0.84]))
+    context = short.CreateDefaultContext()
+    fix(short, context, load_state=load, carrier_state=carriers)
+    np.testing.assert_allclose(output(short, context, "tensions"), [25, 0, 25, 5], atol=1e-9)
+
+
+def test_a_cable_that_goes_slack_and_taut_does_not_chatter():
+    """One cable 3 % too long: it is slack part of each turn, and the tension has no jumps."""
+    settings = ["cables=!IndividualCables {rest_length: [0.8, 0.8, 0.8, 0.83]}", "duration=4"]
+    run = simulate(load_scenario("quintic", settings))
+    fine = simulate(load_scenario("quintic", [*settings, "simulator.max_step_size=0.001"]))
+    switches = []
+    for each in (run, fine):
+        slack = each.steps["tensions"][each.steps["time"] > 1.0, 3] <= 0
+        assert 0.05 < slack.mean() < 0.95
+        switches.append(np.count_nonzero(np.diff(slack)))
+    # What chatters does so at every step: five times as often with steps of a fifth.
+    assert switches[1] < 1.5 * switches[0]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("stiffness", [1.0, 2.0]), ("damping", [-1.0] * 4), ("rest_length", [0.0] * 4)],
+)
+def test_bad_cables(field, value):
+    with pytest.raises(ScenarioError, match=f"^cables\\.{field} = "):
+        IndividualCables(model(), IndividualCablesConfig(**{field: value}))

@@ -1,0 +1,29 @@
+"""The optimization layer without optimization: constant parameters."""
+
+import numpy as np
+import pytest
+from helpers import model, output
+
+from drake_nonstop.blocks.optimization_layer import ConstantParameters, ConstantParametersConfig
+from drake_nonstop.validation import ScenarioError
+
+
+def test_constant_parameters():
+    block = ConstantParameters(model(), ConstantParametersConfig(frequency=1.5, amplitude=0.7))
+    parameters = output(block, block.CreateDefaultContext(), "parameters")
+    np.testing.assert_array_equal(parameters, [1.5, 0.7])
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("frequency", 0.0),
+        ("frequency", np.nan),
+        ("amplitude", -1.0),
+        ("amplitude", np.inf),
+        ("speed_bound", -0.1),
+    ],
+)
+def test_bad_constant_parameter_is_named(field, value):
+    with pytest.raises(ScenarioError, match=f"optimization_layer.{field} = {value}: give"):
+        ConstantParameters(model(), ConstantParametersConfig(**{field: value}))

@@ -1,0 +1,24 @@
+"""The internal-force trajectories."""
+
+import numpy as np
+import pytest
+from helpers import fix, model, output
+
+from drake_nonstop.blocks.internal_force import InternalForceTrajectory
+
+PARAMETERS = np.array([1.7, 0.9])
+
+
+counts = pytest.mark.parametrize("n", [3, 4, 6])
+
+
+@counts
+def test_internal_forces_in_closed_form(n):
+    block = InternalForceTrajectory(model(n))
+    context = block.CreateDefaultContext()
+    fix(block, context, parameters=PARAMETERS, phase=np.array([0.4, 5.0]))
+    angles = 0.4 + 2 * np.pi * np.arange(n) / n
+    expected = np.concatenate([0.9 * np.cos(angles), -0.9 * 1.7 * np.sin(angles)])
+    np.testing.assert_allclose(
+        output(block, context, "internal_force"), expected, rtol=0, atol=1e-14
+    )

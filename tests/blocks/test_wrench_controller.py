@@ -1,0 +1,181 @@
+"""The wrench controllers: default, as printed in the paper, PD and tuned."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from helpers import INERTIA, Motion, fix, model, output, outputs
+from pydrake.systems.analysis import Simulator
+
+from drake_nonstop.blocks.wrench_controller import (
+    GeometricPd,
+    GeometricPdConfig,
+    PaperWrenchController,
+    PaperWrenchControllerConfig,
+    TunedWrenchController,
+    TunedWrenchControllerConfig,
+    WrenchController,
+    WrenchControllerConfig,
+)
+from drake_nonstop.mechanics.rigid_load import RigidLoad
+from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
+from drake_nonstop.validation import ScenarioError
+
+GAINS = {
+    "position_gain": 7.0,
+    "velocity_gain": 3.0,
+    "position_integral_gain": 1.1,
+    "orientation_gain": 0.6,
+    "angular_velocity_gain": 0.07,
+    "orientation_integral_gain": 0.2,
+    "feedforward": 0.5,
+}
+
+
+LOAD = RigidLoad(mass=1.0, inertia=INERTIA, drag=0.7, gravity=9.81)
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_wrench_controller_gives_wrench_rate_and_error(rng, period):
+    block = WrenchController(model(4, period), WrenchControllerConfig(**GAINS))
+    context = block.CreateDefaultContext()
+    state, reference = Motion(51).state(0.3), Motion(52).reference(0.3)
+    integrals = rng.normal(size=6)
+    if period:
+        context.SetDiscreteState(integrals)
+    else:
+        context.SetContinuousState(integrals)
+    fix(block, context, measured_load_state=state, reference=reference)
+    wrench, rate = wrench_and_rate(LOAD, state, reference, integrals, **GAINS)
+    error = tracking_error(state, reference)
+    for name, expected in (("wrench", wrench), ("wrench_rate", rate), ("tracking_error", error)):
+        np.testing.assert_allclose(
+            output(block, context, name), expected, rtol=1e-12, atol=1e-12, err_msg=name
+        )
+
+
+def test_integrals_of_a_continuous_controller_have_the_error_as_their_rate():
+    block = WrenchController(model())
+    context = block.CreateDefaultContext()
+    state, reference = Motion(51).state(0.3), Motion(52).reference(0.3)
+    fix(block, context, measured_load_state=state, reference=reference)
+    np.testing.assert_array_equal(context.get_continuous_state_vector().CopyToVector(), 0)
+    np.testing.assert_allclose(
+        block.EvalTimeDerivatives(context).CopyToVector(),
+        tracking_error(state, reference)[:6],
+        rtol=0,
+        atol=1e-14,
+    )
+
+
+def test_integrals_of_a_sampled_controller_step_once_a_period():
+    block = WrenchController(model(4, 0.02))
+    simulator = Simulator(block)
+    context = simulator.get_mutable_context()
+    state, reference = Motion(51).state(0.3), Motion(52).reference(0.3)
+    fix(block, context, measured_load_state=state, reference=reference)
+    simulator.Initialize()
+    error = tracking_error(state, reference)[:6]
+    for time, steps in ((0.0, 0), (0.01, 0), (0.03, 1), (0.05, 2)):
+        simulator.AdvanceTo(time)
+        integrals = context.get_discrete_state_vector().value()
+        np.testing.assert_allclose(integrals, steps * 0.02 * error, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("gain", GAINS)
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, True, "1"])
+def test_bad_gain_of_the_wrench_controller_is_named(gain, value):
+    with pytest.raises(ScenarioError, match=f"wrench_controller.{gain} = {value}: give"):
+        WrenchController(model(), WrenchControllerConfig(**{gain: value}))
+
+
+SIGNALS = {"measured_load_state": Motion(3).state(0.3), "reference": Motion(4).reference(0.3)}
+
+
+def test_pd_is_the_controller_without_integrals_and_feedforward():
+    none = WrenchControllerConfig(
+        position_integral_gain=0.0, orientation_integral_gain=0.0, feedforward=0.0
+    )
+    expected = outputs(WrenchController(model(), none), **SIGNALS)
+    block = GeometricPd(model())
+    assert block.CreateDefaultContext().num_continuous_states() == 0
+    for name, value in outputs(block, **SIGNALS).items():
+        np.testing.assert_array_equal(value, expected[name], err_msg=name)
+
+
+INTEGRALS = np.array([0.1, -0.2, 0.3, 0.2, 0.1, -0.1])
+
+
+def test_sign_of_the_paper_reverses_the_damping_of_the_rotation():
+    paper = outputs(PaperWrenchController(model()), INTEGRALS, **SIGNALS)["wrench"]
+    without_feedforward = WrenchControllerConfig(feedforward=0.0)
+    damped = outputs(WrenchController(model(), without_feedforward), INTEGRALS, **SIGNALS)["wrench"]
+    undamped = dataclasses.replace(without_feedforward, angular_velocity_gain=0.0)
+    without = outputs(WrenchController(model(), undamped), INTEGRALS, **SIGNALS)["wrench"]
+    np.testing.assert_allclose(paper - without, without - damped, rtol=0, atol=1e-14)
+    assert np.linalg.norm((without - damped)[:3]) > 1e-3
+
+
+def test_tuned_gains_are_the_plain_ones_of_that_mass_and_inertia():
+    body = model(load_mass=3.0, load_drag=0.5, load_inertia=(0.02 * np.eye(3)).tolist())
+    tuned = TunedWrenchControllerConfig(
+        position_frequency=2.0,
+        position_damping=0.7,
+        position_integral_rate=0.0,
+        orientation_frequency=5.0,
+        orientation_damping=0.6,
+        orientation_integral_rate=0.3,
+    )
+    plain = WrenchControllerConfig(
+        position_gain=3.0 * 4.0,
+        velocity_gain=3.0 * 2 * 0.7 * 2.0 - 0.5,
+        position_integral_gain=0.0,
+        orientation_gain=0.02 * (25.0 + 6.0 * 0.3),
+        angular_velocity_gain=0.02 * (6.0 + 0.3),
+        orientation_integral_gain=0.02 * 25.0 * 0.3,
+    )
+    expected = outputs(WrenchController(body, plain), INTEGRALS, **SIGNALS)
+    for name, value in outputs(TunedWrenchController(body, tuned), INTEGRALS, **SIGNALS).items():
+        np.testing.assert_allclose(value, expected[name], rtol=1e-12, atol=1e-12, err_msg=name)
+
+
+def test_tuned_rotation_answers_alike_about_all_axes():
+    """An error of the orientation alone is turned back along itself, whatever the inertia."""
+    config = TunedWrenchControllerConfig(orientation_frequency=4.0, orientation_integral_rate=0.0)
+    body = model()
+    turned = np.array([1.0, 1e-4, -2e-4, 1.5e-4, *np.zeros(9)])
+    still = np.array([1.0, *np.zeros(21)])
+    torque = outputs(
+        TunedWrenchController(body, config),
+        np.zeros(6),
+        measured_load_state=turned,
+        reference=still,
+    )["wrench"][:3]
+    acceleration = np.linalg.solve(body.load.inertia, torque)
+    np.testing.assert_allclose(acceleration, -16.0 * 2 * turned[1:4], rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "config", "message"),
+    [
+        (GeometricPd, GeometricPdConfig(position_gain=-1.0), r"position_gain = -1\.0"),
+        (
+            PaperWrenchController,
+            PaperWrenchControllerConfig(velocity_gain=np.nan),
+            "velocity_gain = nan",
+        ),
+        (
+            TunedWrenchController,
+            TunedWrenchControllerConfig(position_frequency=0.0),
+            r"position_frequency = 0\.0: .*greater than zero",
+        ),
+        (
+            TunedWrenchController,
+            TunedWrenchControllerConfig(position_damping=0.1, position_integral_rate=0.0),
+            r"position_damping = 0\.1: the load's drag alone damps more",
+        ),
+    ],
+)
+def test_parameters_out_of_range_are_named(make, config, message):
+    with pytest.raises(ScenarioError, match=message):
+        make(model(), config)
