@@ -139,7 +139,7 @@ class _LoadForces(InnerBlock):
         cables = self._cable_forces.Eval(context).reshape(-1, 3)
         values = np.concatenate([state, wrench, cables.ravel()])
         if not values @ values < LARGEST**2:
-            raise NotFiniteError(f"{self.box()} was given")
+            raise NotFiniteError(self.box(), was_given=True)
         spatial = [SpatialForce(np.zeros(3), force) for force in cables]
         applied = []
         for point, force in zip(

@@ -16,11 +16,20 @@ from numpy.typing import NDArray
 _MAX_TRACES = 32  # that are kept
 _traces: dict[bytes, casadi.Function] = {}  # by their keys, the one used last at the end
 
-LARGEST = 1e6  # SI units; no rate or force on these cables comes near it
+LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
 
 
 class NotFiniteError(ArithmeticError):
-    """An evaluation gave a value that is not finite, or is beyond all reason."""
+    """A block made, or was given, a value that is not finite or is far too large.
+
+    Args:
+        block: its name.
+        was_given: whether the value is among its inputs.
+    """
+
+    def __init__(self, block: str, *, was_given: bool = False):
+        super().__init__(f"{block} {'was given' if was_given else 'made'}")
+        self.block, self.was_given = block, was_given
 
 
 class TracedFunction:
@@ -72,7 +81,7 @@ class TracedFunction:
             [array[:, 0] for array in self._outputs[:count]] + self._outputs[count + 1 :]
         )
         self._squared_norm = self._outputs[count][:, 0]
-        self._largest_squared = largest**2
+        self._largest, self._largest_squared = largest, largest**2
         self._name = name
 
     def traced(self, *inputs: NDArray) -> tuple[NDArray, ...]:
@@ -92,9 +101,8 @@ class TracedFunction:
             np.concatenate(inputs, out=self._input)
         self._evaluate()
         if not self._squared_norm[0] < self._largest_squared:
-            # A block that is given such a value is named as well; which made it, nobody knows.
-            did = "made" if np.all(np.isfinite(self._input)) else "was given"
-            raise NotFiniteError(f"{self._name()} {did}")
+            was_given = not np.all(np.abs(self._input) < self._largest)
+            raise NotFiniteError(self._name(), was_given=was_given)
         return self._results
 
 
