@@ -10,6 +10,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.diagrams.nonstop import box_of
 from drake_nonstop.validation import ScenarioError
 
 _STEP = 1e-6  # of the differences, in SI units
@@ -81,8 +82,8 @@ class _SeparatePlant:
     def __init__(self, nonstop: Diagram):
         self._nonstop = nonstop
         self._owners = {
-            "load_state": nonstop.GetSubsystemByName("load_plant"),
-            "carrier_state": nonstop.GetSubsystemByName("carrier_dynamics"),
+            signal: nonstop.GetSubsystemByName(box_of(signal))
+            for signal in ("load_state", "carrier_state")
         }
 
     def _context(self, port: str, context: Context) -> Context:

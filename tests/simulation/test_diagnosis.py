@@ -19,16 +19,21 @@ class Faulty(LeafSystem):
         self.DeclareVectorOutputPort(signal, len(value), calc)
 
 
-@pytest.mark.parametrize("fault", [np.nan, np.inf, 1e12])
-@pytest.mark.parametrize(
-    ("box", "signal", "value"),
-    [
-        ("load_disturbance", "disturbance_wrench", np.zeros(6)),
-        ("optimization_layer", "parameters", [2.0, 1.2]),
-        ("phase", "phase", np.zeros(2)),
-        ("internal_force", "internal_force", np.zeros(8)),
-    ],
-)
+SIGNALS = [
+    ("load_disturbance", "disturbance_wrench", np.zeros(6)),
+    ("optimization_layer", "parameters", [2.0, 1.2]),
+    ("phase", "phase", np.zeros(2)),
+    ("internal_force", "internal_force", np.zeros(8)),
+]
+CASES = [
+    (*signal, fault)
+    for signal in SIGNALS
+    for fault in (np.nan, np.inf, 1e12)
+    if signal[0] != "phase" or not np.isfinite(fault)  # any finite phase is sound
+]
+
+
+@pytest.mark.parametrize(("box", "signal", "value", "fault"), CASES)
 def test_the_source_of_a_value_is_named(box, signal, value, fault):
     scenario = load_scenario("quintic", ["duration=0.3"])
     if box != "load_disturbance":
