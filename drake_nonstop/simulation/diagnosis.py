@@ -10,7 +10,7 @@ from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 
 
-def blamed_block(error: BaseException) -> str:
+def raising_block(error: BaseException) -> str:
     """Which block raised the error, where one did, and in which line."""
     blamed = ""
     for frame, line in traceback.walk_tb(error.__traceback__):
@@ -21,7 +21,7 @@ def blamed_block(error: BaseException) -> str:
     return blamed
 
 
-def blamed_for(error: NotFiniteError, nonstop: Diagram, context: Context) -> str:
+def source_of_fault(error: NotFiniteError, nonstop: Diagram, context: Context) -> str:
     """The name of the block that made the value that is not finite, or is too large.
 
     Where a block was given it, the wires are followed back to the first block whose inputs are

@@ -26,7 +26,7 @@ from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import Scenario
-from drake_nonstop.simulation.diagnosis import blamed_block, blamed_for
+from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped, StepAction
@@ -149,13 +149,13 @@ def simulate(
     except NotFiniteError as error:
         raise RunStopped(
             f"the run diverged at t = {context.get_time():.4f} s: "
-            f"{blamed_for(error, nonstop, nonstop_context)} made a value that is not "
+            f"{source_of_fault(error, nonstop, nonstop_context)} made a value that is not "
             f"finite, or beyond {LARGEST:.0e} in SI units; the loop may be unstable, or "
             "simulator.max_step_size too large",
             finished(),
         ) from None
     except Exception as error:
-        cause = f"{blamed_block(error)}{one_line(error)}"
+        cause = f"{raising_block(error)}{one_line(error)}"
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished()) from error
     return finished()
