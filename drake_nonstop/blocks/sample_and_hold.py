@@ -1,4 +1,4 @@
-"""What a sampled controller sees: its inputs, held from one sample to the next."""
+"""The inputs of sampled controllers, held from one sample to the next."""
 
 from pydrake.systems.framework import Context, State
 

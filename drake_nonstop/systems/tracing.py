@@ -13,8 +13,8 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-_MAX_TRACES = 32  # that are kept
-_traces: dict[bytes, casadi.Function] = {}  # by their keys, the one used last at the end
+_MAX_TRACES = 32
+_traces: dict[bytes, casadi.Function] = {}  # by their keys; the most recently used is the last
 
 LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
 
@@ -40,16 +40,15 @@ class TracedFunction:
             or a tuple of arrays of any shape.
         input_sizes: the length of each input.
         name: tells what evaluates the function, for the error.
-        largest: outputs whose norm is above it are taken for a divergence; nothing on
-            these cables comes near the default, in SI units.
+        largest: an output whose norm exceeds it counts as a divergence; SI units.
         jacobian_of: if given, the index of the input with respect to which the exact
             Jacobian of the outputs, flattened and stacked, is one more output (rows,
             columns).
-        key: if given, all that `function` depends on besides its arguments, as what pickle
-            takes: a second function of an equal key is not traced again.
+        key: if given, everything that `function` depends on besides its arguments, in a form
+            that can be pickled: a second function with an equal key is not traced again.
 
     A call returns the outputs in a tuple, each flat but for the Jacobian. They are views
-    of buffers that the next call overwrites: copy what is to be kept.
+    of buffers that the next call overwrites; copy them to keep them.
 
     Raises:
         NotFiniteError: an output is NaN, infinite or beyond `largest`. Fixed-step
@@ -85,7 +84,7 @@ class TracedFunction:
         self._name = name
 
     def traced(self, *inputs: NDArray) -> tuple[NDArray, ...]:
-        """The outputs, each flat, for inputs of symbols: a part of another trace, at no cost."""
+        """The outputs, each flat, for symbolic inputs: as a part of another trace."""
         outputs = self._function(casadi.vertcat(*np.concatenate(inputs)))
         return tuple(_object_array(output) for output in outputs[: self._count])
 
