@@ -10,12 +10,11 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
   load_plant <── cables <── carrier_dynamics <────────────────────────┘
 """
 
-import math
-import warnings
 from collections.abc import Callable
 from dataclasses import is_dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
+from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Diagram, System
 
 from drake_nonstop.blocks import (
@@ -33,50 +32,109 @@ from drake_nonstop.blocks import (
     phase,
     wrench_controller,
 )
-from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
-from drake_nonstop.model.system import Model, overridden
-from drake_nonstop.scenario.own_blocks import import_path, make_own_block, own_block_class
+from drake_nonstop.diagrams.box import Box, Place, block_class, import_path
+from drake_nonstop.diagrams.fusing import fuse
+from drake_nonstop.model.system import Model, PatternConfig, SystemParameters, overridden
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
-from drake_nonstop.systems.traced_block import Equations
-from drake_nonstop.validation import ScenarioError, ScenarioWarning, require
+from drake_nonstop.validation import ScenarioError, one_line, require
 
-if TYPE_CHECKING:
-    from drake_nonstop.scenario.loading import Scenario
+TRAJECTORY, INNER_LOOP, PLANT, ADDITION = "trajectory", "inner loop", "plant", "addition"
 
-# The boxes of the figure, and the blocks that each can be, the default first.
-BLOCKS: dict[str, tuple[type[System], ...]] = {
-    "load_trajectory": load_trajectory.VARIANTS,
-    "load_feedback": load_feedback.VARIANTS,
-    "wrench_controller": wrench_controller.VARIANTS,
-    "optimization_layer": optimization_layer.VARIANTS,
-    "phase": phase.VARIANTS,
-    "internal_force": internal_force.VARIANTS,
-    "force_distribution": force_distribution.VARIANTS,
-    "carrier_trajectory": carrier_trajectory.VARIANTS,
-    "carrier_controller": carrier_controller.VARIANTS,
-    "carrier_dynamics": carrier_dynamics.VARIANTS,
-    "cables": cables.VARIANTS,
-    "load_disturbance": load_disturbance.VARIANTS,
-    "load_plant": load_plant.VARIANTS,
+# The boxes of the figure, in its order; an addition is not in the paper's.
+BOXES: dict[str, Box] = {
+    "load_trajectory": Box(
+        variants=load_trajectory.VARIANTS,
+        signals={"reference": "22"},
+        place=Place(0, 1, 1, TRAJECTORY),
+    ),
+    "load_feedback": Box(
+        variants=load_feedback.VARIANTS,
+        signals={"measured_load_state": "13"},
+        place=Place(0, 2, 1, ADDITION),
+    ),
+    "wrench_controller": Box(
+        variants=wrench_controller.VARIANTS,
+        signals={"wrench": "6", "wrench_rate": "6", "tracking_error": "12"},
+        optional=("tracking_error",),
+        place=Place(2, 2, 1, "wrench"),
+        is_sampled=True,
+    ),
+    "optimization_layer": Box(
+        variants=optimization_layer.VARIANTS,
+        signals={"parameters": "2", "diagnostics": "7", "solve_time": "1", "speed_bound": "1"},
+        optional=("diagnostics", "solve_time", "speed_bound"),
+        place=Place(3, 0, 1, "optimization"),
+        is_sampled=True,
+    ),
+    "phase": Box(
+        variants=phase.VARIANTS,
+        signals={"phase": "2"},
+        place=Place(4, 0, 1, TRAJECTORY),
+        is_sampled=True,
+        is_linearized=False,  # nothing drives it: its multiplier is 1 in any loop
+    ),
+    "internal_force": Box(
+        variants=internal_force.VARIANTS,
+        signals={"internal_force": "2m"},
+        place=Place(3, 1, -1, TRAJECTORY),
+        is_sampled=True,
+    ),
+    "force_distribution": Box(
+        variants=force_distribution.VARIANTS,
+        signals={"desired_cable_forces": "3n", "desired_cable_force_rates": "3n"},
+        place=Place(3, 2, 1, INNER_LOOP),
+        is_sampled=True,
+    ),
+    "carrier_trajectory": Box(
+        variants=carrier_trajectory.VARIANTS,
+        signals={"carrier_reference": "6n"},
+        place=Place(4, 2, 1, INNER_LOOP),
+        is_sampled=True,
+    ),
+    "carrier_controller": Box(
+        variants=carrier_controller.VARIANTS,
+        signals={"carrier_forces": "3n"},
+        place=Place(4, 3, -1, PLANT),
+        is_fused=True,
+    ),
+    "carrier_dynamics": Box(
+        variants=carrier_dynamics.VARIANTS,
+        signals={"carrier_state": "6n"},
+        place=Place(3, 3, -1, PLANT),
+        is_simulated=True,
+        is_fused=True,
+    ),
+    "cables": Box(
+        variants=cables.VARIANTS,
+        signals={"cable_forces": "3n", "tensions": "n"},
+        place=Place(2, 3, -1, PLANT),
+        is_simulated=True,
+        is_fused=True,
+    ),
+    "load_disturbance": Box(
+        variants=load_disturbance.VARIANTS,
+        signals={"disturbance_wrench": "6"},
+        place=Place(0, 4, 1, ADDITION),
+        is_sampled=True,
+    ),
+    "load_plant": Box(
+        variants=load_plant.VARIANTS,
+        signals={"load_state": "13"},
+        place=Place(0, 3, -1, PLANT),
+        is_simulated=True,
+        is_fused=True,
+    ),
 }
 
-# What is simulated and not believed: these take the scenario's `simulated` system.
-PLANT = ("carrier_dynamics", "cables", "load_plant")
-
-# What `fused_plant` makes one block of, each after those whose outputs it reads.
-FUSED = ("carrier_controller", "cables", "carrier_dynamics", "load_plant")
-
-_MOST_STEPS = 20  # in a control period; all of them are in one trace
-
-# What that block reads from, directly or not. Of others than the package's nobody knows whether
-# they change between the controllers' samples.
-_SAMPLED = (
-    *("wrench_controller", "optimization_layer", "phase", "internal_force", "force_distribution"),
-    *("carrier_trajectory", "load_disturbance"),
-)
-
+# Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
+# plant in place of its boxes.
+SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
+PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
+    SAMPLE_AND_HOLD: Place(1, 2, 1, ADDITION),
+    FUSED_PLANT: Place(2, 3, -1, PLANT),
+}
 # The figure's wires, to be read. They follow from the names of the ports, and building
 # the default blocks checks this list against what was built. Where the scenario has a
 # control period, a `sample_and_hold` stands in front of the controllers, in the wires of
@@ -114,44 +172,10 @@ cables.cable_forces -> load_plant.cable_forces
 load_disturbance.disturbance_wrench -> load_plant.disturbance_wrench
 """
 
-# What comes out of each box: the size of every signal, for n carriers and m coordinates of the
-# internal force. Whatever is put in a box must make its signals, save those that are optional:
-# they are reported where they are there, and nothing in the figure reads them.
-SIGNALS: dict[str, dict[str, str]] = {
-    "load_trajectory": {"reference": "22"},
-    "load_feedback": {"measured_load_state": "13"},
-    "wrench_controller": {"wrench": "6", "wrench_rate": "6", "tracking_error": "12"},
-    "optimization_layer": {
-        "parameters": "2",
-        "diagnostics": "7",
-        "solve_time": "1",
-        "speed_bound": "1",
-    },
-    "phase": {"phase": "2"},
-    "internal_force": {"internal_force": "2m"},
-    "force_distribution": {"desired_cable_forces": "3n", "desired_cable_force_rates": "3n"},
-    "carrier_trajectory": {"carrier_reference": "6n"},
-    "carrier_controller": {"carrier_forces": "3n"},
-    "carrier_dynamics": {"carrier_state": "6n"},
-    "cables": {"cable_forces": "3n", "tensions": "n"},
-    "load_disturbance": {"disturbance_wrench": "6"},
-    "load_plant": {"load_state": "13"},
-    "sample_and_hold": {
-        "held_measured_load_state": "13",
-        "held_reference": "22",
-        "sample_time": "1",
-    },
-}
-OPTIONAL_SIGNALS = ("tracking_error", "diagnostics", "solve_time", "speed_bound")
 
-
-def signal_sizes(box: str, n: int, m: int) -> dict[str, int]:
-    """The sizes of a box's signals for n carriers and m internal-force coordinates."""
-    numbers = {"n": n, "m": m}
-    return {
-        signal: int(size.rstrip("nm") or 1) * numbers.get(size[-1], 1)
-        for signal, size in SIGNALS[box].items()
-    }
+def box_of(signal: str) -> str:
+    """The name of the box that makes a signal of the figure."""
+    return next(name for name, box in BOXES.items() if signal in box.signals)
 
 
 def figure_wires() -> set[str]:
@@ -159,12 +183,23 @@ def figure_wires() -> set[str]:
     return {line for line in WIRES.splitlines() if line}
 
 
-def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System] | Any) -> Diagram:
+class LoopConfig(Protocol):
+    """What a loop is made from: a `Scenario`, which also has the config of each box by its name."""
+
+    system: SystemParameters
+    simulated: Any  # `SystemOverrides`
+    pattern: PatternConfig
+    control_period: float
+    fused_plant: bool
+    simulator: SimulatorConfig
+
+
+def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System] | Any) -> Diagram:
     """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
 
     Every signal is exported under its name: `diagram.GetOutputPort("load_state")`. With
-    `fused_plant` one subsystem, `plant`, stands for the boxes in `FUSED`; where that cannot be,
-    a ScenarioWarning tells why, and they are built as ever.
+    `fused_plant` one subsystem, `plant`, takes the place of the boxes that are `is_fused`; where
+    that is not possible a ScenarioWarning tells why, and the separate blocks are built.
 
     Args:
         scenario: the system, the pattern and one config per box.
@@ -179,7 +214,7 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
             replacement do not fit; the message names the field, the value and the remedy.
     """
     for name in replacements:
-        require(name in BLOCKS, "replacement", name, f"give one of {', '.join(BLOCKS)}")
+        require(name in BOXES, "replacement", name, f"give one of {', '.join(BOXES)}")
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
     plant = overridden(scenario.system, scenario.simulated)
     require(
@@ -191,10 +226,11 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
     simulated = Model(plant, scenario.pattern, scenario.control_period, field="simulated")
     blocks: dict[str, System] = {}
     outside: dict[str, int] = {}
-    for name in BLOCKS:
+    for name, box in BOXES.items():
+        required, optional = box.required_and_optional(believed)
         entry = replacements.get(name, getattr(scenario, name))
         if entry is None:
-            outside |= _signals(name, believed)[0]
+            outside |= required
             continue
         make = _constructor(name, entry) if is_dataclass(entry) else entry
         require(
@@ -204,82 +240,30 @@ def make_nonstop(scenario: "Scenario", **replacements: Callable[[Model], System]
             "give a block's config, a function that takes the model and returns a system, or "
             "None to leave the box out",
         )
-        blocks[name] = make(simulated if name in PLANT else believed)
+        blocks[name] = make(simulated if box.is_simulated else believed)
         require(
             isinstance(blocks[name], System),
             f"replacement {name}",
             blocks[name],
             "return a LeafSystem or Diagram from the function",
         )
-        wiring.check_outputs(name, blocks[name], *_signals(name, believed))
+        wiring.check_outputs(name, blocks[name], required, optional)
     if scenario.fused_plant:
-        _fuse(blocks, scenario)
+        config = scenario.simulator
+        blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
     replaced_signals = {}
     if scenario.control_period > 0:
-        blocks["sample_and_hold"] = SampleAndHold(believed)
+        blocks[SAMPLE_AND_HOLD] = SampleAndHold(believed)
         replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
     diagram = wiring.connect(blocks, name=LOOP, replaced_signals=replaced_signals, outside=outside)
-    if all(type(blocks.get(name)) is BLOCKS[name][0] for name in BLOCKS):
+    if all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
         difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
         if difference:
             raise wiring.WiringError(
                 f"WIRES = {difference}: these differ between the list and the diagram that was "
-                "built; mend the list or the ports"
+                "built; correct the list or the ports"
             )
     return diagram
-
-
-def _named(name: str, blocks: dict[str, System]) -> str:
-    return f"{name} = {type(blocks[name]).__name__ if name in blocks else 'left out'}"
-
-
-def _fuse(blocks: dict[str, System], scenario: "Scenario") -> None:
-    """Puts one block in the place of those in `FUSED`, where it is known to do what they do."""
-    equations = {name: getattr(blocks.get(name), "equations", None) for name in FUSED}
-    parts = {name: own for name, own in equations.items() if isinstance(own, Equations)}
-    steps = max(1, math.ceil(scenario.control_period / scenario.simulator.max_step_size - 1e-9))
-    reason = _why_not_fused(blocks, scenario, parts, steps)
-    if reason:
-        message = f"fused_plant = true: {reason}; the separate blocks are used instead"
-        warnings.warn(message, ScenarioWarning, stacklevel=3)
-        return
-    for name in FUSED:
-        del blocks[name]
-    blocks["plant"] = FusedPlant(parts, period=scenario.control_period, steps=steps)
-
-
-def _why_not_fused(
-    blocks: dict[str, System], scenario: "Scenario", parts: dict[str, Equations], steps: int
-) -> str:
-    """Why the blocks cannot be one with so many steps a sample, or nothing."""
-    simulator = scenario.simulator
-    if scenario.control_period == 0:
-        return "control_period = 0, and it steps from sample to sample of the controllers"
-    if simulator.integration_scheme != "runge_kutta3" or simulator.use_error_control:
-        return "its steps are those of runge_kutta3 without error control"
-    if steps > _MOST_STEPS:
-        return f"{steps} steps a sample, of which {_MOST_STEPS} at most are traced"
-    for name in _SAMPLED:
-        if not type(blocks.get(name)).__module__.startswith("drake_nonstop.blocks."):
-            return f"{_named(name, blocks)} may change between samples"
-    for name in FUSED:
-        if name not in parts:
-            return f"{_named(name, blocks)} has no equations to be traced"
-    later = {port for part in parts.values() for port in part.outputs}
-    for name, part in parts.items():
-        if later & part.inputs.keys():
-            return f"{_named(name, blocks)} reads what is made after it"
-        later -= part.outputs.keys()
-    if not any("carrier_reference" in part.inputs for part in parts.values()):
-        return "no part of it reads carrier_reference"
-    return ""
-
-
-def _signals(box: str, model: Model) -> tuple[dict[str, int], dict[str, int]]:
-    """The signals that a box has to make, and those that it may make, with their sizes."""
-    sizes = signal_sizes(box, model.n, model.m)
-    optional = {signal: sizes.pop(signal) for signal in OPTIONAL_SIGNALS if signal in sizes}
-    return sizes, optional
 
 
 def _without_sampling(wires: list[str]) -> set[str]:
@@ -288,29 +272,33 @@ def _without_sampling(wires: list[str]) -> set[str]:
     sources = {
         target.replace(".", ".held_"): source
         for source, target in pairs
-        if target.startswith("sample_and_hold.")
+        if target.startswith(f"{SAMPLE_AND_HOLD}.")
     }
     return {
         f"{sources.get(source, source)} -> {target}"
         for source, target in pairs
-        if not target.startswith("sample_and_hold.") and not target.endswith(".sample_time")
+        if not target.startswith(f"{SAMPLE_AND_HOLD}.") and not target.endswith(".sample_time")
     }
 
 
-def block_class(instance: str, config: Any) -> type[System]:
-    """The block that a config is for: of class X for a config of class XConfig."""
-    if import_path(config):
-        return own_block_class(instance, type(config))
-    name = type(config).__name__.removesuffix("Config")
-    for block in BLOCKS[instance]:
-        if block.__name__ == name:
-            return block
-    choices = ", ".join(block.__name__ for block in BLOCKS[instance])
-    raise ScenarioError(f"{instance} = {name}: give one of {choices}")
+def _constructor(name: str, config: Any) -> Callable[[Model], System]:
+    """What makes the block of a config for the box of that name."""
+    block: Any = block_class(name, type(config))
+    if block in BOXES[name].variants:
+        return lambda model: block(model, config)
+    choices = ", ".join(variant.__name__ for variant in BOXES[name].variants)
+    is_own = all(block not in box.variants for box in BOXES.values())
+    require(is_own, name, block.__name__, f"give one of {choices}")
 
+    def make(model: Model) -> System:
+        try:
+            return block(model, config)
+        except ScenarioError:
+            raise
+        except Exception as error:  # whatever a user's constructor may raise
+            raise ScenarioError(
+                f"{name} = !{import_path(type(config))}: correct its constructor, which takes "
+                f"the model and the config ({one_line(error)})"
+            ) from error
 
-def _constructor(instance: str, config: Any) -> Callable[[Model], System]:
-    if import_path(config):
-        return lambda model: make_own_block(instance, model, config)
-    block = block_class(instance, config)
-    return lambda model: block(model, config)
+    return make

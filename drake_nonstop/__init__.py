@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.diagrams.nonstop import BLOCKS, make_nonstop
+from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     HamiltonianCycleConfig,
@@ -20,12 +20,12 @@ from drake_nonstop.model.pattern import (
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.optimization.speed_program import Outcome
 from drake_nonstop.scenario.loading import (
-    Scenario,
     dump_scenario,
     load_scenario,
     parse_scenario,
     scenario_names,
 )
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.simulate import Run, RunInterrupted, RunStopped, StepAction, simulate
@@ -92,7 +92,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
 ]
 
 # Every block that a box can be, and its config: blocks are listed in their own modules alone.
-for _block in (block for blocks in BLOCKS.values() for block in blocks):
+for _block in (block for box in BOXES.values() for block in box.variants):
     for _name in (_block.__name__, f"{_block.__name__}Config"):
         globals()[_name] = getattr(sys.modules[_block.__module__], _name)
         __all__ += [_name]

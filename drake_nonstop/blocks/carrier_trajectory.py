@@ -24,6 +24,8 @@ class _TrajectoryAboveLoad(TracedBlock):
         compliance: the cables' 1/K_c (m/N).
     """
 
+    is_sampled = True
+
     def __init__(self, model: Model, *, pose: tuple[str, int], compliance: float):
         def motion(state: NDArray, forces: NDArray, rates: NDArray, *times: NDArray) -> NDArray:
             positions, velocities = carrier_motion(

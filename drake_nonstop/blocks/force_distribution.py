@@ -59,6 +59,8 @@ class CableForceDistribution(TracedBlock):
     and their rates (3n, N/s) on the load, in W.
     """
 
+    is_sampled = True
+
     def __init__(self, model: Model, config: CableForceDistributionConfig | None = None):
         def distribute(*inputs: NDArray) -> tuple[NDArray, NDArray]:
             return cable_forces_and_rates(
@@ -121,6 +123,8 @@ class BoundedTensionDistribution(DiagramBlock):
         ScenarioError: a bound is negative, or the two are not in order.
         RuntimeError: during a run, if no such cable forces are found.
     """
+
+    is_sampled = True
 
     def __init__(self, model: Model, config: BoundedTensionDistributionConfig | None = None):
         super().__init__()

@@ -9,7 +9,7 @@ from pydrake.systems.primitives import Selector
 
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
-from drake_nonstop.systems.traced_block import Equations, stacking, taking_apart
+from drake_nonstop.systems.traced_block import Equations, splitting, stacking
 from drake_nonstop.systems.tracing import TracedFunction
 
 _HELD = "disturbance_wrench"
@@ -56,8 +56,8 @@ class FusedPlant(DiagramBlock):
         for name in together.inputs:
             builder.ExportInput(stacked.GetInputPort(name), name)
         results = together.states | together.outputs
-        states = builder.AddNamedSystem("states", Selector(taking_apart(together.states)))
-        outputs = builder.AddNamedSystem("outputs", Selector(taking_apart(results)))
+        states = builder.AddNamedSystem("states", Selector(splitting(together.states)))
+        outputs = builder.AddNamedSystem("outputs", Selector(splitting(results)))
         builder.Connect(stepped.GetOutputPort("states"), states.get_input_port())
         builder.Connect(stepped.GetOutputPort("results"), outputs.get_input_port())
         for name in results:

@@ -29,6 +29,8 @@ class InternalForceTrajectory(TracedBlock):
     `internal_force` (2m) = [λ (N); λ̇ (N/s)]. The rate is that of constant ξ and A.
     """
 
+    is_sampled = True
+
     def __init__(self, model: Model, config: InternalForceTrajectoryConfig | None = None):
         phases = model.pattern.phases
         super().__init__(

@@ -33,6 +33,8 @@ class NoDisturbance(LeafBlock):
     `disturbance_wrench` (6) = [torque (N m); force (N)] at the centre of mass, in W: zero.
     """
 
+    is_sampled = True
+
     def __init__(self, model: Model, config: NoDisturbanceConfig | None = None):
         super().__init__()
         self.DeclareVectorOutputPort(
@@ -78,6 +80,8 @@ class Wind(LeafBlock):
     Raises:
         ScenarioError: a field is out of range.
     """
+
+    is_sampled = True  # a fused plant holds it over a period
 
     def __init__(self, model: Model, config: WindConfig | None = None):
         super().__init__()

@@ -131,7 +131,7 @@ class _LoadForces(InnerBlock):
         cables = self._cable_forces.Eval(context).reshape(-1, 3)
         values = np.concatenate([state, wrench, cables.ravel()])
         if not values @ values < LARGEST**2:
-            raise NotFiniteError(f"{self.box()} was given")
+            raise NotFiniteError(self.box(), was_given=True)
         spatial = [SpatialForce(np.zeros(3), cable) for cable in cables]
         applied = []
         for point, part in zip(self._points, [*spatial, SpatialForce(torque, force)], strict=True):

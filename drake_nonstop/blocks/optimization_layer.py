@@ -159,6 +159,8 @@ class NonstopOptimizer(LeafBlock):
             control period.
     """
 
+    is_sampled = True
+
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
         super().__init__()
         config = config or NonstopOptimizerConfig()
@@ -414,6 +416,8 @@ class ConstantParameters(LeafBlock):
     Raises:
         ScenarioError: frequency or amplitude is not positive, or the bound negative.
     """
+
+    is_sampled = True
 
     def __init__(self, model: Model, config: ConstantParametersConfig | None = None):
         super().__init__()

@@ -33,6 +33,8 @@ class AccumulatedPhase(LeafBlock):
     the state: continuous, or stepped at each sample where the model has a control period.
     """
 
+    is_sampled = True
+
     def __init__(self, model: Model, config: AccumulatedPhaseConfig | None = None):
         super().__init__()
         self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
@@ -80,6 +82,8 @@ class PaperPhase(LeafBlock):
     `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ = ξ t (rad), ∂θ/∂ξ = t (s)].
     Behind a sampled controller t is the `sample_time` (1), in s.
     """
+
+    is_sampled = True
 
     def __init__(self, model: Model, config: PaperPhaseConfig | None = None):
         super().__init__()

@@ -37,6 +37,8 @@ class _WrenchPid(TracedBlock):
         gains: those of `mechanics.wrench.wrench_and_rate`, and its weight `feedforward`.
     """
 
+    is_sampled = True
+
     def __init__(self, model: Model, gains: dict[str, Any]):
         def outputs(integrals: NDArray, state: NDArray, reference: NDArray) -> tuple:
             error = wrench.tracking_error(state, reference)

@@ -151,7 +151,7 @@ class SpeedProgram:
             with np.errstate(divide="ignore", invalid="ignore"):
                 margins = update.problem.margins(x[1:], x[:1])[0][0, 0]
             if not np.isfinite(margins).all():
-                raise NotFiniteError(f"{self._name()} made")
+                raise NotFiniteError(self._name())
             return margins
         return self._margins(x, update.data)[0].copy()
 

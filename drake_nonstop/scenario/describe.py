@@ -1,6 +1,6 @@
 """What the boxes of the figure can be: their blocks, parameters and ports, for people to read.
 
-All is taken from the code: the blocks from `BLOCKS`, a block's parameters from the dataclass
+All is taken from the code: the blocks from `BOXES`, a block's parameters from the dataclass
 beside it, their meanings from the comments on its fields, and the ports from a block that is
 built with the default scenario's model.
 """
@@ -10,23 +10,20 @@ import dataclasses
 import inspect
 import io
 import math
-import sys
 import textwrap
 import tokenize
-import typing
 from dataclasses import dataclass
 from typing import Any
 
 import yaml
 from pydrake.systems.framework import System
 
-from drake_nonstop.diagrams.nonstop import BLOCKS, OPTIONAL_SIGNALS, SIGNALS
+from drake_nonstop.diagrams.box import config_class
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.model.system import Model
-from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.scenario.schema import PATTERN, PATTERNS, Scenario
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioError, require
-
-PATTERN = "pattern"  # the entry of a scenario that is chosen like a block, and is none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +71,7 @@ class Box:
 
 def box_names() -> list[str]:
     """The names that `describe` takes: the figure's boxes, in its order, and the pattern."""
-    return [*BLOCKS, PATTERN]
+    return [*BOXES, PATTERN]
 
 
 def describe(name: str) -> Box:
@@ -85,21 +82,15 @@ def describe(name: str) -> Box:
     """
     require(name in box_names(), "box", name, f"give one of {', '.join(box_names())}")
     if name == PATTERN:
-        annotation = typing.get_type_hints(Scenario)[PATTERN]
-        choices = tuple(_pattern(config) for config in typing.get_args(annotation) or [annotation])
+        choices = tuple(map(_pattern, PATTERNS))
         return Box(name=name, signals=(), choices=choices)
     scenario = Scenario()
     model = Model(scenario.system, scenario.pattern, scenario.control_period)
     return Box(
         name=name,
-        signals=tuple(_port(signal, None) for signal in SIGNALS[name]),
-        choices=tuple(_choice(block, model) for block in BLOCKS[name]),
+        signals=tuple(_port(signal, None) for signal in BOXES[name].signals),
+        choices=tuple(_choice(block, model) for block in BOXES[name].variants),
     )
-
-
-def config_class(block: type[System]) -> type:
-    """The dataclass of a block's parameters: XConfig in the module of block X."""
-    return getattr(sys.modules[block.__module__], f"{block.__name__}Config")
 
 
 def parameters(config: type) -> tuple[Parameter, ...]:
@@ -151,9 +142,10 @@ def _pattern(config: type) -> Choice:
 
 def _port(name: str, size: int | None) -> Port:
     """The port of that name: its size by the contract, or else as it is for the default n."""
-    sizes = {signal: text for signals in SIGNALS.values() for signal, text in signals.items()}
+    sizes = {signal: text for box in BOXES.values() for signal, text in box.signals.items()}
+    is_optional = any(name in box.optional for box in BOXES.values())
     text = "abstract" if size is None else str(size)
-    return Port(name=name, size=sizes.get(name, text), is_optional=name in OPTIONAL_SIGNALS)
+    return Port(name=name, size=sizes.get(name, text), is_optional=is_optional)
 
 
 def _summary(documented: type) -> str:

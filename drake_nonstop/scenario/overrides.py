@@ -1,13 +1,40 @@
-"""Settings "path=value" in files of the user's: read, checked and combined."""
+"""Changes "path=value" to a scenario: read from files, checked, combined, applied."""
 
+import dataclasses
 import itertools
+import typing
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from drake_nonstop.scenario.loading import dump_plain, parse_plain
+from drake_nonstop.scenario.schema import CHOICES, Scenario
+from drake_nonstop.scenario.tree import (
+    Tree,
+    Trusted,
+    config_class_of,
+    from_tree,
+    own_tags,
+    require_known,
+    to_tree,
+)
+from drake_nonstop.scenario.yaml_text import compose, dump_plain, parse_plain, to_plain
 from drake_nonstop.validation import ScenarioError, require
+
+
+def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False) -> Scenario:
+    """A copy of the scenario with changes "path=value", see `load_scenario`.
+
+    Blocks of the user's own that the scenario has already are trusted.
+
+    Raises:
+        ScenarioError: a path or value cannot be used.
+    """
+    tree = to_tree(scenario)
+    trusted = True if trust else own_tags(tree)
+    for override in overrides:
+        _apply(tree, override, trusted)
+    return from_tree(scenario.name, tree, trusted)
 
 
 def read_mapping(path: Path, option: str, known: tuple[str, ...], remedy: str) -> dict[str, Any]:
@@ -55,3 +82,35 @@ def combinations(grid: Mapping[str, list[Any]]) -> Iterator[dict[str, Any]]:
 def as_setting(path: str, value: Any) -> str:
     """The setting that gives the path the value, which is as `parse_plain` makes it."""
     return f"{path}={dump_plain(value)}"
+
+
+def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
+    """Changes the resolved tree by one "path=value"."""
+    path, separator, text = override.partition("=")
+    require(separator and path, "--set", override, "give path=value")
+    node = compose(text, f"--set {path}")
+    require(node is not None, f"--set {path}", "nothing", "give a value after the =")
+    value = to_plain(node, path)
+    *parents, last = path.split(".")
+    branch: Any = tree
+    for i, key in enumerate(parents):
+        parts = [part for part in branch if part != "_tag"]
+        at = ".".join(parents[: i + 1])
+        require_known(key, parts, "--set", path, called=at)
+        require(isinstance(branch[key], dict), "--set", path, f"{at} has no parts; set it whole")
+        branch = branch[key]
+    if path in CHOICES and isinstance(value, str):
+        value = _swapped(path, tree[path], value, trusted)
+    branch[last] = value
+
+
+def _swapped(name: str, entry: Tree, block: str, trusted: Trusted) -> Tree:
+    """The entry of another block in a box; parameters that both have stay as they were."""
+    old = config_class_of(name, entry["_tag"], trusted)
+    types = typing.get_type_hints(config_class_of(name, f"!{block}", trusted))
+    shared = [key for key, kind in typing.get_type_hints(old).items() if types.get(key) == kind]
+    kept = {key: entry[key] for key in shared if key in entry}
+    if name == "load_trajectory":  # each task has times of its own, unless they were set
+        default = dataclasses.asdict(old())
+        kept = {key: value for key, value in kept.items() if value != default[key]}
+    return {**kept, "_tag": f"!{block}"}

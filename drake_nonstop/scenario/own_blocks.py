@@ -7,26 +7,16 @@ my_blocks, made with the model and a config of the dataclass MyOptimizerConfig b
 import dataclasses
 import importlib
 import sys
-from typing import Any
 
 from pydrake.common.yaml import yaml_dump_typed
-from pydrake.systems.framework import System
 
-from drake_nonstop.model.system import Model
+from drake_nonstop.diagrams.box import block_class
 from drake_nonstop.validation import ScenarioError, one_line, require
 
 
 def is_import_path(tag: str) -> bool:
     """Whether a tag, without its "!", names a block of the user's own."""
     return "." in tag
-
-
-def import_path(config: Any) -> str | None:
-    """What names the block of a config in a scenario; None for blocks of the package."""
-    kind = type(config)
-    if kind.__module__.split(".")[0] == "drake_nonstop":
-        return None
-    return f"{kind.__module__}.{kind.__name__.removesuffix('Config')}"
 
 
 def make_importable(folder: str) -> None:
@@ -47,7 +37,7 @@ def import_config(field: str, path: str) -> type:
     except Exception as error:  # whatever a user's module may raise
         raise ScenarioError(
             f"{field} = !{path}: the module {module_name} cannot be imported ({one_line(error)}); "
-            "mend it, or put it into the current folder, the scenario's or PYTHONPATH"
+            "correct it, or put it into the current folder, the scenario's or PYTHONPATH"
         ) from error
     config = getattr(module, f"{name}Config", None)
     require(
@@ -63,7 +53,7 @@ def import_config(field: str, path: str) -> type:
     except Exception as error:  # whatever a user's dataclass may raise
         raise ScenarioError(f"{field} = !{path}: {remedy} ({one_line(error)})") from error
     if field != "pattern":
-        own_block_class(field, config)
+        block_class(field, config)
     require(
         field != "optimization_layer" or hasattr(config(), "speed_bound"),
         field,
@@ -71,39 +61,3 @@ def import_config(field: str, path: str) -> type:
         f"give {name}Config a field speed_bound (m/s), which its runs are judged by",
     )
     return config
-
-
-def make_own_block(field: str, model: Model, config: Any) -> System:
-    """The block of a config of the user's own.
-
-    Raises:
-        ScenarioError: its constructor raised an error.
-    """
-    block = own_block_class(field, type(config))
-    try:
-        return block(model, config)
-    except ScenarioError:
-        raise
-    except Exception as error:  # whatever a user's constructor may raise
-        raise ScenarioError(
-            f"{field} = !{import_path(config)}: mend its constructor, which takes the model and "
-            f"the config ({one_line(error)})"
-        ) from error
-
-
-def own_block_class(field: str, config_class: type) -> type[System]:
-    """The block of a config class of the user's: the class X beside XConfig.
-
-    Raises:
-        ScenarioError: there is none.
-    """
-    module = sys.modules.get(config_class.__module__)
-    name = config_class.__name__.removesuffix("Config")
-    block = getattr(module, name, None)
-    require(
-        isinstance(block, type) and issubclass(block, System),
-        field,
-        f"!{config_class.__module__}.{name}",
-        f"give {config_class.__module__} a LeafSystem or Diagram of the name {name}",
-    )
-    return block  # type: ignore[return-value]

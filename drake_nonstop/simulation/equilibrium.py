@@ -1,4 +1,4 @@
-"""Where a run starts, and how long its steps may be there."""
+"""The equilibrium that a run starts from, and the fastest mode of the loop there."""
 
 from collections.abc import Callable
 
@@ -10,6 +10,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.diagrams.nonstop import box_of
 from drake_nonstop.validation import ScenarioError
 
 _STEP = 1e-6  # of the differences, in SI units
@@ -22,11 +23,10 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
 
     The carriers start on their references, with their velocities; the load starts where
     the cables then hold it at rest: on its reference where the controllers know the
-    cables, lower or higher where they do not. Whatever blocks the loop is made of,
-    Newton's method on the built diagram, with its initialization events, finds the pose.
-    Inputs of the loop, where a box was left out, are taken to stay as they are at the start.
-    A load whose reference moves at the start gets that motion. Carriers with a state of
-    their own beyond positions and velocities start with its default.
+    cables, lower or higher where they do not. Newton's method on the built diagram, with its
+    initialization events, finds the pose, whatever the blocks are. Inputs of the loop, where a
+    box was left out, are held at their values at the start. A load whose reference moves at the
+    start has that motion. Further states of the carriers keep their defaults.
 
     Raises:
         ScenarioError: the cables cannot hold the load.
@@ -75,21 +75,21 @@ def fastest_mode(nonstop: Diagram, context: Context) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(_jacobian(rate, state)))))
 
 
-class _SeparatePlant:
-    """What an equilibrium and the modes of a loop of separate blocks take."""
+class _SeparatePlantStates:
+    """Access to the plant's states in a loop of separate blocks."""
 
     def __init__(self, nonstop: Diagram):
         self._nonstop = nonstop
         self._owners = {
-            "load_state": nonstop.GetSubsystemByName("load_plant"),
-            "carrier_state": nonstop.GetSubsystemByName("carrier_dynamics"),
+            signal: nonstop.GetSubsystemByName(box_of(signal))
+            for signal in ("load_state", "carrier_state")
         }
 
     def _context(self, port: str, context: Context) -> Context:
         return self._nonstop.GetMutableSubsystemContext(self._owners[port], context)
 
     def set_states(self, context: Context, **states: NDArray) -> None:
-        """Sets the states that ports of these names show, and leaves what is beyond them."""
+        """Sets the states that the ports of these names show; further ones stay."""
         for port, value in states.items():
             own = self._context(port, context)
             state = own.get_continuous_state_vector().CopyToVector()
@@ -103,20 +103,20 @@ class _SeparatePlant:
         return self._owners["load_state"].EvalTimeDerivatives(own).CopyToVector()
 
     def state(self, context: Context) -> NDArray:
-        """All that is continuous."""
+        """All continuous states."""
         return context.get_continuous_state_vector().CopyToVector()
 
     def set_state(self, context: Context, values: NDArray) -> None:
-        """Sets all that is continuous."""
+        """Sets all continuous states."""
         context.SetContinuousState(values)
 
     def rate(self, context: Context) -> NDArray:
-        """The rate of all that is continuous."""
+        """The rate of all continuous states."""
         return self._nonstop.EvalTimeDerivatives(context).CopyToVector()
 
 
-class _PlantInOne:
-    """The same of a loop with a `FusedPlant`."""
+class _FusedPlantStates:
+    """The same for a loop with a `FusedPlant`."""
 
     def __init__(self, nonstop: Diagram, block: FusedPlant):
         self._nonstop, self._block = nonstop, block
@@ -125,38 +125,38 @@ class _PlantInOne:
         return self._nonstop.GetMutableSubsystemContext(self._block, context)
 
     def set_states(self, context: Context, **states: NDArray) -> None:
-        """As of `_SeparatePlant`."""
+        """As of `_SeparatePlantStates`."""
         self._block.set_states(self._context(context), **states)
 
     def load_rate(self, context: Context) -> NDArray:
-        """As of `_SeparatePlant`."""
+        """As of `_SeparatePlantStates`."""
         return self._block.rates(self._context(context))["load_state"]
 
     def state(self, context: Context) -> NDArray:
-        """All that would be continuous."""
+        """All states that are continuous in separate blocks."""
         return np.concatenate([*self._block.states(self._context(context)).values()])
 
     def set_state(self, context: Context, values: NDArray) -> None:
-        """Sets all that would be continuous."""
+        """Sets all states that are continuous in separate blocks."""
         own = self._context(context)
         names, parts = zip(*self._block.states(own).items(), strict=True)
         ends = np.cumsum([len(part) for part in parts])
         self._block.set_states(own, **dict(zip(names, np.split(values, ends[:-1]), strict=True)))
 
     def rate(self, context: Context) -> NDArray:
-        """The rate of all that would be continuous."""
+        """The rate of all states that are continuous in separate blocks."""
         return np.concatenate([*self._block.rates(self._context(context)).values()])
 
 
-def _plant(nonstop: Diagram) -> _SeparatePlant | _PlantInOne:
+def _plant(nonstop: Diagram) -> _SeparatePlantStates | _FusedPlantStates:
     for block in nonstop.GetSystems():
         if isinstance(block, FusedPlant):
-            return _PlantInOne(nonstop, block)
-    return _SeparatePlant(nonstop)
+            return _FusedPlantStates(nonstop, block)
+    return _SeparatePlantStates(nonstop)
 
 
 def _copied(nonstop: Diagram, context: Context) -> Context:
-    """A context of the loop alone; what it gets from a diagram around it stays as it is now."""
+    """A context of the loop alone, whose inputs from a diagram around it are fixed."""
     copy = nonstop.CreateDefaultContext()
     copy.SetTimeStateAndParametersFrom(context)
     nonstop.FixInputPortsFrom(nonstop, context, copy)
@@ -164,7 +164,7 @@ def _copied(nonstop: Diagram, context: Context) -> Context:
 
 
 def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> NDArray:
-    """Drives the function (6,) of an offset (6,) to zero; returns what is left of it."""
+    """Drives the function (6,) of an offset (6,) to zero; returns its last value."""
     offset, residual = start, function(start)
     for _ in range(20):
         if np.max(np.abs(residual)) < _REST / 1e3:

@@ -1,16 +1,8 @@
 """A scenario to a run: the simulated signals of every block."""
 
-import copy
 import dataclasses
-import math
-import signal
-import threading
 import time
-import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from enum import Enum
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,14 +12,11 @@ from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
     Simulator,
-    SimulatorConfig,
 )
 from pydrake.systems.framework import (
     Context,
     Diagram,
     DiagramBuilder,
-    EventStatus,
-    LeafSystem,
     OutputPort,
     PortDataType,
     TriggerType,
@@ -37,21 +26,15 @@ from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import Scenario
-from drake_nonstop.simulation.equilibrium import fastest_mode, set_equilibrium
-from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
+from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.simulation.monitor import Monitor, SampleInstants
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped, StepAction
+from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import ScenarioError, one_line, require
 from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer
-
-_WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
-_REPORT_PERIOD = 0.1  # s of wall time, between two calls of `progress`
-SIGNAL_PERIOD = 0.01  # s, of the signals that are written
-
-_AT_SAMPLE = 1e-6  # of the period, from an instant to what counts as there
-
-_SHORTEST_STEP = 1e-5  # s; with a shorter one a run would not come to an end
-_STABLE_STEP = 1.6  # rad, the fastest mode's turn in a step; third-order Runge-Kutta: 1.73
 
 _WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
 
@@ -64,61 +47,6 @@ _EVERY_STEP = (
     "speed_bound",
     _WALL_TIME,
 )
-
-
-@dataclass(kw_only=True)
-class Run:
-    """What a simulation produced.
-
-    `signals` maps "block.port" to the samples of every signal but wall times, (samples,
-    size), at the instants `time` (samples,), 100 Hz; `steps` maps the names of a few ports
-    to their values at every step, (steps, size), and "time" to the steps' times (steps,), from
-    t = 0 on: the integrator's steps, or the controllers' samples where the plant is fused. A
-    value at an instant is that before the controllers' update at that instant. `solve_times`
-    (updates,) are the wall times of the optimization layer's updates, `wall_time` that of the
-    whole simulation but for pauses, in s.
-    A run that `is_steered` was changed from outside while it went on.
-    """
-
-    scenario: Scenario
-    diagram: Diagram
-    time: NDArray
-    signals: dict[str, NDArray]
-    steps: dict[str, NDArray]
-    solve_times: NDArray
-    wall_time: float
-    is_steered: bool = False
-
-    def signal(self, port: str) -> NDArray:
-        """The signal of that port name, whichever block makes it: (samples, size)."""
-        for name, values in self.signals.items():
-            if name.split(".")[1] == port:
-                return values
-        raise KeyError(port)
-
-
-class StepAction(Enum):
-    """What a run does after a step."""
-
-    CONTINUE = 1
-    WAIT = 2  # and ask again
-    END = 3
-
-
-class RunStopped(RuntimeError):  # noqa: N818 - a run stopped; the cause is told
-    """A run ended before its time; `run` holds the signals up to there."""
-
-    def __init__(self, message: str, run: Run):
-        super().__init__(message)
-        self.run = run
-
-
-class RunInterrupted(KeyboardInterrupt):
-    """A run was interrupted from the keyboard; `run` holds the signals up to there."""
-
-    def __init__(self, run: Run):
-        super().__init__()
-        self.run = run
 
 
 def simulate(
@@ -176,7 +104,7 @@ def simulate(
     sample_sink = LogVectorOutput(
         _stacked(builder, sampled), builder, {TriggerType.kForced}, publish_period=0.0
     )
-    builder.AddNamedSystem("sample_instants", _SampleInstants())
+    builder.AddNamedSystem("sample_instants", SampleInstants())
     visualizers = [
         NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat) for meshcat in viewers
     ]
@@ -194,15 +122,15 @@ def simulate(
         )
 
     sample_context = sample_sink.GetMyContextFromRoot(context)
-    monitor = _Monitor(
+    monitor = Monitor(
         simulator,
         nonstop,
         sample=lambda: sample_sink.ForcedPublish(sample_context),
         progress=progress,
         after_step=after_step,
     )
+    nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
     try:
-        nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
         set_equilibrium(nonstop, nonstop_context)
         ApplySimulatorConfig(stable_config(scenario.simulator, nonstop, nonstop_context), simulator)
         with monitor:
@@ -220,13 +148,14 @@ def simulate(
         raise RunInterrupted(finished()) from None
     except NotFiniteError as error:
         raise RunStopped(
-            f"the run diverged at t = {context.get_time():.4f} s: {error} a value that is not "
+            f"the run diverged at t = {context.get_time():.4f} s: "
+            f"{source_of_fault(error, nonstop, nonstop_context)} made a value that is not "
             f"finite, or beyond {LARGEST:.0e} in SI units; the loop may be unstable, or "
             "simulator.max_step_size too large",
             finished(),
         ) from None
     except Exception as error:
-        cause = f"{_blame(error)}{one_line(error)}"
+        cause = f"{raising_block(error)}{one_line(error)}"
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished()) from error
     return finished()
@@ -236,123 +165,6 @@ def _at_equilibrium(nonstop: Diagram) -> Context:
     context = nonstop.CreateDefaultContext()
     set_equilibrium(nonstop, context)
     return context
-
-
-def _blame(error: BaseException) -> str:
-    """Which block raised the error, where one did, and in which line."""
-    blamed = ""
-    for frame, line in traceback.walk_tb(error.__traceback__):
-        block = frame.f_locals.get("self")
-        if isinstance(block, LeafSystem):
-            name = block.box() if isinstance(block, LeafBlock) else block.get_name()
-            blamed = f"{name} ({Path(frame.f_code.co_filename).name}:{line}): "
-    return blamed
-
-
-def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -> SimulatorConfig:
-    """The configuration with a step that the fixed-step Runge-Kutta scheme is stable at.
-
-    Explicit schemes blow up, at first in silence, where the step is too long for the
-    fastest mode; for the third-order one that is at 1.73 divided by the mode's rad/s.
-    Steps of any other scheme, and shorter ones, are the user's.
-    """
-    if config.integration_scheme != "runge_kutta3" or config.use_error_control:
-        return config
-    mode = fastest_mode(nonstop, context)
-    longest = _STABLE_STEP / mode
-    require(
-        longest >= _SHORTEST_STEP,
-        "fastest mode",
-        f"{mode:.3g} rad/s",
-        f"give softer cables or heavier bodies; it asks for steps below {_SHORTEST_STEP:g} s",
-    )
-    if config.max_step_size > longest:
-        # A whole part of the signals' period, so that no step is cut short by it.
-        config = copy.deepcopy(config)
-        config.max_step_size = SIGNAL_PERIOD / math.ceil(SIGNAL_PERIOD / longest)
-    return config
-
-
-class _SampleInstants(LeafBlock):
-    """Has the integrator's steps end at the instants of the signals' samples.
-
-    A log's own period does not: it starts at 0 and the controllers' at their first sample, so
-    that a rounding apart every tenth step or so had no length.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.DeclarePeriodicPublishEvent(
-            period_sec=SIGNAL_PERIOD, offset_sec=SIGNAL_PERIOD, publish=lambda context: None
-        )
-
-
-class _Monitor:
-    """Takes samples, reports progress, asks what to do, and ends the run at a Ctrl-C's step.
-
-    A KeyboardInterrupt raised wherever Python happens to be may surface, on its way through
-    C++, as an error of a block or a solver; so the first Ctrl-C is only noted. A second one
-    interrupts at once.
-    """
-
-    def __init__(
-        self,
-        simulator: Simulator,
-        nonstop: Diagram,
-        *,
-        sample: Callable[[], None],
-        progress: Callable[[float], None] | None,
-        after_step: Callable[[Simulator, Diagram], StepAction] | None,
-    ):
-        self._simulator = simulator
-        self._nonstop = nonstop
-        self._sample = sample
-        self._samples = 0
-        self._progress = progress
-        self._after_step = after_step
-        self._last_report = 0.0
-        self._previous_handler: Any = None
-        self.is_interrupted = False
-        self.waited = 0.0  # s of wall time
-
-    def __call__(self, root_context: Context) -> EventStatus:
-        if root_context.get_time() > (self._samples - _AT_SAMPLE) * SIGNAL_PERIOD:
-            self._sample()
-            self._samples += 1
-        if self.is_interrupted:
-            return EventStatus.ReachedTermination(self._nonstop, "interrupted")
-        now = time.perf_counter()
-        if self._progress is not None and now - self._last_report > _REPORT_PERIOD:
-            self._last_report = now
-            self._progress(root_context.get_time())
-        if self._after_step is not None and self._ends():
-            return EventStatus.ReachedTermination(self._nonstop, "ended")
-        return EventStatus.DidNothing()
-
-    def _ends(self) -> bool:
-        then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
-        if then is StepAction.WAIT:
-            start = time.perf_counter()
-            while then is StepAction.WAIT and not self.is_interrupted:
-                time.sleep(_WAITING_PERIOD)
-                then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
-            self.waited += time.perf_counter() - start
-            self._simulator.ResetStatistics()  # the real-time rate is kept from here on
-        return then is StepAction.END or self.is_interrupted
-
-    def __enter__(self) -> "_Monitor":
-        if threading.current_thread() is threading.main_thread():
-            self._previous_handler = signal.signal(signal.SIGINT, self._note)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._simulator.clear_monitor()  # each would keep the other for ever
-        if self._previous_handler is not None:
-            signal.signal(signal.SIGINT, self._previous_handler)
-
-    def _note(self, number: int, frame: object) -> None:
-        self.is_interrupted = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _stacked(builder: DiagramBuilder, ports: dict[str, OutputPort]) -> OutputPort:

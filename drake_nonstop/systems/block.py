@@ -1,7 +1,7 @@
-"""What all blocks are: systems that Python can let go of.
+"""The base classes of all blocks: systems that Python can free.
 
-A run that is over has to give its memory back, or a sweep of many does not fit into it. Three
-things keep a system written in Python for ever, and with it all of its diagram, some 7 MB a
+A run has to give its memory back once it is over, or a sweep of many runs out of it. Three
+things keep a system written in Python alive, and with it all of its diagram, some 7 MB a
 run (https://github.com/RobotLocomotion/drake/issues/22515):
 
 - Where pydrake is bound by pybind11, a Python class below its classes gets a dictionary that
@@ -48,11 +48,24 @@ BlockType = _type_of_blocks()
 
 
 class DiagramBlock(Diagram, metaclass=BlockType):  # type: ignore[metaclass]
-    """A Diagram that is freed."""
+    """A Diagram that is freed.
+
+    Attributes:
+        is_sampled: whether its outputs, with a control period, change at the controllers' samples
+            only, or, as `carrier_reference`, move along their rates in between.
+    """
+
+    is_sampled = False
 
 
 class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
-    """A LeafSystem whose methods may be given to its Declare functions, and that is freed."""
+    """A LeafSystem whose methods may be given to its Declare functions, and that is freed.
+
+    Attributes:
+        is_sampled: as of `DiagramBlock`.
+    """
+
+    is_sampled = False
 
     def box(self) -> str:
         """What error messages call the block: its name in the diagram."""
@@ -101,12 +114,13 @@ def weakly(callback: Any) -> Any:
 
 
 def release(diagram: Diagram) -> None:
-    """Has the blocks of the user's own, that are no LeafBlocks, hold nothing any more.
+    """Clears the attributes of blocks of the user's own, which are no LeafBlocks.
 
-    Nothing may use the diagram after that; the rest of it can be freed, but for their shells.
+    The diagram cannot be used after that. All of it can be freed but for these blocks' shells.
     """
     for system in diagram.GetSystems():
         if isinstance(system, Diagram):
             release(system)
-        if type(system).__module__.split(".")[0] not in ("pydrake", "drake_nonstop"):
+        is_drakes = type(system).__module__.split(".")[0] == "pydrake"
+        if not is_drakes and not isinstance(system, (LeafBlock, DiagramBlock)):
             vars(system).clear()

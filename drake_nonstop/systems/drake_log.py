@@ -1,4 +1,4 @@
-"""Drake's log, kept quiet where it would repeat what is told otherwise."""
+"""The level of Drake's log."""
 
 import logging
 from collections.abc import Iterator

@@ -14,7 +14,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Adder, Gain, Integrator, Selector, SelectorParams
 
 from drake_nonstop.systems.block import DiagramBlock
-from drake_nonstop.systems.traced_block import Equations, stacking, taking_apart
+from drake_nonstop.systems.traced_block import Equations, splitting, stacking
 
 _STATE = "(state)"  # not the name of a port
 _RELATIVE_TOLERANCE = 1e-9  # of what counts as linear
@@ -69,7 +69,7 @@ class LinearBlock(DiagramBlock):
                 builder.Connect(gain.get_output_port(), total.get_input_port(k))
         outputs_of = total.get_output_port
         if len(made) > 1:
-            parts = builder.AddNamedSystem("parts", Selector(taking_apart(made)))
+            parts = builder.AddNamedSystem("parts", Selector(splitting(made)))
             builder.Connect(total.get_output_port(), parts.get_input_port())
             outputs_of = parts.get_output_port
         for i, name in enumerate(read):

@@ -8,8 +8,7 @@ from drake_nonstop.systems.block import LeafBlock
 class SampledIntegrator(LeafBlock):
     """Adds its input, times the period, at every sample but the first.
 
-    At the start there is nothing to integrate yet; Drake's DiscreteTimeIntegrator takes a
-    step there.
+    Unlike Drake's DiscreteTimeIntegrator it takes no step at the start.
 
     .. pydrake_system::
 

@@ -1,8 +1,8 @@
 """Blocks that are one traced function, wired to their ports by Drake's own systems.
 
-What a callback into Python costs is mostly what goes through its ports: an input that it asks
-for takes as long as the traced function. So Drake's systems, in C++, stack the inputs to one
-vector, take the outputs apart and hold the state, and Python is called once, for the function.
+A callback into Python spends most of its time on its ports: to evaluate one input takes as long
+as the traced function. Drake's systems, in C++, therefore stack the inputs to one vector, split the
+outputs and hold the state, and Python is called once, for the function.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,7 +22,7 @@ _STATE = "(state)"  # no name of a port
 
 @dataclass(frozen=True)
 class Equations:
-    """What a block computes, for a bigger trace.
+    """What a block computes, as a part of a larger trace.
 
     `function` takes one flat array for the state, where there is one, and one per entry of
     `inputs`; it returns the rate of the state, where there is one, and one array per entry of
@@ -41,8 +41,8 @@ class Equations:
 class TracedBlock(DiagramBlock):
     """A block whose outputs are a traced function of its inputs and its state.
 
-    Drake takes every output to depend on every input, and only the state's port on none.
-    `equations` are what is traced, for a bigger trace; None where the state is not continuous,
+    For Drake every output depends on every input, and only the state's port on none.
+    `equations` can be a part of a larger trace; they are None where the state is not continuous
     or the time is read.
 
     Args:
@@ -95,7 +95,7 @@ class TracedBlock(DiagramBlock):
             builder.Connect(stacked.get_output_port(), traced.get_input_port())
             inputs_of = stacked.get_input_port
         if len(made) > 1:
-            parts = builder.AddNamedSystem("parts", Selector(taking_apart(made)))
+            parts = builder.AddNamedSystem("parts", Selector(splitting(made)))
             builder.Connect(traced.get_output_port(), parts.get_input_port())
             outputs_of = parts.get_output_port
         for i, name in enumerate(read):
@@ -167,7 +167,7 @@ def stacking(sizes: Mapping[str, int], output: str = "stacked") -> SelectorParam
     )
 
 
-def taking_apart(sizes: Mapping[str, int]) -> SelectorParams:
+def splitting(sizes: Mapping[str, int]) -> SelectorParams:
     """Of a Selector that makes outputs of these names and sizes of one vector."""
     ends = np.cumsum([*sizes.values()])
     return SelectorParams(

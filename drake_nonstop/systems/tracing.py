@@ -13,14 +13,23 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-_MAX_TRACES = 32  # that are kept
-_traces: dict[bytes, casadi.Function] = {}  # by their keys, the one used last at the end
+_MAX_TRACES = 32
+_traces: dict[bytes, casadi.Function] = {}  # by their keys; the most recently used is the last
 
-LARGEST = 1e6  # SI units; no rate or force on these cables comes near it
+LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
 
 
 class NotFiniteError(ArithmeticError):
-    """An evaluation gave a value that is not finite, or is beyond all reason."""
+    """A block made, or was given, a value that is not finite or is far too large.
+
+    Args:
+        block: its name.
+        was_given: whether the value is among its inputs.
+    """
+
+    def __init__(self, block: str, *, was_given: bool = False):
+        super().__init__(f"{block} {'was given' if was_given else 'made'}")
+        self.block, self.was_given = block, was_given
 
 
 class TracedFunction:
@@ -31,16 +40,15 @@ class TracedFunction:
             or a tuple of arrays of any shape.
         input_sizes: the length of each input.
         name: tells what evaluates the function, for the error.
-        largest: outputs whose norm is above it are taken for a divergence; nothing on
-            these cables comes near the default, in SI units.
+        largest: an output whose norm exceeds it counts as a divergence; SI units.
         jacobian_of: if given, the index of the input with respect to which the exact
             Jacobian of the outputs, flattened and stacked, is one more output (rows,
             columns).
-        key: if given, all that `function` depends on besides its arguments, as what pickle
-            takes: a second function of an equal key is not traced again.
+        key: if given, everything that `function` depends on besides its arguments, in a form
+            that can be pickled: a second function with an equal key is not traced again.
 
     A call returns the outputs in a tuple, each flat but for the Jacobian. They are views
-    of buffers that the next call overwrites: copy what is to be kept.
+    of buffers that the next call overwrites; copy them to keep them.
 
     Raises:
         NotFiniteError: an output is NaN, infinite or beyond `largest`. Fixed-step
@@ -72,11 +80,11 @@ class TracedFunction:
             [array[:, 0] for array in self._outputs[:count]] + self._outputs[count + 1 :]
         )
         self._squared_norm = self._outputs[count][:, 0]
-        self._largest_squared = largest**2
+        self._largest, self._largest_squared = largest, largest**2
         self._name = name
 
     def traced(self, *inputs: NDArray) -> tuple[NDArray, ...]:
-        """The outputs, each flat, for inputs of symbols: a part of another trace, at no cost."""
+        """The outputs, each flat, for symbolic inputs: as a part of another trace."""
         outputs = self._function(casadi.vertcat(*np.concatenate(inputs)))
         return tuple(_object_array(output) for output in outputs[: self._count])
 
@@ -92,9 +100,8 @@ class TracedFunction:
             np.concatenate(inputs, out=self._input)
         self._evaluate()
         if not self._squared_norm[0] < self._largest_squared:
-            # A block that is given such a value is named as well; which made it, nobody knows.
-            did = "made" if np.all(np.isfinite(self._input)) else "was given"
-            raise NotFiniteError(f"{self._name()} {did}")
+            was_given = not np.all(np.abs(self._input) < self._largest)
+            raise NotFiniteError(self._name(), was_given=was_given)
         return self._results
 
 

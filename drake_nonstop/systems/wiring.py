@@ -1,4 +1,4 @@
-"""Named blocks to a Diagram: wires follow from the names of the ports."""
+"""Builds a Diagram from named blocks: wires follow from the names of the ports."""
 
 from collections.abc import Mapping
 

@@ -1,7 +1,7 @@
 """A built diagram as a picture: an SVG laid out like the paper's control figure.
 
 The boxes are the diagram's subsystems and the wires its connections, so that the picture
-shows what runs. Only where the known boxes stand is written down, in `LAYOUT`.
+shows what runs. Where the known boxes stand is written down in `diagrams.nonstop`.
 
 Everything stands on a grid, with spare lanes between the boxes. The wires find their way
 along the lanes, and the lanes that none of them took are left out of the picture.
@@ -15,42 +15,16 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple
 from xml.sax.saxutils import escape, quoteattr
 
 from pydrake.systems.framework import Diagram
 
+from drake_nonstop.diagrams.box import Place
+from drake_nonstop.diagrams.nonstop import PLACES
 from drake_nonstop.systems import wiring
 
-
-class Place(NamedTuple):
-    """Where a box stands, which way its signals run (1: rightwards), what it belongs to."""
-
-    column: int
-    row: int
-    flow: int
-    kind: str
-
-
-LAYOUT = {
-    "optimization_layer": Place(3, 0, 1, "optimization"),
-    "phase": Place(4, 0, 1, "trajectory"),
-    "load_trajectory": Place(0, 1, 1, "trajectory"),
-    "internal_force": Place(3, 1, -1, "trajectory"),
-    "load_feedback": Place(0, 2, 1, "addition"),
-    "sample_and_hold": Place(1, 2, 1, "addition"),
-    "wrench_controller": Place(2, 2, 1, "wrench"),
-    "force_distribution": Place(3, 2, 1, "inner loop"),
-    "carrier_trajectory": Place(4, 2, 1, "inner loop"),
-    "carrier_controller": Place(4, 3, -1, "plant"),
-    "load_plant": Place(0, 3, -1, "plant"),
-    "load_disturbance": Place(0, 4, 1, "addition"),
-    "cables": Place(2, 3, -1, "plant"),
-    "carrier_dynamics": Place(3, 3, -1, "plant"),
-    "plant": Place(2, 3, -1, "plant"),  # in place of the four
-}
-COLUMNS = 1 + max(place.column for place in LAYOUT.values())
-ROWS = 1 + max(place.row for place in LAYOUT.values())
+COLUMNS = 1 + max(place.column for place in PLACES.values())
+ROWS = 1 + max(place.row for place in PLACES.values())
 
 # Fill and border. An addition is not in the paper's figure.
 COLOURS = {
@@ -220,7 +194,7 @@ def _boxes(diagram: Diagram) -> list[Box]:
     strangers = 0
     for system in diagram.GetSystems():
         name = system.get_name()
-        place = LAYOUT.get(name)
+        place = PLACES.get(name)
         if place is None:
             row, column = divmod(strangers, COLUMNS)
             place = Place(column, ROWS + row, 1, "addition")

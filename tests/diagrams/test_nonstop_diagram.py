@@ -20,18 +20,9 @@ from drake_nonstop.blocks.optimization_layer import (
 from drake_nonstop.blocks.phase import PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams import nonstop
-from drake_nonstop.diagrams.nonstop import (
-    BLOCKS,
-    OPTIONAL_SIGNALS,
-    PLANT,
-    SIGNALS,
-    block_class,
-    figure_wires,
-    make_nonstop,
-    signal_sizes,
-)
+from drake_nonstop.diagrams.box import block_class, config_class
+from drake_nonstop.diagrams.nonstop import BOXES, box_of, figure_wires, make_nonstop
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
-from drake_nonstop.scenario.describe import config_class
 from drake_nonstop.scenario.loading import Scenario, dump_scenario
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioError
@@ -69,10 +60,9 @@ def test_figure_as_listed_is_the_figure_as_built(figure):
 
 
 def test_every_box_is_there_under_its_name_with_its_default_block(figure):
-    assert block_names(figure) == list(BLOCKS)
-    for name, blocks in BLOCKS.items():
-        assert type(figure.GetSubsystemByName(name)) is blocks[0]
-    assert set(PLANT) < set(BLOCKS)
+    assert block_names(figure) == list(BOXES)
+    for name, box in BOXES.items():
+        assert type(figure.GetSubsystemByName(name)) is box.variants[0]
 
 
 @pytest.mark.parametrize("name", ["figure", "sampled_figure"])
@@ -96,25 +86,26 @@ def test_every_signal_is_read_but_those_that_only_report(figure):
 
 def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
     built = {b.get_name(): wiring.output_sizes(b) for b in sampled_figure.GetSystems()}
-    assert {box: signal_sizes(box, 4, 4) for box in SIGNALS} == built
-    assert list(SIGNALS) == [*BLOCKS, "sample_and_hold"]
+    hold = built.pop("sample_and_hold")
+    assert hold == {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
+    assert {name: box.sizes(4, 4) for name, box in BOXES.items()} == built
 
 
 def test_contract_asks_for_what_is_read_and_for_the_tensions():
     asked = {
-        f"{box}.{signal}"
-        for box in BLOCKS
-        for signal in SIGNALS[box]
-        if signal not in OPTIONAL_SIGNALS
+        f"{name}.{signal}"
+        for name, box in BOXES.items()
+        for signal in box.signals
+        if signal not in box.optional
     }
     assert asked == {wire.split(" -> ")[0] for wire in figure_wires()} | {"cables.tensions"}
 
 
 def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
-    assert signal_sizes("carrier_trajectory", 5, 3) == {"carrier_reference": 30}
-    assert signal_sizes("internal_force", 5, 3) == {"internal_force": 6}
-    assert signal_sizes("cables", 5, 3) == {"cable_forces": 15, "tensions": 5}
-    assert signal_sizes("load_trajectory", 5, 3) == {"reference": 22}
+    assert BOXES["carrier_trajectory"].sizes(5, 3) == {"carrier_reference": 30}
+    assert BOXES["internal_force"].sizes(5, 3) == {"internal_force": 6}
+    assert BOXES["cables"].sizes(5, 3) == {"cable_forces": 15, "tensions": 5}
+    assert BOXES["load_trajectory"].sizes(5, 3) == {"reference": 22}
 
 
 def test_wire_that_differs_from_the_list_is_an_error(monkeypatch):
@@ -134,7 +125,7 @@ CONTROLLERS = {
 
 def test_sampled_controllers_read_the_held_signals(sampled_figure):
     diagram = sampled_figure
-    assert block_names(diagram) == [*BLOCKS, "sample_and_hold"]
+    assert block_names(diagram) == [*BOXES, "sample_and_hold"]
     assert type(diagram.GetSubsystemByName("sample_and_hold")) is SampleAndHold
     pairs = [wire.split(" -> ") for wire in wiring.connections(diagram)]
     expected = {
@@ -269,15 +260,15 @@ def test_block_with_other_outputs_is_told_those_of_its_box(box, outputs, said, p
     assert str(error.value) == f"{box} = Ports with outputs {said}; rename or resize the ports"
 
 
-@pytest.mark.parametrize("box", list(BLOCKS))
+@pytest.mark.parametrize("box", list(BOXES))
 def test_every_box_asks_for_its_signals_at_their_sizes(box):
-    sizes = signal_sizes(box, 4, 4)
+    sizes = BOXES[box].sizes(4, 4)
     make_nonstop(plain(), **{box: with_ports({}, sizes)})
     for signal in sizes:
         others = {name: size for name, size in sizes.items() if name != signal}
         with pytest.raises(wiring.WiringError, match=f"^{box} = Ports with outputs .*: expected"):
             make_nonstop(plain(), **{box: with_ports({}, others | {signal: sizes[signal] + 1})})
-        if signal in OPTIONAL_SIGNALS:
+        if signal in BOXES[box].optional:
             make_nonstop(plain(), **{box: with_ports({}, others)})
         else:
             with pytest.raises(wiring.WiringError, match=rf"expected .*{signal} \({sizes[signal]}"):
@@ -310,10 +301,10 @@ def test_block_with_other_inputs_is_told_the_signals_that_there_are(inputs, give
     end = "; rename or resize the ports"
     assert message.startswith(start)
     assert message.endswith(end)
-    signals = {signal: size for box in SIGNALS for signal, size in signal_sizes(box, 4, 4).items()}
+    signals = {s: k for box in BOXES.values() for s, k in box.sizes(4, 4).items()}
     absent = {"diagnostics", "solve_time"}  # of the optimizer, which is not there
-    if period == 0:
-        absent |= {"held_measured_load_state", "held_reference", "sample_time"}
+    if period > 0:
+        signals |= {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
     listed = [f"{signal} ({signals[signal]})" for signal in sorted(signals.keys() - absent)]
     assert message[len(start) : -len(end)] == ", ".join(listed)
 
@@ -382,7 +373,7 @@ def scenario_and_diagram(request):
 
 @pytest.mark.parametrize(
     ("name", "block"),
-    [(n, b) for n, bs in BLOCKS.items() for b in bs],
+    [(name, block) for name, box in BOXES.items() for block in box.variants],
     ids=lambda value: value if isinstance(value, str) else value.__name__,
 )
 def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
@@ -408,19 +399,19 @@ def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
 
 
 def test_only_the_plant_takes_the_simulated_system():
-    models = {}
+    models, plant = {}, ("carrier_dynamics", "cables", "load_plant")
 
     def recorder(name):
         def make(model):
             models[name] = model
-            return BLOCKS[name][0](model)
+            return BOXES[name].variants[0](model)
 
         return make
 
     scenario = plain(simulated=SystemOverrides(load_mass=1.3, carrier_mass=0.2))
-    make_nonstop(scenario, **{name: recorder(name) for name in BLOCKS})
+    make_nonstop(scenario, **{name: recorder(name) for name in BOXES})
     masses = {name: (model.load_mass, model.carrier_mass) for name, model in models.items()}
-    assert masses == {name: (1.3, 0.2) if name in PLANT else (1.0, 0.1) for name in BLOCKS}
+    assert masses == {name: (1.3, 0.2) if name in plant else (1.0, 0.1) for name in BOXES}
 
 
 def test_unknown_box_is_told_the_boxes():
@@ -454,9 +445,14 @@ def test_error_in_the_simulated_system_names_it():
 
 
 def test_block_of_a_config():
-    assert block_class("load_feedback", DesiredStateFeedbackConfig()) is DesiredStateFeedback
-    name = type(ConstantVelocityMoveConfig()).__name__
-    assert block_class("load_trajectory", ConstantVelocityMoveConfig()).__name__ + "Config" == name
+    assert block_class("load_feedback", DesiredStateFeedbackConfig) is DesiredStateFeedback
+    block = block_class("load_trajectory", ConstantVelocityMoveConfig)
+    assert config_class(block) is ConstantVelocityMoveConfig
+
+
+def test_box_of_a_signal():
+    assert box_of("load_state") == "load_plant"
+    assert box_of("wrench_rate") == "wrench_controller"
 
 
 @pytest.mark.parametrize("n", [3])

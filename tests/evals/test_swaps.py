@@ -8,18 +8,19 @@ import pytest
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop import load_scenario, simulate
-from drake_nonstop.diagrams.nonstop import BLOCKS
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.loading import changed
 
 PATTERNS = ("HamiltonianCycle", "Carousel", "SpreadCarousel", "LinearPattern")
-NAMES = {box: [block.__name__ for block in blocks] for box, blocks in BLOCKS.items()}
+VARIANTS = {name: box.variants for name, box in BOXES.items()}
+NAMES = {box: [block.__name__ for block in blocks] for box, blocks in VARIANTS.items()}
 PAIRS = [
     (box, old, new)
     for box, names in (NAMES | {"pattern": PATTERNS}).items()
     for old, new in itertools.permutations(names, 2)
 ]
 ALTERNATIVES = [
-    *((box, block.__name__) for box, blocks in BLOCKS.items() for block in blocks[1:]),
+    *((box, block.__name__) for box, blocks in VARIANTS.items() for block in blocks[1:]),
     *(("pattern", name) for name in PATTERNS[1:]),
 ]
 
@@ -50,5 +51,5 @@ def test_swapped_loop_runs(scenario, box, block):
     for name, values in run.signals.items():
         assert np.all(np.isfinite(values)), name
     assert np.linalg.norm(run.signal("load_state")[-1, 4:7]) < 2
-    if box in BLOCKS:
+    if box in BOXES:
         assert type(run.diagram.GetSubsystemByName(box)).__name__ == block

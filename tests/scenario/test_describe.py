@@ -10,12 +10,11 @@ from helpers import regular
 from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop.cli.main import main
-from drake_nonstop.diagrams.nonstop import BLOCKS, SIGNALS, signal_sizes
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.mechanics.internal_force import even_phases, hamiltonian_cycle
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.scenario import describe as module
-from drake_nonstop.scenario.describe import box_names, config_class, describe, parameters
+from drake_nonstop.scenario.describe import box_names, describe, parameters
 from drake_nonstop.scenario.loading import Scenario, parse_scenario
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioError
@@ -32,7 +31,7 @@ def pattern_configs():
 
 
 CONFIGS = [
-    *(config_class(block) for blocks in BLOCKS.values() for block in blocks),
+    *(config for box in BOXES.values() for config in box.configs),
     *pattern_configs(),
 ]
 configs = pytest.mark.parametrize("config", CONFIGS, ids=lambda config: config.__name__)
@@ -102,11 +101,11 @@ def test_comments_on_the_lines_of_a_field_and_above_it_are_its_meaning():
 
 
 def test_every_box_and_block_is_listed_with_the_default_first(boxes):
-    assert list(boxes) == [*BLOCKS, "pattern"]
-    for name, blocks in BLOCKS.items():
+    assert list(boxes) == [*BOXES, "pattern"]
+    for name, box in BOXES.items():
         choices = boxes[name].choices
-        assert [choice.name for choice in choices] == [block.__name__ for block in blocks]
-        assert {port.name: port.size for port in boxes[name].signals} == SIGNALS[name]
+        assert [choice.name for choice in choices] == [block.__name__ for block in box.variants]
+        assert {port.name: port.size for port in boxes[name].signals} == box.signals
     names = [config.__name__.removesuffix("Config") for config in pattern_configs()]
     assert [choice.name for choice in boxes["pattern"].choices] == names
     for box in boxes.values():
@@ -124,10 +123,11 @@ def test_every_port_is_listed_with_its_size_whatever_n_and_m_are(boxes, n, m):
         phases=even_phases(n)[edges].tolist(),
     )
     model = Model(SystemParameters(attachments=regular(n).tolist()), pattern, 0.01)
-    sizes = {s: k for box in SIGNALS for s, k in signal_sizes(box, n, m).items()}
-    texts = {s: k for signals in SIGNALS.values() for s, k in signals.items()}
-    for name, blocks in BLOCKS.items():
-        for block, choice in zip(blocks, boxes[name].choices, strict=True):
+    sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
+    texts = {s: k for box in BOXES.values() for s, k in box.signals.items()}
+    sizes["sample_time"], texts["sample_time"] = 1, "1"
+    for name, box in BOXES.items():
+        for block, choice in zip(box.variants, boxes[name].choices, strict=True):
             built = block(model)
             for ports, told in (
                 (wiring.input_sizes(built), choice.inputs),
@@ -219,7 +219,8 @@ class ParticularlyConfig:
 
 
 def test_blocks_that_are_out_of_the_ordinary_are_shown_too(monkeypatch, capsys):
-    monkeypatch.setitem(module.BLOCKS, "phase", (Particular, Particularly))
+    box = dataclasses.replace(BOXES["phase"], variants=(Particular, Particularly))
+    monkeypatch.setitem(BOXES, "phase", box)
     assert main(["blocks", "phase"]) == 0
     assert capsys.readouterr().out.partition("\n\n")[2] == (
         "phase -> phase (2)\n\n"

@@ -207,7 +207,9 @@ def test_fields_of_its_config_are_checked(folder, setting, message):
 def test_constructor_that_fails_is_told_in_a_sentence(folder):
     setting = "optimization_layer=own_test_blocks.OneArgument"
     scenario = load_scenario("quintic", [setting], trust=True)
-    with pytest.raises(ScenarioError, match=r"own_test_blocks.OneArgument: mend its constructor"):
+    with pytest.raises(
+        ScenarioError, match=r"own_test_blocks.OneArgument: correct its constructor"
+    ):
         make_nonstop(scenario)
 
 

@@ -99,8 +99,8 @@ class FailsAt(LeafSystem):
         output.SetFromVector([np.nan if late else 2.0, 1.2])
 
 
-def test_a_nan_from_a_users_block_stops_the_run_where_it_is_first_seen():
-    with pytest.raises(RunStopped, match="internal_force was given a value that is not") as caught:
+def test_a_nan_from_a_users_block_stops_the_run_and_is_blamed_on_it():
+    with pytest.raises(RunStopped, match="optimization_layer made a value that is not") as caught:
         simulate(short("quintic"), optimization_layer=lambda model: FailsAt(0.2, None))
     assert 0.15 < caught.value.run.time[-1] <= 0.2
 

@@ -5,11 +5,11 @@ from xml.etree import ElementTree
 import pytest
 from pydrake.systems.framework import Diagram, LeafSystem
 
-from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.diagrams.nonstop import PLACES, make_nonstop
 from drake_nonstop.scenario.loading import SCENARIOS as SCENARIO_FILES
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.systems import wiring
-from drake_nonstop.visualization.drawing import LAYOUT, draw_diagram
+from drake_nonstop.visualization.drawing import draw_diagram
 
 SVG = "{http://www.w3.org/2000/svg}"
 FONT_SIZES = {"name": 13, "class": 11, "wire-label": 12, "unread-label": 12}
@@ -230,9 +230,9 @@ def test_boxes_are_apart_and_texts_inside_or_outside(picture: Picture):
 
 
 def test_unknown_blocks_stand_below_the_known(picture: Picture):
-    known = [box for name, box in picture.blocks.items() if name in LAYOUT]
+    known = [box for name, box in picture.blocks.items() if name in PLACES]
     for name, box in picture.blocks.items():
-        if name not in LAYOUT:
+        if name not in PLACES:
             assert box[1] > max(bottom for _, _, _, bottom in known)
 
 

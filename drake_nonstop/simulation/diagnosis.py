@@ -1,0 +1,63 @@
+"""Which block a run stopped at."""
+
+import traceback
+from pathlib import Path
+
+import numpy as np
+from pydrake.systems.framework import Context, Diagram, LeafSystem, PortDataType, System
+
+from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+
+
+def raising_block(error: BaseException) -> str:
+    """Which block raised the error, where one did, and in which line."""
+    blamed = ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        block = frame.f_locals.get("self")
+        if isinstance(block, LeafSystem):
+            name = block.box() if isinstance(block, LeafBlock) else block.get_name()
+            blamed = f"{name} ({Path(frame.f_code.co_filename).name}:{line}): "
+    return blamed
+
+
+def source_of_fault(error: NotFiniteError, nonstop: Diagram, context: Context) -> str:
+    """The name of the block that made the value that is not finite, or is too large.
+
+    Where a block was given it, the wires are followed back to the first block whose inputs are
+    all sound.
+
+    Args:
+        error: what a block of the diagram raised.
+        nonstop: the diagram.
+        context: its context at the instant of the error.
+    """
+    if not error.was_given or not nonstop.HasSubsystemNamed(error.block):
+        return error.block
+    wires: dict[str, list[tuple[System, int]]] = {}
+    for (reader, _), (source, port) in nonstop.connection_map().items():
+        wires.setdefault(reader.get_name(), []).append((source, port))
+    blamed, seen = error.block, {error.block}
+    while True:
+        for source, index in wires.get(blamed, []):
+            name = source.get_name()
+            if name not in seen and _is_unsound(source, index, nonstop, context):
+                blamed = name
+                seen.add(name)
+                break
+        else:
+            return blamed
+
+
+def _is_unsound(source: System, index: int, nonstop: Diagram, context: Context) -> bool:
+    """Whether an output is not finite or too large, or cannot be evaluated for that reason."""
+    port = source.get_output_port(index)
+    if port.get_data_type() != PortDataType.kVectorValued:
+        return False
+    try:
+        value = port.Eval(nonstop.GetSubsystemContext(source, context))
+    except NotFiniteError:
+        return True
+    except Exception:  # whatever else fails there is not what is looked for
+        return False
+    return not np.all(np.abs(value) < LARGEST)

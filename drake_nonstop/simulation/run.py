@@ -1,0 +1,66 @@
+"""What a simulation produces, and how it may end."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from numpy.typing import NDArray
+from pydrake.systems.framework import Diagram
+
+from drake_nonstop.scenario.schema import Scenario
+
+SIGNAL_PERIOD = 0.01  # s, of the signals that are written
+
+
+@dataclass(kw_only=True)
+class Run:
+    """What a simulation produced.
+
+    `signals` maps "block.port" to the samples of every signal but wall times, (samples,
+    size), at the instants `time` (samples,), 100 Hz; `steps` maps the names of a few ports
+    to their values at every step, (steps, size), and "time" to the steps' times (steps,), from
+    t = 0 on: the integrator's steps, or the controllers' samples where the plant is fused. A
+    value at an instant is that before the controllers' update at that instant. `solve_times`
+    (updates,) are the wall times of the optimization layer's updates, `wall_time` that of the
+    whole simulation but for pauses, in s.
+    A run that `is_steered` was changed from outside while it went on.
+    """
+
+    scenario: Scenario
+    diagram: Diagram
+    time: NDArray
+    signals: dict[str, NDArray]
+    steps: dict[str, NDArray]
+    solve_times: NDArray
+    wall_time: float
+    is_steered: bool = False
+
+    def signal(self, port: str) -> NDArray:
+        """The signal of that port name, whichever block makes it: (samples, size)."""
+        for name, values in self.signals.items():
+            if name.split(".")[1] == port:
+                return values
+        raise KeyError(port)
+
+
+class StepAction(Enum):
+    """What a run does after a step."""
+
+    CONTINUE = 1
+    WAIT = 2  # and ask again
+    END = 3
+
+
+class RunStopped(RuntimeError):  # noqa: N818 - a run stopped; the cause is told
+    """A run ended before its time; `run` holds the signals up to there."""
+
+    def __init__(self, message: str, run: Run):
+        super().__init__(message)
+        self.run = run
+
+
+class RunInterrupted(KeyboardInterrupt):
+    """A run was interrupted from the keyboard; `run` holds the signals up to there."""
+
+    def __init__(self, run: Run):
+        super().__init__()
+        self.run = run

@@ -1,0 +1,77 @@
+"""The block that made a value which is not finite is named, not the one that read it."""
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import LeafSystem
+
+from drake_nonstop import RunStopped, load_scenario, simulate
+
+
+class Faulty(LeafSystem):
+    """Makes a constant signal until 0.1 s, and then something else."""
+
+    def __init__(self, signal, value, fault):
+        super().__init__()
+
+        def calc(context, output):
+            output.SetFromVector(np.array(value) + (fault if context.get_time() > 0.1 else 0.0))
+
+        self.DeclareVectorOutputPort(signal, len(value), calc)
+
+
+SIGNALS = [
+    ("load_disturbance", "disturbance_wrench", np.zeros(6)),
+    ("optimization_layer", "parameters", [2.0, 1.2]),
+    ("phase", "phase", np.zeros(2)),
+    ("internal_force", "internal_force", np.zeros(8)),
+]
+CASES = [
+    (*signal, fault)
+    for signal in SIGNALS
+    for fault in (np.nan, np.inf, 1e12)
+    if signal[0] != "phase" or not np.isfinite(fault)  # any finite phase is sound
+]
+
+
+@pytest.mark.parametrize(("box", "signal", "value", "fault"), CASES)
+def test_the_source_of_a_value_is_named(box, signal, value, fault):
+    scenario = load_scenario("quintic", ["duration=0.3"])
+    if box != "load_disturbance":
+        scenario = load_scenario("quintic", ["duration=0.3", "load_feedback=DesiredStateFeedback"])
+    with pytest.raises(RunStopped, match=f"diverged at t = 0.1.* s: {box} made a value"):
+        simulate(scenario, **{box: lambda model: Faulty(signal, value, fault)})
+
+
+def test_a_load_of_many_tonnes_does_not_count_as_diverged():
+    """Masses of 500 t on cables as strong: forces of 5 MN are sound."""
+    factor = 5e5
+    overrides = [
+        f"system.load_mass={factor}",
+        f"system.load_inertia={(0.01 * factor * np.eye(3)).tolist()}",
+        f"system.load_drag={0.7 * factor}",
+        f"system.cable_stiffness={500 * factor}",
+        f"system.cable_damping={0.1 * factor}",
+        f"system.carrier_mass={0.1 * factor}",
+        "optimization_layer=!ConstantParameters {}",
+        f"optimization_layer.amplitude={1.2 * factor}",
+        f"carrier_controller.position_gain={1000 * factor}",
+        f"carrier_controller.velocity_gain={10 * factor}",
+        *(
+            f"wrench_controller.{name}={gain * factor}"
+            for name, gain in (
+                ("position_gain", 5.0),
+                ("velocity_gain", 2.0),
+                ("position_integral_gain", 0.9),
+                ("orientation_gain", 0.5),
+                ("angular_velocity_gain", 0.06),
+                ("orientation_integral_gain", 0.1),
+            )
+        ),
+        "duration=0.5",
+    ]
+    heavy = simulate(load_scenario("quintic", overrides))
+    light = simulate(
+        load_scenario("quintic", ["optimization_layer=!ConstantParameters {}", "duration=0.5"])
+    )
+    assert np.abs(heavy.signal("load_state") - light.signal("load_state")).max() < 1e-6
+    assert heavy.signal("tensions").max() > 1e6
