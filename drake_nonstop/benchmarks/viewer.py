@@ -7,7 +7,8 @@ from typing import Any
 
 from drake_nonstop.scenario.loading import Scenario
 from drake_nonstop.simulation.simulate import StepAction, simulate
-from drake_nonstop.visualization.scene import start_meshcat
+from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.nonstop_visualizer import show_in
 
 REPEATS = 3
 
@@ -17,13 +18,13 @@ def benchmark_viewer(
 ) -> dict[str, Any]:
     """Runs a scenario in real time with a view of 30 frames per s and without, in turns.
 
-    The processor time is that of all threads, Meshcat's among them; nobody is connected to it.
+    The processor time is that of all threads, Meshcat's among them; no browser is connected.
     The cost is the median of the differences, as a share of the time that was simulated.
     """
     seconds: dict[bool, list[float]] = {True: [], False: []}
     for turn in range(REPEATS):
         for is_watched in (True, False):
-            viewers = [start_meshcat()] if is_watched else []
+            viewers = [show_in(start_meshcat())] if is_watched else []
             start = time.process_time()
             simulate(scenario, viewers=viewers, after_step=_in_real_time)
             seconds[is_watched].append(time.process_time() - start)

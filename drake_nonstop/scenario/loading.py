@@ -79,13 +79,13 @@ from drake_nonstop.scenario.own_blocks import (
     is_import_path,
     make_importable,
 )
+from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import (
     ScenarioError,
     require,
     require_non_negative,
     require_positive,
 )
-from drake_nonstop.visualization.scene import SceneConfig
 
 SCENARIOS = Path(__file__).parents[1] / "diagrams" / "scenarios"
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
@@ -42,7 +41,6 @@ from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import ScenarioError, one_line, require
-from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer
 
 _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
 _REPORT_PERIOD = 0.1  # s of wall time, between two calls of `progress`
@@ -105,6 +103,10 @@ class StepAction(Enum):
     END = 3
 
 
+# Adds a system beside the loop's diagram, which the builder has already, and returns it.
+Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
+
+
 class RunStopped(RuntimeError):  # noqa: N818 - a run stopped; the cause is told
     """A run ended before its time; `run` holds the signals up to there."""
 
@@ -125,7 +127,7 @@ def simulate(
     scenario: Scenario,
     *,
     progress: Callable[[float], None] | None = None,
-    viewers: Sequence[Meshcat] = (),
+    viewers: Sequence[Viewer] = (),
     after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
     **replacements: Any,
 ) -> Run:
@@ -134,7 +136,9 @@ def simulate(
     Args:
         scenario: what to run.
         progress: called with the simulated time now and then.
-        viewers: where to show the run while it goes on; its results are the same without.
+        viewers: functions that show the run while it goes on, such as `show_in(meshcat)`. Each
+            adds a system to the builder, connected to the loop's diagram, and returns it. A
+            forced publish of the system shows the end of the run.
         after_step: called with the simulator and the loop's diagram after every step. It may
             change parameters of the context, such as the optimization layer's ε, or the
             simulator's real-time rate, and have the run wait or end.
@@ -154,6 +158,8 @@ def simulate(
     )
     for name, block in replacements.items():
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
+    for viewer in viewers:
+        require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
     nonstop = make_nonstop(scenario, **replacements)
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
         config = stable_config(scenario.simulator, nonstop, _at_equilibrium(nonstop))
@@ -177,9 +183,7 @@ def simulate(
         _stacked(builder, sampled), builder, {TriggerType.kForced}, publish_period=0.0
     )
     builder.AddNamedSystem("sample_instants", _SampleInstants())
-    visualizers = [
-        NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat) for meshcat in viewers
-    ]
+    visualizers = [viewer(builder, nonstop, scenario) for viewer in viewers]
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
     start = time.perf_counter()
