@@ -25,11 +25,10 @@ _PATH_SAMPLES = 100
 class NonstopVisualizer(LeafBlock):
     """Shows the load, its carriers, cables and reference in Meshcat while they move.
 
-    Its publish event at every step shows the step if the next frame is due in wall time. So it
-    adds no steps and does not fall behind them at any real-time rate, and the signals are the
-    same to the bit with any number of visualizers. A forced publish shows the context's instant
-    at once. Nothing is shown at an instant with a value that is not finite. See `Scene` for what
-    is drawn.
+    A step of the simulator is shown if the next frame is due in wall time. So the visualizer adds
+    no steps and does not fall behind them at any real-time rate, and the signals are the same to
+    the bit with any number of visualizers. A forced publish shows the context's instant at once.
+    An instant with a value that is not finite is not shown. See `Scene` for what is drawn.
 
     .. pydrake_system::
 
