@@ -25,6 +25,7 @@ from drake_nonstop.scenario.loading import (
     parse_scenario,
     scenario_names,
 )
+from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.metrics import compute_metrics
@@ -38,9 +39,9 @@ from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.version import __version__
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.live import run_live
-from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer
+from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer, show_in
 from drake_nonstop.visualization.replay import record_replay
-from drake_nonstop.visualization.scene import SceneConfig, start_meshcat
 
 __all__ = [  # noqa: RUF022 - in the order of the figure
     # what a run is
@@ -82,6 +83,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "draw_diagram",
     # watched
     "NonstopVisualizer",
+    "show_in",
     "SceneConfig",
     "start_meshcat",
     "run_live",

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow.parquet as parquet
 
 from drake_nonstop import load_scenario, read_sweep, sweep
-from drake_nonstop.visualization.plots import make_success_figure
+from drake_nonstop.studies.figures import make_success_figure
 
 SPEC = Path(__file__).with_suffix(".yaml")
 MASS, GUST, BOUND = (

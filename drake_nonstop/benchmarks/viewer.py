@@ -1,4 +1,4 @@
-"""What a live view costs: the processor time of a run with one and of the same without."""
+"""The cost of a live view: the processor time of a run with one, and without."""
 
 import statistics
 import time
@@ -7,7 +7,8 @@ from typing import Any
 
 from drake_nonstop.scenario.loading import Scenario
 from drake_nonstop.simulation.simulate import StepAction, simulate
-from drake_nonstop.visualization.scene import start_meshcat
+from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.nonstop_visualizer import show_in
 
 REPEATS = 3
 
@@ -15,19 +16,19 @@ REPEATS = 3
 def benchmark_viewer(
     scenario: Scenario, progress: Callable[[str, float], None] = lambda what, share: None
 ) -> dict[str, Any]:
-    """Runs a scenario in real time with a view of 30 frames per s and without, in turns.
+    """Runs a scenario in real time with a view of 30 frames per s and without, alternately.
 
-    The processor time is that of all threads, Meshcat's among them; nobody is connected to it.
-    The cost is the median of the differences, as a share of the time that was simulated.
+    The processor time is that of all threads, with Meshcat's; no browser is connected. The cost
+    is the median of the differences, as a share of the simulated time.
     """
     seconds: dict[bool, list[float]] = {True: [], False: []}
-    for turn in range(REPEATS):
+    for repeat in range(REPEATS):
         for is_watched in (True, False):
-            viewers = [start_meshcat()] if is_watched else []
+            viewers = [show_in(start_meshcat())] if is_watched else []
             start = time.process_time()
             simulate(scenario, viewers=viewers, after_step=_in_real_time)
             seconds[is_watched].append(time.process_time() - start)
-            progress("running in real time", (turn + (1 if is_watched else 2) / 2) / REPEATS)
+            progress("running in real time", (repeat + (1 if is_watched else 2) / 2) / REPEATS)
     differences = [a - b for a, b in zip(seconds[True], seconds[False], strict=True)]
     return {
         "scenario": scenario.name,

@@ -20,6 +20,7 @@ from drake_nonstop.scenario.describe import Parameter, Port, box_names, describe
 from drake_nonstop.scenario.loading import Scenario, changed, load_scenario, scenario_names
 from drake_nonstop.simulation.simulate import Run, RunInterrupted, RunStopped, simulate
 from drake_nonstop.studies.ablation import ablate, as_text, grid_names, name_settings, read_grid
+from drake_nonstop.studies.figures import make_margins_figure, make_robustness_figure
 from drake_nonstop.studies.outcomes import COMPLETED, DIVERGED
 from drake_nonstop.studies.results_folder import (
     replacing_file,
@@ -41,8 +42,7 @@ from drake_nonstop.validation import (
 )
 from drake_nonstop.version import __version__
 from drake_nonstop.visualization.live import run_live
-from drake_nonstop.visualization.plots import make_margins_figure, make_robustness_figure
-from drake_nonstop.visualization.scene import start_meshcat
+from drake_nonstop.visualization.meshcat_server import start_meshcat
 
 _FINE_STEP = 0.001  # s, at which integrators damp nothing that matters here
 _LINE, _WIDEST = 100, 30  # characters, of the lines and of a column of `blocks`
@@ -634,7 +634,7 @@ def _bench_viewer(options: argparse.Namespace) -> int:
 
 def _bench_run(options: argparse.Namespace) -> int:
     from drake_nonstop.benchmarks import comparing, running
-    from drake_nonstop.visualization.plots import make_run_time_figure
+    from drake_nonstop.benchmarks.figures import make_run_time_figure
 
     _require_repeats(options)
     source = comparing.Source(options.scenario, options.set, options.trust)
@@ -662,8 +662,8 @@ def _bench_accuracy(options: argparse.Namespace) -> int:
 
 
 def _bench_scale(options: argparse.Namespace) -> int:
+    from drake_nonstop.benchmarks.figures import make_scale_figure
     from drake_nonstop.benchmarks.scaling import benchmark_scale, table
-    from drake_nonstop.visualization.plots import make_scale_figure
 
     _require_repeats(options)
     require(options.duration > 0, "--duration", options.duration, "give more than 0 s")

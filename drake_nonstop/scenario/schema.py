@@ -17,8 +17,8 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
+from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import require, require_non_negative, require_positive
-from drake_nonstop.visualization.scene import SceneConfig
 
 PATTERN = "pattern"  # the field that is chosen like a box's block, and belongs to several
 

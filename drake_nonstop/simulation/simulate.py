@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
@@ -17,6 +16,7 @@ from pydrake.systems.framework import (
     Context,
     Diagram,
     DiagramBuilder,
+    LeafSystem,
     OutputPort,
     PortDataType,
     TriggerType,
@@ -34,7 +34,6 @@ from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import ScenarioError, one_line, require
-from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer
 
 _WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
 
@@ -49,11 +48,15 @@ _EVERY_STEP = (
 )
 
 
+# Adds a system beside the loop's diagram, which the builder has already, and returns it.
+Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
+
+
 def simulate(
     scenario: Scenario,
     *,
     progress: Callable[[float], None] | None = None,
-    viewers: Sequence[Meshcat] = (),
+    viewers: Sequence[Viewer] = (),
     after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
     **replacements: Any,
 ) -> Run:
@@ -62,7 +65,9 @@ def simulate(
     Args:
         scenario: what to run.
         progress: called with the simulated time now and then.
-        viewers: where to show the run while it goes on; its results are the same without.
+        viewers: functions that show the run while it goes on, such as `show_in(meshcat)`. Each
+            adds a system to the builder, connected to the loop's diagram, and returns it. A
+            forced publish of the system shows the end of the run.
         after_step: called with the simulator and the loop's diagram after every step. It may
             change parameters of the context, such as the optimization layer's ε, or the
             simulator's real-time rate, and have the run wait or end.
@@ -82,6 +87,8 @@ def simulate(
     )
     for name, block in replacements.items():
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
+    for viewer in viewers:
+        require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
     nonstop = make_nonstop(scenario, **replacements)
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
         config = stable_config(scenario.simulator, nonstop, _at_equilibrium(nonstop))
@@ -105,9 +112,7 @@ def simulate(
         _stacked(builder, sampled), builder, {TriggerType.kForced}, publish_period=0.0
     )
     builder.AddNamedSystem("sample_instants", SampleInstants())
-    visualizers = [
-        NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat) for meshcat in viewers
-    ]
+    visualizers = [viewer(builder, nonstop, scenario) for viewer in viewers]
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
     start = time.perf_counter()

@@ -29,6 +29,7 @@ from drake_nonstop.scenario.overrides import (
     require_setting,
 )
 from drake_nonstop.simulation.metrics import carrier_speeds, flattened, load_errors, speed_bounds
+from drake_nonstop.studies.figures import make_overlay_figure
 from drake_nonstop.studies.outcomes import COMPLETED, UNBUILDABLE, attempt
 from drake_nonstop.studies.results_folder import (
     RUN_FILES,
@@ -38,7 +39,6 @@ from drake_nonstop.studies.results_folder import (
 )
 from drake_nonstop.studies.workers import worker_processes
 from drake_nonstop.validation import ScenarioError, require
-from drake_nonstop.visualization.plots import make_overlay_figure
 from drake_nonstop.visualization.replay import legend
 
 GRIDS = Path(__file__).parents[1] / "diagrams" / "grids"

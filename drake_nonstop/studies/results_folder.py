@@ -15,8 +15,8 @@ from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.simulate import Run
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.visualization.drawing import draw_diagram
-from drake_nonstop.visualization.plots import FIGURE_NAMES, make_figures
 from drake_nonstop.visualization.replay import record_replay
+from drake_nonstop.visualization.run_figures import FIGURE_NAMES, make_figures
 
 _FIGURES = "figures"
 

@@ -1,10 +1,10 @@
-"""A built diagram as a picture: an SVG laid out like the paper's control figure.
+"""The drawing of a built diagram: an SVG laid out like the paper's control figure.
 
-The boxes are the diagram's subsystems and the wires its connections, so that the picture
-shows what runs. Where the known boxes stand is written down in `diagrams.nonstop`.
+The boxes are the diagram's subsystems and the wires its connections, so that the drawing
+shows what runs. The places of the known boxes are given in `diagrams.nonstop`.
 
-Everything stands on a grid, with spare lanes between the boxes. The wires find their way
-along the lanes, and the lanes that none of them took are left out of the picture.
+Boxes and wires are on a grid, with spare lanes between the boxes. The wires are routed along
+the lanes, and lanes without a wire are removed.
 """
 
 import heapq
@@ -48,10 +48,10 @@ NARROW, WIDE = set("fijlrt I"), set("mwMW")
 LABEL_LIFT = 4  # px from the wire
 LABEL_CHARACTERS = 13  # in one line
 
-# What the wires avoid, in units of length.
+# Costs of a wire's route, in units of length.
 BEND_COST, CROSSING_COST, BRANCH_COST = 5, 9, 2
 ROUTING_PASSES = 3
-WIDEST_GAPS = 8  # times the spare lanes; more where the wires find no way
+WIDEST_GAPS = 8  # times the spare lanes; tried where the wires do not fit
 
 CORNER_RADIUS = 5  # px
 WIRE_COLOUR, UNREAD_COLOUR = "#333", "#999"
@@ -74,7 +74,7 @@ ARROWHEADS = [
 
 Node = tuple[int, int]
 Step = tuple[int, int]
-State = tuple[int, Node, Step]  # cost of getting to a node, and the step that led there
+State = tuple[int, Node, Step]  # cost of a path to a node, and its last step
 Positions = tuple[dict[int, int], dict[int, int]]  # of columns and of rows, in px
 STEPS: tuple[Step, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
@@ -91,7 +91,7 @@ class Signal:
 
     @property
     def lines(self) -> list[str]:
-        """The label, broken into lines of about the same length."""
+        """The label, in lines of about the same length."""
         words = self.name.partition(".")[2].replace("_", " ")
         count = len(textwrap.wrap(words, LABEL_CHARACTERS))
         width = next(w for w in range(1, 99) if len(textwrap.wrap(words, w)) <= count)
@@ -99,18 +99,18 @@ class Signal:
 
     @property
     def label_width(self) -> int:
-        """The room that the label takes along the wire."""
+        """The width of the label along the wire."""
         return math.ceil((max(_text_width(line, LABEL_SIZE) for line in self.lines) + 8) / UNIT)
 
     @property
     def label_height(self) -> int:
-        """The room that the label takes above the wire."""
+        """The height of the label above the wire."""
         lines_above = len(self.lines) - 1
         return int((LABEL_LIFT + (0.75 + lines_above * LINE_HEIGHT) * LABEL_SIZE + 3) / UNIT)
 
     @property
     def stem(self) -> list[Node]:
-        """The start of the wires, straight under the label."""
+        """The start of the wires, straight below the label."""
         x, y = self.source
         return [(x + self.flow * i, y) for i in range(self.label_width + 1)]
 
@@ -123,19 +123,19 @@ class Signal:
 
 @dataclass
 class Box:
-    """A subsystem: its names, its signals and where it stands on the grid."""
+    """A subsystem: its names, its signals and its place on the grid."""
 
     name: str
     class_name: str
     place: Place
     outputs: list[Signal]
-    inputs: dict[str, Signal] = field(default_factory=dict)  # what each wire to it brings
+    inputs: dict[str, Signal] = field(default_factory=dict)  # by wire
     left: int = 0
     top: int = 0
 
     @property
     def texts(self) -> list[tuple[str, str, int]]:
-        """The lines to write into the box: style, text, size in px."""
+        """The lines of text in the box: style, text, size in px."""
         names = _wrapped(self.name.split("_"), " ", BOLD_WIDTH * NAME_SIZE)
         classes = _wrapped(re.findall("[A-Z]+[^A-Z]*|[^A-Z]+", self.class_name), "", CLASS_SIZE)
         return [("name", line, NAME_SIZE) for line in names] + [
@@ -144,7 +144,7 @@ class Box:
 
     @property
     def height(self) -> int:
-        """What the texts and the ports on either side need."""
+        """The height that the texts and the ports on either side need."""
         texts = math.ceil(sum(size for _, _, size in self.texts) * LINE_HEIGHT / UNIT) + 2
         inputs = INPUT_SPACING * (len(self.inputs) + 1) + 2
         outputs = sum(signal.label_height + 1 for signal in self.outputs[1:]) + 4
@@ -152,17 +152,17 @@ class Box:
 
     @property
     def middle(self) -> int:
-        """The row half-way up the box."""
+        """The row in the middle of the box."""
         return self.top + self.height // 2
 
     @property
     def input_side(self) -> int:
-        """The column of the edge that the inputs are on."""
+        """The column of the edge with the inputs."""
         return self.left if self.place.flow > 0 else self.left + BOX_WIDTH
 
     @property
     def output_side(self) -> int:
-        """The column of the edge that the outputs are on."""
+        """The column of the edge with the outputs."""
         return self.left + BOX_WIDTH if self.place.flow > 0 else self.left
 
     def nodes(self, margin: int) -> Iterable[Node]:
@@ -177,6 +177,9 @@ def draw_diagram(diagram: Diagram) -> str:
 
     Each box has its instance name as `data-block`, each wire its connection (see
     `wiring.connections`) as `data-wire`, and each label its output port as `data-signal`.
+
+    Raises:
+        RuntimeError: there is no room for all wires.
     """
     boxes = _boxes(diagram)
     for scale in range(1, WIDEST_GAPS + 1):
@@ -184,21 +187,21 @@ def draw_diagram(diagram: Diagram) -> str:
         if _route(boxes):
             return _svg(diagram.get_name(), boxes)
     raise RuntimeError(
-        f"{diagram.get_name()} has more wires than {WIDEST_GAPS} times the gaps hold"
+        f"{diagram.get_name()} cannot be drawn: its wires do not fit into the gaps between boxes"
     )
 
 
 def _boxes(diagram: Diagram) -> list[Box]:
     boxes: dict[str, Box] = {}
     signals: dict[str, Signal] = {}
-    strangers = 0
+    unknown_boxes = 0
     for system in diagram.GetSystems():
         name = system.get_name()
         place = PLACES.get(name)
         if place is None:
-            row, column = divmod(strangers, COLUMNS)
+            row, column = divmod(unknown_boxes, COLUMNS)
             place = Place(column, ROWS + row, 1, "addition")
-            strangers += 1
+            unknown_boxes += 1
         ports = [system.get_output_port(i) for i in range(system.num_output_ports())]
         outputs = [Signal(f"{name}.{port.get_name()}", place.flow) for port in ports]
         signals.update({signal.name: signal for signal in outputs})
@@ -211,16 +214,16 @@ def _boxes(diagram: Diagram) -> list[Box]:
 
 
 def _place(boxes: list[Box], scale: int) -> None:
-    """Gives the boxes and their ports their places on the grid."""
+    """Puts the boxes and their ports on the grid."""
     right_edge = 0
-    room_to_its_right = 0
+    label_room = 0
     for column in sorted({box.place.column for box in boxes}):
         members = [box for box in boxes if box.place.column == column]
-        room = max(room_to_its_right, _label_room(members, -1))
+        room = max(label_room, _label_room(members, -1))
         for box in members:
             box.left = right_edge + room + scale * SPARE_COLUMNS
         right_edge = members[0].left + BOX_WIDTH
-        room_to_its_right = _label_room(members, 1)
+        label_room = _label_room(members, 1)
     bottom_edge = 0
     for row in sorted({box.place.row for box in boxes}):
         members = [box for box in boxes if box.place.row == row]
@@ -240,7 +243,7 @@ def _label_room(boxes: list[Box], flow: int) -> int:
 
 
 def _place_outputs(box: Box, boxes: list[Box]) -> None:
-    """Puts signals that go up above those that go down, and those that nobody reads last."""
+    """Puts outputs that lead upwards above those that lead downwards, and unread ones last."""
 
     def bearing(signal: Signal) -> float:
         bearings = [
@@ -262,7 +265,7 @@ def _place_outputs(box: Box, boxes: list[Box]) -> None:
 
 
 def _place_inputs(box: Box, boxes: list[Box]) -> None:
-    """Puts what comes from above on top, and what comes straight at its own height."""
+    """Puts inputs from above on top, and those with a straight wire at the height of its source."""
     low, high = box.top + 1, box.top + box.height - 1
 
     def comes_from(signal: Signal) -> float:
@@ -293,7 +296,7 @@ def _place_inputs(box: Box, boxes: list[Box]) -> None:
 
 
 def _is_straight(signal: Signal, box: Box, boxes: list[Box]) -> bool:
-    """Whether the signal can reach the box on a straight line."""
+    """Whether a straight wire can connect the signal with the box."""
     x, y = signal.source
     between = range(*sorted((x, box.input_side)))
     return (
@@ -308,7 +311,7 @@ def _is_straight(signal: Signal, box: Box, boxes: list[Box]) -> bool:
 
 
 class _Router:
-    """Finds the wires' ways over the grid, around the boxes and across each other."""
+    """Routes the wires over the grid: around boxes and labels, across other wires."""
 
     def __init__(self, boxes: list[Box]):
         self._blocked: set[Node] = set()
@@ -328,7 +331,7 @@ class _Router:
         self._rows = range(min(ys) - SPARE_ROWS, max(ys) + SPARE_ROWS)
 
     def route(self, signal: Signal) -> bool:
-        """Finds all wires of the signal anew, the cheapest first; false if one has no way."""
+        """Routes all wires of the signal again, the cheapest first; False if one has no route."""
         for axes in self._axes.values():
             axes.pop(signal.name, None)
         others = {node: "".join(axes.values()) for node, axes in self._axes.items() if axes}
@@ -358,7 +361,7 @@ class _Router:
     def _cheapest_path(
         self, name: str, starts: list[State], goals: Collection[Node], others: dict[Node, str]
     ) -> list[Node]:
-        """The A* algorithm; empty if there is no way."""
+        """The cheapest path by the A* algorithm; empty if there is none."""
 
         def distance(node: Node) -> int:
             return min(abs(node[0] - x) + abs(node[1] - y) for x, y in goals)
@@ -403,7 +406,10 @@ class _Router:
 
 
 def _route(boxes: list[Box]) -> bool:
-    """Routes the short signals first, then all of them again, knowing the others' ways."""
+    """Routes all signals, short ones first, in several passes; False if one has no route.
+
+    A pass after the first routes each signal around the routes of all others.
+    """
 
     def extent(signal: Signal) -> int:
         xs, ys = zip(signal.source, *signal.sinks.values(), strict=True)
@@ -415,7 +421,7 @@ def _route(boxes: list[Box]) -> bool:
 
 
 def _positions(boxes: list[Box]) -> Positions:
-    """Closes the grid up where neither box nor label nor wire needs the room."""
+    """Positions of the lanes in px, without the gaps that no box, label or wire needs."""
     signals = [signal for box in boxes for signal in box.outputs]
     solid = {node for box in boxes for node in box.nodes(margin=1)}
     for signal in signals:
@@ -432,7 +438,7 @@ def _positions(boxes: list[Box]) -> Positions:
 
 
 def _squeezed(nodes: set[Node]) -> dict[int, int]:
-    """Moves what stands in each lane back until it meets what stands before it."""
+    """Positions of the lanes in px, each as close to the lanes before it as its nodes allow."""
     places = defaultdict(list)
     for lane, place in nodes:
         places[lane].append(place)
@@ -524,7 +530,7 @@ def _path_data(path: list[Node], position: Positions) -> str:
 
 
 def _towards(corner: Node, point: Node) -> Node:
-    """The point on the way from a corner, where its rounding ends."""
+    """The point towards another one at which a corner's rounding ends."""
     dx, dy = point[0] - corner[0], point[1] - corner[1]
     length = abs(dx) + abs(dy)
     radius = min(CORNER_RADIUS, length // 2)
@@ -548,6 +554,6 @@ def _wrapped(words: list[str], joint: str, size: float) -> list[str]:
 
 
 def _text_width(text: str, size: float) -> float:
-    """The width of a text in px, about."""
+    """The approximate width of a text in px."""
     widths = [0.3 if c in NARROW else 0.85 if c in WIDE else 0.58 for c in text]
     return size * sum(widths)

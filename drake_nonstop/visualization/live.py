@@ -1,4 +1,4 @@
-"""A run to watch and to steer while it goes on, in a Meshcat page."""
+"""A live run: shown in a Meshcat page while it goes on, with controls that change it."""
 
 import math
 import time
@@ -14,9 +14,10 @@ from drake_nonstop.scenario.loading import Scenario
 from drake_nonstop.simulation.metrics import carrier_speeds
 from drake_nonstop.simulation.simulate import Run, RunInterrupted, RunStopped, StepAction, simulate
 from drake_nonstop.validation import is_number, require
+from drake_nonstop.visualization.nonstop_visualizer import show_in
 
-# As the page has them, in ASCII and short: it cuts labels of sliders off, and what it sends back
-# under a name with other letters arrives nowhere.
+# The controls' labels. Meshcat cuts long labels off, and ignores what a control with a name that
+# is not ASCII sends.
 PAUSE = "pause / resume"
 RESTART = "restart"
 STOP = "stop"
@@ -24,13 +25,13 @@ BOUND = "bound, m/s"
 SLOWEST = "slowest, m/s"
 ENABLED = "optimize 0/1"
 RATE = "x real time"
-_KEYS = {PAUSE: "Space", RESTART: "KeyR", STOP: ""}  # what cannot be undone has none
+_KEYS = {PAUSE: "Space", RESTART: "KeyR", STOP: ""}  # no key for what cannot be undone
 
-_HIGHEST_BOUND = 3.0  # of the scenario's ε, on the slider
-_GAUGE_RANGE = 10.0  # of the scenario's ε
+_HIGHEST_BOUND = 3.0  # of the scenario's ε, the end of the slider
+_GAUGE_RANGE = 10.0  # of the scenario's ε, the end of the gauge
 _RATES = 0.1, 10.0
 _GAUGE_PERIOD = 0.1  # s of wall time
-_POLLING_PERIOD = 0.05  # s of wall time, where nothing runs
+_POLLING_PERIOD = 0.05  # s of wall time, after a run
 
 
 def run_live(
@@ -43,14 +44,15 @@ def run_live(
 ) -> Iterator[Run]:
     """Runs a scenario in view, with controls in the page, and yields every run that ends.
 
-    One ends when its time is over or "stop" is pressed, after which there is no other. Else,
-    as long as somebody watches, "restart" begins another; in mid-run it does so too, and what
-    ran before is dropped. The sliders keep their values.
+    A run ends with the scenario's duration, or when "stop" is pressed, which ends the live runs
+    as well. After a run, "restart" starts the next one, as long as a page is connected; the live
+    runs end when none is. During a run, "restart" discards it and starts the next one. The
+    sliders keep their values.
 
     Args:
         scenario: what to run.
-        meshcat: where to show it; its controls are added, and removed at the end.
-        realtime_rate: simulated s per s, 0 for as fast as it goes.
+        meshcat: the Meshcat to show it in. Controls are added to it, and removed at the end.
+        realtime_rate: simulated s per s of wall time; 0 for as fast as possible.
         progress: see `simulate`.
         replacements: see `simulate`.
 
@@ -61,34 +63,34 @@ def run_live(
         is_number(realtime_rate) and realtime_rate >= 0,
         "--realtime",
         realtime_rate,
-        "give a finite number that is not negative, 0 for as fast as it goes",
+        "give a finite number that is not negative, 0 for as fast as possible",
     )
     controls = _Controls(meshcat, scenario, realtime_rate)
     try:
         while True:
-            controls.begin()
+            controls.start_run()
             run = simulate(
                 scenario,
                 progress=progress,
-                viewers=[meshcat],
+                viewers=[show_in(meshcat)],
                 after_step=controls.after_step,
                 **replacements,
             )
             if controls.is_stopped or not controls.is_restarted:
-                run.is_steered = controls.has_steered
+                run.is_steered = controls.is_steered
                 yield run
-                controls.wait()
+                controls.wait_after_run()
             if controls.is_stopped or not controls.is_restarted:
                 return
     except (RunStopped, RunInterrupted) as ended:
-        ended.run.is_steered = controls.has_steered
+        ended.run.is_steered = controls.is_steered
         raise
     finally:
         controls.delete()
 
 
 class _Controls:
-    """The buttons and sliders of a page, and what follows from them."""
+    """The buttons and sliders of a page, and their effects on a run."""
 
     def __init__(self, meshcat: Meshcat, scenario: Scenario, realtime_rate: float):
         self._meshcat = meshcat
@@ -104,35 +106,35 @@ class _Controls:
         low, high = _RATES
         rate = realtime_rate or high
         meshcat.AddSlider(RATE, min(low, rate), max(high, rate), 0.1, rate)
-        # A slider may round: what it was set to counts only once it is moved.
+        # Meshcat may round a slider's value: it is applied only once the slider was moved.
         self._initial = {name: meshcat.GetSliderValue(name) for name in (BOUND, ENABLED, RATE)}
-        self.begin()
+        self.start_run()
 
-    def begin(self) -> None:
-        """A run is about to start."""
+    def start_run(self) -> None:
+        """To be called before a run."""
         self._clicks = {name: self._meshcat.GetButtonClicks(name) for name in (PAUSE, RESTART)}
         self._applied = dict(self._initial)
         self._has_started = False
         self._last_gauge = 0.0
-        self.has_steered = False
+        self.is_steered = False
 
     @property
     def is_stopped(self) -> bool:
-        """Whether "stop" was pressed, ever."""
+        """Whether "stop" was pressed, in this run or before."""
         return self._meshcat.GetButtonClicks(STOP) > 0
 
     @property
     def is_restarted(self) -> bool:
-        """Whether "restart" was pressed since the run began."""
+        """Whether "restart" was pressed since the run started."""
         return self._meshcat.GetButtonClicks(RESTART) > self._clicks[RESTART]
 
     @property
     def is_paused(self) -> bool:
-        """Whether "pause / resume" was pressed an odd number of times since the run began."""
+        """Whether "pause / resume" was pressed an odd number of times since the run started."""
         return (self._meshcat.GetButtonClicks(PAUSE) - self._clicks[PAUSE]) % 2 == 1
 
     def after_step(self, simulator: Simulator, nonstop: Diagram) -> StepAction:
-        """Applies what was changed in the page, and shows the slowest speed there."""
+        """Applies the sliders that were moved, and shows the slowest speed in the page."""
         root = simulator.get_mutable_context()
         layer = nonstop.GetSubsystemByName("optimization_layer")
         if not self._has_started:
@@ -140,19 +142,19 @@ class _Controls:
             simulator.set_target_realtime_rate(self._realtime_rate)
             for name, method in ((BOUND, "set_speed_bound"), (ENABLED, "set_enabled")):
                 if not hasattr(layer, method) and name in self._meshcat.GetSliderNames():
-                    self._meshcat.DeleteSlider(name)  # this layer has no such thing
-        for name, value in self._moved().items():
+                    self._meshcat.DeleteSlider(name)  # it would have no effect
+        for name, value in self._take_changes().items():
             if name == RATE:
                 simulator.set_target_realtime_rate(value)
-                simulator.ResetStatistics()  # the rate is kept from here on
+                simulator.ResetStatistics()  # or it would make up for the time before
             elif name == BOUND:
                 bound = value if value >= LEAST_BOUND else 0.0
                 bound = min(bound, 0.999 * getattr(layer, "highest_speed_bound", math.inf))
                 layer.set_speed_bound(layer.GetMyMutableContextFromRoot(root), bound)
-                self.has_steered = True
+                self.is_steered = True
             else:
                 layer.set_enabled(layer.GetMyMutableContextFromRoot(root), value > 0)
-                self.has_steered = True
+                self.is_steered = True
         now = time.perf_counter()
         if now - self._last_gauge > _GAUGE_PERIOD:
             self._last_gauge = now
@@ -163,25 +165,25 @@ class _Controls:
             return StepAction.END
         return StepAction.WAIT if self.is_paused else StepAction.CONTINUE
 
-    def _moved(self) -> dict[str, float]:
-        """The sliders that stand elsewhere than when they were last applied."""
+    def _take_changes(self) -> dict[str, float]:
+        """The sliders' values that have changed since the last call, by name."""
         names = set(self._meshcat.GetSliderNames())
         values = {
             name: self._meshcat.GetSliderValue(name) for name in self._applied if name in names
         }
-        moved = {name: value for name, value in values.items() if value != self._applied[name]}
-        self._applied |= moved
-        return moved
+        changes = {name: value for name, value in values.items() if value != self._applied[name]}
+        self._applied |= changes
+        return changes
 
     def delete(self) -> None:
-        """Takes the controls off the page, and no others."""
+        """Removes these controls from the page, and no others."""
         for name in set(_KEYS) & set(self._meshcat.GetButtonNames()):
             self._meshcat.DeleteButton(name)
         for name in {BOUND, SLOWEST, ENABLED, RATE} & set(self._meshcat.GetSliderNames()):
             self._meshcat.DeleteSlider(name)
 
-    def wait(self) -> None:
-        """Waits, after a run, for "restart" or "stop", or for the last viewer to leave."""
+    def wait_after_run(self) -> None:
+        """Waits for "restart" or "stop", or until no page is connected."""
         while not (self.is_stopped or self.is_restarted):
             if self._meshcat.GetNumActiveConnections() == 0:
                 return

@@ -1,8 +1,8 @@
-"""A window on the figure: what happens, in Meshcat."""
+"""A block that shows the loop in Meshcat while it runs."""
 
 import math
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,23 +10,25 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 
 from drake_nonstop.model.system import Model, SystemParameters, overridden
+from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import is_number, require
-from drake_nonstop.visualization.scene import LiveCanvas, Scene, SceneConfig, Snapshot
-
-if TYPE_CHECKING:
-    from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.visualization.canvas import LiveCanvas
+from drake_nonstop.visualization.scene import Scene
+from drake_nonstop.visualization.snapshot import Snapshot, reference_position
 
 FRAME_RATE = 30.0  # 1/s of wall time
+_PATH_SAMPLES = 100
 
 
 class NonstopVisualizer(LeafBlock):
-    """Shows the load, its carriers, cables and reference (see `Scene`) while they move.
+    """Shows the load, its carriers, cables and reference in Meshcat while they move.
 
-    It looks at every step and shows one as often as `frame_rate` asks for, in wall time, so
-    that it neither adds steps nor falls behind them, whatever the real-time rate: a run is
-    the same to the bit with any number of these or none. All that it keeps is what Meshcat
-    shows; nothing reads it back. A forced publish shows the context's instant at once.
+    A step of the simulator is shown if the next frame is due in wall time. So the visualizer adds
+    no steps and does not fall behind them at any real-time rate, and the signals are the same to
+    the bit with any number of visualizers. A forced publish shows the context's instant at once.
+    An instant with a value that is not finite is not shown. See `Scene` for what is drawn.
 
     .. pydrake_system::
 
@@ -38,17 +40,23 @@ class NonstopVisualizer(LeafBlock):
         - tensions
         - speed_bound
 
-    `load_state` (13), `reference` (22), `carrier_state` (6n), `tensions` (n, N), in W, and
-    `speed_bound` (1, m/s), which may be left unconnected.
+    All in SI units and the world frame W, for n carriers:
+
+    - `load_state` (13): quaternion w x y z, position, angular velocity, velocity.
+    - `reference` (22): the same of the desired motion, then its angular acceleration,
+      acceleration and jerk.
+    - `carrier_state` (6n): positions, then velocities.
+    - `tensions` (n): of the cables, in N.
+    - `speed_bound` (1): ε in m/s; may be left unconnected.
 
     Args:
-        system: whose load, attachments and cables are shown.
-        meshcat: where; what this shows there takes the place of what another one did.
+        system: the load, attachments and cables that are shown.
+        meshcat: the Meshcat to show them in, in place of those of another visualizer there.
         config: colours and sizes.
-        path: (k, 3) in m, where the reference is going to be, for the camera; without it the
-            camera is set to see the start.
+        path: (k, 3) in m, future positions of the reference, which the camera will have in view;
+            without it the camera is set for the start.
         speed_bound: ε in m/s, where that port is not connected.
-        frame_rate: frames per second of wall time, at most.
+        frame_rate: the most frames per second of wall time.
 
     Raises:
         ScenarioError: a field of the config, or the frame rate, is out of range.
@@ -77,8 +85,8 @@ class NonstopVisualizer(LeafBlock):
         self._default_speed_bound = speed_bound
         self._frame_time = 1 / frame_rate
         self._canvas = LiveCanvas(meshcat)
-        self._last_time = math.inf  # s, of what is shown
-        self._next_frame = -math.inf  # s of wall time, when one is due
+        self._last_time = math.inf  # s, of the instant shown
+        self._next_frame = -math.inf  # s of wall time, when it is due
         self._n = len(system.attachments)
         self._load_state = self.DeclareVectorInputPort("load_state", 13)
         self._reference = self.DeclareVectorInputPort("reference", 22)
@@ -92,22 +100,30 @@ class NonstopVisualizer(LeafBlock):
     def AddToBuilder(
         builder: DiagramBuilder,
         nonstop: Diagram,
-        scenario: "Scenario",
+        scenario: Scenario,
         meshcat: Meshcat,
         *,
         frame_rate: float = FRAME_RATE,
     ) -> "NonstopVisualizer":
-        """Adds one beside the closed loop of a scenario, and connects it by the signals' names.
+        """Adds a visualizer beside the loop of a scenario, connected by the signals' names.
 
-        The loop has to be in the builder already, and to export the signals, as what
-        `make_nonstop` returns does; `speed_bound` may be missing.
+        Args:
+            builder: has the loop's diagram already.
+            nonstop: the diagram, as `make_nonstop` builds it. It exports the signals;
+                `speed_bound` may be missing.
+            scenario: what is shown, and its colours and sizes.
+            meshcat: the Meshcat to show it in.
+            frame_rate: the most frames per second of wall time.
+
+        Raises:
+            ScenarioError: a field of the scenario's scene, or the frame rate, is out of range.
         """
         visualizer = builder.AddSystem(
             NonstopVisualizer(
                 overridden(scenario.system, scenario.simulated),
                 meshcat,
                 scenario.scene,
-                path=_path(nonstop, scenario.duration),
+                path=_reference_path(nonstop, scenario.duration),
                 speed_bound=scenario.speed_bound,
                 frame_rate=frame_rate,
             )
@@ -124,30 +140,27 @@ class NonstopVisualizer(LeafBlock):
         return EventStatus.DidNothing()
 
     def _show(self, context: Context) -> EventStatus:
-        load, reference = (port.Eval(context)[:7] for port in (self._load_state, self._reference))
-        carriers, velocities = self._carrier_state.Eval(context).reshape(2, self._n, 3)
-        tensions = self._tensions.Eval(context)
+        reference = self._reference.Eval(context)
         speed_bound = self._default_speed_bound
         if self._speed_bound.HasValue(context):
             speed_bound = float(self._speed_bound.Eval(context)[0])
-        snapshot = Snapshot(
-            time=context.get_time(),
-            load=load,
+        snapshot = Snapshot.from_signals(
+            context.get_time(),
+            load_state=self._load_state.Eval(context),
             reference=reference,
-            carriers=carriers,
-            velocities=velocities,
-            tensions=tensions,
+            carrier_state=self._carrier_state.Eval(context),
+            tensions=self._tensions.Eval(context),
             speed_bound=speed_bound,
         )
-        if not snapshot.is_finite:  # whose fault that is, the blocks themselves can tell better
+        if not snapshot.is_finite:  # the block at fault raises the error
             return EventStatus.DidNothing()
         if snapshot.time < self._last_time:
-            path = reference[None, 4:] if self._path is None else self._path
+            path = snapshot.reference_position[None] if self._path is None else self._path
             self.scene.set_stage(self._meshcat, path)
             self.scene.draw(self._meshcat)
             self._canvas = LiveCanvas(self._meshcat)
         self._last_time = snapshot.time
-        # Counted from when this one was due, so that late ones do not lower the rate.
+        # Counted from when this frame was due, so that a short delay does not lower the rate.
         now = time.perf_counter()
         is_late = now - self._next_frame > self._frame_time
         self._next_frame = (now if is_late else self._next_frame) + self._frame_time
@@ -156,8 +169,26 @@ class NonstopVisualizer(LeafBlock):
         return EventStatus.Succeeded()
 
 
-def _path(nonstop: Diagram, duration: float) -> NDArray | None:
-    """Where the diagram's `load_trajectory` leads (k, 3), if it depends on time alone."""
+def show_in(
+    meshcat: Meshcat, *, frame_rate: float = FRAME_RATE
+) -> Callable[[DiagramBuilder, Diagram, Scenario], NonstopVisualizer]:
+    """A viewer for `simulate` that shows the run in a Meshcat.
+
+    Args:
+        meshcat: the Meshcat to show it in.
+        frame_rate: the most frames per second of wall time.
+    """
+
+    def add(builder: DiagramBuilder, nonstop: Diagram, scenario: Scenario) -> NonstopVisualizer:
+        return NonstopVisualizer.AddToBuilder(
+            builder, nonstop, scenario, meshcat, frame_rate=frame_rate
+        )
+
+    return add
+
+
+def _reference_path(nonstop: Diagram, duration: float) -> NDArray | None:
+    """Positions (k, 3) of the diagram's reference, where it is a function of time alone."""
     if not nonstop.HasSubsystemNamed("load_trajectory"):
         return None
     trajectory = nonstop.GetSubsystemByName("load_trajectory")
@@ -165,7 +196,8 @@ def _path(nonstop: Diagram, duration: float) -> NDArray | None:
         return None
     context = trajectory.CreateDefaultContext()
     positions = []
-    for instant in np.linspace(0, duration, 100):
+    for instant in np.linspace(0, duration, _PATH_SAMPLES):
         context.SetTime(instant)
-        positions.append(trajectory.GetOutputPort("reference").Eval(context)[4:7].copy())
+        reference = trajectory.GetOutputPort("reference").Eval(context)
+        positions.append(reference_position(reference).copy())
     return np.array(positions)

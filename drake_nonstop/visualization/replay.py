@@ -1,4 +1,4 @@
-"""A run to watch again: an animated 3D scene in one HTML file that opens offline."""
+"""The replay of a run: an animated 3D scene in one HTML file that opens offline."""
 
 import contextlib
 import html
@@ -10,36 +10,37 @@ import numpy as np
 from pydrake.geometry import MeshcatAnimation
 
 from drake_nonstop.model.system import overridden
+from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.simulation.simulate import SIGNAL_PERIOD, Run
-from drake_nonstop.visualization.scene import (
-    FilmCanvas,
-    Scene,
-    SceneConfig,
-    Snapshot,
-    start_meshcat,
-)
+from drake_nonstop.visualization.canvas import RecordingCanvas
+from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.scene import Scene
+from drake_nonstop.visualization.snapshot import Snapshot
 
 
 def record_replay(run: Run, *, frame_rate: float = 25.0) -> str:
-    """The run as a Meshcat recording (see `Scene`), an HTML page without links to the outside.
+    """The run as a Meshcat recording (see `Scene`) in an HTML page that loads nothing else.
 
-    Samples from the first that is not finite are left out.
+    The recording ends before the first sample that is not finite.
 
     Args:
-        run: what `simulate` returned, or what a RunStopped or RunInterrupted carries.
-        frame_rate: frames per second of simulated time; between them the viewer
-            interpolates.
+        run: returned by `simulate`, or carried by a RunStopped or RunInterrupted.
+        frame_rate: frames per second of simulated time, at most those of the signals; the page
+            interpolates between them.
+
+    Raises:
+        ScenarioError: a field of the scenario's scene is out of range.
     """
     meshcat = start_meshcat(port=0)
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)
     scene = Scene(overridden(run.scenario.system, run.scenario.simulated), run.scenario.scene)
     snapshots = _snapshots(run, frame_rate)
     if snapshots:
-        path = np.array([snapshot.reference[4:] for snapshot in snapshots])
+        path = np.array([snapshot.reference_position for snapshot in snapshots])
         scene.set_stage(meshcat, path, np.array([snapshot.carriers for snapshot in snapshots]))
         scene.draw(meshcat)
         animation = MeshcatAnimation(frame_rate)
-        canvas = FilmCanvas(animation)
+        canvas = RecordingCanvas(animation)
         for frame, snapshot in enumerate(snapshots):
             canvas.frame = frame
             scene.show(canvas, snapshot)
@@ -55,18 +56,16 @@ def record_replay(run: Run, *, frame_rate: float = 25.0) -> str:
 
 def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     """The run at the instants of the frames, up to the first that cannot be shown."""
-    states = run.signal("carrier_state").reshape(len(run.time), 2, -1, 3)
     speed_bounds = np.full(len(run.time), run.scenario.speed_bound)
     with contextlib.suppress(KeyError):
         speed_bounds = run.signal("speed_bound")[:, 0]
     frames = np.floor(run.time * frame_rate + 1e-6)
     snapshots = (
-        Snapshot(
-            time=run.time[k],
-            load=run.signal("load_state")[k, :7],
-            reference=run.signal("reference")[k, :7],
-            carriers=states[k, 0],
-            velocities=states[k, 1],
+        Snapshot.from_signals(
+            run.time[k],
+            load_state=run.signal("load_state")[k],
+            reference=run.signal("reference")[k],
+            carrier_state=run.signal("carrier_state")[k],
             tensions=run.signal("tensions")[k],
             speed_bound=speed_bounds[k],
         )
@@ -76,7 +75,7 @@ def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
 
 
 def legend(config: SceneConfig) -> str:
-    """What the scene's colours mean, in HTML whose swatches have a class of that name."""
+    """The legend of the scene's colours in HTML; a sample of a colour has the class `swatch`."""
     colours = (
         (config.mark_colours[::-1], f"carrier's speed, from {config.mark_range:g} ε down to ε"),
         (config.cable_colours, f"tension, up to {config.tension_range:g} shares of the weight"),
@@ -89,11 +88,11 @@ def legend(config: SceneConfig) -> str:
 
 
 def _overlay(title: str, config: SceneConfig, snapshots: list[Snapshot]) -> str:
-    """A play bar, what the colours mean, and the slowest carrier's speed beside ε."""
+    """The HTML below the scene: a time bar, a legend, and the slowest carrier's speed and ε."""
     start = snapshots[0].time
-    times = [shot.time - start for shot in snapshots]
-    slowest = [float(np.linalg.norm(shot.velocities, axis=1).min()) for shot in snapshots]
-    bounds = [float(shot.speed_bound) for shot in snapshots]
+    times = [snapshot.time - start for snapshot in snapshots]
+    slowest = [float(np.linalg.norm(each.velocities, axis=1).min()) for each in snapshots]
+    bounds = [float(snapshot.speed_bound) for snapshot in snapshots]
     page = resources.files("drake_nonstop.visualization").joinpath("replay_overlay.html")
     return Template(page.read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
@@ -106,4 +105,5 @@ def _overlay(title: str, config: SceneConfig, snapshots: list[Snapshot]) -> str:
 
 
 def _polyline(times: list[float], values: list[float]) -> str:
+    """The points of an SVG polyline."""
     return " ".join(f"{time:g},{value:.4g}" for time, value in zip(times, values, strict=True))

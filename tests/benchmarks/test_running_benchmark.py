@@ -16,12 +16,12 @@ from drake_nonstop import load_scenario, simulate
 from drake_nonstop.benchmarks import running, scaling
 from drake_nonstop.benchmarks.block_timers import BlockTimers
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, checked_out, compare
+from drake_nonstop.benchmarks.figures import make_run_time_figure, make_scale_figure
 from drake_nonstop.cli.main import BAD_INPUT, FAILED, main
 from drake_nonstop.simulation.simulate import RunStopped
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.traced_block import _Traced
 from drake_nonstop.validation import ScenarioError
-from drake_nonstop.visualization.plots import make_run_time_figure, make_scale_figure
 
 # The integrator's name is written out, since what is counted depends on it.
 SHORT = ["duration=0.1", "simulator.integration_scheme=runge_kutta3"]

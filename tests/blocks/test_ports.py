@@ -63,7 +63,7 @@ from drake_nonstop.blocks.wrench_controller import (
     TunedWrenchController,
     WrenchController,
 )
-from drake_nonstop.diagrams.nonstop import SIGNALS, signal_sizes
+from drake_nonstop.diagrams.nonstop import BOXES
 
 
 def moving_reference(model):
@@ -275,7 +275,8 @@ def expected_ports(make, period):
 
 def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
-    return {s: k for box in SIGNALS for s, k in signal_sizes(box, n, m).items()}[signal]
+    sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
+    return (sizes | {"sample_time": 1} | HELD_SIGNALS)[signal]
 
 
 def values(signal, seed, n):

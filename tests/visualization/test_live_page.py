@@ -1,10 +1,10 @@
-"""A live run, steered from a browser as a user would."""
+"""A live run, controlled from a browser."""
 
+import json
 import os
 import re
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -105,10 +105,8 @@ def test_restart_and_pace_from_the_page(watched, flight):
     slide(page, live.RATE, 0.2)
     page.get_by_text(live.RESTART, exact=True).click()
     page.wait_for_timeout(2000)
-    start = time.perf_counter()
     page.get_by_text(live.STOP, exact=True).click()
     assert process.wait(timeout=60) == 0
-    with np.load(results / "signals.npz") as signals:
-        simulated = signals["time"][-1]
-    # Anew, and slowly: in two seconds and what pressing the buttons took.
-    assert 0.05 < simulated < 0.2 * (time.perf_counter() - start + 6)
+    # That of the whole run, so that it has to be one which started after the change.
+    factor = json.loads((results / "metrics.json").read_text())["real_time_factor"]
+    assert 0 < factor < 0.25

@@ -12,8 +12,9 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
-from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer
-from drake_nonstop.visualization.scene import ROOT, start_meshcat
+from drake_nonstop.visualization.canvas import ROOT
+from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer, show_in
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def short(name="quintic", duration=0.3):
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_run_is_the_same_to_the_bit_with_any_number_of_viewers(count):
     alone = simulate(short())
-    watched = simulate(short(), viewers=[start_meshcat() for _ in range(count)])
+    watched = simulate(short(), viewers=[show_in(start_meshcat()) for _ in range(count)])
     assert alone.signals.keys() == watched.signals.keys()
     for name, values in alone.signals.items():
         np.testing.assert_array_equal(values, watched.signals[name], err_msg=name)
@@ -53,7 +54,7 @@ def beside(scenario, meshcat, **options):
     return simulator, visualizer
 
 
-def test_it_shows_the_start_and_frames_as_often_as_asked(meshcat):
+def test_it_shows_the_start_and_frames_at_the_frame_rate(meshcat):
     frames = {}
     for rate in (1e-3, 1e6):
         simulator, visualizer = beside(short(), meshcat, frame_rate=rate)
@@ -74,7 +75,7 @@ def test_a_forced_publish_shows_the_instant(meshcat):
     assert all(a != b for a, b in zip(before[2:], transforms(meshcat)[2:], strict=True))
 
 
-def test_a_run_that_starts_anew_is_drawn_anew(meshcat):
+def test_a_new_run_is_drawn_from_its_start(meshcat):
     simulator, visualizer = beside(short(), meshcat, frame_rate=1e-3)
     simulator.Initialize()
     at_start = transforms(meshcat)
@@ -105,7 +106,7 @@ def test_the_bound_may_come_from_a_port_or_not_at_all(meshcat):
     visualizer.ForcedPublish(context)
     assert bounds == [0.3, 0.7]
     visualizer.GetInputPort("tensions").FixValue(context, [1.0, np.nan, 1.0, 1.0])
-    visualizer.ForcedPublish(context)  # not its business
+    visualizer.ForcedPublish(context)  # left to the blocks
     assert len(bounds) == 2
 
 
@@ -117,13 +118,13 @@ def test_it_can_stand_beside_a_loop_whose_layer_has_no_bound(meshcat):
             if name != "speed_bound":
                 super().DeclareVectorOutputPort(name, *arguments)
 
-    run = simulate(short(), viewers=[meshcat], optimization_layer=Plain)
+    run = simulate(short(), viewers=[show_in(meshcat)], optimization_layer=Plain)
     assert run.time[-1] == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("name", ["three_carriers", "static_hold_open_loop", "line"])
 def test_it_shows_any_scenario(meshcat, name):
-    simulate(short(name, 0.1), viewers=[meshcat])
+    simulate(short(name, 0.1), viewers=[show_in(meshcat)])
     n = len(load_scenario(name).system.attachments)
     assert meshcat.HasPath(f"{ROOT}/carriers/{n - 1}/mark")
     assert not meshcat.HasPath(f"{ROOT}/carriers/{n}")
@@ -133,3 +134,13 @@ def test_it_shows_any_scenario(meshcat, name):
 def test_bad_frame_rate(meshcat, rate):
     with pytest.raises(ScenarioError, match=r"visualizer\.frame_rate = "):
         NonstopVisualizer(SystemParameters(), meshcat, frame_rate=rate)
+
+
+def test_viewers_have_to_be_functions(meshcat):
+    with pytest.raises(ScenarioError, match=r"^viewers = .*: give functions, such as show_in"):
+        simulate(short(), viewers=[meshcat])
+
+
+def test_help_shows_the_ports_with_their_sizes():
+    for line in ("`load_state` (13)", "`reference` (22)", "`carrier_state` (6n)", "`tensions` (n)"):
+        assert line in NonstopVisualizer.__doc__

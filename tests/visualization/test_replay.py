@@ -1,4 +1,4 @@
-"""The page that a run is kept in; tests/browser plays it."""
+"""The page of a replay; test_replay_page.py plays it in a browser."""
 
 import base64
 import logging
@@ -82,7 +82,7 @@ def test_page_compares_the_slowest_carrier_with_the_bound(simulated):
     np.testing.assert_allclose(slowest[:, 1], speeds, rtol=1e-3)
 
 
-def test_name_and_colours_are_told_as_text():
+def test_name_and_colours_are_escaped_and_shown():
     run = circling_run()
     run.scenario.name = "<b>&"
     run.scenario.scene.slack_colour = "#123456"

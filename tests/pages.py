@@ -1,4 +1,4 @@
-"""A real browser for the pages; where there is none the tests are skipped, or in CI fail."""
+"""A real browser for tests of pages; without one they are skipped, or fail in CI."""
 
 import contextlib
 import os
@@ -10,7 +10,7 @@ from drake_nonstop.validation import ScenarioError
 
 
 class Watched:
-    """A page, and what it complained of or asked others for."""
+    """A page with its errors and its requests."""
 
     def __init__(self, page):
         self.page = page
@@ -28,6 +28,7 @@ class Watched:
 
 @contextlib.contextmanager
 def page_or_skip():
+    """A new page of a headless Chromium."""
     try:
         with open_browser(480, 320) as page:
             yield page
@@ -35,17 +36,3 @@ def page_or_skip():
         if os.environ.get("CI"):
             raise
         pytest.skip(str(missing))
-
-
-@pytest.fixture
-def watched():
-    """A new page of a headless Chromium."""
-    with page_or_skip() as page:
-        yield Watched(page)
-
-
-@pytest.fixture
-def needs_browser():
-    """For a test whose subject opens a browser of its own."""
-    with page_or_skip():
-        pass

@@ -1,0 +1,124 @@
+"""Canvases: what a scene moves and colours its objects on."""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.geometry import Meshcat, MeshcatAnimation
+from pydrake.math import RigidTransform
+
+from drake_nonstop.visualization.camera import FollowingCamera
+from drake_nonstop.visualization.colours import Colour
+from drake_nonstop.visualization.poses import stack_poses
+
+ROOT = "/nonstop"  # of the objects' paths in Meshcat
+
+
+class Canvas(Protocol):
+    """What a scene moves its objects on: a Meshcat that is watched, or a recording."""
+
+    def follow(self, position: NDArray, camera: FollowingCamera) -> None:
+        """Moves the camera as the reference moved from the camera's origin to a position (3,)."""
+        ...
+
+    def place(self, path: str, pose: NDArray, length: float = 1.0) -> None:
+        """Puts an object at a pose (4, 4), scaled by `length` along its own z axis."""
+        ...
+
+    def paint(self, path: str, colour: Colour, opacity: float, *, fades: bool = False) -> None:
+        """Gives the object at a path a colour and an opacity from 0 to 1.
+
+        With `fades`, the opacity may change gradually from the previous one.
+        """
+        ...
+
+
+class LiveCanvas:
+    """A Meshcat as a canvas: changes are seen at once."""
+
+    def __init__(self, meshcat: Meshcat):
+        self._meshcat = meshcat
+        self._painted: dict[str, tuple[float, ...]] = {}
+
+    def follow(self, position: NDArray, camera: FollowingCamera) -> None:
+        """See `Canvas`."""
+        shift = position - camera.origin
+        self._meshcat.SetTransform("/Cameras/default", RigidTransform(shift))
+        self._meshcat.SetCameraTarget(camera.target + shift)
+
+    def place(self, path: str, pose: NDArray, length: float = 1.0) -> None:
+        """See `Canvas`."""
+        if length != 1.0:
+            pose = pose.copy()
+            pose[:3, 2] *= length
+        self._meshcat.SetTransform(path, pose)
+
+    def paint(self, path: str, colour: Colour, opacity: float, *, fades: bool = False) -> None:
+        """See `Canvas`; without a command to Meshcat where nothing changes."""
+        rgba = *colour, opacity
+        if self._painted.get(path) != rgba:
+            self._painted[path] = rgba
+            self._meshcat.SetProperty(path, "color", list(rgba))
+
+
+class RecordingCanvas:
+    """A recording as a canvas; `frame` is the one that is being recorded.
+
+    Meshcat interpolates between the frames that have a value. A value that does not change is
+    left out, which keeps the recording small, and is repeated in the frame before it changes.
+    """
+
+    def __init__(self, animation: MeshcatAnimation):
+        self._animation = animation
+        self.frame = 0
+        self._tracks: dict[tuple[str, str], tuple[int, Any]] = {}  # last frame and value of each
+
+    def follow(self, position: NDArray, camera: FollowingCamera) -> None:
+        """See `Canvas`.
+
+        A recording cannot move the point that its camera looks at: all objects are shifted the
+        opposite way instead.
+        """
+        shift = position - camera.origin
+        root, grid = stack_poses(np.eye(3), np.array([-shift, camera.floor - shift]))
+        self._place(ROOT, root)
+        self._place("/Grid", grid)
+
+    def place(self, path: str, pose: NDArray, length: float = 1.0) -> None:
+        """See `Canvas`."""
+        self._place(path, pose)
+        # Rounded to three digits, which leaves out the small stretch of a taut cable.
+        self._write(path, "scale", [1.0, 1.0, float(f"{length:.3g}")])
+
+    def paint(self, path: str, colour: Colour, opacity: float, *, fades: bool = False) -> None:
+        """See `Canvas`; the path has to be that of a single object.
+
+        Meshcat plays back colours of an object's material only, which is below its path.
+        """
+        path += "/<object>"
+        self._write(path, "material.color", list(colour))
+        self._write(path, "material.opacity", opacity, holds=not fades)
+
+    def finish(self) -> None:
+        """Ends all tracks at the present frame: shorter ones would start again early."""
+        for (path, name), (frame, value) in list(self._tracks.items()):
+            if frame < self.frame:
+                self._record(self.frame, path, name, value)
+
+    def _place(self, path: str, pose: NDArray) -> None:
+        self._write(path, "transform", tuple(pose.ravel().tolist()))
+
+    def _write(self, path: str, name: str, value: Any, *, holds: bool = True) -> None:
+        frame, previous = self._tracks.get((path, name), (self.frame, None))
+        if previous == value:
+            return
+        if holds and frame < self.frame - 1:
+            self._record(self.frame - 1, path, name, previous)
+        self._record(self.frame, path, name, value)
+
+    def _record(self, frame: int, path: str, name: str, value: Any) -> None:
+        self._tracks[path, name] = frame, value
+        if name == "transform":
+            self._animation.SetTransform(frame, path, RigidTransform(np.reshape(value, (4, 4))))
+        else:
+            self._animation.SetProperty(frame, path, name, value)

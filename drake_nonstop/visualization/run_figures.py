@@ -1,0 +1,174 @@
+"""The figures of one run: the paper's own set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RollPitchYaw
+
+from drake_nonstop.simulation.metrics import (
+    attachment_positions,
+    carrier_speeds,
+    load_errors,
+    speed_bounds,
+)
+from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.visualization.figure_style import LINE_STYLES, new_figure, titled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_SIZE = (7.0, 4.2)  # inch
+
+
+def make_figures(run: Run) -> dict[str, Figure]:
+    """The figures of `FIGURE_NAMES`, by name."""
+    return {name: draw(run) for name, draw in zip(FIGURE_NAMES, _FIGURES, strict=True)}
+
+
+def _draw_load_reference(run: Run) -> Figure:
+    reference = run.signal("reference")
+    quaternions, positions, velocities = reference[:, :4], reference[:, 4:7], reference[:, 10:13]
+    angles = [RollPitchYaw(Quaternion(q / np.linalg.norm(q))).vector() for q in quaternions]
+    figure, panels = _stacked(3)
+    for axes, values, label, names in (
+        (panels[0], positions, "position (m)", "xyz"),
+        (panels[1], velocities, "velocity (m/s)", "xyz"),
+        (panels[2], np.degrees(angles), "orientation (°)", ("roll", "pitch", "yaw")),
+    ):
+        for column, name, style in zip(values.T, names, LINE_STYLES, strict=True):
+            axes.plot(run.time, column, linestyle=style, label=name)
+        axes.set_ylabel(label)
+        axes.legend(fontsize="small", loc="upper left")
+    return titled(figure, "Desired load trajectory")
+
+
+def _draw_carrier_paths_from_above(run: Run) -> Figure:
+    figure, axes = _single()
+    _draw_from_above(run, axes, np.arange(len(run.time)))
+    return titled(figure, "Carrier and load paths seen from above")
+
+
+def _draw_carrier_paths_zoomed(run: Run) -> Figure:
+    speeds = carrier_speeds(run.signal("carrier_state")).min(axis=1)
+    slowest = run.time[np.argmin(speeds)]
+    turn = 2 * np.pi / run.signal("parameters")[np.argmin(speeds), 0]
+    shown = np.flatnonzero(np.abs(run.time - slowest) <= turn)
+    figure, axes = _single()
+    _draw_from_above(run, axes, shown)
+    start, end = run.time[shown[[0, -1]]]
+    return titled(
+        figure, f"Around the slowest instant ({slowest:.2f} s), from {start:.1f} to {end:.1f} s"
+    )
+
+
+def _draw_load_position_error(run: Run) -> Figure:
+    error, _ = load_errors(run)
+    return _draw_error(run.time, 1e3 * error, "position error (mm)", "Load position error")
+
+
+def _draw_load_orientation_error(run: Run) -> Figure:
+    _, error = load_errors(run)
+    return _draw_error(run.time, 1e3 * error, "orientation error (mrad)", "Load orientation error")
+
+
+def _draw_carrier_speeds(run: Run) -> Figure:
+    figure, axes = _single()
+    speeds = carrier_speeds(run.steps["carrier_state"])
+    _plot_each(axes, run.steps["time"], speeds, "carrier")
+    bounds = speed_bounds(run)
+    axes.plot(run.steps["time"], bounds, color="green", linestyle="--", label="bound ε")
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("carrier speed (m/s)")
+    axes.legend(ncols=5, fontsize="small")
+    return titled(figure, "Carrier speeds")
+
+
+def _draw_tensions(run: Run) -> Figure:
+    figure, axes = _single()
+    _plot_each(axes, run.steps["time"], run.steps["tensions"], "cable")
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("tension (N)")
+    axes.legend(ncols=4, fontsize="small")
+    return titled(figure, "Cable tensions")
+
+
+def _draw_internal_force_parameters(run: Run) -> Figure:
+    figure, (top, bottom) = _stacked(2)
+    parameters = run.signal("parameters")
+    top.plot(run.time, parameters[:, 0], color="C3")
+    top.set_ylabel("frequency ξ (rad/s)")
+    bottom.plot(run.time, parameters[:, 1], color="C4")
+    bottom.set_ylabel("amplitude A (N)")
+    return titled(figure, "Internal-force parameters")
+
+
+_FIGURES: tuple[Callable[[Run], Figure], ...] = (
+    _draw_load_reference,
+    _draw_carrier_paths_from_above,
+    _draw_carrier_paths_zoomed,
+    _draw_load_position_error,
+    _draw_load_orientation_error,
+    _draw_carrier_speeds,
+    _draw_tensions,
+    _draw_internal_force_parameters,
+)
+FIGURE_NAMES = tuple(draw.__name__.removeprefix("_draw_") for draw in _FIGURES)
+
+
+def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:
+    """Draws paths over the samples `shown`, with load and cables at the last of them."""
+    load_states = run.signal("load_state")[shown]
+    carrier_states = run.signal("carrier_state")[shown]
+    load = load_states[:, 4:7]
+    carriers = carrier_states.reshape(len(shown), 2, -1, 3)[:, 0]
+    for i in range(carriers.shape[1]):
+        axes.plot(*carriers[:, i, :2].T, color=f"C{i}", linewidth=0.9, label=f"carrier {i + 1}")
+        axes.plot(*carriers[-1, i, :2], "x", color=f"C{i}")
+    axes.plot(*load[:, :2].T, color="black", linewidth=1.2, label="load")
+    corners = attachment_positions(run, load_states[-1:])[0]
+    axes.plot(*np.vstack([corners, corners[:1]])[:, :2].T, "--", color="black", linewidth=0.9)
+    axes.plot(*load[-1, :2], "+", color="black")
+    for corner, carrier in zip(corners, carriers[-1], strict=True):
+        axes.plot(*np.stack([corner, carrier])[:, :2].T, color="black", linewidth=0.7)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def _draw_error(time: NDArray, error: NDArray, label: str, title: str) -> Figure:
+    figure, axes = _single()
+    axes.plot(time, error, label=["x", "y", "z"], linewidth=1)
+    axes.plot(time, np.linalg.norm(error, axis=1), color="black", label="norm", linewidth=1)
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel(label)
+    axes.legend(ncols=4, fontsize="small")
+    return titled(figure, title)
+
+
+def _plot_each(axes: Axes, time: NDArray, values: NDArray, name: str) -> None:
+    """Plots a curve per column; those of the second half dashed, as symmetric ones coincide."""
+    for i, column in enumerate(values.T):
+        style = (0, (4, 3)) if i >= values.shape[1] / 2 else "solid"
+        axes.plot(
+            time, column, color=f"C{i}", linewidth=1, linestyle=style, label=f"{name} {i + 1}"
+        )
+
+
+def _single() -> tuple[Figure, Axes]:
+    figure = new_figure(_SIZE)
+    return figure, figure.subplots()
+
+
+def _stacked(count: int) -> tuple[Figure, list[Axes]]:
+    figure = new_figure((_SIZE[0], 2.1 * count))
+    axes = list(figure.subplots(count, 1, sharex=True))
+    axes[-1].set_xlabel("time (s)")
+    return figure, axes

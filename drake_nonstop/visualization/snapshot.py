@@ -1,0 +1,76 @@
+"""An instant of a run, as a scene shows it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(kw_only=True)
+class Snapshot:
+    """An instant of a run, all in the world frame; quaternions are w x y z, of any norm."""
+
+    time: float  # s
+    load_quaternion: NDArray  # (4,)
+    load_position: NDArray  # (3,), m
+    reference_quaternion: NDArray  # (4,)
+    reference_position: NDArray  # (3,), m
+    carriers: NDArray  # (n, 3), m
+    velocities: NDArray  # (n, 3), m/s
+    tensions: NDArray  # (n,), N
+    speed_bound: float  # m/s
+
+    @classmethod
+    def from_signals(
+        cls,
+        time: float,
+        *,
+        load_state: NDArray,
+        reference: NDArray,
+        carrier_state: NDArray,
+        tensions: NDArray,
+        speed_bound: float,
+    ) -> "Snapshot":
+        """The instant at which the loop's signals have these values.
+
+        Args:
+            time: in s.
+            load_state: (13,).
+            reference: (22,).
+            carrier_state: (6n,).
+            tensions: (n,), N.
+            speed_bound: ε in m/s.
+        """
+        carriers, velocities = carrier_state.reshape(2, -1, 3)
+        return cls(
+            time=time,
+            load_quaternion=load_state[:4],
+            load_position=load_state[4:7],
+            reference_quaternion=reference[:4],
+            reference_position=reference_position(reference),
+            carriers=carriers,
+            velocities=velocities,
+            tensions=tensions,
+            speed_bound=speed_bound,
+        )
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether it can be shown: all values are finite, and no quaternion is zero."""
+        arrays = (
+            self.load_quaternion,
+            self.load_position,
+            self.reference_quaternion,
+            self.reference_position,
+            self.carriers,
+            self.velocities,
+            self.tensions,
+        )
+        return all(np.isfinite(array).all() for array in arrays) and bool(
+            self.load_quaternion.any() and self.reference_quaternion.any()
+        )
+
+
+def reference_position(reference: NDArray) -> NDArray:
+    """The position (3,) in m of a reference (22,)."""
+    return reference[4:7]

@@ -1,0 +1,22 @@
+"""Poses where directions are parallel, opposite or undefined."""
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+
+from drake_nonstop.visualization.poses import attitudes, cylinder_poses
+
+
+def test_degenerate_poses():
+    up = np.array([0.0, 0.0, 1.0])
+    directions = np.array([up, -up, [1e-9, 0.0, -1.0], [1, 0, 0], [0, -1, 0]])
+    poses, lengths = cylinder_poses(np.zeros((5, 3)), 60 * directions)
+    for pose, length, direction in zip(poses, lengths, directions, strict=True):
+        end = RigidTransform(pose) @ np.array([0, 0, length / 2])  # raises where it is no rotation
+        np.testing.assert_allclose(end, 60 * direction, atol=1e-6)
+    poses, lengths = cylinder_poses(up[None], up[None])
+    assert lengths[0] > 0
+    RigidTransform(poses[0])
+    for heading in (up, np.array([1.0, 0, 0])):
+        for tops in (heading, -heading, np.array([2e-6, 0, 60.0])):
+            attitude = RotationMatrix(attitudes(heading[None], up=tops[None])[0])
+            np.testing.assert_allclose(attitude.matrix()[:, 0], heading, atol=1e-9)
