@@ -56,14 +56,14 @@ from drake_nonstop.blocks.load_trajectory import (
 )
 from drake_nonstop.blocks.optimization_layer import ConstantParameters, NonstopOptimizer
 from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
-from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
 from drake_nonstop.blocks.wrench_controller import (
     GeometricPd,
     PaperWrenchController,
     TunedWrenchController,
     WrenchController,
 )
-from drake_nonstop.diagrams.nonstop import SIGNALS, signal_sizes
+from drake_nonstop.diagrams.nonstop import BOXES
 
 
 def moving_reference(model):
@@ -275,7 +275,9 @@ def expected_ports(make, period):
 
 def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
-    return {s: k for box in SIGNALS for s, k in signal_sizes(box, n, m).items()}[signal]
+    sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
+    held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()}
+    return (sizes | held | {"sample_time": 1})[signal]
 
 
 def values(signal, seed, n):
