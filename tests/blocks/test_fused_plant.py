@@ -9,7 +9,7 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop import load_scenario, make_nonstop, set_equilibrium, simulate
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.cli.main import main
-from drake_nonstop.diagrams.nonstop import FUSED
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.simulation.equilibrium import fastest_mode
 from drake_nonstop.simulation.simulate import SIGNAL_PERIOD
 from drake_nonstop.systems.traced_block import TracedBlock
@@ -112,7 +112,9 @@ def test_what_cannot_be_fused_stays_apart_and_says_why(setting, words):
     with pytest.warns(ScenarioWarning, match=words) as warned:
         nonstop = make_nonstop(scenario)
     assert "the separate blocks are used instead" in str(warned[0].message)
-    assert {block.get_name() for block in nonstop.GetSystems()} >= set(FUSED)
+    assert {block.get_name() for block in nonstop.GetSystems()} >= {
+        name for name, box in BOXES.items() if box.is_fused
+    }
 
 
 class Hover(LeafSystem):
