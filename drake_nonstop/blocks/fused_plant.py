@@ -156,7 +156,8 @@ class _Stepped(InnerBlock):
         self._step = TracedFunction(stepped, [input_size, size + WRENCH_SIZE + 1, 1], name=self.box)
         self._inputs = self.DeclareVectorInputPort("inputs", input_size)
         self._held = self.DeclareVectorInputPort(_HELD, WRENCH_SIZE)
-        initial = [*together.initial_states.values(), np.zeros(WRENCH_SIZE), np.array([np.inf])]
+        held, time = np.zeros(WRENCH_SIZE), np.array([np.inf])
+        initial = [*together.initial_states.values(), held, time]
         self.DeclareDiscreteState(np.concatenate(initial))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
         # With the sample-and-hold, which then sees the state that this step ends with.

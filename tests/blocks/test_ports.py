@@ -56,7 +56,7 @@ from drake_nonstop.blocks.load_trajectory import (
 )
 from drake_nonstop.blocks.optimization_layer import ConstantParameters, NonstopOptimizer
 from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
-from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
 from drake_nonstop.blocks.wrench_controller import (
     GeometricPd,
     PaperWrenchController,
@@ -276,7 +276,8 @@ def expected_ports(make, period):
 def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
-    return (sizes | {"sample_time": 1} | HELD_SIGNALS)[signal]
+    held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()}
+    return (sizes | held | {"sample_time": 1})[signal]
 
 
 def values(signal, seed, n):
