@@ -23,8 +23,8 @@ from drake_nonstop.simulation.metrics import (
     speed_bounds,
 )
 from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.studies.margins import Margin
 from drake_nonstop.studies.robustness import Case
-from drake_nonstop.studies.stability import Margin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
