@@ -36,7 +36,7 @@ def find_margins(scenario: Scenario, progress: Progress = no_progress) -> list[M
 
     Args:
         scenario: what is changed.
-        progress: called with what is done and the share that is.
+        progress: called with a description and the share that is done.
 
     Raises:
         ScenarioError: the scenario cannot be built, or a process died.

@@ -64,7 +64,7 @@ def robustness(
     Args:
         scenario: what the errors are added to.
         seed: of the attachment points' directions, of the noise and of the gusts.
-        progress: called with what is done and the share that is.
+        progress: called with a description and the share that is done.
 
     Returns:
         The case without error first.

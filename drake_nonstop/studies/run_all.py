@@ -30,7 +30,7 @@ _PROCESS_DIED = "its process died, by a crash or for want of memory"
 
 Key = TypeVar("Key", bound=Hashable)
 Result = TypeVar("Result")
-Progress = Callable[[str, float], None]  # called with what is done and the share that is
+Progress = Callable[[str, float], None]  # called with a description and the share that is done
 
 _is_cancelled: Event | None = None  # in a worker process: set where its results are not needed
 
@@ -60,14 +60,14 @@ def run_all(
 
     Args:
         function: called in another process, so it must be one that can be imported there.
-        keys: what tells the calls apart.
+        keys: one for each call, all different.
         arguments: the function's arguments for a key, which must be picklable.
         record: called with a key and its result, in the order in which results come.
         failed: makes the result of a key from an error message, where the function raised
             anything but ScenarioError, or where its process died. It may raise instead.
         executor: any of concurrent.futures' kind, in place of a process per core. It is not shut
             down, and its processes are its own concern.
-        what: what is done, as progress calls it.
+        what: the description of the calls for progress.
         progress: called after each record with `what` and the share of calls that are done.
         already_done: the number of calls of an earlier time that count in this share.
 

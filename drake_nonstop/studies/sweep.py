@@ -78,7 +78,7 @@ def sweep(
             user's own blocks; it is not shut down. None: a process per core.
         restart: whether to remove the folder's earlier sweep and start again.
         trust: whether the spec may name the user's own blocks, which runs their code.
-        progress: called with what is done and the share that is.
+        progress: called with a description and the share that is done.
 
     Returns:
         The path of the table and the number of runs with each outcome.

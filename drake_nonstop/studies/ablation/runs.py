@@ -51,7 +51,7 @@ def ablate(
         title: of the page.
         replay: whether to write replays.
         trust: whether the variants may import the user's own blocks, which runs their code.
-        progress: called with what is done and the share that is.
+        progress: called with a description and the share that is done.
 
     Returns:
         The row of the unchanged scenario, and then the variants by their effect on the load's

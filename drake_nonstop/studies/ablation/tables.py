@@ -20,7 +20,7 @@ from drake_nonstop.studies.run_all import COMPLETED
 
 _NAME_WIDTH = 30  # characters, of a variant in the terminal
 _NO_VALUE = "–"  # in place of what was not measured
-_SMALLEST_CHANGE = 0.0005  # as shown; a smaller one is not told from none
+_SMALLEST_CHANGE = 0.0005  # as shown; a smaller one is shown as ≈ 0
 
 
 @dataclass(frozen=True, kw_only=True)
