@@ -1,4 +1,4 @@
-"""The numbers that the README prints, measured anew.
+"""Claims: the numbers that the README prints, measured again.
 
 A claim is a row of a table with four columns: the arguments of `drake-nonstop run` that
 measure it, the quantity, the paper's value, and ours.
@@ -9,37 +9,42 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.metrics import carrier_speeds, compute_metrics, load_errors
+from drake_nonstop.scenario.loading import Scenario, load_scenario
+from drake_nonstop.simulation.metrics import (
+    METRICS,
+    Metric,
+    carrier_speeds,
+    compute_metrics,
+    load_errors,
+)
 from drake_nonstop.simulation.simulate import Run, simulate
-from drake_nonstop.studies.workers import worker_processes
+from drake_nonstop.studies.run_all import COMPLETED, Progress, attempt, no_progress, run_all
 from drake_nonstop.validation import ScenarioError, require
 
 Metrics = dict[str, Any]
 
 _SHARES = re.compile(r"^\| ([\w +]+) \| [\d.]+ / [\d.]+ \| ([\d.]+)% \| ([\d.]+)% \|", re.MULTILINE)
-_SAME_SHARE = 0.01  # other machines round otherwise, which few instances notice
+_SAME_SHARE = 0.01  # rounding differs between machines, which changes few instances
 
 _ROW = re.compile(r"^\| `([^`]+)` \| ([^|]+) \|[^|]*\| ([\d.]+) \|$", re.MULTILINE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """A number that a text prints: what to run for it, of which quantity, and its digits."""
+    """A number that a text prints: the run that measures it, the quantity, and its digits."""
 
     arguments: str
     quantity: str
     printed: str
 
     def holds(self, value: float) -> bool:
-        """Whether the value rounds to what was printed; a bare 0 means that there is none."""
+        """Whether the value rounds to the printed one; a bare 0 stands for exactly zero."""
         if self.printed == "0":
             return value == 0
         digits = len(self.printed.partition(".")[2])
@@ -75,26 +80,30 @@ def read_claims(text: str) -> list[Claim]:
     return claims
 
 
-def measure(
-    claims: Sequence[Claim], progress: Callable[[str, float], None] = lambda what, share: None
-) -> dict[Claim, float]:
+def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[Claim, float]:
     """The value of each claim, from a run per arguments, in a process per core.
 
     Raises:
-        ScenarioError: a claim's arguments make no scenario.
-        RunStopped: a run did not come to its end.
+        ScenarioError: a claim's arguments make no scenario, its run did not complete, or its
+            quantity was not measured in that run.
     """
     quantities: dict[str, list[str]] = {}
     for claim in claims:
         quantities.setdefault(claim.arguments, []).append(claim.quantity)
-    values: dict[tuple[str, str], float] = {}
-    with worker_processes() as executor:
-        futures = {executor.submit(_values, *item): item for item in quantities.items()}
-        for done, future in enumerate(as_completed(futures)):
-            arguments, names = futures[future]
-            values |= {(arguments, name): future.result()[name] for name in names}
-            progress("simulating", (done + 1) / len(futures))
-    return {claim: values[claim.arguments, claim.quantity] for claim in claims}
+    values: dict[str, dict[str, float]] = {}
+
+    def failed(arguments: str, error: str) -> dict[str, float]:
+        raise ScenarioError(f"claim on {arguments} = {error}")
+
+    run_all(
+        _values,
+        list(quantities),
+        lambda arguments: (arguments, quantities[arguments]),
+        values.__setitem__,
+        failed,
+        progress=progress,
+    )
+    return {claim: values[claim.arguments][claim.quantity] for claim in claims}
 
 
 def wrong_shares(text: str, results: dict[str, Any]) -> list[str]:
@@ -108,7 +117,7 @@ def wrong_shares(text: str, results: dict[str, Any]) -> list[str]:
     for name, *printed in rows:
         found = results["instances"]["solvers"].get(name)
         if found is None:
-            wrong.append(f"{name}: not measured, for want of the extra bench")
+            wrong.append(f"{name}: not measured: install the extra bench")
             continue
         for kind, percent in zip(("feasible", "optimal"), printed, strict=True):
             share = found[f"{kind}_share"]
@@ -118,7 +127,7 @@ def wrong_shares(text: str, results: dict[str, Any]) -> list[str]:
 
 
 def failing_evals(folder: Path) -> list[str]:
-    """What `tests/evals` in the folder of a checkout, which measure the rest, find wrong."""
+    """The failures of tests/evals, which measure the other claims, in the folder of a checkout."""
     command = [sys.executable, "-m", "pytest", "-q", "tests/evals"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode == 0:
@@ -128,9 +137,13 @@ def failing_evals(folder: Path) -> list[str]:
 
 
 def scenario_run(arguments: str) -> tuple[Run, Metrics]:
-    """The run of a scenario's name and settings, such as "line phase=PaperPhase"."""
-    name, *settings = shlex.split(arguments)
-    run = simulate(load_scenario(name, settings))
+    """The run of a scenario's name and overrides, such as "line phase=PaperPhase".
+
+    Raises:
+        ScenarioError: the arguments make no scenario.
+        RunStopped: the run did not complete.
+    """
+    run = simulate(_scenario(arguments))
     return run, compute_metrics(run)
 
 
@@ -146,12 +159,26 @@ def as_markdown(values: dict[Claim, float]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _scenario(arguments: str) -> Scenario:
+    name, *overrides = shlex.split(arguments)
+    return load_scenario(name, overrides)
+
+
 def _values(arguments: str, quantities: list[str]) -> dict[str, float]:
-    try:
-        run, metrics = scenario_run(arguments)
-    except ScenarioError as error:
-        raise ScenarioError(f"claim on {arguments} = {error}") from None
-    return {name: float(QUANTITIES[name](run, metrics)) for name in quantities}
+    tried = attempt(lambda: _scenario(arguments))
+    run = tried.run
+    if run is None or tried.outcome != COMPLETED:
+        raise ScenarioError(f"claim on {arguments} = {tried.message}")
+    metrics = compute_metrics(run)
+    values = {name: QUANTITIES[name](run, metrics) for name in quantities}
+    for name, value in values.items():
+        require(
+            value is not None,
+            f"claim on {arguments}",
+            name,
+            "give a quantity that this run measures",
+        )
+    return {name: float(value) for name, value in values.items()}
 
 
 def _first_near_the_bound(run: Run, metrics: Metrics) -> float:
@@ -171,28 +198,18 @@ def _error_at_rest(run: Run, metrics: Metrics) -> float:
     return 1e3 * np.mean(np.linalg.norm(load_errors(run)[0][rests], axis=1))
 
 
-def _metric(*path: str, scale: float = 1.0) -> Callable[[Run, Metrics], float]:
-    def value(run: Run, metrics: Metrics) -> float:
-        found: Any = metrics
-        for key in path:
-            found = found[key]
-        return scale * found
-
-    return value
+def _value_of(metric: Metric) -> Callable[[Run, Metrics], Any]:
+    return lambda run, metrics: metric.shown(metric.value(metrics))
 
 
-QUANTITIES: dict[str, Callable[[Run, Metrics], float]] = {
-    "first within 3 % of the bound (s)": _first_near_the_bound,
+# What can be claimed, by name: every metric that is one number by its heading, and figures
+# that are no metrics.
+QUANTITIES: dict[str, Callable[[Run, Metrics], Any]] = {
+    **{metric.heading: _value_of(metric) for metric in METRICS if not metric.is_list},
+    "slowest (m/s)": lambda run, m: m["carriers"]["speed_min_m_s"],
     "slowest while moving (m/s)": _slowest_while_moving,
-    "slowest (m/s)": _metric("carriers", "speed_min_m_s"),
-    "peak speed (m/s)": _metric("carriers", "speed_max_m_s"),
     "slowest final speed (m/s)": lambda run, m: min(m["carriers"]["speed_final_m_s"]),
     "fastest final speed (m/s)": lambda run, m: max(m["carriers"]["speed_final_m_s"]),
-    "time below the bound (s)": _metric("carriers", "time_below_bound_s"),
-    "mean position error (mm)": _metric("load", "position_error_mean_m", scale=1e3),
+    "first within 3 % of the bound (s)": _first_near_the_bound,
     "mean position error at rest (mm)": _error_at_rest,
-    "final A (N)": _metric("optimizer", "A_final_N"),
-    "final ξ (rad/s)": _metric("optimizer", "xi_final_rad_s"),
-    "closest carriers (m)": _metric("carriers", "separation_min_m"),
-    "closest cables (m)": _metric("cables", "separation_min_m"),
 }

@@ -18,7 +18,7 @@ from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternCon
 from drake_nonstop.model.system import Model, PatternConfig, SystemParameters
 from drake_nonstop.optimization.search import SearchProblem
 from drake_nonstop.optimization.speed_program import FEASIBILITY_TOLERANCE, SpeedProgram
-from drake_nonstop.studies.results_folder import replacing_file
+from drake_nonstop.studies.files import replacing_file
 
 # What the instances are drawn from: uniformly, or, a pair, by the logarithm.
 RANGES: dict[str, float | tuple[float, float]] = {

@@ -18,7 +18,7 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.metrics import carrier_speeds, speed_bounds
 from drake_nonstop.simulation.simulate import Run, simulate
 from drake_nonstop.studies.figures import make_encounters_figure
-from drake_nonstop.studies.results_folder import replacing_file
+from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.visualization.replay import record_replay
 
 STILL, ANIMATION, PATTERNS = "line.png", "line.gif", "real_scale.png"

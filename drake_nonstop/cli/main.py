@@ -18,21 +18,18 @@ from typing import Any
 from drake_nonstop.cli.file_server import serve_folder
 from drake_nonstop.scenario.describe import Parameter, Port, box_names, describe
 from drake_nonstop.scenario.loading import Scenario, changed, load_scenario, scenario_names
+from drake_nonstop.simulation.metrics import find_warnings, metrics_table
 from drake_nonstop.simulation.simulate import Run, RunInterrupted, RunStopped, simulate
 from drake_nonstop.studies.ablation import ablate, as_text, grid_names, name_settings, read_grid
 from drake_nonstop.studies.figures import make_margins_figure, make_robustness_figure
-from drake_nonstop.studies.outcomes import COMPLETED, DIVERGED
-from drake_nonstop.studies.results_folder import (
-    replacing_file,
-    require_writable,
-    write_json,
-    write_results,
-)
-from drake_nonstop.studies.robustness import robustness
-from drake_nonstop.studies.stability import find_margins, linearize
+from drake_nonstop.studies.files import replacing_file, require_writable, write_json
+from drake_nonstop.studies.margins import find_margins
+from drake_nonstop.studies.results_folder import write_results
+from drake_nonstop.studies.robustness import robustness, robustness_table
+from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, SerialExecutor
+from drake_nonstop.studies.stability import linearize
 from drake_nonstop.studies.sweep import SweepInterrupted, sweep
 from drake_nonstop.studies.sweep_spec import read_sweep
-from drake_nonstop.studies.workers import SerialExecutor
 from drake_nonstop.validation import (
     ScenarioError,
     ScenarioWarning,
@@ -476,19 +473,11 @@ def _robustness(options: argparse.Namespace) -> int:
         cases = robustness(scenario, seed=options.seed, progress=line.show_share)
     write_json(
         folder / "robustness.json",
-        {"scenario": scenario.name, "cases": [dataclasses.asdict(case) for case in cases]},
+        {"scenario": scenario.name, "cases": [case.as_json() for case in cases]},
     )
     with replacing_file(folder / "robustness.png") as file:
         make_robustness_figure(scenario.name, cases).savefig(file, format="png", dpi=150)
-    columns = "e_p mean / final, mm", "slowest - bound", "below", "slack"
-    print("{:42} {:>20} {:>16} {:>8} {:>8}".format("error", *columns))
-    for case in cases:
-        name = f"{case.error} {case.level:+g} {case.unit}" if case.unit else "none"
-        errors = f"{1e3 * case.position_error_mean:.3g} / {1e3 * case.position_error_final:.3g}"
-        print(
-            f"{name:42} {errors:>20} {case.speed_margin:+12.3f} m/s {case.time_below_bound:6.3g} s "
-            f"{case.slack_time:6.3g} s{'' if case.completed else '  diverged'}"
-        )
+    print(robustness_table(cases))
     print(f"results: {folder}")
     return 0
 
@@ -530,8 +519,8 @@ def _sweep(options: argparse.Namespace) -> int:
     folder: Path = options.out or Path("out/sweep") / f"{scenario.name}_{options.spec.stem}"
     if options.run is not None:
         planned = spec.run(options.run)
-        print(f"run {planned.number}: {', '.join(planned.settings)}", flush=True)
-        scenario = changed(scenario, planned.settings, trust=options.trust)
+        print(f"run {planned.number}: {', '.join(planned.overrides)}", flush=True)
+        scenario = changed(scenario, planned.overrides, trust=options.trust)
         return _run_into(options.out or folder / f"run_{planned.number}", scenario, options)
     try:
         with contextlib.closing(_ProgressLine()) as line:
@@ -709,67 +698,11 @@ def _require_repeats(options: argparse.Namespace) -> None:
 
 
 def _warnings(metrics: dict[str, Any], scenario: Scenario) -> list[str]:
-    """What a run did that nobody would want of real carriers, a line each."""
-    carriers, cables, optimizer = (metrics[key] for key in ("carriers", "cables", "optimizer"))
-    unsolved = optimizer["relaxed"] + optimizer["held"]
-    found = [
-        (cables["slack_time_s"], f"a cable was slack for {cables['slack_time_s']:.3g} s"),
-        (
-            carriers["time_below_bound_s"],
-            f"a carrier was below the bound for {carriers['time_below_bound_s']:.3g} s",
-        ),
-        (unsolved, f"no parameters fulfilled the bound at {unsolved} updates (relaxed, held)"),
-    ]
-    for what, safe in (
-        ("carriers", scenario.safe_carrier_distance),
-        ("cables", scenario.safe_cable_distance),
-    ):
-        closest = metrics[what]["separation_min_m"]
-        text = f"{what} came within {round(closest, 3):g} m of each other, {safe:g} m is safe"
-        found.append((closest < safe, text))
-    return [text for is_so, text in found if is_so]
+    return find_warnings(metrics, scenario)
 
 
 def _table(metrics: dict[str, Any]) -> str:
-    load, carriers = metrics["load"], metrics["carriers"]
-    cables, optimizer = metrics["cables"], metrics["optimizer"]
-    rows = [
-        (
-            "simulated",
-            f"{metrics['simulated_s']:g} s in {metrics['wall_s']:.2f} s "
-            f"({metrics['real_time_factor']:.1f} x real time)",
-        ),
-        (
-            "load position error",
-            f"mean {1e3 * load['position_error_mean_m']:.3g} mm, "
-            f"max {1e3 * load['position_error_max_m']:.3g} mm",
-        ),
-        (
-            "load orientation error",
-            f"mean {1e3 * load['orientation_error_mean_rad']:.3g} mrad, "
-            f"max {1e3 * load['orientation_error_max_rad']:.3g} mrad",
-        ),
-        (
-            "carrier speed",
-            f"{carriers['speed_min_m_s']:.3f} to {carriers['speed_max_m_s']:.3f} m/s, bound "
-            f"{carriers['speed_bound_m_s']:g} m/s, below it for "
-            f"{carriers['time_below_bound_s']:.3g} s",
-        ),
-        (
-            "closest",
-            f"carriers {round(carriers['separation_min_m'], 3):g} m, "
-            f"cables {round(cables['separation_min_m'], 3):g} m",
-        ),
-        (
-            "tension",
-            f"{cables['tension_min_N']:.3g} to {cables['tension_max_N']:.3g} N, slack for "
-            f"{cables['slack_time_s']:.3g} s",
-        ),
-    ]
-    if optimizer["updates"]:
-        counts = [f"{optimizer[k]} {k}" for k in ("kept", "solved", "relaxed", "held")]
-        rows.append(("optimizer", f"{optimizer['updates']} updates: {', '.join(counts)}"))
-    return "\n".join(f"{name:24}{value}" for name, value in rows)
+    return metrics_table(metrics)
 
 
 class _ProgressLine:

@@ -1,6 +1,14 @@
-"""The figures that judge a run, as written to metrics.json."""
+"""The metrics that judge a run: one table of them, and the quantities that they are made from.
 
-from collections.abc import Mapping
+`METRICS` has a row per metric, and all that writes or prints metrics reads it: metrics.json,
+the table and the warnings of a run, the tables of an ablation and of a sweep, the quantities of
+the README's claims.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
 from importlib.metadata import version
 from itertools import combinations
 from typing import Any
@@ -10,37 +18,41 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.model.system import overridden
+from drake_nonstop.scenario.loading import Scenario
 from drake_nonstop.simulation.simulate import Run
 from drake_nonstop.version import __version__
 
+# The entries of the signal `diagnostics` after the first: numbers of updates.
+_UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
+_SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
+
+_NAME_WIDTH = 24  # characters, of a line's name in the table of a run
+
 
 def compute_metrics(run: Run) -> dict[str, Any]:
-    """The metrics of a run; keys end in their units.
+    """The metrics of a run as nested dictionaries, as written to metrics.json.
 
-    Speeds, separations, tensions and loads on the aircraft are those of the simulated
-    carriers and cables at every step from t = 0 on, errors those of the load's true pose
-    at 100 Hz. A time "below" or "slack" weighs each step's state with half of the two
-    intervals beside it. The climb angle is that of the steepest climb or descent; it and
-    the turn radius say little where a carrier nearly stops. What was not measured, such as
-    the solve times of a layer that solves nothing, is None.
+    Keys end in their units. Speeds, separations, tensions and loads on the aircraft are those
+    of the simulated carriers and cables at every step from t = 0 on; errors are those of the
+    load's true pose at 100 Hz. A time "below" or "slack" weighs each step's state with half of
+    the two intervals beside it. The climb angle is that of the steepest climb or descent; it
+    and the turn radius are not meaningful where a carrier nearly stops. What was not measured,
+    such as the solve times of a layer that solves nothing, is None.
     """
-    simulated = float(run.steps["time"][-1])
-    return {
-        "scenario": run.scenario.name,
-        "is_steered": run.is_steered,
-        "simulated_s": simulated,
-        "wall_s": run.wall_time,
-        "real_time_factor": simulated / run.wall_time,
-        "load": _load_metrics(run),
-        "carriers": _carrier_metrics(run),
-        "cables": _cable_metrics(run),
-        "optimizer": _optimizer_metrics(run),
-        "versions": {
-            "drake_nonstop": __version__,
-            "drake": version("drake"),
-            "numpy": version("numpy"),
-        },
+    quantities = RunQuantities(run)
+    values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}
+    for metric in METRICS:
+        *groups, name = metric.path.split(".")
+        group = values
+        for key in groups:
+            group = group.setdefault(key, {})
+        group[name] = metric.measure(quantities)
+    values["versions"] = {
+        "drake_nonstop": __version__,
+        "drake": version("drake"),
+        "numpy": version("numpy"),
     }
+    return values
 
 
 def flattened(metrics: Mapping[str, Any]) -> dict[str, Any]:
@@ -54,9 +66,494 @@ def flattened(metrics: Mapping[str, Any]) -> dict[str, Any]:
     return flat
 
 
-def is_wall_time(path: str) -> bool:
-    """Whether the metric of that path was measured with a clock, and differs from run to run."""
-    return path in ("wall_s", "real_time_factor") or path.startswith("optimizer.solve_time_ms.")
+def value_at(metrics: Mapping[str, Any] | None, path: str) -> Any:
+    """The metric of a path, such as "load.position_error_mean_m"; None where there is none."""
+    value: Any = metrics
+    for key in path.split("."):
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value
+
+
+class RunQuantities:
+    """The quantities of a run that metrics are made from, each computed once.
+
+    k is the number of steps, n that of the carriers.
+    """
+
+    def __init__(self, run: Run):
+        self.run = run
+
+    @cached_property
+    def time(self) -> NDArray:
+        """The instants (k,) of the steps, s."""
+        return self.run.steps["time"]
+
+    @property
+    def simulated_time(self) -> float:
+        """The time of the last step, s."""
+        return float(self.time[-1])
+
+    @cached_property
+    def position_error(self) -> NDArray:
+        """The load's distance (samples,) from its reference at 100 Hz, m."""
+        return np.linalg.norm(self._load_errors[0], axis=1)
+
+    @cached_property
+    def orientation_error(self) -> NDArray:
+        """The load's angle (samples,) to its reference at 100 Hz, rad."""
+        return np.linalg.norm(self._load_errors[1], axis=1)
+
+    @cached_property
+    def _load_errors(self) -> tuple[NDArray, NDArray]:
+        return load_errors(self.run)
+
+    @cached_property
+    def carrier_positions(self) -> NDArray:
+        """(k, n, 3), m."""
+        return _split(self.run.steps["carrier_state"])[0]
+
+    @cached_property
+    def carrier_velocities(self) -> NDArray:
+        """(k, n, 3), m/s."""
+        return _split(self.run.steps["carrier_state"])[1]
+
+    @cached_property
+    def speeds(self) -> NDArray:
+        """The carriers' speeds (k, n), m/s."""
+        return carrier_speeds(self.run.steps["carrier_state"])
+
+    @cached_property
+    def speed_bounds(self) -> NDArray:
+        """The ε (k,), m/s."""
+        return speed_bounds(self.run)
+
+    @cached_property
+    def climb_angles(self) -> NDArray:
+        """The angles (k, n) of the carriers' velocities to the horizontal, rad, none negative."""
+        velocities = self.carrier_velocities
+        level = np.linalg.norm(velocities[..., :2], axis=2)
+        return np.arctan2(np.abs(velocities[..., 2]), level)
+
+    @cached_property
+    def sharpest_turn(self) -> tuple[float | None, float | None]:
+        """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
+        # Where an update or a sample ends a step, another may be a rounding error away.
+        apart = np.append(True, np.diff(self.time) > 1e-9)
+        time, velocities = self.time[apart], self.carrier_velocities[apart]
+        speeds = np.linalg.norm(velocities, axis=2)
+        if len(time) < 3 or not np.any(speeds > 0):
+            return None, None
+        accelerations = np.gradient(velocities, time, axis=0)
+        # v × a is speed × normal acceleration, and stays defined where a carrier stops.
+        crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
+        moving = speeds > 0
+        curvature = float(np.max(crossed[moving] / speeds[moving] ** 3))
+        return (
+            float(np.max(crossed[moving] / speeds[moving])),
+            1 / curvature if curvature > 0 else None,
+        )
+
+    @cached_property
+    def tensions(self) -> NDArray:
+        """(k, n), N."""
+        return self.run.steps["tensions"]
+
+    @cached_property
+    def attachment_positions(self) -> NDArray:
+        """Where the cables are attached to the load, (k, n, 3), in W, m."""
+        return attachment_positions(self.run, self.run.steps["load_state"])
+
+    @cached_property
+    def update_counts(self) -> dict[str, int]:
+        """How many updates of the optimization layer there were, and how they ended."""
+        counts = np.zeros(len(_UPDATE_COUNTS))
+        if "diagnostics" in self.run.steps:
+            counts = self.run.steps["diagnostics"][-1, 1 : 1 + len(_UPDATE_COUNTS)]
+        return {name: int(count) for name, count in zip(_UPDATE_COUNTS, counts, strict=True)}
+
+    @cached_property
+    def solve_times(self) -> dict[str, float | None]:
+        """Quantiles of the wall time of an update, ms; None where nothing was solved."""
+        if not len(self.run.solve_times):
+            return dict.fromkeys(_SOLVE_TIME_QUANTILES)
+        shares = list(_SOLVE_TIME_QUANTILES.values())
+        quantiles = (1e3 * np.quantile(self.run.solve_times, shares)).tolist()
+        return dict(zip(_SOLVE_TIME_QUANTILES, quantiles, strict=True))
+
+    @cached_property
+    def final_parameters(self) -> NDArray:
+        """[ξ, A] (2,), rad/s and N."""
+        return self.run.signal("parameters")[-1]
+
+    def duration_of(self, condition: NDArray) -> float:
+        """For how long (s) a condition (k,) holds; a step stands for half its two intervals."""
+        if len(self.time) < 2:
+            return 0.0
+        intervals = np.diff(self.time)
+        weights = np.concatenate([intervals, [0.0]]) + np.concatenate([[0.0], intervals])
+        return float(np.sum(weights[condition]) / 2)
+
+
+class Better(Enum):
+    """Which values of a metric are better."""
+
+    LOWER = -1
+    HIGHER = 1
+    NEITHER = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunText:
+    """A metric's part of a line in the table of a run."""
+
+    line: str  # the line's name
+    text: str  # a format of the value as shown, and of the unit
+    separator: str = ", "  # before it, unless it is the line's first
+    decimals: int | None = None  # that the value is rounded to before
+    hides_line_at_zero: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableColumn:
+    """A metric's column in tables that compare runs.
+
+    `heading` is what a terminal shows, in two lines: columns that share the upper one stand
+    together.
+    """
+
+    heading: tuple[str, str]
+    has_change: bool = False  # one more column has the change against the first run
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """How a metric is measured, stored, shown and judged.
+
+    Adding one takes a row in `METRICS`: it is then in metrics.json, in the CSV of an ablation,
+    in the table of a sweep and, by its heading, a quantity of claims; with `run_text` and
+    `column` it is in the tables for a terminal, too.
+    """
+
+    path: str  # in metrics.json, with dots; the last part ends in the unit of the stored value
+    measure: Callable[[RunQuantities], Any]
+    label: str
+    unit: str = ""  # as shown
+    scale: float = 1.0  # from the stored value to the one shown
+    better: Better = Better.NEITHER
+    is_wall_time: bool = False  # measured with a clock: it differs from run to run
+    is_list: bool = False  # a value per carrier, which no table shows
+    run_text: RunText | None = None
+    column: TableColumn | None = None
+
+    @property
+    def heading(self) -> str:
+        """The label with the unit, such as "mean position error (mm)"."""
+        return f"{self.label} ({self.unit})" if self.unit else self.label
+
+    def value(self, metrics: Mapping[str, Any] | None) -> Any:
+        """The stored value in the metrics of a run; None where there is none."""
+        return value_at(metrics, self.path)
+
+    def shown(self, value: Any) -> Any:
+        """A stored value in the unit that is shown."""
+        return value if self.scale == 1 or value is None else self.scale * value
+
+
+METRICS = (
+    Metric(
+        path="simulated_s",
+        measure=lambda run: run.simulated_time,
+        label="simulated time",
+        unit="s",
+        run_text=RunText(line="simulated", text="{:g} {unit}"),
+    ),
+    Metric(
+        path="wall_s",
+        measure=lambda run: run.run.wall_time,
+        label="wall time",
+        unit="s",
+        better=Better.LOWER,
+        is_wall_time=True,
+        run_text=RunText(line="simulated", text="{:.2f} {unit}", separator=" in "),
+    ),
+    Metric(
+        path="real_time_factor",
+        measure=lambda run: run.simulated_time / run.run.wall_time,
+        label="real-time factor",
+        better=Better.HIGHER,
+        is_wall_time=True,
+        run_text=RunText(line="simulated", text="({:.1f} x real time)", separator=" "),
+    ),
+    Metric(
+        path="load.position_error_mean_m",
+        measure=lambda run: float(np.mean(run.position_error)),
+        label="mean position error",
+        unit="mm",
+        scale=1e3,
+        better=Better.LOWER,
+        run_text=RunText(line="load position error", text="mean {:.3g} {unit}"),
+        column=TableColumn(heading=("error (mm)", "mean"), has_change=True),
+    ),
+    Metric(
+        path="load.position_error_max_m",
+        measure=lambda run: float(np.max(run.position_error)),
+        label="largest position error",
+        unit="mm",
+        scale=1e3,
+        better=Better.LOWER,
+        run_text=RunText(line="load position error", text="max {:.3g} {unit}"),
+        column=TableColumn(heading=("error (mm)", "max")),
+    ),
+    Metric(
+        path="load.position_error_final_m",
+        measure=lambda run: float(run.position_error[-1]),
+        label="final position error",
+        unit="mm",
+        scale=1e3,
+        better=Better.LOWER,
+    ),
+    Metric(
+        path="load.orientation_error_mean_rad",
+        measure=lambda run: float(np.mean(run.orientation_error)),
+        label="mean orientation error",
+        unit="mrad",
+        scale=1e3,
+        better=Better.LOWER,
+        run_text=RunText(line="load orientation error", text="mean {:.3g} {unit}"),
+        column=TableColumn(heading=("tilt", "mrad")),
+    ),
+    Metric(
+        path="load.orientation_error_max_rad",
+        measure=lambda run: float(np.max(run.orientation_error)),
+        label="largest orientation error",
+        unit="mrad",
+        scale=1e3,
+        better=Better.LOWER,
+        run_text=RunText(line="load orientation error", text="max {:.3g} {unit}"),
+    ),
+    Metric(
+        path="carriers.n",
+        measure=lambda run: run.speeds.shape[1],
+        label="number of carriers",
+    ),
+    Metric(
+        path="carriers.speed_min_m_s",
+        measure=lambda run: float(np.min(run.speeds)),
+        label="slowest speed",
+        unit="m/s",
+        better=Better.HIGHER,
+        run_text=RunText(line="carrier speed", text="{:.3f}"),
+        column=TableColumn(heading=("slow-", "est")),
+    ),
+    Metric(
+        path="carriers.speed_max_m_s",
+        measure=lambda run: float(np.max(run.speeds)),
+        label="peak speed",
+        unit="m/s",
+        run_text=RunText(line="carrier speed", text="{:.3f} {unit}", separator=" to "),
+    ),
+    Metric(
+        path="carriers.speed_final_m_s",
+        measure=lambda run: run.speeds[-1].tolist(),
+        label="final speeds",
+        unit="m/s",
+        is_list=True,
+    ),
+    Metric(
+        path="carriers.speed_bound_m_s",
+        measure=lambda run: float(run.speed_bounds[-1]),
+        label="bound on the speed",
+        unit="m/s",
+        run_text=RunText(line="carrier speed", text="bound {:g} {unit}"),
+    ),
+    Metric(
+        path="carriers.time_below_bound_s",
+        measure=lambda run: run.duration_of(np.any(run.speeds < run.speed_bounds[:, None], axis=1)),
+        label="time below the bound",
+        unit="s",
+        better=Better.LOWER,
+        run_text=RunText(line="carrier speed", text="below it for {:.3g} {unit}"),
+        column=TableColumn(heading=("below (s)", "time"), has_change=True),
+    ),
+    Metric(
+        path="carriers.separation_min_m",
+        measure=lambda run: float(np.min(closest_carriers(run.carrier_positions))),
+        label="closest carriers",
+        unit="m",
+        better=Better.HIGHER,
+        run_text=RunText(line="closest", text="carriers {:g} {unit}", decimals=3),
+        column=TableColumn(heading=("apart (m)", "carr.")),
+    ),
+    Metric(
+        path="carriers.normal_acceleration_max_m_s2",
+        measure=lambda run: run.sharpest_turn[0],
+        label="largest normal acceleration",
+        unit="m/s²",
+    ),
+    Metric(
+        path="carriers.climb_angle_max_rad",
+        measure=lambda run: float(np.max(run.climb_angles)),
+        label="steepest climb or descent",
+        unit="rad",
+    ),
+    Metric(
+        path="carriers.turn_radius_min_m",
+        measure=lambda run: run.sharpest_turn[1],
+        label="smallest turn radius",
+        unit="m",
+    ),
+    Metric(
+        path="cables.tension_min_N",
+        measure=lambda run: float(np.min(run.tensions)),
+        label="least tension",
+        unit="N",
+        better=Better.HIGHER,
+        run_text=RunText(line="tension", text="{:.3g}"),
+        column=TableColumn(heading=("least", "N")),
+    ),
+    Metric(
+        path="cables.tension_max_N",
+        measure=lambda run: float(np.max(run.tensions)),
+        label="largest tension",
+        unit="N",
+        run_text=RunText(line="tension", text="{:.3g} {unit}", separator=" to "),
+    ),
+    Metric(
+        path="cables.slack_time_s",
+        measure=lambda run: run.duration_of(np.any(run.tensions <= 0, axis=1)),
+        label="slack",
+        unit="s",
+        better=Better.LOWER,
+        run_text=RunText(line="tension", text="slack for {:.3g} {unit}"),
+        column=TableColumn(heading=("slack", "s")),
+    ),
+    Metric(
+        path="cables.separation_min_m",
+        measure=lambda run: float(
+            np.min(closest_cables(run.attachment_positions, run.carrier_positions))
+        ),
+        label="closest cables",
+        unit="m",
+        better=Better.HIGHER,
+        run_text=RunText(line="closest", text="cables {:g} {unit}", decimals=3),
+        column=TableColumn(heading=("apart (m)", "cables")),
+    ),
+    Metric(
+        path="optimizer.updates",
+        measure=lambda run: run.update_counts["updates"],
+        label="updates",
+        run_text=RunText(line="optimizer", text="{} updates", hides_line_at_zero=True),
+    ),
+    Metric(
+        path="optimizer.kept",
+        measure=lambda run: run.update_counts["kept"],
+        label="updates kept",
+        run_text=RunText(line="optimizer", text="{} kept", separator=": "),
+    ),
+    Metric(
+        path="optimizer.solved",
+        measure=lambda run: run.update_counts["solved"],
+        label="updates solved",
+        run_text=RunText(line="optimizer", text="{} solved"),
+    ),
+    Metric(
+        path="optimizer.relaxed",
+        measure=lambda run: run.update_counts["relaxed"],
+        label="updates relaxed",
+        better=Better.LOWER,
+        run_text=RunText(line="optimizer", text="{} relaxed"),
+        column=TableColumn(heading=("re-", "laxed")),
+    ),
+    Metric(
+        path="optimizer.held",
+        measure=lambda run: run.update_counts["held"],
+        label="updates held",
+        better=Better.LOWER,
+        run_text=RunText(line="optimizer", text="{} held"),
+    ),
+    Metric(
+        path="optimizer.solve_time_ms.p50",
+        measure=lambda run: run.solve_times["p50"],
+        label="solve, median",
+        unit="ms",
+        better=Better.LOWER,
+        is_wall_time=True,
+    ),
+    Metric(
+        path="optimizer.solve_time_ms.p99",
+        measure=lambda run: run.solve_times["p99"],
+        label="solve, p99",
+        unit="ms",
+        better=Better.LOWER,
+        is_wall_time=True,
+        column=TableColumn(heading=("p99", "ms")),
+    ),
+    Metric(
+        path="optimizer.solve_time_ms.max",
+        measure=lambda run: run.solve_times["max"],
+        label="solve, max",
+        unit="ms",
+        better=Better.LOWER,
+        is_wall_time=True,
+    ),
+    Metric(
+        path="optimizer.xi_final_rad_s",
+        measure=lambda run: float(run.final_parameters[0]),
+        label="final ξ",
+        unit="rad/s",
+    ),
+    Metric(
+        path="optimizer.A_final_N",
+        measure=lambda run: float(run.final_parameters[1]),
+        label="final A",
+        unit="N",
+    ),
+)
+
+
+def metric_at(path: str) -> Metric:
+    """The row of `METRICS` with that path."""
+    return next(metric for metric in METRICS if metric.path == path)
+
+
+def metrics_table(metrics: Mapping[str, Any]) -> str:
+    """The metrics of a run that have a `run_text`, some in each line, for a terminal."""
+    lines: dict[str, str] = {}
+    hidden = set()
+    for metric in METRICS:
+        part, value = metric.run_text, metric.shown(metric.value(metrics))
+        if part is None or value is None:
+            continue
+        if part.hides_line_at_zero and not value:
+            hidden.add(part.line)
+        if part.decimals is not None:
+            value = round(value, part.decimals)
+        start = f"{lines[part.line]}{part.separator}" if part.line in lines else ""
+        lines[part.line] = start + part.text.format(value, unit=metric.unit)
+    shown = (item for item in lines.items() if item[0] not in hidden)
+    return "\n".join(f"{name:{_NAME_WIDTH}}{text}" for name, text in shown)
+
+
+def find_warnings(metrics: Mapping[str, Any], scenario: Scenario) -> list[str]:
+    """What would be dangerous with real carriers in a run of the scenario, a line each."""
+    carriers, cables, optimizer = (metrics[key] for key in ("carriers", "cables", "optimizer"))
+    unsolved = optimizer["relaxed"] + optimizer["held"]
+    found = [
+        (cables["slack_time_s"], f"a cable was slack for {cables['slack_time_s']:.3g} s"),
+        (
+            carriers["time_below_bound_s"],
+            f"a carrier was below the bound for {carriers['time_below_bound_s']:.3g} s",
+        ),
+        (unsolved, f"no parameters fulfilled the bound at {unsolved} updates (relaxed, held)"),
+    ]
+    for name, group, safe in (
+        ("carriers", carriers, scenario.safe_carrier_distance),
+        ("cables", cables, scenario.safe_cable_distance),
+    ):
+        closest = group["separation_min_m"]
+        text = f"{name} came within {round(closest, 3):g} m of each other, {safe:g} m is safe"
+        found.append((closest < safe, text))
+    return [text for is_so, text in found if is_so]
 
 
 def load_errors(run: Run) -> tuple[NDArray, NDArray]:
@@ -126,85 +623,6 @@ def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray
     return np.linalg.norm(gap, axis=1)
 
 
-def _load_metrics(run: Run) -> dict[str, float]:
-    position, orientation = (np.linalg.norm(error, axis=1) for error in load_errors(run))
-    return {
-        "position_error_mean_m": float(np.mean(position)),
-        "position_error_max_m": float(np.max(position)),
-        "position_error_final_m": float(position[-1]),
-        "orientation_error_mean_rad": float(np.mean(orientation)),
-        "orientation_error_max_rad": float(np.max(orientation)),
-    }
-
-
-def _carrier_metrics(run: Run) -> dict[str, Any]:
-    time, states = run.steps["time"], run.steps["carrier_state"]
-    positions, velocities = _split(states)
-    speeds = carrier_speeds(states)
-    bounds = speed_bounds(run)
-    normal_acceleration, turn_radius = _sharpest_turn(time, velocities)
-    climb = np.arctan2(np.abs(velocities[..., 2]), np.linalg.norm(velocities[..., :2], axis=2))
-    return {
-        "n": speeds.shape[1],
-        "speed_min_m_s": float(np.min(speeds)),
-        "speed_max_m_s": float(np.max(speeds)),
-        "speed_final_m_s": speeds[-1].tolist(),
-        "speed_bound_m_s": float(bounds[-1]),
-        "time_below_bound_s": _duration(time, np.any(speeds < bounds[:, None], axis=1)),
-        "separation_min_m": float(np.min(closest_carriers(positions))),
-        "normal_acceleration_max_m_s2": normal_acceleration,
-        "climb_angle_max_rad": float(np.max(climb)),
-        "turn_radius_min_m": turn_radius,
-    }
-
-
-def _sharpest_turn(time: NDArray, velocities: NDArray) -> tuple[float | None, float | None]:
-    """The largest normal acceleration (m/s²) and smallest turn radius (m); None: not measured."""
-    # Where an update or a sample ends a step, another may be a rounding error away.
-    apart = np.append(True, np.diff(time) > 1e-9)
-    time, velocities = time[apart], velocities[apart]
-    speeds = np.linalg.norm(velocities, axis=2)
-    if len(time) < 3 or not np.any(speeds > 0):
-        return None, None
-    accelerations = np.gradient(velocities, time, axis=0)
-    # v × a is speed × normal acceleration, and stays defined where a carrier stops.
-    crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
-    moving = speeds > 0
-    return (
-        float(np.max(crossed[moving] / speeds[moving])),
-        _reciprocal(float(np.max(crossed[moving] / speeds[moving] ** 3))),
-    )
-
-
-def _cable_metrics(run: Run) -> dict[str, Any]:
-    time, tensions = run.steps["time"], run.steps["tensions"]
-    carriers, _ = _split(run.steps["carrier_state"])
-    ends = attachment_positions(run, run.steps["load_state"])
-    return {
-        "tension_min_N": float(np.min(tensions)),
-        "tension_max_N": float(np.max(tensions)),
-        "slack_time_s": _duration(time, np.any(tensions <= 0, axis=1)),
-        "separation_min_m": float(np.min(closest_cables(ends, carriers))),
-    }
-
-
-def _optimizer_metrics(run: Run) -> dict[str, Any]:
-    counts = np.zeros(5)
-    if "diagnostics" in run.steps:
-        counts = run.steps["diagnostics"][-1, 1:6]
-    quantiles: list[float | None] = [None] * 3
-    if len(run.solve_times):
-        quantiles = (1e3 * np.quantile(run.solve_times, [0.5, 0.99, 1.0])).tolist()
-    frequency, amplitude = run.signal("parameters")[-1]
-    names = ("updates", "kept", "solved", "relaxed", "held")
-    return {
-        **{name: int(count) for name, count in zip(names, counts, strict=True)},
-        "solve_time_ms": dict(zip(("p50", "p99", "max"), quantiles, strict=True)),
-        "xi_final_rad_s": float(frequency),
-        "A_final_N": float(amplitude),
-    }
-
-
 def speed_bounds(run: Run) -> NDArray:
     """The ε (m/s) that was asked for at every step (steps,); it may change during a live run."""
     if "speed_bound" in run.steps:
@@ -219,20 +637,6 @@ def attachment_positions(run: Run, load_states: NDArray) -> NDArray:
     return load_states[:, None, 4:7] + np.array(system.attachments) @ R_WL.swapaxes(1, 2)
 
 
-def _reciprocal(curvature: float) -> float | None:
-    """The radius of a curvature; None for straight flight."""
-    return 1 / curvature if curvature > 0 else None
-
-
 def _split(carrier_state: NDArray) -> NDArray:
     """Positions and velocities (2, k, n, 3) of carrier states (k, 6n)."""
     return carrier_state.reshape(len(carrier_state), 2, -1, 3).swapaxes(0, 1)
-
-
-def _duration(time: NDArray, condition: NDArray) -> float:
-    """For how long (s) the condition holds, each instant standing for half its two intervals."""
-    if len(time) < 2:
-        return 0.0
-    intervals = np.diff(time)
-    weights = np.concatenate([intervals, [0.0]]) + np.concatenate([[0.0], intervals])
-    return float(np.sum(weights[condition]) / 2)

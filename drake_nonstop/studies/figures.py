@@ -14,8 +14,8 @@ from drake_nonstop.simulation.metrics import (
     closest_carriers,
 )
 from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.studies.margins import Margin
 from drake_nonstop.studies.robustness import Case
-from drake_nonstop.studies.stability import Margin
 from drake_nonstop.visualization.figure_style import COLOURS, LINE_STYLES, new_figure, titled
 
 if TYPE_CHECKING:

@@ -1,26 +1,22 @@
-"""The folder of results that a run leaves."""
+"""The folder with the results of one run."""
 
-import contextlib
 import json
-import os
-import tempfile
-from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.simulate import Run
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.studies.files import replacing_files, require_writable
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import FIGURE_NAMES, make_figures
 
 _FIGURES = "figures"
 
-# All that a run may leave; what this run does not write is not left over from another.
+# All files that may be written; those that a run does not write are removed.
 RUN_FILES = (
     "scenario.yaml",
     "metrics.json",
@@ -31,44 +27,19 @@ RUN_FILES = (
 )
 
 
-def require_writable(folder: Path) -> None:
-    """Makes the folder, and raises ScenarioError where results cannot be written to it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise ScenarioError(
-            f"--out = {folder}: give a folder that can be written ({error.strerror})"
-        ) from None
-
-
-@contextlib.contextmanager
-def replacing_file(path: Path) -> Iterator[BinaryIO]:
-    """A file to write that takes the place of `path` once all is in it, or else is gone."""
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=path.suffix, delete=False) as file:
-        try:
-            yield file  # type: ignore[misc]
-        except BaseException:
-            os.unlink(file.name)
-            raise
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, path)
-
-
-def write_json(path: Path, data: Any) -> None:
-    """Writes the data to a file that is never half-written."""
-    with replacing_file(path) as file:
-        file.write((json.dumps(data, indent=2) + "\n").encode())
-
-
 def write_results(
     run: Run, folder: Path, *, figures: bool = True, replay: bool = True
 ) -> dict[str, Any]:
     """Writes a run's results to the folder and returns its metrics.
 
-    All is written to a folder beside the old results first, and moved over them at the
-    end, so that no file is ever half-written.
+    scenario.yaml (resolved), metrics.json, signals.npz, diagram.svg, replay.html and figures/
+    replace the earlier ones once all of them are written.
+
+    Args:
+        run: what to write.
+        folder: for the results, made where there is none.
+        figures: whether to write figures.
+        replay: whether to write the replay.
 
     Raises:
         ScenarioError: the folder cannot be written.
@@ -88,31 +59,3 @@ def write_results(
             for name, figure in make_figures(run).items():
                 figure.savefig(new / _FIGURES / f"{name}.png", dpi=150)
     return metrics
-
-
-@contextlib.contextmanager
-def replacing_files(folder: Path, contents: Iterable[str]) -> Iterator[Path]:
-    """A new folder to write files to that take the place of those in `folder` at the end.
-
-    `contents` are the paths, relative to it, of all that may be there: where there is no new
-    file of that path, the old one is removed.
-
-    Raises:
-        ScenarioError: the folder cannot be written.
-    """
-    try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as name:
-            new = Path(name)
-            yield new
-            for item in contents:
-                if (new / item).exists():
-                    (folder / item).parent.mkdir(parents=True, exist_ok=True)
-                    os.replace(new / item, folder / item)
-                else:
-                    (folder / item).unlink(missing_ok=True)
-            with contextlib.suppress(OSError):  # where something of the user's is left in it
-                (folder / _FIGURES).rmdir()
-    except OSError as error:
-        raise ScenarioError(
-            f"--out = {folder}: give a folder with room to write to ({error.strerror})"
-        ) from None

@@ -1,7 +1,8 @@
-"""What a run makes of errors that its controllers do not know of."""
+"""How a run changes with errors that its controllers do not know of, one at a time."""
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import as_completed
+import dataclasses
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,59 +10,104 @@ import numpy as np
 
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.loading import Scenario, changed, dump_scenario, parse_scenario
-from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.simulate import RunStopped, simulate
-from drake_nonstop.studies.workers import worker_processes
+from drake_nonstop.simulation.metrics import compute_metrics, flattened
+from drake_nonstop.studies.run_all import (
+    COMPLETED,
+    FAILED,
+    UNBUILDABLE,
+    Progress,
+    attempt,
+    no_progress,
+    run_all,
+)
+from drake_nonstop.validation import ScenarioError
 
 
 @dataclass(kw_only=True)
 class Case:
-    """A run with one error; figures of a run that diverged are those up to there.
+    """A run with one error.
 
-    `speed_margin` is the slowest carrier's speed minus ε, both in m/s.
+    The figures of a run that did not complete are those up to its end, and NaN where it has no
+    samples at all.
     """
 
     error: str  # what is wrong
     level: float  # by how much
-    unit: str
-    settings: list[str]
-    completed: bool
-    position_error_mean: float  # m
-    position_error_final: float  # m
-    orientation_error_mean: float  # rad
-    speed_margin: float
-    time_below_bound: float  # s
-    slack_time: float  # s
+    unit: str  # of the level
+    overrides: list[str]  # "path=value"
+    outcome: str = COMPLETED  # or "diverged", or "failed": a block raised an error
+    message: str = ""  # why it did not complete
+    position_error_mean: float = math.nan  # m
+    position_error_final: float = math.nan  # m
+    orientation_error_mean: float = math.nan  # rad
+    speed_margin: float = math.nan  # m/s, the slowest carrier's speed minus ε
+    time_below_bound: float = math.nan  # s
+    slack_time: float = math.nan  # s
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields, with None in place of NaN."""
+        return {
+            name: None if isinstance(value, float) and math.isnan(value) else value
+            for name, value in dataclasses.asdict(self).items()
+        }
 
 
 def robustness(
-    scenario: Scenario,
-    *,
-    seed: int = 0,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    scenario: Scenario, *, seed: int = 0, progress: Progress = no_progress
 ) -> list[Case]:
-    """Runs a scenario without and with each error at some levels, in a process per core.
+    """Runs a scenario without error and with each error at some levels, in a process per core.
 
-    The simulated mass, inertia, attachment points and cable length differ from what the
-    controllers believe; the load's state comes with noise or late; a constant or a gusty
-    wind pushes the load. `seed` is that of the attachments' directions, the noise and the gust.
+    The simulated mass, inertia, attachment points and cable length differ from the controllers'
+    model; the load's state is measured with noise or delay; a constant or a gusty wind pushes
+    the load.
+
+    Args:
+        scenario: what the errors are added to.
+        seed: of the attachment points' directions, of the noise and of the gusts.
+        progress: called with a description and the share that is done.
+
+    Returns:
+        The case without error first.
 
     Raises:
         ScenarioError: the scenario, or one with such an error, cannot be built.
     """
-    errors = list(_errors(scenario, seed))
+    cases = [
+        Case(error=error, level=level, unit=unit, overrides=overrides)
+        for error, level, unit, overrides in _errors(scenario, seed)
+    ]
     text = dump_scenario(scenario)  # which can be sent to a process
-    cases: dict[int, Case] = {}
-    with worker_processes() as executor:
-        futures = {executor.submit(_case, text, *error): k for k, error in enumerate(errors)}
-        for done, future in enumerate(as_completed(futures)):
-            cases[futures[future]] = future.result()
-            progress("simulating", (done + 1) / len(errors))
-    return [cases[k] for k in range(len(errors))]
+
+    def failed(key: int, error: str) -> Case:
+        return dataclasses.replace(cases[key], outcome=FAILED, message=error)
+
+    run_all(
+        _measured,
+        range(len(cases)),
+        lambda key: (text, cases[key]),
+        cases.__setitem__,
+        failed,
+        progress=progress,
+    )
+    return cases
+
+
+def robustness_table(cases: Sequence[Case]) -> str:
+    """A line per case in aligned columns, for a terminal."""
+    columns = "e_p mean / final, mm", "slowest - bound", "below", "slack"
+    lines = ["{:42} {:>20} {:>16} {:>8} {:>8}".format("error", *columns)]
+    for case in cases:
+        name = f"{case.error} {case.level:+g} {case.unit}" if case.unit else "none"
+        errors = f"{1e3 * case.position_error_mean:.3g} / {1e3 * case.position_error_final:.3g}"
+        lines.append(
+            f"{name:42} {errors:>20} {case.speed_margin:+12.3f} m/s {case.time_below_bound:6.3g} s "
+            f"{case.slack_time:6.3g} s{'' if case.outcome == COMPLETED else f'  {case.outcome}'}"
+        )
+    return "\n".join(lines)
 
 
 def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, list[str]]]:
-    """Name, level, unit and settings of each error."""
+    """Name, level, unit and overrides of each error."""
     system = overridden(scenario.system, scenario.simulated)
     yield "none", 0.0, "", []
     for percent in (-20.0, -10.0, 10.0, 20.0):
@@ -103,26 +149,22 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
         yield "gusty wind", percent, "% of weight (standard deviation)", [block]
 
 
-def _case(text: str, error: str, level: float, unit: str, settings: list[str]) -> Case:
+def _measured(text: str, case: Case) -> Case:
+    """The case with its outcome and figures."""
     # A copy of a scenario that was trusted when it was loaded.
-    scenario = changed(parse_scenario(text, trust=True), settings)
-    completed = True
-    try:
-        run = simulate(scenario)
-    except RunStopped as stopped:
-        run, completed = stopped.run, False
-    figures: dict[str, Any] = compute_metrics(run)
-    load, carriers = figures["load"], figures["carriers"]
-    return Case(
-        error=error,
-        level=level,
-        unit=unit,
-        settings=settings,
-        completed=completed,
-        position_error_mean=load["position_error_mean_m"],
-        position_error_final=load["position_error_final_m"],
-        orientation_error_mean=load["orientation_error_mean_rad"],
-        speed_margin=carriers["speed_min_m_s"] - carriers["speed_bound_m_s"],
-        time_below_bound=carriers["time_below_bound_s"],
-        slack_time=figures["cables"]["slack_time_s"],
+    tried = attempt(lambda: changed(parse_scenario(text, trust=True), case.overrides))
+    if tried.outcome == UNBUILDABLE:
+        raise ScenarioError(tried.message)
+    ended = dataclasses.replace(case, outcome=tried.outcome, message=tried.message)
+    if tried.run is None:
+        return ended
+    figures = flattened(compute_metrics(tried.run))
+    return dataclasses.replace(
+        ended,
+        position_error_mean=figures["load.position_error_mean_m"],
+        position_error_final=figures["load.position_error_final_m"],
+        orientation_error_mean=figures["load.orientation_error_mean_rad"],
+        speed_margin=figures["carriers.speed_min_m_s"] - figures["carriers.speed_bound_m_s"],
+        time_below_bound=figures["carriers.time_below_bound_s"],
+        slack_time=figures["cables.slack_time_s"],
     )

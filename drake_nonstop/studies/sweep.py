@@ -5,11 +5,9 @@ import fcntl
 import gc
 import hashlib
 import json
-import os
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -21,35 +19,34 @@ from drake_nonstop.scenario.loading import (
     dump_scenario,
     parse_scenario,
 )
-from drake_nonstop.simulation.metrics import compute_metrics, flattened, is_wall_time
-from drake_nonstop.studies.outcomes import FAILED, attempt
-from drake_nonstop.studies.results_folder import replacing_file, require_writable
+from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened
+from drake_nonstop.studies.files import replacing_file, require_writable
+from drake_nonstop.studies.run_all import FAILED, Progress, attempt, no_progress, run_all
 from drake_nonstop.studies.sweep_spec import SweepSpec, dump_spec
-from drake_nonstop.studies.workers import worker_processes
 from drake_nonstop.systems.block import release
-from drake_nonstop.validation import ScenarioError, one_line, require
+from drake_nonstop.validation import ScenarioError, require
 
 TABLE = "runs.parquet"
 WALL_TIMES = "wall_times.parquet"
 JOURNAL = "journal.jsonl"
 
-_MOST_PENDING = 200  # runs, that an executor has at a time
-_TRIED = 20  # runs, of which one has to be a scenario before any is simulated
+_CHECKED_RUNS = 20  # one of them has to make a scenario before any run is simulated
 _JSON_SEPARATORS = (",", ":")
+_WALL_TIME_PATHS = {metric.path for metric in METRICS if metric.is_wall_time}
 
-Result = dict[str, Any]  # of a run: its outcome, error, metrics and wall times, as in the journal
+Result = dict[str, Any]  # of a run, as in the journal: outcome, error, metrics, wall_times
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """A sweep that is done: its table, and how many of its runs came to each outcome."""
+    """A completed sweep: its table, and how many runs had each outcome."""
 
     table: Path
     outcomes: dict[str, int]
 
 
 class SweepInterrupted(KeyboardInterrupt):
-    """A sweep was interrupted from the keyboard; the message tells how far it came."""
+    """A sweep was interrupted from the keyboard; the message says how many runs are done."""
 
 
 def sweep(
@@ -60,33 +57,36 @@ def sweep(
     executor: Executor | None = None,
     restart: bool = False,
     trust: bool = False,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    progress: Progress = no_progress,
 ) -> Sweep:
     """Simulates all runs of a sweep and writes a table with a row for each.
 
     The folder gets runs.parquet: per run its number, the seed of its draws, the values that were
-    swept, the outcome ("completed", "diverged", "failed" where a block raised an error, or
-    "unbuildable"), the error, and every metric that is one value, by its path in metrics.json.
-    The rows stand in the order of the runs, and are the same, to the bit, however they were
-    computed; what is measured with a clock is therefore in wall_times.parquet.
+    swept, the outcome ("completed", "diverged", "failed" where a block raised an error or the
+    process died, or "unbuildable"), the error, and every metric that is one value, by its path
+    in metrics.json. Rows are in the order of the runs and, to the bit, the same with any
+    executor; metrics measured with a clock are therefore in wall_times.parquet.
 
-    Each run that ends is noted in journal.jsonl at once. A sweep that was interrupted goes on
-    from there when it is called again with the same scenario, spec and folder.
+    The result of each run is appended to journal.jsonl as it comes. An interrupted sweep
+    continues from there when it is called again with the same scenario, spec and folder.
 
     Args:
         scenario: what the runs change.
         spec: what to run.
         folder: for the results, made where there is none.
-        executor: any of concurrent.futures' kind, whose workers can import this package, and the
-            blocks of the user's own; it is not shut down. A process per core where there is none.
-        restart: whether to begin anew, and to drop what the folder has of a sweep.
-        trust: whether the spec may name blocks of the user's own, which runs their code.
-        progress: called with what is done and the share that is.
+        executor: any of concurrent.futures' kind, whose workers can import this package and the
+            user's own blocks; it is not shut down. None: a process per core.
+        restart: whether to remove the folder's earlier sweep and start again.
+        trust: whether the spec may name the user's own blocks, which runs their code.
+        progress: called with a description and the share that is done.
+
+    Returns:
+        The path of the table and the number of runs with each outcome.
 
     Raises:
         ScenarioError: the spec does not fit the scenario, the folder cannot be written, or has
             another sweep, or pyarrow is not installed.
-        SweepInterrupted: Ctrl-C; the runs that ended are kept.
+        SweepInterrupted: Ctrl-C; the results that there are stay in the journal.
     """
     folder = Path(folder)
     _pyarrow()
@@ -106,16 +106,23 @@ def sweep(
                 line = json.dumps({"run": number, **result}, separators=_JSON_SEPARATORS)
                 file.write(f"{line}\n".encode())
                 file.flush()
-                progress(f"simulating {total} runs", len(results) / total)
 
-            def submit(to: Executor, number: int) -> Future:
-                return to.submit(_simulated, text, spec.run(number).settings, trust)
-
+            missing = [number for number in range(total) if number not in results]
             try:
-                _run_all(spec, results, executor, submit, record)
+                run_all(
+                    _simulated,
+                    missing,
+                    lambda number: (text, spec.run(number).overrides, trust),
+                    record,
+                    lambda number, error: _failed(error),
+                    executor=executor,
+                    what=f"simulating {total} runs",
+                    progress=progress,
+                    already_done=total - len(missing),
+                )
             except KeyboardInterrupt:
                 raise SweepInterrupted(
-                    f"{len(results)} of {total} runs are in {folder}; the same call goes on from "
+                    f"{len(results)} of {total} runs are in {folder}; the same call continues from "
                     "there"
                 ) from None
             ordered = {number: results[number] for number in range(total)}
@@ -130,12 +137,12 @@ def sweep(
 
 
 def _require_runnable(scenario: Scenario, spec: SweepSpec, trust: bool) -> None:
-    """Raises the first run's ScenarioError where none of some runs all over has a scenario."""
+    """Raises the first ScenarioError where none of some runs, evenly chosen, has a scenario."""
     first_error = None
-    step = max(1, len(spec) // _TRIED)
+    step = max(1, len(spec) // _CHECKED_RUNS)
     for number in range(0, len(spec), step):
         try:
-            changed(scenario, spec.run(number).settings, trust=trust)
+            changed(scenario, spec.run(number).overrides, trust=trust)
         except ScenarioError as error:
             first_error = first_error or error
         else:
@@ -145,7 +152,7 @@ def _require_runnable(scenario: Scenario, spec: SweepSpec, trust: bool) -> None:
 
 
 def _identity(text: str, spec: SweepSpec) -> str:
-    """What tells sweeps apart that differ in any result."""
+    """A hash that differs between sweeps whose results may differ."""
     return hashlib.sha256(f"{text}\n{dump_spec(spec)}".encode()).hexdigest()
 
 
@@ -172,7 +179,7 @@ def _journal(
                 (folder / name).unlink(missing_ok=True)
         file.seek(0)
         content = file.read()
-        whole = content[: content.rfind(b"\n") + 1]  # without a line that an end cut short
+        whole = content[: content.rfind(b"\n") + 1]  # without an incomplete last line
         if whole:
             results |= _read_journal(whole, identity, folder)
             file.truncate(len(whole))
@@ -192,7 +199,7 @@ def _read_journal(content: bytes, identity: str, folder: Path) -> dict[int, Resu
     except (ValueError, KeyError, TypeError, AttributeError):
         raise ScenarioError(
             f"--out = {folder}: its {JOURNAL} cannot be read; give another folder, or --restart "
-            "(restart=True) to begin anew"
+            "(restart=True) to start again"
         ) from None
     require(
         found == identity,
@@ -204,105 +211,27 @@ def _read_journal(content: bytes, identity: str, folder: Path) -> dict[int, Resu
     return results
 
 
-def _run_all(
-    spec: SweepSpec,
-    results: dict[int, Result],
-    executor: Executor | None,
-    submit: Callable[[Executor, int], Future],
-    record: Callable[[int, Result], None],
-) -> None:
-    """Records the results of all runs that have none yet.
-
-    Where a worker process of ours dies, those runs that it may have been at are tried again one
-    by one, in a process of their own: the one that ends it has failed.
-    """
-    if executor is not None:
-        _run_in(executor, _missing(spec, results), submit, record)
-        return
-    while missing := _missing(spec, results):
-        try:
-            with worker_processes() as processes:
-                _run_in(processes, missing, submit, record)
-        except BrokenProcessPool:
-            # Each worker has one, and one more is on its way to them.
-            for number in _missing(spec, results)[: (os.cpu_count() or 1) + 1]:
-                with worker_processes(1) as process:
-                    try:
-                        result = _result(submit(process, number))
-                    except BrokenProcessPool:
-                        result = _failed("its process died, by a crash or for want of memory")
-                record(number, result)
-
-
-def _missing(spec: SweepSpec, results: dict[int, Result]) -> list[int]:
-    return [number for number in range(len(spec)) if number not in results]
-
-
-def _run_in(
-    executor: Executor,
-    numbers: Sequence[int],
-    submit: Callable[[Executor, int], Future],
-    record: Callable[[int, Result], None],
-) -> None:
-    """Records each run's result as it comes."""
-    waiting = deque(numbers)
-    pending: dict[Future, int] = {}
-    try:
-        while waiting or pending:
-            while waiting and len(pending) < _MOST_PENDING:
-                future = submit(executor, waiting[0])
-                pending[future] = waiting.popleft()
-                if future.done():
-                    break  # to be recorded before the next, which may be run in submitting it
-            for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                result = _result(future)
-                record(pending.pop(future), result)
-    finally:
-        for future in pending:
-            future.cancel()
-
-
-def _result(future: Future) -> Result:
-    """The result of a run, which has failed where its worker raised anything.
-
-    Raises:
-        BrokenProcessPool: a worker process died.
-        KeyboardInterrupt: the run was interrupted.
-    """
-    try:
-        result = future.result()
-    except BrokenProcessPool:
-        raise
-    except Exception as error:
-        return _failed(one_line(error))
-    if result is None:
-        raise KeyboardInterrupt
-    return result
-
-
 def _failed(error: str) -> Result:
     return {"outcome": FAILED, "error": error, "metrics": {}, "wall_times": {}}
 
 
-def _simulated(text: str, settings: Sequence[str], trust: bool) -> Result | None:
-    """The result of a run; None: it was interrupted."""
+def _simulated(text: str, overrides: Sequence[str], trust: bool) -> Result:
+    """The result of a run."""
 
     def scenario() -> Scenario:
         # A copy of a scenario that was trusted when it was loaded.
-        return changed(parse_scenario(text, trust=True), settings, trust=trust)
+        return changed(parse_scenario(text, trust=True), overrides, trust=trust)
 
     tried = attempt(scenario)
-    if tried is None:
-        return None
     metrics = {} if tried.run is None else flattened(compute_metrics(tried.run))
     result = {
         "outcome": tried.outcome,
         "error": tried.message,
-        "metrics": {path: value for path, value in metrics.items() if not is_wall_time(path)},
-        "wall_times": {path: value for path, value in metrics.items() if is_wall_time(path)},
+        "metrics": {path: value for path, value in metrics.items() if path not in _WALL_TIME_PATHS},
+        "wall_times": {path: value for path, value in metrics.items() if path in _WALL_TIME_PATHS},
     }
-    # The systems of a run refer to each other, and few Python objects hold much of C++'s memory:
-    # the collector would come to them too late.
+    # The systems of a run refer to each other, and their memory is mostly C++'s: Python's
+    # collector would run too late.
     if tried.run is not None:
         release(tried.run.diagram)
     del tried

@@ -1,4 +1,4 @@
-"""What a sweep runs: combinations of values, and random draws of them, for fields of a scenario."""
+"""The specification of a sweep: values of a scenario's fields, combined or drawn at random."""
 
 import math
 from collections.abc import Callable
@@ -22,30 +22,30 @@ from drake_nonstop.validation import is_number, require, require_seed
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedRun:
-    """One run of a sweep: what its draws are seeded with, and what it sets.
+    """One run of a sweep: the seed of its draws, and how it changes the scenario.
 
-    `seed` is also what a path gets that is drawn as `{seed: true}`; `values` are those of the
-    grid and the draws by their paths, and `settings` all that changes the scenario.
+    `seed` is also the value of a path that is drawn as `{seed: true}`; `values` are those of the
+    grid and the draws by their paths, and `overrides` all changes of the scenario.
     """
 
     number: int
     seed: int
     values: dict[str, Any]
-    settings: list[str]
+    overrides: list[str]
 
 
 @dataclass(kw_only=True)
 class SweepSpec:
     """The runs of a sweep.
 
-    Every combination of the values in `grid` is run, and where there are `draws`, `runs` times
-    with values drawn at random. Draw k follows from `seed` and k alone, and is the same in every
-    combination, so that combinations can be compared.
+    Every combination of the values in `grid` is run; where there are `draws`, it is run `runs`
+    times with values drawn at random. Draw k depends on `seed` and k only and is the same in
+    every combination, so that combinations can be compared.
 
-    A path is one of the resolved scenario, as in `load_scenario`. What it is drawn from is one
+    A path is one of the resolved scenario, as in `load_scenario`. Its distribution is one
     of `{uniform: [low, high]}`, `{normal: [mean, standard deviation]}`,
     `{log_uniform: [low, high]}`, `{choice: [value, ...]}`, and `{seed: true}`: a whole number of
-    the run's own, for the seed of a block such as Wind.
+    each draw's own, for the seed of a block such as Wind.
 
     Raises:
         ScenarioError: a field cannot be used.
@@ -54,22 +54,22 @@ class SweepSpec:
     description: str = ""
     seed: int = 0
     runs: int | None = None  # of each combination
-    settings: list[str] = field(default_factory=list)  # "path=value", of all runs, first of all
+    overrides: list[str] = field(default_factory=list)  # "path=value", of all runs
     grid: dict[str, list[Any]] = field(default_factory=dict)  # values by path
     draws: dict[str, dict[str, Any]] = field(default_factory=dict)  # distributions by path
-    source: str = "spec"  # what errors call it
+    source: str = "spec"  # its name in errors
 
     def __post_init__(self) -> None:
         source = self.source
         require_seed(f"{source}.seed", self.seed)
         require(
-            isinstance(self.settings, list),
-            f"{source}.settings",
-            self.settings,
+            isinstance(self.overrides, list),
+            f"{source}.overrides",
+            self.overrides,
             "give a list of path=value",
         )
-        for setting in self.settings:
-            require_setting(setting, f"{source}.settings")
+        for override in self.overrides:
+            require_setting(override, f"{source}.overrides")
         for name in ("grid", "draws"):
             entries = getattr(self, name)
             what = "lists of values" if name == "grid" else "distributions"
@@ -86,7 +86,7 @@ class SweepSpec:
         where, runs = f"{source}.runs", self.runs
         if self.draws:
             is_count = isinstance(runs, int) and not isinstance(runs, bool) and runs > 0
-            require(is_count, where, runs, "give how often to draw, 1 or more")
+            require(is_count, where, runs, "give the number of draws, 1 or more")
         else:
             require(runs is None, where, runs, "leave it out where there are no draws")
 
@@ -109,8 +109,8 @@ class SweepSpec:
         for path, distribution in self.draws.items():
             ((kind, parameters),) = distribution.items()
             values[path] = seed if kind == "seed" else _DRAW[kind](random, parameters)
-        settings = [*self.settings, *(as_setting(*item) for item in values.items())]
-        return PlannedRun(number=number, seed=seed, values=values, settings=settings)
+        overrides = [*self.overrides, *(as_setting(*item) for item in values.items())]
+        return PlannedRun(number=number, seed=seed, values=values, overrides=overrides)
 
     @cached_property
     def _combinations(self) -> list[dict[str, Any]]:
@@ -124,20 +124,20 @@ def read_sweep(file: str | Path) -> SweepSpec:
         ScenarioError: the file cannot be read, or its content cannot be used.
     """
     path = Path(file)
-    known = ("description", "seed", "runs", "settings", "grid", "draws")
-    remedy = f"give grid, draws or both, and what you like of {', '.join(known[:4])}"
+    known = ("description", "seed", "runs", "overrides", "grid", "draws")
+    remedy = f"give grid, draws or both, and if needed {', '.join(known[:4])}"
     return SweepSpec(**read_mapping(path, "SPEC", known, remedy), source=path.name)
 
 
 def dump_spec(spec: SweepSpec) -> str:
-    """All that the results depend on, as YAML in one line; `read_sweep` reads it."""
-    names = ("seed", "runs", "settings", "grid", "draws")
+    """The fields that the results depend on, as one line of YAML that `read_sweep` reads."""
+    names = ("seed", "runs", "overrides", "grid", "draws")
     given = {name: getattr(spec, name) for name in names}
     return dump_plain({name: value for name, value in given.items() if value not in (None, [], {})})
 
 
 def _require_distribution(distribution: Any, where: str) -> None:
-    """Raises ScenarioError for what nothing can be drawn from."""
+    """Raises ScenarioError for anything but a distribution."""
     remedy = (
         "give one of {uniform: [low, high]}, {normal: [mean, standard deviation]}, "
         "{log_uniform: [low, high]}, {choice: [values]} and {seed: true}"

@@ -1,9 +1,12 @@
 """The README's numbers, measured anew: what holds and what does not."""
 
+import re
+
 import pytest
 
-from drake_nonstop.benchmarks.claims import Claim, read_claims, wrong_shares
+from drake_nonstop.benchmarks.claims import QUANTITIES, Claim, measure, read_claims, wrong_shares
 from drake_nonstop.cli.main import main
+from drake_nonstop.simulation.metrics import METRICS
 from drake_nonstop.validation import ScenarioError
 
 RUN = "quintic duration=0.1 optimization_layer=ConstantParameters"
@@ -36,6 +39,30 @@ def test_rows_that_cannot_be_read_are_no_silent_gap():
         read_claims(ROW.format("line", "tallest (m)", "0.2"))
     with pytest.raises(ScenarioError, match="a text without claims"):
         read_claims("nothing")
+
+
+def test_every_metric_that_is_one_value_can_be_claimed():
+    assert {metric.heading for metric in METRICS if not metric.is_list} < set(QUANTITIES)
+    assert {"mean position error (mm)", "slowest (m/s)", "final A (N)"} < set(QUANTITIES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "quantity", "words"),
+    [
+        (
+            "quintic duration=0.5 simulator.integration_scheme=explicit_euler",
+            "final A (N)",
+            "diverged",
+        ),
+        (RUN, "solve, p99 (ms)", "give a quantity that this run measures"),
+        ("quintic phase=Nope", "final A (N)", "phase = !Nope: give one of"),
+    ],
+)
+def test_a_claim_that_cannot_be_measured_is_named(arguments, quantity, words):
+    claim = Claim(arguments=arguments, quantity=quantity, printed="1")
+    with pytest.raises(ScenarioError, match=re.escape(words)) as raised:
+        measure([claim])
+    assert str(raised.value).startswith(f"claim on {arguments} = ")
 
 
 def test_command_fails_with_a_claim(tmp_path, capsys):

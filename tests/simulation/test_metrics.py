@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from drake_nonstop import load_scenario
-from drake_nonstop.simulation.metrics import compute_metrics, load_errors, segment_distances
+from drake_nonstop.simulation.metrics import (
+    METRICS,
+    compute_metrics,
+    flattened,
+    load_errors,
+    metrics_table,
+    segment_distances,
+)
 from drake_nonstop.simulation.simulate import Run
 
 KEYS = {
@@ -100,6 +107,35 @@ def test_the_keys_are_those_that_others_read():
     assert set(metrics) == KEYS[""]
     for part in ("load", "carriers", "cables", "optimizer", "versions"):
         assert set(metrics[part]) == KEYS[part]
+
+
+def test_the_table_has_a_row_for_each_metric():
+    metrics = compute_metrics(circling_run())
+    single = [metric.path for metric in METRICS if not metric.is_list]
+    others = {"scenario", "is_steered", *(f"versions.{key}" for key in KEYS["versions"])}
+    assert set(flattened(metrics)) == {*single, *others}
+    assert len({metric.path for metric in METRICS}) == len(METRICS)
+    assert len({metric.heading for metric in METRICS}) == len(METRICS)
+    assert {metric.path for metric in METRICS if metric.is_wall_time} == {
+        "wall_s",
+        "real_time_factor",
+        *(f"optimizer.solve_time_ms.{name}" for name in ("p50", "p99", "max")),
+    }
+
+
+def test_the_table_of_a_run():
+    run = circling_run(radius=0.5, rate=2.0)
+    assert metrics_table(compute_metrics(run)).splitlines() == [
+        "simulated               4 s in 0.50 s (8.0 x real time)",
+        "load position error     mean 3 mm, max 3 mm",
+        "load orientation error  mean 0 mrad, max 0 mrad",
+        "carrier speed           1.000 to 1.000 m/s, bound 0.55 m/s, below it for 0 s",
+        "closest                 carriers 1.5 m, cables 1.27 m",
+        "tension                 2.5 to 2.5 N, slack for 0 s",
+        "optimizer               7 updates: 4 kept, 1 solved, 1 relaxed, 1 held",
+    ]
+    run.steps["diagnostics"][-1, 1:] = 0
+    assert "optimizer" not in metrics_table(compute_metrics(run))
 
 
 def test_level_circles_have_known_figures():

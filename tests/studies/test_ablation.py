@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -17,7 +18,7 @@ from drake_nonstop.cli import main as cli
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import changed, load_scenario
-from drake_nonstop.studies import ablation
+from drake_nonstop.simulation.metrics import flattened
 from drake_nonstop.studies.ablation import (
     BASE,
     Row,
@@ -30,7 +31,8 @@ from drake_nonstop.studies.ablation import (
     ordered,
     read_grid,
 )
-from drake_nonstop.studies.outcomes import COMPLETED, DIVERGED, UNBUILDABLE
+from drake_nonstop.studies.ablation.page import Curves, write_page
+from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, FAILED, UNBUILDABLE
 from drake_nonstop.validation import ScenarioError
 
 PLOTS = {"position_error.png", "slowest_speed.png", "tension_min.png"}
@@ -86,8 +88,8 @@ class TestGrids:
           pattern.phases: [[0.0, 0.5, 0.0, 0.5]]
           optimization_layer: [!NonstopOptimizer {speed_bound: 0.3, max_speed: .inf}]
         """
-        (settings,) = read_grid(written(tmp_path, text)).variants.values()
-        scenario = changed(load_scenario("line"), settings)
+        (overrides,) = read_grid(written(tmp_path, text)).variants.values()
+        scenario = changed(load_scenario("line"), overrides)
         assert scenario.pattern.phases == [0.0, 0.5, 0.0, 0.5]
         assert scenario.speed_bound == 0.3
 
@@ -143,8 +145,8 @@ class TestGrids:
         grid = read_grid(name)
         assert grid.description
         line = load_scenario("line")
-        for settings in grid.variants.values():
-            variant = changed(line, settings)
+        for overrides in grid.variants.values():
+            variant = changed(line, overrides)
             assert variant != line
             make_nonstop(variant)
 
@@ -159,7 +161,7 @@ def a_row(name, error=None, below=0.0, outcome=COMPLETED, message=""):
     return Row(
         variant=name,
         folder=name,
-        settings=["a=1"],
+        overrides=["a=1"],
         outcome=outcome,
         message=message,
         metrics=metrics,
@@ -175,6 +177,17 @@ ROWS = [
     a_row("a|b", 2.0001e-3, 1.5),
     a_row("crash", 1.0, 0.1, DIVERGED, "it diverged"),
 ]
+
+CURVES = {
+    "base": Curves(
+        sample_times=np.arange(2.0),
+        position_error=np.ones(2),
+        step_times=np.arange(2.0),
+        slowest_speed=np.ones(2),
+        speed_bound=np.ones(2),
+        least_tension=np.ones(2),
+    )
+}
 
 
 class TestTables:
@@ -204,14 +217,23 @@ class TestTables:
         assert max(map(len, lines)) <= 110
         assert lines[-1].startswith("a name that is muc… (diverged) ")
 
-    def test_names_and_folders_are_told_apart(self):
-        given = [(BASE, []), ("a b", []), ("A_b", []), ("a b", []), ("table.csv", []), ("ε", [])]
-        rows = ablation._named(given)
-        assert [row.variant for row in rows] == [
-            *("as it is", "a b", "A_b", "a b (2)", "table.csv", "ε")
-        ]
-        folders = [row.folder for row in rows]
-        assert folders == ["as_it_is", "a_b", "A_b_2", "a_b_2_2", "table.csv_2", "variant"]
+
+def test_equal_names_and_folders_get_numbers(tmp_path):
+    names = [BASE, "a b", "A_b", "a b", "table.csv", "ε"]
+    variants = [(name, ["duration=0.04"]) for name in names[1:]]
+    scenario = load_scenario("line", ["duration=0.03", "optimization_layer=ConstantParameters"])
+    rows = ablate(scenario, [(BASE, ["duration=0.05"]), *variants], tmp_path, replay=False)
+    assert {row.variant: row.folder for row in rows} == {
+        "as it is": "as_it_is",
+        "as it is (2)": "as_it_is_2",
+        "a b": "a_b",
+        "A_b": "A_b_2",
+        "a b (2)": "a_b_2_2",
+        "table.csv": "table.csv_2",
+        "ε": "variant",
+    }
+    assert rows[0].variant == BASE
+    assert {row.folder for row in rows} < contents(tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -243,13 +265,15 @@ def test_the_csv_holds_every_metric_to_the_last_digit(compared):
         rows = list(csv.DictReader(file))
     assert [row["variant"] for row in rows] == ["as it is", "without optimization", "Nope"]
     assert [row["outcome"] for row in rows] == [COMPLETED, COMPLETED, UNBUILDABLE]
-    assert rows[1]["settings"] == "optimization_layer=ConstantParameters"
+    assert rows[1]["overrides"] == "optimization_layer=ConstantParameters"
     for row in rows[:2]:
         metrics = json.loads((folder / row["folder"] / "metrics.json").read_text())
         assert float(row["load.position_error_mean_m"]) == metrics["load"]["position_error_mean_m"]
-        flat = dict(ablation._flattened(metrics))
+        flat = flattened(metrics)
         assert len(flat) > 30
-        assert {path: row[path] for path in flat} == flat
+        for path, value in flat.items():
+            text = value if isinstance(value, str) else json.dumps(value)
+            assert row[path] == ("" if value is None else text)
     assert rows[1]["optimizer.solve_time_ms.p99"] == ""
     assert rows[2]["load.position_error_mean_m"] == ""
 
@@ -308,6 +332,29 @@ def test_a_diverged_variant_is_a_result(tmp_path):
     assert (tmp_path / "table.csv").read_text() == as_csv(rows)
 
 
+def test_a_variant_that_ends_its_process_has_failed(tmp_path, faulty_blocks):
+    scenario = load_scenario("line", ["duration=0.1", "optimization_layer=ConstantParameters"])
+    fatal = {"fatal": ["load_disturbance=!faulty_blocks.FaultyWind {fault: dies}"]}
+    rows = ablate(scenario, fatal, tmp_path, replay=False, trust=True)
+    assert [row.outcome for row in rows] == [COMPLETED, FAILED]
+    assert "its process died" in rows[1].message
+    assert "fatal (failed): its process died" in (tmp_path / "table.md").read_text()
+
+
+def test_changes_are_marked_as_better_or_worse(tmp_path):
+    rows = ordered(ROWS)
+    write_page(tmp_path, "title", load_scenario("line"), rows, CURVES, has_replays=False)
+    page = (tmp_path / "index.html").read_text()
+    cells = {
+        row.variant: page.split(f">{row.variant}</a>", 1)[1].split("</tr>", 1)[0]
+        for row in rows
+        if row.variant in ("worse", "much better", "same")
+    }
+    assert cells["worse"].count("class=worse") == 2
+    assert cells["much better"].count("class=better") == 2
+    assert "class=" not in cells["same"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -339,10 +386,8 @@ def test_ctrl_c_ends_all_processes_and_leaves_the_earlier_results(tmp_path):
     while process.poll() is None and len(contents(tmp_path)) == 1:
         time.sleep(0.05)
     time.sleep(4)  # the runs are on their way
-    start = time.perf_counter()
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
-    assert time.perf_counter() - start < 10
     assert process.returncode == cli.INTERRUPTED
     assert error.endswith("drake-nonstop: interrupted\n")
     assert "Traceback" not in error

@@ -18,57 +18,14 @@ from distributed import LocalCluster
 import drake_nonstop
 from drake_nonstop import SweepInterrupted, SweepSpec, load_scenario, read_sweep
 from drake_nonstop.cli.main import BAD_INPUT, FAILED, INTERRUPTED, main
-from drake_nonstop.studies.outcomes import COMPLETED, DIVERGED, UNBUILDABLE
-from drake_nonstop.studies.outcomes import FAILED as BLOCK_FAILED
+from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, UNBUILDABLE, SerialExecutor
+from drake_nonstop.studies.run_all import FAILED as BLOCK_FAILED
 from drake_nonstop.studies.sweep import JOURNAL, TABLE, WALL_TIMES
-from drake_nonstop.studies.workers import SerialExecutor
 from drake_nonstop.validation import ScenarioError
 
+pytestmark = pytest.mark.usefixtures("faulty_blocks")
+
 SHORT = ["duration=0.1", "optimization_layer=ConstantParameters"]
-
-# A wind with the faults that a block can have.
-FAULTY = """
-import os
-from dataclasses import dataclass
-
-import numpy as np
-from pydrake.systems.framework import LeafSystem
-
-
-@dataclass(kw_only=True)
-class FaultyWindConfig:
-    force: float = 0.0
-    fault: str = "none"
-    seed: int = 0
-
-
-class FaultyWind(LeafSystem):
-    def __init__(self, model, config):
-        super().__init__()
-        if config.fault == "constructor":
-            raise ValueError("no such wind")
-        self.config = config
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc)
-
-    def calc(self, context, output):
-        late = context.get_time() > 0.05
-        if late and self.config.fault == "raises":
-            raise ValueError("the wind broke")
-        if late and self.config.fault == "dies":
-            os._exit(9)
-        value = np.nan if late and self.config.fault == "diverges" else self.config.force
-        output.SetFromVector([0, 0, 0, 0, value, 0])
-"""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def faulty_blocks(tmp_path_factory):
-    """A folder with a module of blocks that workers can import, too."""
-    folder = tmp_path_factory.mktemp("blocks")
-    (folder / "sweep_faults.py").write_text(FAULTY)
-    sys.path.append(str(folder))
-    yield folder
-    sys.path.remove(str(folder))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +37,7 @@ def faulty(*faults, **others):
     fields = {"draws": {"load_disturbance.force": {"uniform": [-0.1, 0.1]}}, "runs": 2, **others}
     return SweepSpec(
         seed=3,
-        settings=["load_disturbance=!sweep_faults.FaultyWind {}"],
+        overrides=["load_disturbance=!faulty_blocks.FaultyWind {}"],
         grid={"load_disturbance.fault": list(faults)},
         **fields,
     )
@@ -94,7 +51,7 @@ def sweep(scenario, spec, folder, **options):
 
 
 @pytest.fixture(scope="module")
-def serial(scenario, tmp_path_factory):
+def serial(faulty_blocks, scenario, tmp_path_factory):
     """The folder of an uninterrupted sweep in this process."""
     folder = tmp_path_factory.mktemp("serial")
     sweep(scenario, SPEC, folder, executor=SerialExecutor())
@@ -116,14 +73,14 @@ class TestSpec:
         description: all there is
         seed: 7
         runs: 3
-        settings: ["phase=!PaperPhase {}", duration=2]
+        overrides: ["phase=!PaperPhase {}", duration=2]
         grid: {a.b: [1, 2.5], phase: [!PaperPhase {}, AccumulatedPhase]}
         draws: {c: {normal: [0, 1e-1]}, d: {seed: true}}
         """
         spec = read_sweep(self.written(tmp_path, text))
         assert len(spec) == 12
         first, second, last = (spec.run(k) for k in (0, 1, 11))
-        assert first.settings == [
+        assert first.overrides == [
             *("phase=!PaperPhase {}", "duration=2", "a.b=1", "phase=!PaperPhase {}"),
             *(f"c={first.values['c']!r}", f"d={first.seed}"),
         ]
@@ -141,8 +98,8 @@ class TestSpec:
             ("seed: -1\ngrid: {a: [1]}", "mine.yaml.seed = -1"),
             ("seed: 1.5\ngrid: {a: [1]}", "mine.yaml.seed = 1.5"),
             ("description: [a]\ngrid: {a: [1]}", "give a text"),
-            ("settings: a=1\ngrid: {a: [1]}", "give a list of path=value"),
-            ("settings: [a]\ngrid: {a: [1]}", "give path=value"),
+            ("overrides: a=1\ngrid: {a: [1]}", "give a list of path=value"),
+            ("overrides: [a]\ngrid: {a: [1]}", "give path=value"),
             ("grid: [1]", "give a mapping from paths to lists"),
             ("grid: {a: 1}", "mine.yaml.grid.a = 1: give a list of values"),
             ("grid: {a: [1, 1]}", "give each value once"),
@@ -308,12 +265,12 @@ class Recording(SerialExecutor):
     """Notes the forces of what it runs, and is interrupted after some runs."""
 
     def __init__(self, most=math.inf):
-        self.settings, self.most = [], most
+        self.overrides, self.most = [], most
 
     def submit(self, fn, /, *args, **kwargs):
-        if len(self.settings) >= self.most:
+        if len(self.overrides) >= self.most:
             raise KeyboardInterrupt
-        self.settings.append(args[1])
+        self.overrides.append(args[1])
         return super().submit(fn, *args, **kwargs)
 
 
@@ -326,10 +283,10 @@ class TestResume:
             file.write(b'{"run":3,"outcome":"comp')  # cut short by an end of the process
         rest, nothing = Recording(), Recording()
         sweep(scenario, SPEC, tmp_path, executor=rest)
-        assert rest.settings == [SPEC.run(k).settings for k in range(3, 8)]
+        assert rest.overrides == [SPEC.run(k).overrides for k in range(3, 8)]
         assert (tmp_path / TABLE).read_bytes() == (serial / TABLE).read_bytes()
         sweep(scenario, SPEC, tmp_path, executor=nothing)
-        assert nothing.settings == []
+        assert nothing.overrides == []
 
     def test_the_order_in_which_runs_end_is_no_matter(self, serial, scenario, tmp_path):
         content = (serial / JOURNAL).read_text().splitlines(keepends=True)

@@ -1,0 +1,160 @@
+"""The page of a comparison: the table, plots over time, and all replays side by side."""
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from string import Template
+from urllib.parse import quote
+
+from numpy.typing import NDArray
+
+from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.simulation.metrics import RunQuantities, value_at
+from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.studies.ablation.rows import (
+    POSITION_ERROR,
+    SLOWEST_SPEED,
+    TIME_BELOW_BOUND,
+    Row,
+)
+from drake_nonstop.studies.ablation.tables import (
+    COLUMNS,
+    effects_on_bound,
+    labelled,
+    problems_of,
+    shown,
+)
+from drake_nonstop.studies.figures import make_overlay_figure
+from drake_nonstop.studies.run_all import COMPLETED
+from drake_nonstop.visualization.replay import legend
+
+PAGE = "index.html"
+PLOTS = ("position_error.png", "slowest_speed.png", "tension_min.png")
+
+
+@dataclass(kw_only=True)
+class Curves:
+    """The curves of a run in the plots: samples at 100 Hz, and steps of the integrator."""
+
+    sample_times: NDArray  # (samples,), s
+    position_error: NDArray  # (samples,), m
+    step_times: NDArray  # (steps,), s
+    slowest_speed: NDArray  # (steps,), m/s
+    speed_bound: NDArray  # (steps,), m/s
+    least_tension: NDArray  # (steps,), N
+
+    @classmethod
+    def of(cls, run: Run) -> "Curves":
+        """The curves of a run."""
+        quantities = RunQuantities(run)
+        return cls(
+            sample_times=run.time,
+            position_error=quantities.position_error,
+            step_times=quantities.time,
+            slowest_speed=quantities.speeds.min(axis=1),
+            speed_bound=quantities.speed_bounds,
+            least_tension=quantities.tensions.min(axis=1),
+        )
+
+
+def write_page(
+    folder: Path,
+    title: str,
+    scenario: Scenario,
+    rows: Sequence[Row],
+    curves: Mapping[str, Curves],
+    *,
+    has_replays: bool,
+) -> None:
+    """Writes the plots and the page to the folder; `curves` are by the rows' folders."""
+    _draw(folder, rows, curves)
+    page = _page(title, scenario, rows, has_replays=has_replays)
+    (folder / PAGE).write_text(page, encoding="utf-8")
+
+
+def _draw(folder: Path, rows: Sequence[Row], curves: Mapping[str, Curves]) -> None:
+    """Writes the plots, whose axes are scaled to the completed runs."""
+    drawn = {row.variant: curves[row.folder] for row in rows if row.folder in curves}
+    whole = {row.variant for row in rows if row.outcome == COMPLETED} or set(drawn)
+    longest = max(drawn.values(), key=lambda c: c.step_times[-1])
+    figures = (
+        make_overlay_figure(
+            "Load position error",
+            "position error (mm)",
+            {name: (c.sample_times, 1e3 * c.position_error) for name, c in drawn.items()},
+            framed=whole,
+            is_logarithmic=True,
+        ),
+        make_overlay_figure(
+            "Speed of the slowest carrier",
+            "speed (m/s)",
+            {name: (c.step_times, c.slowest_speed) for name, c in drawn.items()},
+            framed=whole,
+            bound=(longest.step_times, longest.speed_bound),
+        ),
+        make_overlay_figure(
+            "Least tension of the cables",
+            "tension (N)",
+            {name: (c.step_times, c.least_tension) for name, c in drawn.items()},
+            framed=whole,
+        ),
+    )
+    for name, figure in zip(PLOTS, figures, strict=True):
+        figure.savefig(folder / name, dpi=150)
+
+
+def _page(title: str, scenario: Scenario, rows: Sequence[Row], *, has_replays: bool) -> str:
+    """The table, the plots and the replays as HTML that refers to files of its folder only."""
+    base = rows[0]
+    headings = "".join(f"<th>{html.escape(column.heading)}</th>" for column in COLUMNS)
+    body = "".join(_table_row(row, base) for row in rows)
+    effects, unaffected = effects_on_bound(rows)
+    effect = "".join(
+        f"<li><b>{html.escape(row.variant)}</b> {html.escape(text)}</li>" for row, text in effects
+    )
+    replayed = [row for row in rows if row.metrics is not None] if has_replays else []
+    template = resources.files("drake_nonstop.studies.ablation").joinpath("page.html")
+    return Template(template.read_text(encoding="utf-8")).substitute(
+        title=html.escape(title),
+        description=html.escape(scenario.description),
+        headings=headings,
+        body=body,
+        effects=f"<ol>{effect}</ol>" if effects else "",
+        unaffected=html.escape(", ".join(unaffected) or "none"),
+        problems="".join(f"<p class=problem>{html.escape(text)}</p>" for text in problems_of(rows)),
+        plots="".join(f'<a href="{name}"><img src="{name}" alt="{name}"></a>' for name in PLOTS),
+        hidden="" if replayed else "hidden",
+        legend=legend(scenario.scene),
+        duration=max([value_at(row.metrics, "simulated_s") for row in replayed], default=0.0),
+        cards="".join(_card(row) for row in replayed),
+    )
+
+
+def _table_row(row: Row, base: Row) -> str:
+    """A row of the page's table, with changes for the worse and for the better marked."""
+    cells = ""
+    for column in COLUMNS:
+        is_better = column.is_better(row, base)
+        kind = "" if is_better is None else f" class={'better' if is_better else 'worse'}"
+        cells += f"<td{kind}>{column.cell(row, base)}</td>"
+    overrides = "<br>".join(html.escape(override) for override in row.overrides)
+    name = html.escape(labelled(row))
+    if row.metrics is not None:
+        name = f'<a href="{quote(row.folder)}/">{name}</a>'
+    details = f"<details><summary>{name}</summary><code>{overrides}</code></details>"
+    return f"<tr><th>{details if row.overrides else name}</th>{cells}</tr>"
+
+
+def _card(row: Row) -> str:
+    """The place of a replay, with some metrics."""
+    figures = (
+        f"error {shown(POSITION_ERROR, row)} mm · slowest {shown(SLOWEST_SPEED, row)} m/s · "
+        f"below ε for {shown(TIME_BELOW_BOUND, row)} s"
+    )
+    page = f"{quote(row.folder)}/replay.html"
+    return (
+        f'<figure data-page="{page}"><div class="screen"></div><figcaption>'
+        f'<a href="{page}">{html.escape(labelled(row))}</a> {figures}</figcaption></figure>'
+    )

@@ -1,0 +1,205 @@
+"""The tables of a comparison: CSV, Markdown and text for a terminal."""
+
+import csv
+import io
+import itertools
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from drake_nonstop.simulation.metrics import METRICS, Metric, flattened
+from drake_nonstop.studies.ablation.rows import (
+    SLOWEST_SPEED,
+    TIME_BELOW_BOUND,
+    Row,
+    change_of,
+    ordered,
+)
+from drake_nonstop.studies.run_all import COMPLETED
+
+_NAME_WIDTH = 30  # characters, of a variant in the terminal
+_NO_VALUE = "–"  # in place of what was not measured
+_SMALLEST_CHANGE = 0.0005  # as shown; a smaller one is shown as ≈ 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """A metric, or its change against the first row."""
+
+    metric: Metric
+    upper: str  # the heading in a terminal, in two lines; columns may share the upper one
+    lower: str
+    is_change: bool = False
+
+    @property
+    def heading(self) -> str:
+        """The heading in one line, with the unit."""
+        return f"change ({self.metric.unit})" if self.is_change else self.metric.heading
+
+    def cell(self, row: Row, base: Row) -> str:
+        """The value of a row, in a few digits."""
+        if not self.is_change:
+            return shown(self.metric, row)
+        return _NO_VALUE if row is base else _shown_change(self.metric, row, base)
+
+    def is_better(self, row: Row, base: Row) -> bool | None:
+        """Whether the change of a row is one for the better; None: neither, or no change."""
+        change = change_of(row, base, self.metric) if self.is_change else None
+        if change is None or abs(self.metric.shown(change)) < _SMALLEST_CHANGE:
+            return None
+        direction = change * self.metric.better.value
+        return None if direction == 0 else direction > 0
+
+
+def _columns() -> tuple[Column, ...]:
+    """The columns of the metrics that have one; those that share a heading stand together."""
+    columns = []
+    for metric in METRICS:
+        if metric.column is None:
+            continue
+        upper, lower = metric.column.heading
+        columns.append(Column(metric=metric, upper=upper, lower=lower))
+        if metric.column.has_change:
+            columns.append(Column(metric=metric, upper=upper, lower="change", is_change=True))
+    headings = [column.upper for column in columns]
+    return tuple(sorted(columns, key=lambda column: headings.index(column.upper)))
+
+
+COLUMNS = _columns()
+
+
+def as_csv(rows: Sequence[Row]) -> str:
+    """Every metric that is one value, a row per variant; columns are named by metrics' paths."""
+    flat = [dict(_flattened(row.metrics or {})) for row in rows]
+    paths = list(dict.fromkeys(itertools.chain.from_iterable(flat)))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["variant", "folder", "overrides", "outcome", "message", *paths])
+    for row, metrics in zip(rows, flat, strict=True):
+        about = row.variant, row.folder, "; ".join(row.overrides), row.outcome, row.message
+        writer.writerow([*about, *(metrics.get(path, "") for path in paths)])
+    return text.getvalue()
+
+
+def _flattened(metrics: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
+    """Paths and values, written as in JSON but for texts and what was not measured."""
+    for path, value in flattened(metrics).items():
+        text = value if isinstance(value, str) else json.dumps(value)
+        yield path, "" if value is None else text
+
+
+def as_markdown(rows: Sequence[Row]) -> str:
+    """The table, the order by the time below the bound, and why variants did not complete."""
+    headings = ["variant", *(column.heading for column in COLUMNS)]
+    lines = [_markdown_line(headings), _markdown_line(["---"] + ["---:"] * len(COLUMNS))]
+    lines += [_markdown_line([labelled(row), *_cells(row, rows[0])]) for row in rows]
+    effects, unaffected = effects_on_bound(rows)
+    if effects:
+        lines += ["", "By their effect on the time below the bound:", ""]
+        lines += [f"{k}. {row.variant}: {text}" for k, (row, text) in enumerate(effects, 1)]
+    if unaffected:
+        lines += ["", f"No effect on it: {', '.join(unaffected)}."]
+    problems = problems_of(rows)
+    if problems:
+        lines += ["", *(f"- {problem}" for problem in problems)]
+    return "\n".join(lines) + "\n"
+
+
+def _markdown_line(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+def as_text(rows: Sequence[Row]) -> str:
+    """The same in aligned columns for a terminal."""
+    table = [["variant", *(column.lower for column in COLUMNS)]]
+    table += [[_shortened(row), *_cells(row, rows[0])] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    upper = _upper_headings(widths)  # which may widen them
+    lines = [upper]
+    for name, *cells in table:
+        aligned = (f"{cell:>{width}}" for cell, width in zip(cells, widths[1:], strict=True))
+        lines.append(" ".join([f"{name:{widths[0]}}", *aligned]).rstrip())
+    effects, unaffected = effects_on_bound(rows)
+    if effects:
+        longest = max(len(_shortened(row)) for row, _ in effects)
+        lines += ["", "by their effect on the time below the bound"]
+        lines += [f"  {_shortened(row):{longest}}  {text}" for row, text in effects]
+    if unaffected:
+        lines += ["", f"no effect on the time below the bound: {len(unaffected)} of the variants"]
+    problems = problems_of(rows)
+    return "\n".join([*lines, *([""] if problems else []), *problems])
+
+
+def _upper_headings(widths: list[int]) -> str:
+    """The upper line of the headings; widens columns in place where one does not fit in."""
+    line = " " * widths[0]
+    end = 0
+    for upper, columns in itertools.groupby(COLUMNS, key=lambda column: column.upper):
+        start, end = end, end + len(list(columns))
+        width = sum(widths[start + 1 : end + 1]) + end - start - 1
+        widths[end] += max(0, len(upper) - width)
+        line += f" {upper:>{max(width, len(upper))}}"
+    return line
+
+
+def _shortened(row: Row) -> str:
+    ending = labelled(row).removeprefix(row.variant)
+    room = _NAME_WIDTH - len(ending)
+    name = row.variant if len(row.variant) <= room else f"{row.variant[: room - 1]}…"
+    return f"{name}{ending}"
+
+
+def _cells(row: Row, base: Row) -> list[str]:
+    return [column.cell(row, base) for column in COLUMNS]
+
+
+def effects_on_bound(rows: Sequence[Row]) -> tuple[list[tuple[Row, str]], list[str]]:
+    """The variants that change the time below the bound, with figures; the others' names."""
+    effects, unaffected = [], []
+    for row in ordered(rows, TIME_BELOW_BOUND)[1:]:
+        change = change_of(row, rows[0], TIME_BELOW_BOUND)
+        if change:
+            by = _shown_change(TIME_BELOW_BOUND, row, rows[0])
+            effects.append((row, f"{by} s (slowest carrier {shown(SLOWEST_SPEED, row)} m/s)"))
+        elif change is not None:
+            unaffected.append(row.variant)
+    return effects, unaffected
+
+
+def problems_of(rows: Sequence[Row]) -> list[str]:
+    """A line for each variant that did not complete."""
+    return [f"{labelled(row)}: {row.message}" for row in rows if row.outcome != COMPLETED]
+
+
+def labelled(row: Row) -> str:
+    """The variant's name, with the outcome where it did not complete."""
+    return row.variant if row.outcome == COMPLETED else f"{row.variant} ({row.outcome})"
+
+
+def shown(metric: Metric, row: Row) -> str:
+    """A row's metric in three digits, or less where it is small."""
+    value = metric.shown(metric.value(row.metrics))
+    if value is None:
+        return _NO_VALUE
+    if isinstance(value, int) or value == 0:
+        return f"{value:.0f}"
+    if abs(value) < 1e-4:
+        return "≈ 0"
+    if abs(value) < 0.1:
+        return f"{value:.4f}" if abs(value) < 0.01 else f"{value:.3f}"
+    return _three_digits(value)
+
+
+def _shown_change(metric: Metric, row: Row, base: Row) -> str:
+    """A change with its sign, in three digits and no more than three decimals."""
+    value = metric.shown(change_of(row, base, metric))
+    if value is None:
+        return _NO_VALUE
+    if abs(value) < _SMALLEST_CHANGE:
+        return "≈ 0" if value else "0"
+    return f"{'+' if value > 0 else ''}{f'{value:.3f}' if abs(value) < 1 else _three_digits(value)}"
+
+
+def _three_digits(value: float) -> str:
+    return f"{value:.0f}" if 1000 <= abs(value) < 1e6 else f"{value:#.3g}".rstrip(".")

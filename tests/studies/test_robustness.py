@@ -1,0 +1,81 @@
+"""Errors that the controllers do not know of, one at a time."""
+
+import json
+
+import pytest
+from PIL import Image
+
+from drake_nonstop.cli.main import main
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.scenario.loading import changed, load_scenario
+from drake_nonstop.studies import robustness
+
+
+def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
+    errors = robustness._errors
+    wanted = ("none", "load mass", "gusty wind")
+    monkeypatch.setattr(
+        robustness, "_errors", lambda *given: [e for e in errors(*given) if e[0] in wanted]
+    )
+    arguments = ["robustness", "quintic", "--out", str(tmp_path), "--set", "duration=1"]
+    assert main(arguments) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len([line for line in lines if line.startswith(wanted)]) == 9
+    cases = json.loads((tmp_path / "robustness.json").read_text())["cases"]
+    assert [case["error"] for case in cases] == ["none"] + ["load mass"] * 4 + ["gusty wind"] * 4
+    assert all(case["outcome"] == "completed" for case in cases)
+    none, *others = (case["position_error_mean"] for case in cases)
+    assert all(error > 1.5 * none for error in others)
+    assert Image.open(tmp_path / "robustness.png").width > 300
+
+
+def test_each_error_of_the_report_makes_a_scenario():
+    built = set()
+    for name in ("quintic", "three_carriers"):
+        scenario = load_scenario(name)
+        for error, _, _, overrides in robustness._errors(scenario, 0):
+            changed_scenario = changed(scenario, overrides)
+            if (name, error) not in built:
+                make_nonstop(changed_scenario)
+            built.add((name, error))
+    assert len(built) == 2 * 9
+
+
+@pytest.mark.parametrize(
+    ("fault", "outcome", "words"),
+    [
+        ("raises", "failed", "the wind broke"),
+        ("diverges", "diverged", "diverged at t = 0.05"),
+        ("dies", "failed", "its process died"),
+    ],
+)
+def test_a_run_that_does_not_complete_says_how_it_ended(
+    tmp_path, capsys, monkeypatch, faulty_blocks, fault, outcome, words
+):
+    errors = robustness._errors
+    monkeypatch.setattr(
+        robustness,
+        "_errors",
+        lambda *given: [e for e in errors(*given) if e[0] in ("none", "constant wind")],
+    )
+    arguments = ["robustness", "quintic", "--out", str(tmp_path), "--trust", "--set"]
+    arguments += ["duration=0.1", f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}"]
+    assert main(arguments) == 0
+    lines = capsys.readouterr().out.splitlines()
+    none = next(line for line in lines if line.startswith("none"))
+    wind = [line for line in lines if line.startswith("constant wind")]
+    assert none.endswith(f"  {outcome}")
+    assert len(wind) == 4
+    assert not any(line.endswith(("failed", "diverged")) for line in wind)
+    first, *others = json.loads((tmp_path / "robustness.json").read_text())["cases"]
+    assert first["outcome"] == outcome
+    assert words in first["message"]
+    assert (first["position_error_mean"] is None) == (fault == "dies")
+    assert {case["outcome"] for case in others} == {"completed"}
+
+
+@pytest.mark.parametrize("seed", ["-1"])
+def test_bad_seed(seed, tmp_path, capsys):
+    arguments = ["robustness", "quintic", "--out", str(tmp_path), "--seed", seed]
+    assert main(arguments) == 2
+    assert "--seed = -1" in capsys.readouterr().err
