@@ -11,7 +11,7 @@ import urllib.request
 import numpy as np
 import pytest
 
-from drake_nonstop.cli import main as cli
+from drake_nonstop.cli import run
 from drake_nonstop.cli.file_server import serve_folder
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
@@ -137,7 +137,7 @@ def test_bad_input_is_one_sentence_and_leaves_earlier_results(tmp_path, capsys, 
 
 
 def test_an_unwritable_folder_is_told_before_the_run(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(cli, "simulate", lambda *_: pytest.fail("the run began"))
+    monkeypatch.setattr(run, "simulate", lambda *_: pytest.fail("the run began"))
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
         assert main(["run", "line", "--out", str(folder)]) == 2
