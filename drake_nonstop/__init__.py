@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.cli.progress import RunProgress, TaskProgress
 from drake_nonstop.diagrams.nonstop import BLOCKS, make_nonstop
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -86,6 +87,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "start_meshcat",
     "run_live",
     "record_replay",
+    "RunProgress",
+    "TaskProgress",
     "ScenarioError",
     "ScenarioWarning",
     "__version__",
