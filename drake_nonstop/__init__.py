@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.cli.progress import RunProgress, TaskProgress
 from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -29,7 +30,8 @@ from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.simulate import Run, RunInterrupted, RunStopped, StepAction, simulate
+from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.ablation import ablate, read_grid
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
@@ -88,6 +90,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "start_meshcat",
     "run_live",
     "record_replay",
+    "RunProgress",
+    "TaskProgress",
     "ScenarioError",
     "ScenarioWarning",
     "__version__",

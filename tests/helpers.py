@@ -12,8 +12,8 @@ from pydrake.systems.framework import Context, LeafSystem
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.scenario.loading import Scenario
-from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.run import Run
 
 INERTIA = np.array([[0.014, 0.001, -0.0005], [0.001, 0.011, 0.002], [-0.0005, 0.002, 0.017]])
 

@@ -1,4 +1,4 @@
-"""What an integrator's setting costs, and how far from the truth it leaves a run."""
+"""The cost and the error of a run by integrator and step size, against a converged run."""
 
 import statistics
 from collections.abc import Callable, Sequence
@@ -6,14 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.scenario.loading import Scenario, changed
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import carrier_speeds
-from drake_nonstop.simulation.simulate import Run, RunStopped, simulate
+from drake_nonstop.simulation.run import Run, RunStopped
+from drake_nonstop.simulation.simulate import simulate
 
 _STEP = "simulator.max_step_size={}"
-_REFERENCE_STEP = 0.0005  # s; half of it shows what error the reference has itself
+_REFERENCE_STEP = 0.0005  # s; a run with half of it shows the error of the reference
 
-# What is compared, besides the scenario as it is.
+# The overrides of each run that is compared, besides the scenario as it is.
 SETTINGS: tuple[tuple[str, ...], ...] = (
     ("fused_plant=true",),
     (_STEP.format(0.0025),),
@@ -32,7 +34,7 @@ def benchmark_accuracy(
     repeats: int = 3,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> dict[str, Any]:
-    """Runs a scenario with several settings in turns, and compares each with a reference.
+    """Runs a scenario with several overrides alternately, and compares each with a reference.
 
     The reference is Drake's third-order Runge-Kutta with steps of 0.5 ms on separate blocks.
     Errors are the largest over all samples: the distance of the load's positions, and the
@@ -40,17 +42,18 @@ def benchmark_accuracy(
 
     Args:
         scenario: what to run.
-        settings: of each way to run it, as in `load_scenario`; the scenario as it is is one, too.
+        settings: the overrides of each run, as in `load_scenario`; the scenario without any is
+            run as well.
         repeats: of each; medians of the times are taken.
-        progress: called with what is going on and the share of it that is done.
+        progress: called with what is being done and the share of it that is done.
 
     Returns:
-        What `drake-nonstop bench accuracy` writes as JSON. A setting whose run does not come to
-        its end has the error's message, and no figures.
+        What `drake-nonstop bench accuracy` writes as JSON. Where a run stops before its end,
+        its row has the error's message and no figures.
 
     Raises:
-        ScenarioError: the scenario, or a setting of it, cannot be built.
-        RunStopped: the reference does not come to its end.
+        ScenarioError: the scenario cannot be built, as it is or with some of the overrides.
+        RunStopped: the reference stops before its end.
     """
     fine = [
         "fused_plant=false",
@@ -61,9 +64,11 @@ def benchmark_accuracy(
         simulate(changed(scenario, [*fine, _STEP.format(_REFERENCE_STEP / part)]))
         for part in (1, 2)
     )
-    ways = [(), *settings]
-    scenarios = [changed(scenario, way) for way in ways]
-    rows: list[dict[str, Any]] = [{"settings": list(way), "wall_s": []} for way in ways]
+    variants = [(), *settings]
+    scenarios = [changed(scenario, overrides) for overrides in variants]
+    rows: list[dict[str, Any]] = [
+        {"settings": list(overrides), "wall_s": []} for overrides in variants
+    ]
     for turn in range(repeats):
         for i, (row, one) in enumerate(zip(rows, scenarios, strict=True)):
             progress("running", (turn * len(rows) + i) / (repeats * len(rows)))
@@ -91,6 +96,7 @@ def benchmark_accuracy(
 
 
 def _errors(run: Run, reference: Run) -> dict[str, float]:
+    """The largest distance of the loads in m, and of the carriers' relative speeds."""
     positions = [each.signal("load_state")[:, 4:7] for each in (run, reference)]
     speeds = [carrier_speeds(each.signal("carrier_state")) for each in (run, reference)]
     distances = np.linalg.norm(positions[0] - positions[1], axis=1)

@@ -1,9 +1,9 @@
-"""Exact wall times of the blocks of a run: every callback that Drake makes is timed.
+"""Exact wall times of the blocks of a run: every callback from Drake into Python is timed.
 
-Samples of a profiler would be biased, since Python changes hands only between its own
+A sampling profiler would be biased, since Python switches threads only between its own
 instructions. So while a run is timed, the blocks' classes are changed in place: each of
-their functions tells the timers when it begins and ends. All that a run does is the same,
-and so are its results, to the bit.
+their functions reports its begin and end to the timers. The results of the run are the
+same to the bit.
 """
 
 import contextlib
@@ -18,19 +18,19 @@ from typing import Any
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, LeafSystem, System
 
-from drake_nonstop.simulation.simulate import StepAction
+from drake_nonstop.simulation.run import StepAction
 from drake_nonstop.systems.tracing import TracedFunction
 
-OUTSIDE = "outside"  # the blocks' Python: Drake's own work, in its systems too, the logs
+OUTSIDE = "outside"  # of the blocks' Python: Drake with its own systems, and the logs
 
 
 @dataclass(slots=True)
 class Frame:
-    """What a box did where it was called by the same boxes, one within the other.
+    """A box in the tree of calls: one node for each chain of boxes that led to it.
 
-    `seconds` are those in the box itself, not in the boxes whose outputs it asked for, which
-    are `children`. `calls` counts the entries into the box by the function that was called,
-    and `evaluations` the traced functions that the box evaluated.
+    `seconds` are those in the box itself, without the boxes whose outputs it evaluated, which
+    are `children`. `calls` counts the entries into the box by the name of the function, and
+    `evaluations` the traced functions that the box evaluated.
     """
 
     box: str
@@ -41,7 +41,7 @@ class Frame:
 
     @property
     def total(self) -> float:
-        """The seconds in the box and in all that it called."""
+        """The seconds in the box and in all boxes below it."""
         return self.seconds + sum(child.total for child in self.children.values())
 
     def walk(self) -> Iterator["Frame"]:
@@ -52,40 +52,44 @@ class Frame:
 
 
 class BlockTimers:
-    """Times the blocks of the one run that gets `after_step`, within `installed`.
+    """Times the blocks of one run, which is given `after_step`, within `installed`.
 
     The time runs from the end of the simulator's initialization to the end of its last step.
-    `root` is what was neither in a block nor below one; the seconds of all frames add up to
-    `seconds`. `blocks` maps the boxes of the run's diagram to the names of their classes.
+    `root` is the time outside of all blocks; the seconds of all frames add up to `seconds`.
+    `blocks` maps the boxes of the run's diagram to the names of their classes.
+
+    Args:
+        clock: returns the wall time in s.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = perf_counter) -> None:
+        self._clock = clock
         self.root = Frame(OUTSIDE)
         self.blocks: dict[str, str] = {}
         self.seconds = 0.0
         self._stack = [self.root]
         self._boxes: dict[int, str] = {}  # by the id of a system; empty until the first step
-        self._systems: list[System] = []  # keeps the ids theirs
+        self._systems: list[System] = []  # kept alive, so that no other object takes their ids
         self._simulator: Simulator | None = None
         self._first_steps = 0
         self._start = self._last = 0.0
 
     @property
     def steps(self) -> int:
-        """The simulator's steps since the time began."""
+        """The simulator's steps since the timing began."""
         steps = self._simulator.get_num_steps_taken() if self._simulator else 0
         return steps - self._first_steps
 
     def after_step(self, simulator: Simulator, nonstop: Diagram) -> StepAction:
         """What `simulate` calls after every step, for the first time before the first."""
-        now = perf_counter()
+        now = self._clock()
         if self._simulator is None:
             for block in nonstop.GetSystems():
                 self.blocks[block.get_name()] = type(block).__name__
                 self._add(block, block.get_name())
             self._simulator = simulator
             self._first_steps = simulator.get_num_steps_taken()
-            self._start = self._last = perf_counter()
+            self._start = self._last = self._clock()
             return StepAction.CONTINUE
         self.root.seconds += now - self._last
         self._last = now
@@ -101,7 +105,7 @@ class BlockTimers:
 
     @contextlib.contextmanager
     def installed(self) -> Iterator["BlockTimers"]:
-        """Has all blocks that are built within it report to these timers."""
+        """A context in which all blocks that are built report to these timers."""
         replaced: list[tuple[type, str, Any]] = []
 
         def replace(owner: type, name: str, value: Any) -> None:
@@ -138,11 +142,11 @@ class BlockTimers:
         return timed
 
     def _timed(self, function: Callable, name: str) -> Callable:
-        """A function of a system and two more, timed.
+        """A function of a system and two more arguments, timed.
 
-        All in one, with a fixed number of arguments: a call of it is what timers cost.
+        All is in one function with a fixed number of arguments, to keep the timers' cost low.
         """
-        boxes, stack = self._boxes, self._stack
+        boxes, stack, clock = self._boxes, self._stack, self._clock
 
         def timed(system: System, first: Any, second: Any, /) -> Any:
             box, caller = boxes.get(id(system)), stack[-1]
@@ -153,13 +157,13 @@ class BlockTimers:
                 frame = caller.children[box] = Frame(box)
             frame.calls[name] = frame.calls.get(name, 0) + 1
             stack.append(frame)
-            start = perf_counter()
+            start = clock()
             caller.seconds += start - self._last
             self._last = start
             try:
                 return function(system, first, second)
             finally:
-                end = perf_counter()
+                end = clock()
                 frame.seconds += end - self._last
                 self._last = end
                 stack.pop()
@@ -167,7 +171,7 @@ class BlockTimers:
         return timed
 
     def _timed_declaration(self, declare: Callable) -> Callable:
-        """A Declare... that also times functions that are no methods, such as lambdas."""
+        """A Declare... function that also times callbacks that are no methods, such as lambdas."""
 
         @functools.wraps(declare)
         def declared(system: System, *arguments: Any, **named: Any) -> Any:
@@ -197,9 +201,9 @@ class BlockTimers:
 
 
 def _is_callback(function: FunctionType) -> bool:
-    """Whether this is a function of the package's that is called as Drake calls: by position.
+    """Whether this is a callback of the package: always called by position, as Drake does.
 
-    Those of a user's own may look alike and be called otherwise, by that user.
+    A user's own function of the same signature may be called by keyword.
     """
     code = function.__code__
     return (

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.scenario.loading import Scenario, load_scenario
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import (
     METRICS,
     Metric,
@@ -23,7 +24,8 @@ from drake_nonstop.simulation.metrics import (
     compute_metrics,
     load_errors,
 )
-from drake_nonstop.simulation.simulate import Run, simulate
+from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.run_all import COMPLETED, Progress, attempt, no_progress, run_all
 from drake_nonstop.validation import ScenarioError, require
 

@@ -1,4 +1,4 @@
-"""Two ways to run a scenario, timed in turns: other settings, or another git revision."""
+"""Two ways to run a scenario, timed alternately: other overrides, or another git revision."""
 
 import contextlib
 import json
@@ -16,10 +16,12 @@ import numpy as np
 
 import drake_nonstop
 from drake_nonstop.benchmarks import fresh_run
-from drake_nonstop.scenario.loading import Scenario, load_scenario
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import ScenarioError, require
 
 PACKAGE_PARENT = Path(drake_nonstop.__file__).parent.parent
+_SIDES = ("present", "other")  # of a comparison
 
 
 @dataclass(frozen=True)
@@ -27,16 +29,16 @@ class Source:
     """Where a scenario comes from: the arguments of `load_scenario`."""
 
     scenario: str
-    settings: Sequence[str] = ()
+    overrides: Sequence[str] = ()
     trust: bool = False
 
     def load(self) -> Scenario:
         """The scenario; raises ScenarioError as `load_scenario`."""
-        return load_scenario(self.scenario, self.settings, trust=self.trust)
+        return load_scenario(self.scenario, self.overrides, trust=self.trust)
 
 
 class FreshRuns:
-    """Runs of a scenario in an interpreter of their own, which is kept from run to run.
+    """Runs of a scenario in a fresh interpreter, which is kept from run to run.
 
     Args:
         source: what to run.
@@ -50,7 +52,7 @@ class FreshRuns:
     def __init__(self, source: Source, parent: Path = PACKAGE_PARENT):
         asked = {
             "scenario": source.scenario,
-            "settings": list(source.settings),
+            "overrides": list(source.overrides),
             "trust": source.trust,
         }
         paths = [str(parent), os.environ.get("PYTHONPATH", "")]
@@ -63,11 +65,11 @@ class FreshRuns:
             stderr=self._errors,
             text=True,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in paths if path)},
-            start_new_session=True,  # Ctrl-C is for this process alone, which ends that one
+            start_new_session=True,  # Ctrl-C reaches this process alone, which ends that one
         )
 
     def run(self) -> dict[str, Any]:
-        """One run: what `fresh_run` answers, and the real-time factor."""
+        """One run: what `fresh_run` wrote, and the real-time factor."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         with contextlib.suppress(BrokenPipeError):
@@ -110,28 +112,32 @@ def compare(
     checkout: Path = PACKAGE_PARENT,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> dict[str, Any]:
-    """Runs a scenario as it is and otherwise in turns, A B A B ..., each in its own process.
+    """Runs a scenario in two ways, the present and the other, alternately.
 
-    The first run of each side is its start-up and not one of the repeats.
+    Each way has a process of its own. The first run of each is its start-up and not one of
+    the repeats.
 
     Args:
-        source: A.
-        against: the settings that B has besides those of A.
-        revision: the git revision of the package that B runs with; None: the present files.
+        source: the present: the scenario as it is, with the present files of the package.
+        against: the overrides that the other has besides those of the present.
+        revision: the git revision of the package that the other runs with; None: the present
+            files.
         repeats: of each.
         checkout: where the revision is looked for: the folder that holds the package.
-        progress: called with what is going on and the share of it that is done.
+        progress: called with what is being done and the share of it that is done.
 
     Returns:
-        What `drake-nonstop bench run --against` writes as JSON. `speed_ratio` is B's real-time
-        factor over A's: that of the medians, and the lowest and highest of a pair of runs;
-        `load_path_difference_m` is the largest distance of B's load from A's at one instant.
+        What `drake-nonstop bench run --against` writes as JSON. `present_over_other` is the
+        present's real-time factor divided by the other's: that of the medians, and the lowest
+        and highest of a pair of runs, so that more than 1 is a present that is faster.
+        `load_path_difference_m` is the largest distance between the two loads at one instant,
+        None where the runs differ in length.
 
     Raises:
-        ScenarioError: the scenario or the settings cannot be run, or there is no such
+        ScenarioError: the scenario or the overrides cannot be run, or there is no such
             revision of a git checkout.
     """
-    other = Source(source.scenario, [*source.settings, *against], source.trust)
+    other = Source(source.scenario, [*source.overrides, *against], source.trust)
     scenario = source.load()
     if revision is None:
         other.load()
@@ -148,35 +154,35 @@ def compare(
                 stack.callback(sides[turn].close)
             answer = sides[turn % 2].run()
             (firsts if turn < 2 else answers[turn % 2]).append(answer)
-            progress("running in turns", (turn + 1) / total)
+            progress("running alternately", (turn + 1) / total)
     factors = [[answer["real_time_factor"] for answer in side] for side in answers]
-    ratios = [b / a for a, b in zip(*factors, strict=True)]
+    ratios = [present / other for present, other in zip(*factors, strict=True)]
     medians = [statistics.median(side) for side in factors]
     return {
         "scenario": scenario.name,
-        "settings": list(source.settings),
+        "settings": list(source.overrides),
         "against": list(against),
         "against_revision": revision,
         "repeats": repeats,
-        "real_time_factor": dict(zip("ab", map(spread, factors), strict=True)),
-        "speed_ratio": {
-            "of_medians": medians[1] / medians[0],
+        "real_time_factor": dict(zip(_SIDES, map(spread, factors), strict=True)),
+        "present_over_other": {
+            "of_medians": medians[0] / medians[1],
             "lowest": min(ratios),
             "highest": max(ratios),
             "pairs": ratios,
         },
         "load_path_difference_m": _path_difference(*firsts),
         "start_up_s": {
-            side: f["start_up"]["total_s"] for side, f in zip("ab", firsts, strict=True)
+            side: f["start_up"]["total_s"] for side, f in zip(_SIDES, firsts, strict=True)
         },
         "peak_memory_MiB": {
-            side: a[-1]["peak_memory_MiB"] for side, a in zip("ab", answers, strict=True)
+            side: a[-1]["peak_memory_MiB"] for side, a in zip(_SIDES, answers, strict=True)
         },
     }
 
 
 def spread(values: list[float]) -> dict[str, Any]:
-    """The median of some runs' values, their range, and the values."""
+    """The median of the values of some runs, their range, and the values."""
     return {
         "median": statistics.median(values),
         "lowest": min(values),
@@ -185,8 +191,8 @@ def spread(values: list[float]) -> dict[str, Any]:
     }
 
 
-def _path_difference(a: dict[str, Any], b: dict[str, Any]) -> float | None:
-    paths = [np.array(answer["load_positions_m"]) for answer in (a, b)]
+def _path_difference(present: dict[str, Any], other: dict[str, Any]) -> float | None:
+    paths = [np.array(answer["load_positions_m"]) for answer in (present, other)]
     if paths[0].shape != paths[1].shape:
         return None
     return float(np.max(np.linalg.norm(paths[0] - paths[1], axis=1)))
@@ -194,15 +200,14 @@ def _path_difference(a: dict[str, Any], b: dict[str, Any]) -> float | None:
 
 def table(results: dict[str, Any]) -> str:
     """The results as text."""
-    ratio, difference = results["speed_ratio"], results["load_path_difference_m"]
-    revision = results["against_revision"]
-    other = [*results["against"], *([] if revision is None else [f"revision {revision}"])]
-    rows = [f"{'':28}{'real-time factor':>17}{'start-up':>11}{'peak memory':>14}"]
-    for side, name in (("a", results["scenario"]), ("b", "the other")):
+    ratio, difference = results["present_over_other"], results["load_path_difference_m"]
+    rows = [f"{results['scenario']:28}{'real-time factor':>17}{'start-up':>11}{'peak memory':>14}"]
+    for side in _SIDES:
         factor, peak = results["real_time_factor"][side], results["peak_memory_MiB"][side]
         between = f"({factor['lowest']:.2f} to {factor['highest']:.2f})"
         rows.append(
-            f"{name:20}{factor['median']:9.2f} {between:>15}{results['start_up_s'][side]:9.2f} s"
+            f"the {side:16}{factor['median']:9.2f} {between:>15}"
+            f"{results['start_up_s'][side]:9.2f} s"
             f"{'unknown' if peak is None else f'{peak:.0f} MiB':>14}"
         )
     paths = (
@@ -211,17 +216,29 @@ def table(results: dict[str, Any]) -> str:
     return "\n".join(
         [
             *rows,
-            f"the other: {', '.join(other)}",
-            f"it runs {ratio['of_medians']:.3f} times as fast ({ratio['lowest']:.3f} to "
-            f"{ratio['highest']:.3f} in {results['repeats']} pairs of runs in turns)",
+            f"the present is {ratio['of_medians']:.3f} times as fast as {_other_name(results)} "
+            f"({ratio['lowest']:.3f} to {ratio['highest']:.3f} in {results['repeats']} pairs of "
+            "runs)",
             f"the load's paths are {paths}",
         ]
     )
 
 
+def _other_name(results: dict[str, Any]) -> str:
+    """What the present is compared with: "revision R", "with A, B" or "revision R with A, B"."""
+    parts = []
+    if results["against_revision"] is not None:
+        parts.append(f"revision {results['against_revision']}")
+    if results["against"]:
+        parts.append(f"with {', '.join(results['against'])}")
+    return " ".join(parts) or "itself"
+
+
 @contextlib.contextmanager
 def checked_out(revision: str, checkout: Path = PACKAGE_PARENT) -> Iterator[Path]:
-    """A folder with the files of a git revision, removed in the end.
+    """A folder with the files of a git revision, removed at the end.
+
+    The checkout may be a git worktree itself.
 
     Raises:
         ScenarioError: git is missing, the folder is no checkout with the package in it, or
@@ -231,13 +248,13 @@ def checked_out(revision: str, checkout: Path = PACKAGE_PARENT) -> Iterator[Path
     try:
         top = _git(checkout, "rev-parse", "--show-toplevel")
     except FileNotFoundError:
-        raise ScenarioError(f"{field} = {revision}: install git, which keeps revisions") from None
+        raise ScenarioError(f"{field} = {revision}: install git") from None
     in_checkout = top.returncode == 0 and Path(top.stdout.strip()).samefile(checkout)
-    is_kept = in_checkout and (
+    is_tracked = in_checkout and (
         _git(checkout, "ls-files", "--error-unmatch", "drake_nonstop/__init__.py").returncode == 0
     )
     require(
-        is_kept,
+        is_tracked,
         field,
         revision,
         f"{checkout} is no git checkout of the package, so there are no revisions; run it in one",
@@ -266,7 +283,7 @@ def checked_out(revision: str, checkout: Path = PACKAGE_PARENT) -> Iterator[Path
 
 
 def _git(folder: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":
-    """Git in a folder, out of the reach of Ctrl-C and of the variables that a hook has."""
+    """Runs git in a folder, without Ctrl-C, hooks, or the variables that a hook sets."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}
     return subprocess.run(
         ["git", "-C", str(folder), "-c", "core.hooksPath=/dev/null", *arguments],

@@ -1,9 +1,9 @@
 """Runs of a scenario in an interpreter of their own, as a script: see `comparing.FreshRuns`.
 
-The one argument is JSON with `scenario` (a name or file), `settings` and `trust`. For every
+The one argument is JSON with `scenario` (a name or file), `overrides` and `trust`. For every
 line on the standard input the scenario is run and a line of JSON is written; the first run
-measures the start-up. The script gets along with any revision of the package that can be
-imported, and uses the standard library alone before that.
+measures the start-up. The script runs with any revision of the package: it looks names up
+through the package's public ones, and uses the standard library alone before it imports them.
 """
 
 import inspect
@@ -16,14 +16,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-MEBIBYTE = 1 << 20
+MEBIBYTE = 1 << 20  # bytes
+
+# What a run does after a step to continue: the enumeration and its member, by revision.
+_CONTINUE = (("StepAction", "CONTINUE"), ("Then", "GO_ON"))
 
 
 def main() -> None:
     """Answers until the standard input ends."""
-    sys.path.pop(0)  # this file's folder
+    sys.path.pop(0)  # this file's folder, where the package is not to be imported from
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # whatever else is printed is no answer
+    os.dup2(2, 1)  # all else that is printed goes to the standard error
     asked = json.loads(sys.argv[1])
     start = time.perf_counter()
     import drake_nonstop
@@ -31,25 +34,26 @@ def main() -> None:
     imported = time.perf_counter()
     memory_of_imports = memory("VmRSS")
     scenario = drake_nonstop.load_scenario(
-        asked["scenario"], asked["settings"], **({"trust": True} if asked["trust"] else {})
+        asked["scenario"], asked["overrides"], **({"trust": True} if asked["trust"] else {})
     )
     loaded = time.perf_counter()
-    module = sys.modules["drake_nonstop.simulation.simulate"]
+    simulate = drake_nonstop.simulate
+    go_on = _find_continue(drake_nonstop, sys.modules[simulate.__module__])
     phases = {"import_s": imported - start, "scenario_s": loaded - imported}
     for name, phase in (("make_nonstop", "building_s"), ("set_equilibrium", "equilibrium_s")):
-        _time_function(module, name, phases, phase)
+        _time_function(getattr(drake_nonstop, name, None), phases, phase)
 
     def note_first_step(simulator: Any, nonstop: Any) -> Any:
         if simulator.get_context().get_time() > 0:
             phases.setdefault("total_s", time.perf_counter() - start)
-        return module.StepAction.CONTINUE
+        return go_on
 
     for _line in sys.stdin:
-        options = {}
+        options: dict[str, Any] = {}
         is_first = "total_s" not in phases
-        if is_first and "after_step" in inspect.signature(module.simulate).parameters:
+        if is_first and "after_step" in inspect.signature(simulate).parameters:
             options["after_step"] = note_first_step
-        run = module.simulate(scenario, **options)
+        run = simulate(scenario, **options)
         answer = {
             "simulated_s": float(run.time[-1]),
             "wall_s": run.wall_time,
@@ -66,8 +70,8 @@ def main() -> None:
 def memory(kind: str) -> float | None:
     """The resident memory of this process in MiB: "VmRSS" now, "VmHWM" at its peak.
 
-    None where the system has no /proc: the peak that getrusage knows is that of the parent
-    process too.
+    None where the system has no /proc: the peak that getrusage reports includes that of the
+    parent process.
     """
     try:
         status = Path("/proc/self/status").read_text()
@@ -77,10 +81,18 @@ def memory(kind: str) -> float | None:
     return None if found is None else int(found[1]) * 1024 / MEBIBYTE
 
 
-def _time_function(module: Any, name: str, phases: dict[str, float], phase: str) -> None:
-    """Notes how long the first call of a module's function takes."""
-    function: Callable | None = getattr(module, name, None)
-    if function is None:
+def _find_continue(*owners: Any) -> Any:
+    """What `after_step` returns to have a run continue, in this revision of the package."""
+    for owner in owners:
+        for enumeration, member in _CONTINUE:
+            if hasattr(owner, enumeration):
+                return getattr(getattr(owner, enumeration), member)
+    return None
+
+
+def _time_function(function: Callable | None, phases: dict[str, float], phase: str) -> None:
+    """Notes how long the first call of a function of the package takes, whoever calls it."""
+    if function is None:  # this revision has none
         return
 
     def timed(*arguments: Any, **named: Any) -> Any:
@@ -89,7 +101,11 @@ def _time_function(module: Any, name: str, phases: dict[str, float], phase: str)
         phases.setdefault(phase, time.perf_counter() - start)
         return result
 
-    setattr(module, name, timed)
+    modules = [m for name, m in sys.modules.items() if name.split(".")[0] == "drake_nonstop"]
+    for module in modules:
+        for name, value in list(vars(module).items()):
+            if value is function:
+                setattr(module, name, timed)
 
 
 if __name__ == "__main__":

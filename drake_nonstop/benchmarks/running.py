@@ -1,4 +1,4 @@
-"""How fast a scenario runs, and where the time goes."""
+"""The speed of a scenario, and the share of the time that each block takes."""
 
 import contextlib
 import platform
@@ -9,11 +9,12 @@ from typing import Any
 from drake_nonstop.benchmarks.block_timers import OUTSIDE, BlockTimers, Frame
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, spread
 from drake_nonstop.benchmarks.optimizer import versions
-from drake_nonstop.simulation.simulate import Run, simulate
+from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.simulate import simulate
 
 _OPTIMIZATION_LAYER = "optimization_layer"
 STARTS = 3  # fresh interpreters; the start-up is the median's
-START_UP = {  # the phases of a start-up, and what they are
+START_UP = {  # the phases of a start-up, and their names in the table
     "import_s": "import",
     "scenario_s": "scenario",
     "building_s": "diagram",
@@ -28,17 +29,17 @@ def benchmark_run(
     repeats: int = 5,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> dict[str, Any]:
-    """Runs a scenario in fresh interpreters, then in this one in turns without and with timers.
+    """Runs a scenario in fresh interpreters, then here, alternately without and with timers.
 
     Args:
         source: what to run.
-        repeats: of the runs without timers, which the real-time factor is from, and of those
-            with, of which the one with the median wall time tells the blocks' times.
-        progress: called with what is going on and the share of it that is done.
+        repeats: of the runs without timers, which give the real-time factor, and of those
+            with timers, of which the one with the median wall time gives the blocks' times.
+        progress: called with what is being done and the share of it that is done.
 
     Returns:
         What `drake-nonstop bench run` writes as JSON, times in s, memory in MiB. The blocks'
-        seconds are exclusive: those of the blocks upstream that a block asks are not in them.
+        seconds are exclusive: the evaluation of blocks upstream is not counted.
         `calls_per_step` counts how often Drake or another block enters a block per step of the
         simulator, `evaluations_per_step` how many traced functions the block then evaluates.
 
@@ -67,7 +68,7 @@ def benchmark_run(
     peaks = [answer["peak_memory_MiB"] for answer in fresh]
     return {
         "scenario": scenario.name,
-        "settings": list(source.settings),
+        "settings": list(source.overrides),
         "versions": versions() | {"python": platform.python_version()},
         "repeats": repeats,
         "simulated_s": scenario.duration,
@@ -91,7 +92,7 @@ def benchmark_run(
 
 
 def _blocks(timers: BlockTimers) -> list[dict[str, Any]]:
-    """The exclusive time of each box and what it was called for, most time first."""
+    """The exclusive time and the calls of each box, longest time first."""
     steps = timers.steps
     result = []
     for box, block in timers.blocks.items():
@@ -125,7 +126,7 @@ def _as_dict(frame: Frame) -> dict[str, Any]:
 
 
 def _start_up(starts: list[dict[str, float]]) -> dict[str, float]:
-    """The phases of the start with the median total; `rest_s` is what is in none of them."""
+    """The phases of the start with the median total; `rest_s` is the remaining time."""
     start = sorted(starts, key=lambda start: start["total_s"])[(len(starts) - 1) // 2]
     phases = {name: start[name] for name in START_UP if name in start}
     return phases | {"rest_s": start["total_s"] - sum(phases.values()), "total_s": start["total_s"]}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternConfig
-from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import require
 
@@ -17,13 +17,14 @@ COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # carriers
 
 
 def scaled(scenario: Scenario, n: int) -> Scenario:
-    """The scenario with n carriers, each with the share of the load that it has now.
+    """The scenario with n carriers, each of which carries the share of the load that it has now.
 
-    The attachments are on a regular polygon of the present ones' mean radius, the load's mass,
-    inertia and drag grow in proportion to n, and the pattern takes its default phases.
+    The attachments are the corners of a regular polygon with the mean radius of the present
+    ones; the load's mass, inertia and drag grow in proportion to n; a Hamiltonian cycle takes
+    its default phases.
 
     Raises:
-        ScenarioError: the pattern is a `LinearPattern`, which is for one n alone.
+        ScenarioError: the pattern is a `LinearPattern`, which is defined for one n alone.
     """
     pattern = scenario.pattern
     require(
@@ -37,16 +38,16 @@ def scaled(scenario: Scenario, n: int) -> Scenario:
     present = np.array(scenario.system.attachments)
     ratio = n / len(present)
     system = dataclasses.replace(
-        scenario.system, attachments=_polygon(present, n), **_loads(scenario.system, ratio)
+        scenario.system, attachments=_polygon(present, n), **_scaled_load(scenario.system, ratio)
     )
     simulated = dataclasses.replace(
-        scenario.simulated, attachments=None, **_loads(scenario.simulated, ratio)
+        scenario.simulated, attachments=None, **_scaled_load(scenario.simulated, ratio)
     )
     return dataclasses.replace(scenario, system=system, simulated=simulated, pattern=pattern)
 
 
-def _loads(system: Any, ratio: float) -> dict[str, Any]:
-    """What of a system (or of overrides, with None for the rest) grows with the carriers."""
+def _scaled_load(system: Any, ratio: float) -> dict[str, Any]:
+    """The load's parameters, scaled; in `simulated`, which overrides some, None stays None."""
     names = ("load_mass", "load_inertia", "load_drag", "load_angular_drag")
     values = {name: getattr(system, name) for name in names}
     return {
@@ -56,12 +57,12 @@ def _loads(system: Any, ratio: float) -> dict[str, Any]:
 
 
 def _polygon(attachments: NDArray, n: int) -> list[list[float]]:
-    """The corners (n, 3) in m of a regular polygon about the attachments' middle."""
-    middle = attachments.mean(axis=0)
-    radius = np.mean(np.linalg.norm((attachments - middle)[:, :2], axis=1))
+    """The corners (n, 3) in m of a regular polygon about the centre of the attachments."""
+    centre = attachments.mean(axis=0)
+    radius = np.mean(np.linalg.norm((attachments - centre)[:, :2], axis=1))
     angles = 2 * np.pi * np.arange(n) / n
     circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(n)], axis=1)
-    return (middle + radius * circle).tolist()
+    return (centre + radius * circle).tolist()
 
 
 def benchmark_scale(
@@ -72,19 +73,19 @@ def benchmark_scale(
     repeats: int = 3,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> dict[str, Any]:
-    """Runs `scaled` scenarios with 3 to `max_n` carriers, all of them in turns.
+    """Runs `scaled` scenarios with 3 to `max_n` carriers, alternately.
 
     Args:
         scenario: what to scale.
         max_n: the largest number of carriers, of those in `COUNTS`.
         duration: of a run, in s.
         repeats: of each; medians are taken.
-        progress: called with what is going on and the share of it that is done.
+        progress: called with what is being done and the share of it that is done.
 
     Returns:
         What `drake-nonstop bench scale` writes as JSON. `exponent` is that of the power of n
-        which fits the wall time per step best, over all n; `last_exponent` that from the last
-        n but one to the last.
+        that fits the wall time per step best, over all n; `last_exponent` that between the two
+        largest n.
 
     Raises:
         ScenarioError: the scenario cannot be scaled, or run with some n.

@@ -5,8 +5,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from drake_nonstop.scenario.loading import Scenario
-from drake_nonstop.simulation.simulate import StepAction, simulate
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.run import StepAction
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.nonstop_visualizer import show_in
 

@@ -155,8 +155,3 @@ def _tag(name: str, entry: Tree) -> str | None:
     """The tag of an entry: that of the default block where it has none."""
     default = f"!{block_name(CHOICES[name][0])}" if name in CHOICES else None
     return entry.get("_tag", default)
-
-
-# TEMPORARY until merge
-from drake_nonstop.scenario.yaml_text import dump_plain as dump_plain  # noqa: E402
-from drake_nonstop.scenario.yaml_text import parse_plain as parse_plain  # noqa: E402

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.model.system import overridden
-from drake_nonstop.scenario.loading import Scenario
-from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.run import Run
 from drake_nonstop.version import __version__
 
 # The entries of the signal `diagnostics` after the first: numbers of updates.

@@ -25,7 +25,7 @@ from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants

@@ -13,7 +13,7 @@ from drake_nonstop.simulation.metrics import (
     closest_cables,
     closest_carriers,
 )
-from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.simulation.run import Run
 from drake_nonstop.studies.margins import Margin
 from drake_nonstop.studies.robustness import Case
 from drake_nonstop.visualization.figure_style import COLOURS, LINE_STYLES, new_figure, titled

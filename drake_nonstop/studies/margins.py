@@ -7,7 +7,9 @@ import numpy as np
 
 from drake_nonstop.blocks.load_feedback import NoisyFeedbackConfig
 from drake_nonstop.model.system import overridden
-from drake_nonstop.scenario.loading import Scenario, changed, dump_scenario, parse_scenario
+from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.run_all import Progress, no_progress, run_all
 from drake_nonstop.studies.stability import NEUTRAL, at_rest, linearize
 from drake_nonstop.validation import ScenarioError

@@ -8,7 +8,7 @@ import numpy as np
 
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.simulation.run import Run
 from drake_nonstop.studies.files import replacing_files, require_writable
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from drake_nonstop.model.system import overridden
-from drake_nonstop.scenario.loading import Scenario, changed, dump_scenario, parse_scenario
+from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import compute_metrics, flattened
 from drake_nonstop.studies.run_all import (
     COMPLETED,

@@ -15,8 +15,9 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.synchronize import Event
 from typing import Any, TypeVar
 
-from drake_nonstop.scenario.loading import Scenario
-from drake_nonstop.simulation.simulate import Run, RunInterrupted, RunStopped, StepAction, simulate
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError, one_line, show_warning
 
 # The outcomes of a run.

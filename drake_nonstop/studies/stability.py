@@ -18,9 +18,9 @@ from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.rotation import cross, rotate_quaternion
-from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.equilibrium import set_equilibrium
-from drake_nonstop.simulation.simulate import stable_config
+from drake_nonstop.simulation.step_size import stable_config
 
 _STEP = 1e-6  # of the differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized

@@ -12,13 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from drake_nonstop.scenario.loading import (
-    Scenario,
-    changed,
-    dump_plain,
-    dump_scenario,
-    parse_scenario,
-)
+from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened
 from drake_nonstop.studies.files import replacing_file, require_writable
 from drake_nonstop.studies.run_all import FAILED, Progress, attempt, no_progress, run_all

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.scenario.loading import dump_plain
 from drake_nonstop.scenario.overrides import (
     as_setting,
     combinations,
@@ -17,6 +16,7 @@ from drake_nonstop.scenario.overrides import (
     require_choices,
     require_setting,
 )
+from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.validation import is_number, require, require_seed
 
 

@@ -10,9 +10,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
 from drake_nonstop.blocks.optimization_layer import LEAST_BOUND
-from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import carrier_speeds
-from drake_nonstop.simulation.simulate import Run, RunInterrupted, RunStopped, StepAction, simulate
+from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import is_number, require
 from drake_nonstop.visualization.nonstop_visualizer import show_in
 

@@ -10,8 +10,8 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 
 from drake_nonstop.model.system import Model, SystemParameters, overridden
-from drake_nonstop.scenario.loading import Scenario
 from drake_nonstop.scenario.scene_config import SceneConfig
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import is_number, require
 from drake_nonstop.visualization.canvas import LiveCanvas

@@ -11,7 +11,7 @@ from pydrake.geometry import MeshcatAnimation
 
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.simulation.simulate import SIGNAL_PERIOD, Run
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
 from drake_nonstop.visualization.canvas import RecordingCanvas
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.scene import Scene

@@ -16,7 +16,7 @@ from drake_nonstop.simulation.metrics import (
     load_errors,
     speed_bounds,
 )
-from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.simulation.run import Run
 from drake_nonstop.visualization.figure_style import LINE_STYLES, new_figure, titled
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ import pytest
 from drake_nonstop import load_scenario, simulate
 from drake_nonstop.benchmarks.accuracy import SETTINGS, benchmark_accuracy, table
 from drake_nonstop.cli.main import main
-from drake_nonstop.scenario.loading import changed
+from drake_nonstop.scenario.overrides import changed
 
-BRIEF = ["duration=0.3", "optimization_layer=ConstantParameters"]
+BRIEF = ["duration=0.4", "optimization_layer=ConstantParameters"]
 LONG = ("simulator.integration_scheme=runge_kutta2", "simulator.max_step_size=0.01")
 
 
@@ -26,7 +26,7 @@ def test_shorter_steps_are_nearer_to_the_truth(results):
         assert default[error] > 20 * short[error] > 0
         assert short[error] > results["reference"][error] > 0
         assert fused[error] == pytest.approx(default[error], rel=1e-3)
-    assert [row.get("steps") for row in results["runs"][:3]] == [60, 30, 300]
+    assert [row.get("steps") for row in results["runs"][:3]] == [80, 40, 400]
 
 
 def test_errors_are_the_largest_of_any_sample_and_carrier(results):

@@ -11,7 +11,7 @@ from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.simulation.equilibrium import fastest_mode
-from drake_nonstop.simulation.simulate import SIGNAL_PERIOD
+from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import ScenarioWarning
 

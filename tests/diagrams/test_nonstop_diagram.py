@@ -23,7 +23,8 @@ from drake_nonstop.diagrams import nonstop
 from drake_nonstop.diagrams.box import block_class, config_class
 from drake_nonstop.diagrams.nonstop import BOXES, box_of, figure_wires, make_nonstop
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
-from drake_nonstop.scenario.loading import Scenario, dump_scenario
+from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioError
 

@@ -8,8 +8,10 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from drake_nonstop.scenario.loading import changed, load_scenario, scenario_names
-from drake_nonstop.simulation.simulate import RunStopped, simulate
+from drake_nonstop.scenario.loading import load_scenario, scenario_names
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.simulation.run import RunStopped
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
 loaded = cache(load_scenario)

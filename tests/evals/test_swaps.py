@@ -9,7 +9,7 @@ from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop import load_scenario, simulate
 from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.scenario.loading import changed
+from drake_nonstop.scenario.overrides import changed
 
 PATTERNS = ("HamiltonianCycle", "Carousel", "SpreadCarousel", "LinearPattern")
 VARIANTS = {name: box.variants for name, box in BOXES.items()}

@@ -15,7 +15,8 @@ from drake_nonstop.mechanics.internal_force import even_phases, hamiltonian_cycl
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.describe import box_names, describe, parameters
-from drake_nonstop.scenario.loading import Scenario, parse_scenario
+from drake_nonstop.scenario.loading import parse_scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioError
 

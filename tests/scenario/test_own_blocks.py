@@ -15,7 +15,7 @@ from drake_nonstop import (
 )
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.scenario.loading import changed
+from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.validation import ScenarioError
 
 MODULE = """

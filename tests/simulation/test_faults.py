@@ -14,7 +14,8 @@ import pytest
 from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.speed_program import SpeedProgram
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.simulate import RunStopped, simulate
+from drake_nonstop.simulation.run import RunStopped
+from drake_nonstop.simulation.simulate import simulate
 
 BRIEF = ["--quiet", "--no-figures", "--no-replay", "--set", "duration=0.3"]
 

@@ -12,7 +12,7 @@ from drake_nonstop.simulation.metrics import (
     metrics_table,
     segment_distances,
 )
-from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.simulation.run import Run
 
 KEYS = {
     "": {

@@ -7,7 +7,8 @@ from PIL import Image
 
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.scenario.loading import changed, load_scenario
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies import robustness
 
 

@@ -8,7 +8,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Integrator, ZeroOrderHold
 
 from drake_nonstop import load_scenario, simulate
-from drake_nonstop.simulation.simulate import RunStopped
+from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.systems.sampled_integrator import SampledIntegrator
 from drake_nonstop.systems.traced_block import TracedBlock, _Traced
 from drake_nonstop.systems.tracing import NotFiniteError

@@ -9,7 +9,8 @@ import pytest
 from helpers import circling_run
 
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.simulate import Run, simulate
+from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.visualization.replay import record_replay
 
 MEGABYTE = 1e6

@@ -10,9 +10,9 @@ from urllib.parse import quote
 
 from numpy.typing import NDArray
 
-from drake_nonstop.scenario.loading import Scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import RunQuantities, value_at
-from drake_nonstop.simulation.simulate import Run
+from drake_nonstop.simulation.run import Run
 from drake_nonstop.studies.ablation.rows import (
     POSITION_ERROR,
     SLOWEST_SPEED,

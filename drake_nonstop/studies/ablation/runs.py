@@ -8,7 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from drake_nonstop.scenario.loading import Scenario, changed, dump_scenario, parse_scenario
+from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.ablation.page import PAGE, PLOTS, Curves, write_page
 from drake_nonstop.studies.ablation.rows import BASE, Row, ordered
 from drake_nonstop.studies.ablation.tables import as_csv, as_markdown

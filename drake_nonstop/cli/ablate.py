@@ -1,0 +1,66 @@
+"""`drake-nonstop ablate`: variants of a scenario, compared."""
+
+import argparse
+from pathlib import Path
+
+from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.exit_codes import FAILED
+from drake_nonstop.cli.progress import TaskProgress
+from drake_nonstop.studies.ablation import ablate, as_text, grid_names, name_settings, read_grid
+from drake_nonstop.studies.run_all import COMPLETED, DIVERGED
+from drake_nonstop.validation import require
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the subcommand."""
+    parser = commands.add_parser(
+        "ablate",
+        help="compare variants of a scenario: a table, plots, and all replays on one page",
+        description="Runs the scenario as it is and each variant. Exit code 1 where a variant "
+        "cannot be built or one of its blocks fails; one that diverges is a result like others.",
+    )
+    parser.set_defaults(action=_ablate)
+    add_scenario(parser, "out/ablate/NAME[_GRID]")
+    parser.add_argument(
+        "--grid", metavar="NAME|FILE.yaml", help=f"variants: {', '.join(grid_names())}, or a file"
+    )
+    parser.add_argument(
+        "--swap",
+        nargs="+",
+        action="append",
+        default=[],
+        metavar="BOX=BLOCK",
+        help="one more variant, with these settings together (as in --set); may be repeated",
+    )
+    parser.add_argument("--no-replay", action="store_true", help="write no replays")
+
+
+def _ablate(options: argparse.Namespace) -> int:
+    require(options.grid or options.swap, "--grid, --swap", "none", "give at least one of them")
+    scenario = read_scenario(options)
+    variants: list[tuple[str, list[str]]] = []
+    name, title = scenario.name, scenario.name
+    if options.grid:
+        grid = read_grid(options.grid)
+        variants += grid.variants.items()
+        name = f"{name}_{grid.name}"
+        title += f": {grid.description or grid.name}"
+    for settings in options.swap:
+        for setting in settings:
+            remedy = "give BOX=BLOCK, such as phase=PaperPhase"
+            require("=" in setting[1:], "--swap", setting, remedy)
+        variants.append((name_settings(settings), settings))
+    folder: Path = options.out or Path("out/ablate") / name
+    with TaskProgress() as progress:
+        rows = ablate(
+            scenario,
+            variants,
+            folder,
+            title=title,
+            replay=not options.no_replay,
+            trust=options.trust,
+            progress=progress,
+        )
+    print(as_text(rows))
+    print(f"results: {folder / 'index.html'}")
+    return 0 if all(row.outcome in (COMPLETED, DIVERGED) for row in rows) else FAILED

@@ -1,0 +1,65 @@
+"""Arguments that several subcommands share."""
+
+import argparse
+from pathlib import Path
+from typing import TypeAlias
+
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.validation import require
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+
+def add_repeats(parser: argparse.ArgumentParser, default: int) -> None:
+    """Adds --repeats, to be checked by `require_repeats`."""
+    parser.add_argument(
+        "--repeats",
+        type=int,
+        default=default,
+        metavar="N",
+        help=f"of each run; medians are taken ({default})",
+    )
+
+
+def add_scenario(
+    parser: argparse.ArgumentParser, folder: str = "out/NAME", default: str | None = None
+) -> None:
+    """Adds the scenario, --out, --set and --trust.
+
+    Args:
+        parser: of the subcommand.
+        folder: what the help names as the default of --out.
+        default: the scenario where none is given; None: one has to be given.
+    """
+    parser.add_argument(
+        "scenario",
+        metavar="NAME|FILE.yaml",
+        nargs=None if default is None else "?",
+        default=default,
+        help=f"a scenario's name or file{'' if default is None else f' ({default})'}",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help=f"results' folder ({folder})")
+    parser.add_argument(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="PATH=VALUE",
+        help="change the scenario: system.load_mass=1.2, phase=PaperPhase",
+    )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="let it import blocks of your own, such as phase=my_blocks.MyPhase",
+    )
+
+
+def require_repeats(options: argparse.Namespace) -> None:
+    """Checks --repeats; raises ScenarioError."""
+    require(options.repeats > 0, "--repeats", options.repeats, "give at least 1")
+
+
+def read_scenario(options: argparse.Namespace) -> Scenario:
+    """The scenario that the arguments of `add_scenario` name; raises ScenarioError."""
+    return load_scenario(options.scenario, options.set, trust=options.trust)

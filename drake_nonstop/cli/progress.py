@@ -1,0 +1,142 @@
+"""Progress bars, for what the package's functions take as `progress`.
+
+They are tqdm's, on a terminal or in a notebook. Where the standard error is neither, such as a
+log file, a line is written every two seconds instead.
+"""
+
+import sys
+from typing import TYPE_CHECKING, Any, TextIO
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+_LINE_PERIOD = 2.0  # s, between lines
+_BAR_PERIOD = 0.1  # s, between two states of a bar
+
+
+class _Progress:
+    """A bar that is closed by `close` or at the end of a `with`."""
+
+    def __init__(self) -> None:
+        self._bar: tqdm[Any] | None = None
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        if kind is None and self._bar is not None:
+            self._bar.n = self._bar.total or self._bar.n
+        self.close()
+
+    def close(self) -> None:
+        """Ends the bar, which stays in view as it is; progress that follows begins another."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+    def _show(self, value: float, **options: Any) -> "tqdm[Any]":
+        """The bar at this value; a new one with these options where there is none at a lower."""
+        if self._bar is not None and value < self._bar.n:
+            self._bar.leave = False
+            self.close()
+        if self._bar is None:
+            self._bar = _new_bar(**options)
+        return self._bar
+
+
+class TaskProgress(_Progress):
+    """The share of a task that is done: the `progress` of studies and benchmarks.
+
+    Example:
+        with TaskProgress() as progress:
+            sweep(scenario, spec, folder, progress=progress)
+    """
+
+    _FORMAT = "{desc} |{bar}| {percentage:3.0f}% [{elapsed}<{remaining}]"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._begin(0.0)
+
+    def __call__(self, what: str, share: float) -> None:
+        """Shows what is being done and the share of it that is done, 0 to 1.
+
+        A share below the one before begins the next task.
+        """
+        bar = self._begin(share)
+        bar.set_description_str(what, refresh=False)
+        bar.update(share - bar.n)
+
+    def _begin(self, share: float) -> "tqdm[Any]":
+        return self._show(share, total=1.0, bar_format=self._FORMAT)
+
+
+class RunProgress(_Progress):
+    """Simulated time and real-time factor of a run: the `progress` of `simulate` and `run_live`.
+
+    Example:
+        with RunProgress(scenario.name, scenario.duration) as progress:
+            run = simulate(scenario, progress=progress)
+
+    Args:
+        name: of the run, shown before the bar.
+        duration: of the run, in s.
+    """
+
+    _FORMAT = "{desc} |{bar}| {n:6.2f} / {total:g} s{postfix}"
+
+    def __init__(self, name: str, duration: float):
+        super().__init__()
+        _import_tqdm()  # not while the run is timed
+        self._name = name
+        self._duration = duration
+
+    def __call__(self, simulated: float) -> None:
+        """Shows the simulated time in s; an earlier one than before begins another run."""
+        bar = self._show(
+            simulated,
+            desc=self._name,
+            total=self._duration,
+            initial=simulated,
+            bar_format=self._FORMAT,
+        )
+        elapsed = bar.format_dict["elapsed"]
+        if elapsed > 0:
+            factor = (simulated - bar.initial) / elapsed
+            bar.set_postfix_str(f"{factor:.1f} x real time", refresh=False)
+        bar.update(simulated - bar.n)
+
+
+def _import_tqdm() -> Any:
+    """Imports tqdm.auto late: commands that show no progress start without it."""
+    import tqdm.asyncio
+    import tqdm.auto
+
+    return tqdm
+
+
+def _new_bar(**options: Any) -> "tqdm[Any]":
+    tqdm = _import_tqdm()
+    is_notebook = tqdm.auto.tqdm is not tqdm.asyncio.tqdm
+    if is_notebook or sys.stderr.isatty():
+        period = _BAR_PERIOD
+        options |= {"file": sys.stderr, "dynamic_ncols": True}
+    else:
+        period = _LINE_PERIOD
+        options |= {"file": _Lines(sys.stderr), "leave": False, "ascii": ".#"}
+    return tqdm.auto.tqdm(mininterval=period, delay=period, miniters=0, smoothing=0, **options)
+
+
+class _Lines:
+    """A stream that writes each state of a bar as a line of its own."""
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+
+    def write(self, text: str) -> None:
+        line = text.strip()
+        if line:
+            self._stream.write(f"{line}\n")
+
+    def flush(self) -> None:
+        self._stream.flush()

@@ -1,0 +1,69 @@
+"""`drake-nonstop report`: every number that the README prints, measured."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.cli.exit_codes import FAILED
+from drake_nonstop.cli.progress import TaskProgress
+from drake_nonstop.studies.files import replacing_file, require_writable
+from drake_nonstop.validation import ScenarioError
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the subcommand."""
+    parser = commands.add_parser(
+        "report", help="measure every number that the README prints, and take its pictures"
+    )
+    parser.set_defaults(action=_report_claims)
+    parser.add_argument(
+        "--readme", type=Path, metavar="FILE", default=Path("README.md"), help="(README.md)"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/report"))
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="the runs only: no pictures, no solvers' benchmark, no tests/evals",
+    )
+
+
+def _report_claims(options: argparse.Namespace) -> int:
+    # Imported here: other commands need none of it.
+    from drake_nonstop.benchmarks import claims as report
+
+    try:
+        text = options.readme.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        remedy = f"run it in a checkout, or give the file ({error})"
+        raise ScenarioError(f"--readme = {options.readme}: {remedy}") from None
+    claims = report.read_claims(text)
+    require_writable(options.out)
+    with TaskProgress() as progress:
+        measured = report.measure(claims, progress=progress)
+    table = report.as_markdown(measured)
+    failed = [
+        f"{claim.arguments}: {claim.quantity} = {value:.4g}, not {claim.printed}"
+        for claim, value in measured.items()
+        if not claim.holds(value)
+    ]
+    if not options.quick:
+        from drake_nonstop.benchmarks.optimizer import benchmark_optimizer
+        from drake_nonstop.benchmarks.optimizer import table as solvers_table
+        from drake_nonstop.benchmarks.pictures import make_pictures
+
+        with TaskProgress() as progress:
+            make_pictures(options.out, progress=progress)
+            results = benchmark_optimizer(1000, 0, [], progress=progress)
+        table += f"\n```\n{solvers_table(results)}\n```\n"
+        failed += report.wrong_shares(text, results)
+        print("running tests/evals, which measure the rest ...", flush=True)
+        failed += report.failing_evals(options.readme.parent)
+    table += "".join(f"\nFails: {line}\n" for line in failed)
+    with replacing_file(options.out / "report.md") as file:
+        file.write(table.encode())
+    for claim in failed:
+        print(claim, file=sys.stderr)
+    print(f"{len(claims)} numbers measured, {len(failed) or 'no'} claims failed")
+    print(f"results: {options.out / 'report.md'}")
+    return FAILED if failed else 0

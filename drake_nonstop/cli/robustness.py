@@ -1,0 +1,39 @@
+"""`drake-nonstop robustness`: errors that the controllers do not know of."""
+
+import argparse
+from pathlib import Path
+
+from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.progress import TaskProgress
+from drake_nonstop.studies.figures import make_robustness_figure
+from drake_nonstop.studies.files import replacing_file, require_writable, write_json
+from drake_nonstop.studies.robustness import robustness, robustness_table
+from drake_nonstop.validation import require_seed
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the subcommand."""
+    parser = commands.add_parser(
+        "robustness", help="errors that the controllers do not know of, one by one"
+    )
+    parser.set_defaults(action=_robustness)
+    add_scenario(parser)
+    parser.add_argument("--seed", type=int, default=0, help="of what is random (0)")
+
+
+def _robustness(options: argparse.Namespace) -> int:
+    scenario = read_scenario(options)
+    require_seed("--seed", options.seed)
+    folder: Path = options.out or Path("out") / scenario.name
+    require_writable(folder)
+    with TaskProgress() as progress:
+        cases = robustness(scenario, seed=options.seed, progress=progress)
+    write_json(
+        folder / "robustness.json",
+        {"scenario": scenario.name, "cases": [case.as_json() for case in cases]},
+    )
+    with replacing_file(folder / "robustness.png") as file:
+        make_robustness_figure(scenario.name, cases).savefig(file, format="png", dpi=150)
+    print(robustness_table(cases))
+    print(f"results: {folder}")
+    return 0

@@ -1,0 +1,144 @@
+"""`drake-nonstop run`: runs a scenario and writes its results."""
+
+import argparse
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.exit_codes import FAILED, INTERRUPTED
+from drake_nonstop.cli.progress import RunProgress
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.metrics import find_warnings, metrics_table
+from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.studies.files import require_writable
+from drake_nonstop.studies.results_folder import write_results
+from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.visualization.live import run_live
+from drake_nonstop.visualization.meshcat_server import start_meshcat
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the subcommand."""
+    parser = commands.add_parser("run", help="run a scenario and write its results")
+    parser.set_defaults(action=_run)
+    add_scenario(parser)
+    parser.add_argument("--no-figures", action="store_true", help="write no figures/")
+    parser.add_argument("--no-replay", action="store_true", help="write no replay.html")
+    parser.add_argument(
+        "--live", action="store_true", help="show it in Meshcat while it runs, with controls"
+    )
+    parser.add_argument(
+        "--realtime",
+        type=float,
+        metavar="RATE",
+        help="simulated s per s of a live run (1; 0: free)",
+    )
+    parser.add_argument("--port", type=int, help="of the live page (any from 7000 that is free)")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+
+
+def _run(options: argparse.Namespace) -> int:
+    scenario = read_scenario(options)
+    for name in ("realtime", "port"):
+        value = getattr(options, name)
+        require(options.live or value is None, f"--{name}", value, "give --live with it")
+    return run_into(
+        options.out or Path("out") / scenario.name,
+        scenario,
+        is_live=options.live,
+        realtime_rate=1.0 if options.realtime is None else options.realtime,
+        port=options.port,
+        figures=not options.no_figures,
+        replay=not options.no_replay,
+        is_quiet=options.quiet,
+    )
+
+
+def run_into(
+    folder: Path,
+    scenario: Scenario,
+    *,
+    is_live: bool = False,
+    realtime_rate: float = 1.0,
+    port: int | None = None,
+    figures: bool = True,
+    replay: bool = True,
+    is_quiet: bool = False,
+) -> int:
+    """Runs a scenario, writes its results and prints its table; returns the exit code.
+
+    Args:
+        folder: of the results; a new one is removed where the scenario cannot be run.
+        scenario: what to run.
+        is_live: whether to show the run in Meshcat, with controls, while it goes on; restarts
+            in the page are further runs, whose results replace those of the one before.
+        realtime_rate: of a live run: simulated s per s, 0 for as fast as it goes.
+        port: of the live page; None: any from 7000 that is free.
+        figures: whether to write figures/.
+        replay: whether to write replay.html.
+        is_quiet: whether to print errors only.
+
+    Raises:
+        ScenarioError: the scenario cannot be built, or the folder not be written.
+    """
+    is_new = not folder.exists()
+    progress = None if is_quiet else RunProgress(scenario.name, scenario.duration)
+
+    def runs() -> Iterator[Run]:
+        if not is_live:
+            yield simulate(scenario, progress=progress)
+            return
+        meshcat = start_meshcat(port)
+        print(f"watch and steer it at {meshcat.web_url()}", flush=True)
+        yield from run_live(scenario, meshcat, realtime_rate=realtime_rate, progress=progress)
+
+    def write(run: Run) -> dict[str, Any]:
+        return write_results(run, folder, figures=figures, replay=replay)
+
+    try:
+        require_writable(folder)
+        for run in runs():
+            if progress is not None:
+                progress.close()
+            metrics = write(run)
+            if not is_quiet:
+                _report(metrics, run.scenario, folder)
+                if is_live:
+                    print(
+                        "while a page is open: restart or stop there; Ctrl-C ends it",
+                        flush=True,
+                    )
+        return 0
+    except ScenarioError:
+        if is_new:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise
+    except RunStopped as stopped:
+        run, code, message = stopped.run, FAILED, str(stopped)
+    except RunInterrupted as interrupted:
+        run, code, message = interrupted.run, INTERRUPTED, "interrupted"
+    finally:
+        if progress is not None:
+            progress.close()
+    print(f"drake-nonstop: {message}", file=sys.stderr)
+    if len(run.time) > 0:
+        metrics = write(run)
+        print(
+            f"drake-nonstop: the results up to {metrics['simulated_s']:.3f} s are in {folder}",
+            file=sys.stderr,
+        )
+    return code
+
+
+def _report(metrics: dict[str, Any], scenario: Scenario, folder: Path) -> None:
+    print(metrics_table(metrics))
+    if metrics["is_steered"]:
+        print("steered while it ran: scenario.yaml alone does not repeat it")
+    for warning in find_warnings(metrics, scenario):
+        print(f"warning: {warning}")
+    print(f"results: {folder}")

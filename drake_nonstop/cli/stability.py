@@ -1,0 +1,78 @@
+"""`drake-nonstop stability`: Floquet multipliers and margins."""
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.progress import TaskProgress
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.studies.figures import make_margins_figure
+from drake_nonstop.studies.files import replacing_file, require_writable, write_json
+from drake_nonstop.studies.margins import find_margins
+from drake_nonstop.studies.stability import linearize
+
+_FINE_STEP = 0.001  # s, at which integrators damp nothing that matters here
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the subcommand."""
+    parser = commands.add_parser(
+        "stability", help="Floquet multipliers of the loop around a resting load, and margins"
+    )
+    parser.set_defaults(action=_stability)
+    add_scenario(parser)
+
+
+def _stability(options: argparse.Namespace) -> int:
+    scenario = read_scenario(options)
+    folder: Path = options.out or Path("out") / scenario.name
+    require_writable(folder)
+    fine_step = min(_FINE_STEP, scenario.simulator.max_step_size)
+    fine = changed(scenario, [f"simulator.max_step_size={fine_step}"], trust=options.trust)
+    with TaskProgress() as progress:
+        found, found_finely = linearize(scenario), linearize(fine)
+        margins = find_margins(scenario, progress=progress)
+    write_json(
+        folder / "stability.json",
+        {
+            "scenario": scenario.name,
+            "period_s": found.period,
+            "largest_multiplier": found.largest,
+            "rate_1_s": found.rate,
+            "largest_multiplier_at_fine_step": found_finely.largest,
+            "fine_step_s": fine_step,
+            "margins": [dataclasses.asdict(margin) for margin in margins],
+        },
+    )
+    with replacing_file(folder / "stability.png") as file:
+        make_margins_figure(scenario.name, margins).savefig(file, format="png", dpi=150)
+    verdict = "stable" if found.is_stable else "unstable"
+    print(
+        f"largest multiplier     {found.largest:.4g} in a turn of {found.period:.3g} s "
+        f"({found.rate:+.3g} 1/s): {verdict}"
+    )
+    print(
+        f"with steps of {fine_step * 1e3:g} ms     {found_finely.largest:.4g}: "
+        f"{'stable' if found_finely.is_stable else 'unstable'}"
+    )
+    if found.is_stable and not found_finely.is_stable:
+        print("warning: the loop is stable by the damping of the integrator's step alone")
+    shares = sorted(found.shares.items(), key=lambda item: -item[1])
+    print(
+        "least stable mode      "
+        + ", ".join(f"{name} {share:.0%}" for name, share in shares if share > 0.005)
+        + f", {found.frequency:.3g} rad/s"
+    )
+    for margin in margins:
+        low, high = (
+            "no end" if value is None else f"{value:.4g}" for value in (margin.low, margin.high)
+        )
+        name = f"{margin.name}, {margin.unit}"
+        is_stable = found.is_stable
+        print(
+            f"{name:22} {margin.nominal:.4g}, "
+            + (f"stable from {low} to {high}" if is_stable else "unstable here")
+        )
+    print(f"results: {folder}")
+    return 0
