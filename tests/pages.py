@@ -1,4 +1,4 @@
-"""A real browser for the pages; where there is none the tests are skipped, or in CI fail."""
+"""A page of a real browser, which notes what goes wrong; tests are skipped where there is none."""
 
 import contextlib
 import os
@@ -9,8 +9,8 @@ from drake_nonstop.benchmarks.browser import open_browser
 from drake_nonstop.validation import ScenarioError
 
 
-class Watched:
-    """A page, and what it complained of or asked others for."""
+class WatchedPage:
+    """A page, its errors, and the addresses that it asked for."""
 
     def __init__(self, page):
         self.page = page
@@ -28,6 +28,7 @@ class Watched:
 
 @contextlib.contextmanager
 def page_or_skip():
+    """A new page of a headless Chromium; without one the test is skipped, or in CI fails."""
     try:
         with open_browser(480, 320) as page:
             yield page
@@ -35,17 +36,3 @@ def page_or_skip():
         if os.environ.get("CI"):
             raise
         pytest.skip(str(missing))
-
-
-@pytest.fixture
-def watched():
-    """A new page of a headless Chromium."""
-    with page_or_skip() as page:
-        yield Watched(page)
-
-
-@pytest.fixture
-def needs_browser():
-    """For a test whose subject opens a browser of its own."""
-    with page_or_skip():
-        pass
