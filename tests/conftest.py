@@ -8,12 +8,18 @@ import pytest
 from pages import WatchedPage, page_or_skip
 from shared_runs import SharedRuns
 
-# What `make quick` leaves out: whole runs, commands in processes of their own, and browsers.
+# What `make quick` leaves out: whole runs, commands, processes and browsers. Each entry is what
+# the paths of tests begin with, from this folder on.
 SLOW = (
-    "benchmarks",
-    "evals",
-    "studies",
+    "benchmarks/",
+    "blocks/test_fused_plant.py",
+    "blocks/test_physics_blocks.py::test_a_cable_that_goes_slack",
+    "blocks/test_physics_blocks.py::test_with_the_cables_reaction",
+    "cli/",
+    "evals/",
+    "optimization/test_speed_program.py::test_carriers_stay_apart_over_a_whole_orbit",
     "simulation/test_faults.py",
+    "studies/",
     "test_examples.py",
     "visualization/test_live.py",
     "visualization/test_live_page.py",
@@ -22,9 +28,10 @@ SLOW = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    slow = [Path(__file__).parent / path for path in SLOW]
+    here = Path(__file__).parent
     for item in items:
-        if any(item.path.is_relative_to(path) for path in slow):
+        path = f"{item.path.relative_to(here).as_posix()}::{item.name}"
+        if path.startswith(SLOW):
             item.add_marker("slow")
 
 
