@@ -10,8 +10,6 @@ import pickle
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from drake_nonstop import Run, Scenario, compute_metrics, simulate
 from drake_nonstop.scenario.loading import dump_scenario
 
