@@ -1,10 +1,11 @@
-# make demo: environment, install, one run. make test: the tests. make check: lint and types.
+# make demo: environment, install, one run. make check: lint and types.
+# make test: all tests. make quick: without whole runs, processes and browsers; within a minute.
 # make pictures: those of the README; needs Chromium (on Debian: apt-get install chromium).
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check pictures clean
+.PHONY: demo test quick check pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/drake-nonstop run quintic
@@ -13,6 +14,9 @@ demo: $(VENV)/.installed
 # Two workers, each of one thread: NumPy's own would stand in each other's way.
 test: $(VENV)/.installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal
+
+quick: $(VENV)/.installed-dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal -m "not slow"
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -1,8 +1,35 @@
-"""Fixtures; this file also makes `helpers` importable from the folders below."""
+"""Fixtures and tiers; this file also makes `helpers` importable from the folders below."""
+
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
-from pages import Watched, page_or_skip
+from pages import WatchedPage, page_or_skip
+from shared_runs import SharedRuns
+
+# What `make quick` leaves out: whole runs, commands, processes and browsers. Each entry is what
+# the paths of tests begin with, from this folder on.
+SLOW = (
+    "benchmarks/",
+    "blocks/test_fused_plant.py",
+    "cli/",
+    "evals/",
+    "simulation/test_faults.py",
+    "studies/",
+    "test_examples.py",
+    "visualization/test_live.py",
+    "visualization/test_live_page.py",
+    "visualization/test_replay_page.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    here = Path(__file__).parent
+    for item in items:
+        path = f"{item.path.relative_to(here).as_posix()}::{item.name}"
+        if path.startswith(SLOW):
+            item.add_marker("slow")
 
 
 @pytest.fixture
@@ -11,15 +38,24 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20240607)
 
 
+@pytest.fixture(scope="session")
+def shared_runs(tmp_path_factory) -> SharedRuns:
+    """Runs that all tests of all workers share."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent  # each worker has a folder of its own in it
+    return SharedRuns(folder / "shared_runs")
+
+
 @pytest.fixture
 def watched():
-    """A page of a headless browser, with its errors and requests."""
+    """A new page of a headless Chromium."""
     with page_or_skip() as page:
-        yield Watched(page)
+        yield WatchedPage(page)
 
 
 @pytest.fixture
 def needs_browser():
-    """For a test of what opens a browser itself."""
+    """For a test whose subject opens a browser of its own."""
     with page_or_skip():
         pass

@@ -1,4 +1,4 @@
-"""A real browser for tests of pages; without one they are skipped, or fail in CI."""
+"""A page of a real browser, which notes what goes wrong; tests are skipped where there is none."""
 
 import contextlib
 import os
@@ -9,8 +9,8 @@ from drake_nonstop.benchmarks.browser import open_browser
 from drake_nonstop.validation import ScenarioError
 
 
-class Watched:
-    """A page with its errors and its requests."""
+class WatchedPage:
+    """A page, its errors, and the addresses that it asked for."""
 
     def __init__(self, page):
         self.page = page
@@ -28,7 +28,7 @@ class Watched:
 
 @contextlib.contextmanager
 def page_or_skip():
-    """A new page of a headless Chromium."""
+    """A new page of a headless Chromium; without one the test is skipped, or in CI fails."""
     try:
         with open_browser(480, 320) as page:
             yield page

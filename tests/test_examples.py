@@ -1,5 +1,6 @@
 """Every example's main(), and every Python block of the README, runs."""
 
+import dataclasses
 import importlib.util
 import inspect
 import re
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import drake_nonstop
 from drake_nonstop.cli.main import main
 
 ROOT = Path(__file__).parent.parent
@@ -37,6 +39,21 @@ def test_example_runs(path, capsys, monkeypatch, tmp_path):
     assert "load error" in capsys.readouterr().out
 
 
+@pytest.fixture
+def shared_simulate(shared_runs, monkeypatch):
+    """Has `simulate` answer with the shared run where a scenario is all that it is given."""
+    simulate = drake_nonstop.simulate
+
+    def shared(scenario, **options):
+        if options:
+            return simulate(scenario, **options)
+        run = shared_runs.run(scenario)
+        return dataclasses.replace(run, diagram=drake_nonstop.make_nonstop(scenario))
+
+    monkeypatch.setattr(drake_nonstop, "simulate", shared)
+
+
+@pytest.mark.usefixtures("shared_simulate")
 @pytest.mark.parametrize("code", SCRIPTS)
 def test_readme_block_runs(code, capsys):
     exec(compile(code, "README.md", "exec"), {})

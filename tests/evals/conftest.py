@@ -1,19 +1,9 @@
-"""Each shipped scenario is run once for all evals."""
-
-from functools import cache
-
 import pytest
 
-from drake_nonstop import Run, compute_metrics, load_scenario, simulate
-
-
-@cache
-def _run(name: str) -> tuple[Run, dict]:
-    run = simulate(load_scenario(name))
-    return run, compute_metrics(run)
+from drake_nonstop import load_scenario
 
 
 @pytest.fixture(scope="session")
-def evaluated():
-    """A function from a scenario's name to its run and metrics."""
-    return _run
+def evaluated(shared_runs):
+    """A function from a shipped scenario's name to its run and metrics."""
+    return lambda name: shared_runs.evaluated(load_scenario(name))

@@ -25,7 +25,11 @@ def with_fields(scenario: Scenario, **fields: float) -> Scenario:
 
 
 def metrics_of(scenario: Scenario) -> dict:
-    metrics = compute_metrics(simulate(scenario))
+    return kept(compute_metrics(simulate(scenario)))
+
+
+def kept(metrics: dict) -> dict:
+    """The metrics of a run in which every update of the optimization succeeded."""
     assert metrics["carriers"]["time_below_bound_s"] == 0
     assert metrics["optimizer"]["relaxed"] == metrics["optimizer"]["held"] == 0
     return metrics
@@ -37,14 +41,16 @@ def test_min_separation_keeps_the_carriers_of_an_octagon_apart():
     assert apart["carriers"]["separation_min_m"] >= 0.15
 
 
-def test_min_tension_keeps_every_cable_above_it():
-    assert metrics_of(load_scenario("quintic"))["cables"]["tension_min_N"] < 2.55
+def test_min_tension_keeps_every_cable_above_it(evaluated):
+    _, free = evaluated("quintic")
+    assert kept(free)["cables"]["tension_min_N"] < 2.55
     taut = metrics_of(with_fields(load_scenario("quintic"), min_tension=2.6))
     assert taut["cables"]["tension_min_N"] >= 2.6
 
 
-def test_max_tension_keeps_every_cable_below_it():
-    assert metrics_of(load_scenario("quintic"))["cables"]["tension_max_N"] > 2.9
+def test_max_tension_keeps_every_cable_below_it(evaluated):
+    _, free = evaluated("quintic")
+    assert kept(free)["cables"]["tension_max_N"] > 2.9
     spared = metrics_of(with_fields(load_scenario("quintic"), max_tension=2.85))
     assert spared["cables"]["tension_max_N"] <= 2.85
 
@@ -70,11 +76,11 @@ def test_rates_of_the_parameters_stay_within_their_limits():
 
 
 @pytest.mark.parametrize("name", ["quintic", "line"])
-def test_anchor_brings_the_parameters_back_without_breaking_the_bound(name):
+def test_anchor_brings_the_parameters_back_without_breaking_the_bound(name, evaluated):
     scenario = load_scenario(name)
     layer = scenario.optimization_layer
     nominal = np.array([layer.frequency, layer.amplitude])
-    free = simulate(scenario).signal("parameters")[-1]
+    free = evaluated(name)[0].signal("parameters")[-1]
     anchored = simulate(with_fields(scenario, anchor_weight=0.05))
     metrics = compute_metrics(anchored)
     assert metrics["carriers"]["time_below_bound_s"] == 0

@@ -1,4 +1,5 @@
 import re
+from functools import cache
 from itertools import combinations, pairwise
 from xml.etree import ElementTree
 
@@ -147,14 +148,19 @@ def touch(a: tuple[Point, Point], b: tuple[Point, Point]) -> bool:
     return not (left < x < right and top < y < bottom)
 
 
+@cache
+def picture_of(name: str) -> Picture:
+    if name == "labels":
+        return Picture(with_labels_in_the_way())
+    if name == "extra_blocks":
+        return Picture(with_extra_blocks(make_nonstop(load_scenario("quintic"))))
+    scenario, overrides = SCENARIOS[name]
+    return Picture(make_nonstop(load_scenario(scenario, overrides)))
+
+
 @pytest.fixture(scope="module", params=[*SCENARIOS, "extra_blocks", "labels"])
 def picture(request: pytest.FixtureRequest) -> Picture:
-    if request.param == "labels":
-        return Picture(with_labels_in_the_way())
-    if request.param == "extra_blocks":
-        return Picture(with_extra_blocks(make_nonstop(load_scenario("quintic"))))
-    name, overrides = SCENARIOS[request.param]
-    return Picture(make_nonstop(load_scenario(name, overrides)))
+    return picture_of(request.param)
 
 
 def test_every_subsystem_and_connection_is_drawn(picture: Picture):
@@ -237,7 +243,7 @@ def test_unknown_blocks_stand_below_the_known(picture: Picture):
 
 
 def test_layout_is_that_of_the_figure():
-    blocks = Picture(make_nonstop(load_scenario("quintic"))).blocks
+    blocks = picture_of("sampled").blocks
     main_row = [
         "load_feedback",
         "sample_and_hold",
@@ -253,17 +259,17 @@ def test_layout_is_that_of_the_figure():
 
 
 def test_the_same_diagram_gives_the_same_text(monkeypatch: pytest.MonkeyPatch):
+    """In whatever order its connections are listed."""
+    texts = {name: picture_of(name).text for name in ("labels", "sampled")}
     connections = wiring.connections
-    for make in (with_labels_in_the_way, lambda: make_nonstop(load_scenario("quintic"))):
-        monkeypatch.setattr(wiring, "connections", connections)
-        text = draw_diagram(make())
-        monkeypatch.setattr(wiring, "connections", lambda diagram: connections(diagram)[::-1])
-        assert draw_diagram(make()) == text
+    monkeypatch.setattr(wiring, "connections", lambda diagram: connections(diagram)[::-1])
+    assert draw_diagram(with_labels_in_the_way()) == texts["labels"]
+    assert draw_diagram(make_nonstop(load_scenario("quintic"))) == texts["sampled"]
 
 
 def test_the_committed_drawing_is_that_of_the_built_diagram():
     committed = SCENARIO_FILES.parent / "nonstop.svg"
-    drawn = draw_diagram(make_nonstop(load_scenario("quintic")))
+    drawn = picture_of("sampled").text
     assert committed.read_text(encoding="utf-8") == drawn, (
         "the figure has changed; `drake-nonstop run quintic` draws it anew as "
         "out/quintic/diagram.svg: copy that to diagrams/nonstop.svg"
