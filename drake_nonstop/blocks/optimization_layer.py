@@ -103,9 +103,9 @@ class NonstopOptimizer(LeafBlock):
     `measured_load_state` (13), `reference` (22), `wrench` and `wrench_rate` (6, [torque;
     force]), all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `parameters` (2) = [ξ (rad/s), A (N)];
     `diagnostics` (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest
-    speed minus the untightened ε (m/s)], the fields of `Diagnostics`; `solve_time` (1) is the wall time in s that the
-    last update took, from its inputs to its answer; `speed_bound` (1) is the ε that was set,
-    in m/s. All outputs are state or parameters: nothing feeds through.
+    speed minus the untightened ε (m/s)], the fields of `Diagnostics`; `solve_time` (1) is the
+    wall time in s that the last update took, from its inputs to its answer; `speed_bound` (1) is
+    the ε that was set, in m/s. All outputs are state or parameters: nothing feeds through.
 
     Raises:
         ScenarioError: a parameter is out of range, or the period is no multiple of the
@@ -197,7 +197,7 @@ class NonstopOptimizer(LeafBlock):
         bound = next_bound(last_bound, wanted_bound, **self._times)
         is_rising = last_bound < wanted_bound
         is_changing = is_rising or context.get_discrete_state(self._is_changing).value()[0] > 0
-        diagnostics = Diagnostics.view(context.get_discrete_state(self._diagnostics).value())
+        diagnostics = Diagnostics(*context.get_discrete_state(self._diagnostics).value().tolist())
         last_wrench_rate = wrench_rate
         if diagnostics.updates > 0:
             last_wrench_rate = context.get_discrete_state(self._last_wrench_rate).value()

@@ -4,7 +4,6 @@ A margin is negative where its constraint is not fulfilled: ‖v_i‖²/ε² −
 of the other constraints, each with its tightened limit.
 """
 
-import math
 from itertools import combinations
 
 import numpy as np
@@ -86,7 +85,8 @@ class ConstraintMargins:
                 amplitudes,
                 forces,
                 levers,
-                *self._axes,
+                self._axes[0],
+                self._axes[1],
                 turns=2 * np.pi * np.arange(_SEPARATION_PHASES) / _SEPARATION_PHASES,
                 pairs=self._pairs,
                 **self._cables,
@@ -105,8 +105,3 @@ class ConstraintMargins:
         """What is larger for the better one of two infeasible points, see `least_infeasible`."""
         speeds = float(margins[: self.speed_count].min())
         return min(speeds, 0.0), float(margins.min())
-
-    def slowest_speed(self, margins: NDArray, speed_bound: float, speed_unit: float) -> float:
-        """The slowest speed (m/s), from the margins of a point."""
-        worst = float(margins[: self.speed_count].min())
-        return math.sqrt(max(0.0, worst * speed_unit * speed_unit + speed_bound * speed_bound))

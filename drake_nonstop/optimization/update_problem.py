@@ -1,5 +1,7 @@
 """The nonstop problem of one update, in numbers."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +27,9 @@ class UpdateProblem:
         self._traced = traced
         self.vector, self.data = vector, UpdateData.view(vector)
         self.previous = self.data.previous.copy()
+        # By the bytes of x: an answer is judged by margins that the search looked up already.
         self._margins_at: dict[bytes, NDArray] = {}
+        self._worst_margin_at: dict[bytes, float] = {}
         self._search_problem: SearchProblem | None = None
 
     @property
@@ -56,7 +60,10 @@ class UpdateProblem:
 
     def worst_margin(self, x: NDArray) -> float:
         """The least margin of all constraints at x."""
-        return float(self.margins(x).min())
+        key = x.tobytes()
+        if key not in self._worst_margin_at:
+            self._worst_margin_at[key] = float(self.margins(x).min())
+        return self._worst_margin_at[key]
 
     def feasible_cost(self, x: NDArray) -> float:
         """The cost of the step to x, inf where x does not fulfil the constraints."""
@@ -65,9 +72,10 @@ class UpdateProblem:
 
     def slowest_speed(self, x: NDArray) -> float:
         """The slowest predicted speed (m/s) at x."""
-        return self._traced.constraints.slowest_speed(
-            self.margins(x), float(self.data.speed_bound[0]), float(self.data.speed_unit[0])
-        )
+        margins, count = self.margins(x), self._traced.constraints.speed_count
+        worst = self.worst_margin(x) if len(margins) == count else float(margins[:count].min())
+        bound, unit = float(self.data.speed_bound[0]), float(self.data.speed_unit[0])
+        return math.sqrt(max(0.0, worst * unit * unit + bound * bound))
 
     @property
     def search_problem(self) -> SearchProblem:
