@@ -41,7 +41,7 @@ RANGES: dict[str, float | tuple[float, float]] = {
 _ROUND_OFF = 1e-9  # of a margin; more would make a truth of nearly nothing cheaper
 _GRID = (160, 120)  # frequencies and amplitudes of the grid of `truth`
 _ZOOM = 41  # points a side
-_STARTS = 4  # minima of the grid that are looked into
+_STARTS = 4  # local minima of the grid on which the search zooms in
 _AMPLITUDES = 200  # of the other search
 
 

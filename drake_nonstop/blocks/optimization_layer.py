@@ -74,8 +74,8 @@ class NonstopOptimizer(LeafBlock):
     of the load's weight, or half and twice the initial A where that is wider: amplitudes far above
     its weight shake the load.
 
-    The simulated speed differs from the constrained one by about 0.2 % of ε, for which there is
-    `tightening`: see diagrams/speed_error_budget.md.
+    The simulated speed differs from the constrained one by about 0.2 % of ε, and after a step of A
+    by the carriers' oscillation. `tightening` covers both: see diagrams/speed_error_budget.md.
 
     **During a run** `set_speed_bound` and `set_enabled` change two parameters of the context,
     as a live view does. The carriers' commands follow without a jump. A raised bound rises
@@ -146,9 +146,9 @@ class NonstopOptimizer(LeafBlock):
         )
         # Offset = period: with offset 0 the periodic event would repeat the first one.
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
-        # The event comes at every sample of the controllers, and some of them are updates: with a
-        # period of its own it would come, by rounding, sometimes at their samples and sometimes
-        # before.
+        # An event at each sample of the controllers, of which every `_samples_per_update`-th is an
+        # update. An event of the update's own period would, by rounding, come at some of their
+        # samples and just before others.
         self._sample_period = model.control_period or config.period
         self._samples_per_update = round(config.period / self._sample_period)
         self.DeclarePeriodicDiscreteUpdateEvent(

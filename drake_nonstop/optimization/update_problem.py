@@ -27,7 +27,7 @@ class UpdateProblem:
         self._traced = traced
         self.vector, self.data = vector, UpdateData.view(vector)
         self.previous = self.data.previous.copy()
-        # By the bytes of x: an answer is judged by margins that the search looked up already.
+        # By the bytes of x. The margins of the answer were computed in the search already.
         self._margins_at: dict[bytes, NDArray] = {}
         self._worst_margin_at: dict[bytes, float] = {}
         self._search_problem: SearchProblem | None = None
