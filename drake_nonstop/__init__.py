@@ -19,7 +19,7 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.optimization.speed_program import Outcome
+from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.scenario.loading import (
     dump_scenario,
     load_scenario,

@@ -1,17 +1,20 @@
 """Inputs of the optimization layer, and the speeds that follow from first principles."""
 
+import functools
+
 import numpy as np
-from helpers import INERTIA, Motion, difference, regular, rotation
+from helpers import INERTIA, Motion, difference, model, regular, rotation
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RotationMatrix
 
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
+from drake_nonstop.optimization.update_solver import UpdateSolver
 
 LENGTH, COMPLIANCE, SHARE = 0.8, 1 / 500, 9.81 / 4  # of the default model, n = 4
 PERIOD, TIGHTENING = 0.01, 0.01
 SOLVERS = ("search", "grid", "snopt", "ipopt", "nlopt")
 START = np.array([2.0, 1.2])
-STILL = {
+AT_REST = {
     "measured_load_state": np.array([1.0, *np.zeros(12)]),
     "reference": np.array([1.0, *np.zeros(21)]),
     "wrench": np.array([0, 0, 0, 0, 0, 9.81]),
@@ -20,8 +23,8 @@ STILL = {
 }
 
 
-def still_speed(frequency, amplitude):
-    """The speed of every carrier over a still, level square, at every phase."""
+def speed_at_rest(frequency, amplitude):
+    """The speed of every carrier over a level square at rest, at every phase."""
     tension = np.hypot(amplitude, SHARE)
     return frequency * amplitude * (LENGTH + COMPLIANCE * tension) / tension
 
@@ -36,7 +39,7 @@ def moving(seed, slope=0.0):
     return {
         "measured_load_state": state,
         "reference": reference,
-        "wrench": np.array([*torque, *force]) + STILL["wrench"],
+        "wrench": np.array([*torque, *force]) + AT_REST["wrench"],
         "wrench_rate": rng.uniform(-0.3, 0.3, 6),
         "phase": np.array([rng.uniform(0, 2 * np.pi), slope]),
     }
@@ -100,3 +103,31 @@ def speed_bound_above(inputs, share, **arguments):
 def config(speed_bound, orbit_points=1, **fields):
     """The default config, but for the orbit ahead, which has tests of its own."""
     return NonstopOptimizerConfig(speed_bound=speed_bound, orbit_points=orbit_points, **fields)
+
+
+@functools.cache
+def update_solver(**fields):
+    """The solver of the default model; the data of an update have its speed bound."""
+    return UpdateSolver(model(), config(0.0, **fields), lambda: "optimization_layer")
+
+
+def update_data(inputs, speed_bound, previous=START, updates=None):
+    """The data of one update, with the wrench's rate taken to be constant."""
+    return (updates or update_solver()).update_data(
+        previous,
+        inputs["phase"],
+        inputs["measured_load_state"],
+        inputs["reference"],
+        inputs["wrench"],
+        inputs["wrench_rate"],
+        np.zeros(6),
+        speed_bound,
+    )
+
+
+def change_cost(x, inputs, previous=START):
+    """Eq. 26 for the default model and an accumulated phase, written out."""
+    phases = inputs["phase"][0] + np.pi / 2 * np.arange(4)
+    jump = (x[1] - previous[1]) * np.cos(phases)
+    rate_jump = (x[0] * x[1] - previous[0] * previous[1]) * np.sin(phases)
+    return np.sum((x - previous) ** 2) + np.sum(jump**2) + np.sum(rate_jump**2)

@@ -16,11 +16,13 @@ from drake_nonstop.mechanics.rigid_load import gravity_wrench
 from drake_nonstop.mechanics.rotation import roll_pitch_yaw_to_quaternion
 from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternConfig
 from drake_nonstop.model.system import Model, PatternConfig, SystemParameters
-from drake_nonstop.optimization.search import SearchProblem
-from drake_nonstop.optimization.speed_program import FEASIBILITY_TOLERANCE, SpeedProgram
+from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.search_problem import SearchProblem
+from drake_nonstop.optimization.update_problem import UpdateProblem
+from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.studies.files import replacing_file
 
-# What the instances are drawn from: uniformly, or, a pair, by the logarithm.
+# The instances are drawn from these ranges: uniformly, or from a pair by the logarithm.
 RANGES: dict[str, float | tuple[float, float]] = {
     "tilt_rad": 0.3,  # roll and pitch of the load, either way
     "load_speed_m_s": 1.0,  # in any direction
@@ -39,7 +41,7 @@ RANGES: dict[str, float | tuple[float, float]] = {
 _ROUND_OFF = 1e-9  # of a margin; more would make a truth of nearly nothing cheaper
 _GRID = (160, 120)  # frequencies and amplitudes of the grid of `truth`
 _ZOOM = 41  # points a side
-_STARTS = 4  # minima of the grid that are looked into
+_STARTS = 4  # local minima of the grid on which the search zooms in
 _AMPLITUDES = 200  # of the other search
 
 
@@ -73,7 +75,7 @@ _SYSTEMS: dict[str, tuple[int, PatternConfig]] = {
 
 @dataclass(frozen=True)
 class Instance:
-    """The data of one update of a system, see `SpeedProgram`."""
+    """The flat `UpdateData` (61,) of one update of a system."""
 
     system: str
     data: NDArray
@@ -90,25 +92,25 @@ class Truth:
     margin: float
 
 
-def make_programs(**fields: object) -> dict[str, SpeedProgram]:
-    """A program for each system, with those fields of the optimizer's config changed."""
-    programs = {}
+def make_solvers(**fields: object) -> dict[str, UpdateSolver]:
+    """A solver for each system, with those fields of the optimizer's config changed."""
+    solvers = {}
     for name, (n, pattern) in _SYSTEMS.items():
         model = Model(SystemParameters(attachments=_regular(n).tolist()), pattern)
         config = NonstopOptimizerConfig(**fields)  # type: ignore[arg-type]
-        programs[name] = SpeedProgram(model, config, lambda: "optimization_layer")
-    return programs
+        solvers[name] = UpdateSolver(model, config, lambda: "optimization_layer")
+    return solvers
 
 
-def draw_instances(count: int, seed: int, programs: dict[str, SpeedProgram]) -> list[Instance]:
-    """Instances from the ranges above for the programs of `make_programs`.
+def draw_instances(count: int, seed: int, solvers: dict[str, UpdateSolver]) -> list[Instance]:
+    """Instances from the ranges above for the solvers of `make_solvers`.
 
     The i-th depends on the seed and i alone.
     """
-    return [_draw(np.random.default_rng([seed, i]), programs) for i in range(count)]
+    return [_draw(np.random.default_rng([seed, i]), solvers) for i in range(count)]
 
 
-def _draw(rng: np.random.Generator, programs: dict[str, SpeedProgram]) -> Instance:
+def _draw(rng: np.random.Generator, solvers: dict[str, UpdateSolver]) -> Instance:
     name = str(rng.choice(list(_SYSTEMS)))
     system = SystemParameters()
     weight = gravity_wrench(system.load_mass, system.gravity)
@@ -135,7 +137,7 @@ def _draw(rng: np.random.Generator, programs: dict[str, SpeedProgram]) -> Instan
     reference[4:7] += either_way("position_error_m")
     reference[10:13] += either_way("velocity_error_m_s")
     torque = either_way("torque_per_weight_m", weight[5])
-    data = programs[name].update_data(
+    data = solvers[name].update_data(
         previous=np.array(
             [
                 by_logarithm("previous_frequency_rad_s"),
@@ -156,11 +158,11 @@ def _draw(rng: np.random.Generator, programs: dict[str, SpeedProgram]) -> Instan
 
 def truths(
     instances: list[Instance],
-    programs: dict[str, SpeedProgram],
+    solvers: dict[str, UpdateSolver],
     progress: Callable[[int], None] | None = None,
 ) -> list[Truth]:
     """The true optima, from the cache where it holds these very problems."""
-    path = _cache_path(instances, programs)
+    path = _cache_path(instances, solvers)
     try:
         with np.load(path) as cached:
             return [Truth(*row) for row in cached["truths"].tolist()]
@@ -168,7 +170,7 @@ def truths(
         pass
     found = []
     for i, instance in enumerate(instances):
-        found.append(truth(programs[instance.system], instance.data))
+        found.append(truth(solvers[instance.system].problem(instance.data)))
         if progress is not None:
             progress(i + 1)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -177,32 +179,32 @@ def truths(
     return found
 
 
-def _cache_path(instances: list[Instance], programs: dict[str, SpeedProgram]) -> Path:
+def _cache_path(instances: list[Instance], solvers: dict[str, UpdateSolver]) -> Path:
     """A file named after this module and the problems: their data, and values of both sides."""
     digest = hashlib.sha256(Path(__file__).read_bytes())
     for instance in instances:
-        program, data = programs[instance.system], instance.data
-        digest.update(data.tobytes())
+        problem = solvers[instance.system].problem(instance.data)
+        digest.update(instance.data.tobytes())
         for factor in (0.7, 1.6):
-            x = data[:2] * factor
-            values = [program.worst_margin(x, data), program.cost(x, data)]
-            digest.update(np.array(values).tobytes())
-        digest.update(np.array(program.bounds(data[:2])).tobytes())
+            x = problem.previous * factor
+            digest.update(np.array([problem.worst_margin(x), problem.cost(x)]).tobytes())
+        digest.update(np.array(problem.bounds).tobytes())
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(home) / "drake_nonstop" / f"optimizer-truth-{digest.hexdigest()[:16]}.npz"
 
 
-def truth(program: SpeedProgram, data: NDArray) -> Truth:
-    """The better of two searches that share the speeds with `speed_search`, but no search.
+def truth(update: UpdateProblem) -> Truth:
+    """The better of two searches that share the polynomials of the speeds with the solvers, only.
 
-    For the speed bound alone, without other constraints or an anchor.
+    They judge the solvers, so the cost of eq. 26 and the best ξ are written here once more, on
+    purpose. For the speed bound alone, without other constraints or an anchor.
     One is a dense grid over ξ and A that zooms in on its best local minima, the other a
     dense grid over A alone with the best ξ for each from sorted ends of intervals.
     """
-    if program.worst_margin(data[:2], data) >= -FEASIBILITY_TOLERANCE:
-        return Truth(0.0, program.worst_margin(data[:2], data))
-    problem = program.search_problem(data, data[0])
-    costs = [_cheapest_of_grid(program, problem, data), _cheapest_of_amplitudes(problem)]
+    if update.worst_margin(update.previous) >= -FEASIBILITY_TOLERANCE:
+        return Truth(0.0, update.worst_margin(update.previous))
+    problem = update.search_problem
+    costs = [_cheapest_of_grid(problem), _cheapest_of_amplitudes(problem)]
     return Truth(min(costs), _largest_margin(problem))
 
 
@@ -215,7 +217,10 @@ def _grid(problem: SearchProblem, count: tuple[int, int]) -> tuple[NDArray, NDAr
 
 
 def _cost(problem: SearchProblem, frequencies: NDArray, amplitudes: NDArray) -> NDArray:
-    """Eq. 26 over a grid, (amplitudes, frequencies), for an accumulated phase."""
+    """Eq. 26 over a grid, (amplitudes, frequencies), for an accumulated phase.
+
+    Independent of `mechanics.nonstop.change_cost` on purpose, see `truth`.
+    """
     xi, A = frequencies[None], amplitudes[:, None]
     xi_before, A_before = problem.previous
     cosines, sines = np.cos(problem.angles), np.sin(problem.angles)
@@ -264,7 +269,7 @@ def _zoomed(
     return best
 
 
-def _cheapest_of_grid(program: SpeedProgram, problem: SearchProblem, data: NDArray) -> float:
+def _cheapest_of_grid(problem: SearchProblem) -> float:
     def objective(frequencies: NDArray, amplitudes: NDArray) -> NDArray:
         margins = problem.margins(amplitudes, frequencies)[0].min(axis=2)
         costs = _cost(problem, frequencies, amplitudes)

@@ -16,7 +16,8 @@ from drake_nonstop.benchmarks.instances import Instance, Truth
 from drake_nonstop.benchmarks.peers import Solve, casadi_ipopt, scipy_slsqp
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizer, NonstopOptimizerConfig
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.speed_program import FEASIBILITY_TOLERANCE, Outcome, SpeedProgram
+from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.update_solver import Answer, UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.drake_log import drake_log_level
@@ -36,7 +37,7 @@ SOLVERS: dict[str, dict[str, Any]] = {
     "nlopt": {"solver": "nlopt", "global_search": False},
     "grid": {"solver": "grid"},
 }
-PEERS: dict[str, Callable[[SpeedProgram], Solve]] = {
+PEERS: dict[str, Callable[[UpdateSolver], Solve]] = {
     "CasADi + IPOPT": casadi_ipopt,
     "SciPy SLSQP": scipy_slsqp,
 }
@@ -44,7 +45,7 @@ PEERS: dict[str, Callable[[SpeedProgram], Solve]] = {
 
 @dataclass(frozen=True)
 class Answers:
-    """What a solver made of a list of problems: times (s), costs (inf: infeasible), margins."""
+    """A solver's answers to a list of problems: times (s), costs (inf: infeasible), margins."""
 
     times: NDArray
     costs: NDArray
@@ -63,7 +64,7 @@ def benchmark_optimizer(
         count: how many instances.
         seed: of the instances.
         names: of the solvers, out of `SOLVERS` and `PEERS`; none: all that are installed.
-        progress: called with what is going on and the share of it that is done.
+        progress: called with the name of a part and the share of it that is done.
 
     Returns:
         What `drake-nonstop bench optimizer` writes as JSON.
@@ -75,22 +76,22 @@ def benchmark_optimizer(
         return lambda done: progress(what, done / count)
 
     names = names or [name for name in (*SOLVERS, *PEERS) if is_installed(name)]
-    reference = drawn.make_programs()
+    reference = drawn.make_solvers()
     instances = drawn.draw_instances(count, seed, reference)
     truths = drawn.truths(instances, reference, report("true optima"))
     updates, share, model, config = _closed_loop()
     in_loop = [Instance("quintic", data) for data in updates]
-    reference["quintic"] = SpeedProgram(model, config, str)
-    loop_truths = [drawn.truth(reference["quintic"], data) for data in updates]
+    reference["quintic"] = UpdateSolver(model, config, str)
+    loop_truths = [drawn.truth(reference["quintic"].problem(data)) for data in updates]
     random: dict[str, Any] = {}
     sequence: dict[str, Any] = {}
     with drake_log_level(logging.ERROR):  # failed solves are counted here
         for name in names:
             fields = SOLVERS.get(name, {})
-            programs = drawn.make_programs(**fields)
+            solvers = drawn.make_solvers(**fields)
             in_loop_config = NonstopOptimizerConfig(**{**vars(config), **fields})
-            programs["quintic"] = SpeedProgram(model, in_loop_config, str)
-            solves = _solves(name, programs)
+            solvers["quintic"] = UpdateSolver(model, in_loop_config, str)
+            solves = _solves(name, solvers)
             answers = _solve_all(instances, solves, reference, report(name))
             random[name] = _judge(answers, truths)
             answers = _solve_all(in_loop, solves, reference, None)
@@ -116,7 +117,7 @@ def benchmark_optimizer(
 
 
 def is_installed(name: str) -> bool:
-    """Whether what a solver needs is there: SciPy comes with the extra `bench`."""
+    """Whether a solver's package is installed: SciPy comes with the extra `bench`."""
     return name != "SciPy SLSQP" or importlib.util.find_spec("scipy") is not None
 
 
@@ -171,13 +172,13 @@ def _closed_loop() -> tuple[list[NDArray], float, Model, Any]:
 
     def recording(model: Model) -> NonstopOptimizer:
         block = NonstopOptimizer(model, config)
-        solve = block.program.solve
+        solve = block.solver.solve
 
-        def record(data: NDArray) -> tuple[NDArray, Outcome, float]:
+        def record(data: NDArray) -> Answer:
             updates.append(data.copy())
             return solve(data)
 
-        block.program.solve = record  # type: ignore[method-assign]
+        block.solver.solve = record  # type: ignore[method-assign]
         models.append(model)
         return block
 
@@ -191,24 +192,24 @@ def _closed_loop() -> tuple[list[NDArray], float, Model, Any]:
     return updates[-count:], float(np.median(shares)), models[0], config
 
 
-def _solves(name: str, programs: dict[str, SpeedProgram]) -> dict[str, Solve]:
+def _solves(name: str, solvers: dict[str, UpdateSolver]) -> dict[str, Solve]:
     """The function that a solver offers for each system; feasible points are kept by all."""
     if name in SOLVERS:
-        return {system: _answer_of(program) for system, program in programs.items()}
+        return {system: _answer_of(solver) for system, solver in solvers.items()}
     return {
-        system: _unless_feasible(program, PEERS[name](program))
-        for system, program in programs.items()
+        system: _unless_feasible(solver, PEERS[name](solver)) for system, solver in solvers.items()
     }
 
 
-def _answer_of(program: SpeedProgram) -> Solve:
-    return lambda data: program.solve(data)[0]
+def _answer_of(solver: UpdateSolver) -> Solve:
+    return lambda data: solver.solve(data).parameters
 
 
-def _unless_feasible(program: SpeedProgram, solve: Solve) -> Solve:
+def _unless_feasible(solver: UpdateSolver, solve: Solve) -> Solve:
     def kept_or_solved(data: NDArray) -> NDArray:
-        if program.worst_margin(data[:2], data) >= -FEASIBILITY_TOLERANCE:
-            return data[:2]
+        update = solver.problem(data)
+        if update.worst_margin(update.previous) >= -FEASIBILITY_TOLERANCE:
+            return update.previous
         return solve(data)
 
     return kept_or_solved
@@ -217,12 +218,12 @@ def _unless_feasible(program: SpeedProgram, solve: Solve) -> Solve:
 def _solve_all(
     instances: list[Instance],
     solves: dict[str, Solve],
-    reference: dict[str, SpeedProgram],
+    reference: dict[str, UpdateSolver],
     progress: Callable[[int], None] | None,
 ) -> Answers:
     times, costs, margins = [], [], []
     for i, instance in enumerate(instances):
-        solve, program, data = solves[instance.system], reference[instance.system], instance.data
+        solve, data = solves[instance.system], instance.data
         taken = []
         for _ in range(_REPEATS):
             start = time.perf_counter()
@@ -231,15 +232,16 @@ def _solve_all(
             if taken[-1] > _SLOW:
                 break
         times.append(float(np.median(taken)))
-        costs.append(program.feasible_cost(x, data))
-        margins.append(program.worst_margin(x, data))
+        update = reference[instance.system].problem(data)
+        costs.append(update.feasible_cost(x))
+        margins.append(update.worst_margin(x))
         if progress is not None:
             progress(i + 1)
     return Answers(np.array(times), np.array(costs), np.array(margins))
 
 
 def _judge(answers: Answers, truths: list[Truth]) -> dict[str, Any]:
-    """Times and shares, apart for what is kept, what is solved and what has no feasible point."""
+    """Times and shares, each for problems that are kept, solved, and without a feasible point."""
     costs = np.array([truth.cost for truth in truths])
     margins = np.array([truth.margin for truth in truths])
     kept, relaxed = costs == 0, ~np.isfinite(costs)
@@ -270,7 +272,7 @@ def _mean(flags: NDArray) -> float | None:
 
 
 def versions() -> dict[str, str | None]:
-    """The versions of the package and of what it computes with; None: not installed."""
+    """The versions of the package and of its libraries; None: not installed."""
     found: dict[str, str | None] = {"drake_nonstop": __version__}
     for package in ("drake", "numpy", "casadi", "scipy"):
         try:

@@ -6,15 +6,16 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.optimization.speed_program import DATA_SIZE, SpeedProgram
+from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE
+from drake_nonstop.optimization.update_solver import UpdateSolver
 
 Solve = Callable[[NDArray], NDArray]
 
 
-def casadi_ipopt(program: SpeedProgram) -> Solve:
+def casadi_ipopt(updates: UpdateSolver) -> Solve:
     """CasADi's IPOPT, with the exact Hessian of the traced problem, from [ξ⁻, A⁻] on."""
-    x, data = casadi.MX.sym("x", 2), casadi.MX.sym("data", DATA_SIZE)
-    cost, margins = (function.expressions(x, data)[0] for function in program.functions())
+    x, data = casadi.MX.sym("x", 2), casadi.MX.sym("data", UPDATE_DATA_SIZE)
+    cost, margins = (function.expressions(x, data)[0] for function in updates.functions())
     options = {
         "print_time": False,
         "ipopt.print_level": 0,
@@ -26,14 +27,15 @@ def casadi_ipopt(program: SpeedProgram) -> Solve:
     solver = casadi.nlpsol("solver", "ipopt", problem, options)
 
     def solve(data: NDArray) -> NDArray:
-        lower, upper = program.bounds(data[:2])
-        found = solver(x0=data[:2], p=data, lbx=lower, ubx=upper, lbg=0, ubg=np.inf)
+        update = updates.problem(data)
+        lower, upper = update.bounds
+        found = solver(x0=update.previous, p=data, lbx=lower, ubx=upper, lbg=0, ubg=np.inf)
         return np.clip(np.array(found["x"])[:, 0], lower, upper)
 
     return solve
 
 
-def scipy_slsqp(program: SpeedProgram) -> Solve:
+def scipy_slsqp(updates: UpdateSolver) -> Solve:
     """SciPy's SLSQP with traced values and exact gradients, from [ξ⁻, A⁻] on.
 
     Raises:
@@ -41,10 +43,11 @@ def scipy_slsqp(program: SpeedProgram) -> Solve:
     """
     from scipy.optimize import minimize
 
-    cost, margins = program.functions(with_gradients=True)
+    cost, margins = updates.functions(with_gradients=True)
 
     def solve(data: NDArray) -> NDArray:
-        lower, upper = program.bounds(data[:2])
+        update = updates.problem(data)
+        lower, upper = update.bounds
 
         def value_and_gradient(x: NDArray) -> tuple[float, NDArray]:
             value, gradient = cost(x, data)
@@ -52,7 +55,7 @@ def scipy_slsqp(program: SpeedProgram) -> Solve:
 
         found = minimize(
             value_and_gradient,
-            data[:2],
+            update.previous,
             jac=True,
             method="SLSQP",
             bounds=list(zip(lower, upper, strict=True)),

@@ -15,6 +15,7 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
+from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.tracing import TracedFunction
 
@@ -26,10 +27,9 @@ class LocalSolver:
 
     Args:
         name: of the solver, one of `NAMES`.
-        data_size: the length of the data.
-        cost: of [ξ, A] and the data; its gradient is the second output.
+        cost: of [ξ, A] and the flat `UpdateData`; its gradient is the second output.
         margins: likewise, non-negative where the constraints are fulfilled.
-        speed_count: how many margins, the first ones, are those of the speeds.
+        speed_count: how many margins, the first ones, are those of the speed bound.
     """
 
     NAMES: ClassVar[dict[str, Callable[[], SolverInterface]]] = {
@@ -41,16 +41,15 @@ class LocalSolver:
     def __init__(
         self,
         name: str,
-        data_size: int,
         cost: TracedFunction,
         margins: TracedFunction,
         speed_count: int,
     ):
         self._cost, self._margins, self._speed_count = cost, margins, speed_count
         self._solver, self._options = self.NAMES[name](), _options()
-        self._data = np.zeros(data_size)
+        self._data = np.zeros(UPDATE_DATA_SIZE)
         nothing = np.zeros(2)
-        count = len(margins(nothing + 1, np.ones(data_size))[0])
+        count = len(margins(nothing + 1, np.ones(UPDATE_DATA_SIZE))[0])
         zero, infinity = np.zeros(count), np.full(count, np.inf)
 
         self._nearest = MathematicalProgram()
@@ -71,23 +70,23 @@ class LocalSolver:
             vars=[*x, *worst],
         )
 
-    def nearest(self, data: NDArray, lower: NDArray, upper: NDArray) -> NDArray:
-        """The [ξ, A] of the least cost that keeps the constraints, from [ξ⁻, A⁻] on."""
-        return self._solve(self._nearest, self._nearest_box, data, lower, upper, [])
+    def nearest(self, start: NDArray, data: NDArray, lower: NDArray, upper: NDArray) -> NDArray:
+        """The [ξ, A] (2,) of the least cost that fulfils the constraints, from `start` on."""
+        return self._solve(self._nearest, self._nearest_box, start, data, lower, upper, [])
 
-    def fastest(self, data: NDArray, lower: NDArray, upper: NDArray) -> NDArray:
-        """The [ξ, A] of the largest worst margin of the speeds, from [ξ⁻, A⁻] on."""
-        worst = float(np.min(self._margins(data[:2], data)[0][: self._speed_count]))
-        return self._solve(self._fastest, self._fastest_box, data, lower, upper, [worst])
+    def fastest(self, start: NDArray, data: NDArray, lower: NDArray, upper: NDArray) -> NDArray:
+        """The [ξ, A] (2,) of the largest worst margin of the speeds, from `start` on."""
+        worst = float(np.min(self._margins(start, data)[0][: self._speed_count]))
+        return self._solve(self._fastest, self._fastest_box, start, data, lower, upper, [worst])
 
-    def _solve(self, program, box, data, lower, upper, more_guess) -> NDArray:
+    def _solve(self, program, box, start, data, lower, upper, more_guess) -> NDArray:
         # The programs' callbacks read the data from here; set anew for every solve.
         self._data[:] = data
         box.evaluator().set_bounds(lower, upper)
-        result = self._solver.Solve(program, np.array([*data[:2], *more_guess]), self._options)
+        result = self._solver.Solve(program, np.array([*start, *more_guess]), self._options)
         x = result.get_x_val()[:2]
         if not np.all(np.isfinite(x)):
-            return data[:2].copy()
+            return start.copy()
         return np.clip(x, lower, upper)  # IPOPT ends up to 1e-8 outside
 
     # Drake calls these with floats or with AutoDiffXd, and wants the same back.

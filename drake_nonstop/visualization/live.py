@@ -9,7 +9,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
-from drake_nonstop.blocks.optimization_layer import LEAST_BOUND
+from drake_nonstop.optimization.problem_config import LEAST_BOUND
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import carrier_speeds
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction

@@ -8,22 +8,24 @@ import pytest
 from drake_nonstop.benchmarks import instances as drawn
 from drake_nonstop.benchmarks.optimizer import PEERS
 from drake_nonstop.cli.main import BAD_INPUT, main
-from drake_nonstop.optimization.speed_program import FEASIBILITY_TOLERANCE, Outcome
+from drake_nonstop.optimization.diagnostics import Outcome
+from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.update_data import UpdateData
 
 
 @pytest.fixture(scope="module")
-def programs():
-    return drawn.make_programs()
+def solvers():
+    return drawn.make_solvers()
 
 
 @pytest.fixture(scope="module")
-def instances(programs):
-    return drawn.draw_instances(60, 1, programs)
+def instances(solvers):
+    return drawn.draw_instances(60, 1, solvers)
 
 
 @pytest.fixture(scope="module")
-def truths(instances, programs):
-    return [drawn.truth(programs[i.system], i.data) for i in instances]
+def truths(instances, solvers):
+    return [drawn.truth(solvers[i.system].problem(i.data)) for i in instances]
 
 
 @pytest.fixture(autouse=True)
@@ -32,80 +34,85 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache" / "drake_nonstop"
 
 
-def is_feasible(program, x, data):
-    return program.worst_margin(x, data) >= -FEASIBILITY_TOLERANCE
+def is_feasible(problem, x):
+    return problem.worst_margin(x) >= -FEASIBILITY_TOLERANCE
 
 
-def test_instances_depend_on_the_seed_and_their_number_alone(instances, programs):
-    again = drawn.draw_instances(3, 1, programs)
+def test_instances_depend_on_the_seed_and_their_number_alone(instances, solvers):
+    again = drawn.draw_instances(3, 1, solvers)
     for one, other in zip(instances, again, strict=False):
         assert one.system == other.system
         np.testing.assert_array_equal(one.data, other.data)
-    assert not np.array_equal(drawn.draw_instances(1, 2, programs)[0].data, instances[0].data)
+    assert not np.array_equal(drawn.draw_instances(1, 2, solvers)[0].data, instances[0].data)
 
 
-def test_instances_are_of_all_kinds(instances, truths, programs):
-    kept = [is_feasible(programs[i.system], i.data[:2], i.data) for i in instances]
+def test_instances_are_of_all_kinds(instances, truths, solvers):
+    problems = [solvers[i.system].problem(i.data) for i in instances]
+    kept = [is_feasible(problem, problem.previous) for problem in problems]
     unreachable = [not np.isfinite(truth.cost) for truth in truths]
     assert np.mean(kept) <= 0.5
     assert np.mean(kept) > 0.1
     assert np.mean(unreachable) >= 0.05
-    assert {i.system for i in instances} == set(programs)
+    assert {i.system for i in instances} == set(solvers)
 
 
-def test_search_finds_the_true_optima(instances, truths, programs):
+def test_search_finds_the_true_optima(instances, truths, solvers):
     for instance, truth in zip(instances, truths, strict=True):
-        program, data = programs[instance.system], instance.data
-        x, outcome, _ = program.solve(data)
+        solver, data = solvers[instance.system], instance.data
+        problem = solver.problem(data)
+        x, outcome, _ = solver.solve(data)
         if np.isfinite(truth.cost):
             assert outcome in (Outcome.KEPT, Outcome.SOLVED)
-            assert is_feasible(program, x, data)
-            assert program.cost(x, data) == pytest.approx(truth.cost, rel=1e-3)
+            assert is_feasible(problem, x)
+            assert problem.cost(x) == pytest.approx(truth.cost, rel=1e-3)
         else:
             assert outcome in (Outcome.RELAXED, Outcome.HELD)
-            assert program.worst_margin(x, data) == pytest.approx(truth.margin, rel=1e-3)
+            assert problem.worst_margin(x) == pytest.approx(truth.margin, rel=1e-3)
 
 
-def test_no_random_point_is_better_than_the_truth(instances, truths, programs):
+def test_no_random_point_is_better_than_the_truth(instances, truths, solvers):
     rng = np.random.default_rng(4)
     for instance, truth in zip(instances[:20], truths, strict=False):
-        program, data = programs[instance.system], instance.data
-        lower, upper = program.bounds(data[:2])
+        problem = solvers[instance.system].problem(instance.data)
+        lower, upper = problem.bounds
         points = np.exp(rng.uniform(np.log(lower), np.log(upper), (300, 2)))
-        costs = [program.feasible_cost(x, data) for x in points]
+        costs = [problem.feasible_cost(x) for x in points]
         assert truth.cost <= min(costs)
-        assert truth.margin >= max(program.worst_margin(x, data) for x in points) or np.isfinite(
+        assert truth.margin >= max(problem.worst_margin(x) for x in points) or np.isfinite(
             truth.cost
         )
 
 
-def test_truths_are_cached(instances, truths, programs, cache):
+def test_truths_are_cached(instances, truths, solvers, cache):
     few = instances[:3]
-    assert drawn.truths(few, programs) == truths[:3]
+    assert drawn.truths(few, solvers) == truths[:3]
     (file,) = cache.iterdir()
     with np.load(file) as cached:
         np.savez(file, truths=cached["truths"] + 1)
-    changed = drawn.truths(few, programs)
+    changed = drawn.truths(few, solvers)
     assert [truth.margin for truth in changed] == [truth.margin + 1 for truth in truths[:3]]
     file.write_bytes(b"no archive")
-    assert drawn.truths(few, programs) == truths[:3]
+    assert drawn.truths(few, solvers) == truths[:3]
 
 
 @pytest.mark.parametrize("name", PEERS)
-def test_peers_solve_what_is_near_by(name, programs):
-    program = programs["cycle of 4"]
-    solve = PEERS[name](program)
+def test_peers_solve_what_is_near_by(name, solvers):
+    solver = solvers["cycle of 4"]
+    solve = PEERS[name](solver)
     ratios = []
-    for instance in drawn.draw_instances(40, 3, programs):
+    for instance in drawn.draw_instances(40, 3, solvers):
         data = instance.data.copy()
         if instance.system != "cycle of 4":
             continue
         # A bound that the previous point just misses.
-        unit = np.sqrt(program.worst_margin(data[:2], data) + 1) * data[58] * 1.02
-        data[57:59] = unit
-        x, outcome, _ = program.solve(data)
+        parts = UpdateData.view(data)
+        worst = solver.problem(data).worst_margin(parts.previous)
+        bound = np.sqrt(worst + 1) * parts.speed_unit * 1.02
+        parts.speed_bound[:] = parts.speed_unit[:] = bound
+        x, outcome, _ = solver.solve(data)
         assert outcome == Outcome.SOLVED
-        ratios.append(program.feasible_cost(solve(data), data) / program.cost(x, data))
+        problem = solver.problem(data)
+        ratios.append(problem.feasible_cost(solve(data)) / problem.cost(x))
     # Single starts may miss the optimum, but none is beaten.
     assert len(ratios) >= 4
     assert min(ratios) >= 1 - 1e-4

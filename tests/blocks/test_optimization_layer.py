@@ -2,26 +2,26 @@ import numpy as np
 import pytest
 from helpers import fix, model, output
 from nonstop_cases import (
+    AT_REST,
     PERIOD,
     SOLVERS,
     START,
-    STILL,
     TIGHTENING,
     carrier_speeds,
     config,
     moving,
+    speed_at_rest,
     speed_bound_above,
-    still_speed,
 )
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizer, NonstopOptimizerConfig
-from drake_nonstop.optimization.speed_program import Outcome
+from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome
 from drake_nonstop.validation import ScenarioError
 
 
-def test_speeds_from_first_principles_are_those_of_the_still_square():
-    np.testing.assert_allclose(carrier_speeds(START, STILL), still_speed(*START), rtol=1e-10)
+def test_speeds_from_first_principles_are_those_of_the_square_at_rest():
+    np.testing.assert_allclose(carrier_speeds(START, AT_REST), speed_at_rest(*START), rtol=1e-10)
 
 
 _built = {}
@@ -60,7 +60,7 @@ class Layer:
 
     @property
     def diagnostics(self):
-        return output(self.block, self.context, "diagnostics")
+        return Diagnostics.view(output(self.block, self.context, "diagnostics"))
 
 
 def test_nothing_has_happened_before_the_first_update():
@@ -71,32 +71,32 @@ def test_nothing_has_happened_before_the_first_update():
 
 
 def test_feasible_parameters_are_kept_to_the_bit():
-    layer = Layer(config(still_speed(*START) / (1 + TIGHTENING) - 1e-6))
-    np.testing.assert_array_equal(layer.update(STILL), START)
-    margin = still_speed(*START) - (still_speed(*START) / (1 + TIGHTENING) - 1e-6)
+    layer = Layer(config(speed_at_rest(*START) / (1 + TIGHTENING) - 1e-6))
+    np.testing.assert_array_equal(layer.update(AT_REST), START)
+    margin = speed_at_rest(*START) - (speed_at_rest(*START) / (1 + TIGHTENING) - 1e-6)
     np.testing.assert_allclose(layer.diagnostics, [Outcome.KEPT, 1, 1, 0, 0, 0, margin], atol=1e-9)
 
 
 def test_without_a_bound_everything_is_kept():
     layer = Layer(config(0.0, amplitude=0.01, frequency=0.1))
     np.testing.assert_array_equal(layer.update(moving(1)), [0.1, 0.01])
-    assert layer.diagnostics[0] == Outcome.KEPT
+    assert layer.diagnostics.outcome == Outcome.KEPT
 
 
 @pytest.mark.parametrize("excess", [1.0, 1.2, 2.0])
-def test_solution_over_a_still_square_is_the_global_optimum(excess):
-    bound = excess * still_speed(*START)
+def test_solution_over_a_square_at_rest_is_the_global_optimum(excess):
+    bound = excess * speed_at_rest(*START)
     layer = Layer(config(bound))
-    frequency, amplitude = layer.update(STILL)
+    frequency, amplitude = layer.update(AT_REST)
     target = (1 + TIGHTENING) * bound
-    assert layer.diagnostics[0] == Outcome.SOLVED
-    assert still_speed(frequency, amplitude) == pytest.approx(target, rel=1e-6)
+    assert layer.diagnostics.outcome == Outcome.SOLVED
+    assert speed_at_rest(frequency, amplitude) == pytest.approx(target, rel=1e-6)
 
     def cost(xi, A):  # Σ cos² = Σ sin² = 2 over the four phases
         return (xi - 2) ** 2 + 3 * (A - 1.2) ** 2 + 2 * (A * xi - 2.4) ** 2
 
     amplitudes = np.linspace(0.3, 10, 100_001)
-    cheapest = np.min(cost(target / still_speed(1.0, amplitudes), amplitudes))
+    cheapest = np.min(cost(target / speed_at_rest(1.0, amplitudes), amplitudes))
     # The speeds may fall short by 1e-6 of the bound squared, which is worth that much cost.
     assert cost(frequency, amplitude) == pytest.approx(cheapest, rel=1e-5)
 
@@ -111,7 +111,7 @@ def test_solution_keeps_every_carrier_above_the_bound_until_the_next_update(
     bound = speed_bound_above(inputs, 0.1, load_motion=load_motion)
     layer = Layer(config(bound, load_motion=load_motion))
     parameters = layer.update(inputs)
-    assert layer.diagnostics[0] == Outcome.SOLVED
+    assert layer.diagnostics.outcome == Outcome.SOLVED
 
     def slowest(time, lag=0.0):
         """The slowest carrier, its phase `lag` behind."""
@@ -125,7 +125,7 @@ def test_solution_keeps_every_carrier_above_the_bound_until_the_next_update(
     change = parameters[0] - START[0]
     constrained = min(slowest(time, change * time) for time in instants)
     assert constrained == pytest.approx(bound * (1 + TIGHTENING), abs=2e-4)
-    assert layer.diagnostics[6] == pytest.approx(constrained - bound, abs=2e-4)
+    assert layer.diagnostics.speed_margin == pytest.approx(constrained - bound, abs=2e-4)
 
 
 @pytest.mark.parametrize("load_motion", ["desired", "measured"])
@@ -134,9 +134,9 @@ def test_predicted_margin_of_now_is_that_of_first_principles(seed, load_motion):
     inputs = moving(seed)
     layer = Layer(config(0.01, load_motion=load_motion, look_ahead_points=1))
     layer.update(inputs)
-    assert layer.diagnostics[0] == Outcome.KEPT
+    assert layer.diagnostics.outcome == Outcome.KEPT
     expected = np.min(carrier_speeds(START, inputs, load_motion=load_motion)) - 0.01
-    assert layer.diagnostics[6] == pytest.approx(expected, abs=1e-9)
+    assert layer.diagnostics.speed_margin == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("load_motion", ["desired", "measured"])
@@ -150,7 +150,7 @@ def test_predicted_margin_looks_ahead(seed, load_motion):
         for time in (0.0, PERIOD / 2, PERIOD)
     ]
     # To the third order in 10 ms, where the speeds differ by a hundred times as much.
-    assert layer.diagnostics[6] == pytest.approx(min(speeds) - 0.01, abs=1e-5)
+    assert layer.diagnostics.speed_margin == pytest.approx(min(speeds) - 0.01, abs=1e-5)
     assert np.ptp(speeds) > 9e-4
 
 
@@ -163,11 +163,11 @@ def test_predicted_margin_is_that_of_the_slowest_phase_of_the_orbit(seed):
     for turn in 2 * np.pi * np.arange(points) / points:
         turned = {**inputs, "phase": inputs["phase"] + [turn, 0]}
         slowest.append(np.min(carrier_speeds(START, turned)))
-    assert layer.diagnostics[6] == pytest.approx(min(slowest) - 0.01, abs=1e-9)
+    assert layer.diagnostics.speed_margin == pytest.approx(min(slowest) - 0.01, abs=1e-9)
     assert min(slowest) < slowest[0] - 0.005
 
 
-def test_updates_take_turns_in_the_phases_of_the_orbit():
+def test_updates_share_the_phases_of_the_orbit():
     inputs, points, updates = moving(6), 12, 3
     layer = Layer(config(0.01, orbit_points=points, orbit_updates=updates, look_ahead_points=1))
     for update in range(2 * updates):
@@ -176,7 +176,7 @@ def test_updates_take_turns_in_the_phases_of_the_orbit():
         for turn in 2 * np.pi * np.arange(update % updates, points, updates) / points:
             turned = {**inputs, "phase": inputs["phase"] + [turn, 0]}
             slowest.append(np.min(carrier_speeds(START, turned)))
-        assert layer.diagnostics[6] == pytest.approx(min(slowest) - 0.01, abs=1e-9)
+        assert layer.diagnostics.speed_margin == pytest.approx(min(slowest) - 0.01, abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", [2, 5])
@@ -185,14 +185,14 @@ def test_solution_keeps_every_carrier_above_the_bound_all_along_the_orbit(seed):
     bound = speed_bound_above(inputs, 0.1)
     layer = Layer(config(bound, orbit_points=16, orbit_updates=1))
     parameters = layer.update(inputs)
-    assert layer.diagnostics[0] == Outcome.SOLVED
+    assert layer.diagnostics.outcome == Outcome.SOLVED
     for turn in 2 * np.pi * np.arange(1, 16) / 16:
         turned = {**inputs, "phase": inputs["phase"] + [turn, 0]}
         speeds = carrier_speeds(parameters, turned, PERIOD)
         assert np.min(speeds) >= bound * (1 + TIGHTENING) - 2e-4
 
 
-def test_wrench_is_carried_on_at_the_change_of_its_rate():
+def test_wrench_is_extrapolated_by_the_change_of_its_rate():
     first, second = moving(7), moving(7)
     second["wrench_rate"] = first["wrench_rate"] + np.array([0.02, -0.03, 0.01, 0.2, 0.3, -0.2])
     layer = Layer(config(0.01, look_ahead_points=2))
@@ -205,7 +205,7 @@ def test_wrench_is_carried_on_at_the_change_of_its_rate():
             np.min(carrier_speeds(START, second, time, second_rate=rate)) for time in (0.0, PERIOD)
         )
 
-    assert layer.diagnostics[6] == pytest.approx(slowest(second_rate) - 0.01, abs=1e-4)
+    assert layer.diagnostics.speed_margin == pytest.approx(slowest(second_rate) - 0.01, abs=1e-4)
     assert abs(slowest(second_rate) - slowest(0.0)) > 1e-3
 
 
@@ -216,9 +216,9 @@ solvers = pytest.mark.parametrize("solver", SOLVERS)
 def test_bound_out_of_reach_is_approached_as_far_as_the_bounds_allow(solver):
     limits = {"frequency_bounds": [0.1, 3.0], "amplitude_bounds": [0.01, 5.0]}
     layer = Layer(config(100.0, solver=solver, **limits))
-    parameters = layer.update(STILL)
+    parameters = layer.update(AT_REST)
     np.testing.assert_allclose(parameters, [3.0, 5.0], rtol=1e-6)
-    margin = still_speed(3.0, 5.0) - 100
+    margin = speed_at_rest(3.0, 5.0) - 100
     np.testing.assert_allclose(
         layer.diagnostics, [Outcome.RELAXED, 1, 0, 0, 1, 0, margin], rtol=0, atol=1e-5
     )
@@ -230,7 +230,7 @@ def test_relaxed_parameters_have_the_largest_worst_speed_of_a_moving_load(seed):
     bounds = {"frequency_bounds": [1.5, 2.5], "amplitude_bounds": [1.0, 1.5]}
     layer = Layer(config(5.0, look_ahead_points=1, **bounds))
     parameters = layer.update(inputs)
-    assert layer.diagnostics[0] == Outcome.RELAXED
+    assert layer.diagnostics.outcome == Outcome.RELAXED
     reached = np.min(carrier_speeds(parameters, inputs))
     around = [
         np.min(carrier_speeds(np.clip(parameters + step, [1.5, 1.0], [2.5, 1.5]), inputs))
@@ -244,17 +244,17 @@ def test_relaxed_parameters_have_the_largest_worst_speed_of_a_moving_load(seed):
 def test_parameters_that_are_the_best_already_are_held(solver):
     limits = {"frequency_bounds": [0.1, 2.0], "amplitude_bounds": [0.01, 1.2]}
     layer = Layer(config(5.0, solver=solver, **limits))
-    np.testing.assert_array_equal(layer.update(STILL), START)
-    margin = still_speed(*START) - 5
+    np.testing.assert_array_equal(layer.update(AT_REST), START)
+    margin = speed_at_rest(*START) - 5
     np.testing.assert_allclose(layer.diagnostics, [Outcome.HELD, 1, 0, 0, 0, 1, margin], atol=1e-9)
 
 
 def test_diagnostics_count_the_outcomes_of_successive_updates():
-    bound = 1.2 * still_speed(*START)
+    bound = 1.2 * speed_at_rest(*START)
     layer = Layer(config(bound, frequency_bounds=[0.1, 3.0], amplitude_bounds=[0.01, 2.0]))
-    lighter, heavier = ({**STILL, "wrench": k * STILL["wrench"]} for k in (0.9, 20.0))
+    lighter, heavier = ({**AT_REST, "wrench": k * AT_REST["wrench"]} for k in (0.9, 20.0))
     history = []
-    for inputs in (STILL, lighter, heavier, heavier, STILL):
+    for inputs in (AT_REST, lighter, heavier, heavier, AT_REST):
         layer.update(inputs)
         history.append(layer.diagnostics)
     np.testing.assert_array_equal(
@@ -271,21 +271,21 @@ def test_diagnostics_count_the_outcomes_of_successive_updates():
 
 def test_solve_time_is_a_duration():
     layer = Layer(config(2.0))
-    layer.update(STILL)
+    layer.update(AT_REST)
     assert 1e-6 < output(layer.block, layer.context, "solve_time")[0] < 10
 
 
 @pytest.mark.parametrize("control_period", [0.0, 0.005, 0.01])
 def test_updates_come_once_a_period(control_period):
     layer = Layer(config(0.2), control_period)
-    fix(layer.block, layer.context, **STILL)
+    fix(layer.block, layer.context, **AT_REST)
     layer.simulator.Initialize()
-    assert layer.diagnostics[1] == 1
+    assert layer.diagnostics.updates == 1
     layer.simulator.AdvanceTo(0.095)
-    assert layer.diagnostics[1] == 10
+    assert layer.diagnostics.updates == 10
 
 
-def test_contexts_of_one_block_do_not_meet():
+def test_contexts_of_one_block_are_independent():
     first, second = moving(1), moving(5)
     layer = Layer(config(speed_bound_above(first, 0.1)))
     simulators = {}
@@ -362,6 +362,6 @@ def test_period_must_be_a_multiple_of_the_control_period(period):
 def test_state_that_is_no_number_is_named():
     layer = Layer(config(0.21))
     layer.block.set_name("optimization_layer")
-    inputs = {**STILL, "wrench_rate": np.full(6, np.nan)}
+    inputs = {**AT_REST, "wrench_rate": np.full(6, np.nan)}
     with pytest.raises(Exception, match="optimization_layer"):
         layer.update(inputs)

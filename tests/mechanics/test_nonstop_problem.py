@@ -13,6 +13,7 @@ from drake_nonstop.mechanics.nonstop import (
     orbit_axes,
     phase_of,
     polynomial_values,
+    quadratic_change_cost,
     separation_squares,
     speed_polynomials,
     speed_products,
@@ -210,3 +211,38 @@ def test_no_change_costs_nothing():
         "nominal": PREVIOUS,
     }
     assert change_cost(PREVIOUS, PREVIOUS, PHASE, phases=PHASES, **weights)[0] == 0
+
+
+def weighted(seed):
+    """Weights, ξ⁻ and A⁻, and their nominal values, drawn at random."""
+    rng = np.random.default_rng(seed)
+    weights = {
+        "internal_force_weight": rng.uniform(0, 3),
+        "internal_force_rate_weight": rng.uniform(0, 3),
+        "anchor_weight": rng.choice([0.0, 0.7]),
+        "nominal": rng.uniform([1, 0.5], [3, 2]),
+    }
+    return rng, rng.uniform([0.5, 0.3], [4, 3]), weights
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_quadratic_cost_is_the_general_one_for_a_phase_that_does_not_jump(seed):
+    rng, previous, weights = weighted(seed)
+    theta = rng.uniform(0, 2 * np.pi)
+    quadratic = quadratic_change_cost(previous, theta + PHASES, **weights)
+    for frequency, amplitude in rng.uniform([0.5, 0.3], [4, 3], (20, 2)):
+        x = np.array([frequency, amplitude])
+        general = change_cost(x, previous, np.array([theta, 0.0]), phases=PHASES, **weights)[0]
+        found = quadratic.value(frequency, amplitude, frequency * amplitude)
+        assert found == pytest.approx(general, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_s_is_cheaper_than_the_cheapest(seed):
+    rng, previous, weights = weighted(seed)
+    quadratic = quadratic_change_cost(previous, rng.uniform(0, 6) + PHASES, **weights)
+    for amplitude in rng.uniform(0.3, 3, 10):
+        s = quadratic.cheapest_s(amplitude)
+        least = quadratic.value(s / amplitude, amplitude, s)
+        for other in s + np.array([-0.1, -1e-3, 1e-3, 0.1]):
+            assert quadratic.value(other / amplitude, amplitude, other) > least

@@ -1,30 +1,22 @@
 import numpy as np
 import pytest
-from helpers import model
-from nonstop_cases import START, STILL, config, moving, speed_bound_above
+from nonstop_cases import AT_REST, moving, speed_bound_above, update_data, update_solver
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
-from drake_nonstop.optimization.speed_program import SpeedProgram
 
 
 def solved_once(inputs, **fields):
-    """The local solver of a program that has solved a problem, which it then knows."""
-    bound = speed_bound_above(inputs, 0.1)
-    program = SpeedProgram(
-        model(), config(bound, solver="snopt", **fields), lambda: "optimization_layer"
-    )
-    state, reference, wrench, rate, phase = inputs.values()
-    program.solve(
-        program.update_data(START, phase, state, reference, wrench, rate, np.zeros(6), bound)
-    )
-    return program._local
+    """A local solver that has solved a problem, which its programs then know."""
+    updates = update_solver(solver="snopt", **fields)
+    updates.solve(update_data(inputs, speed_bound_above(inputs, 0.1), updates=updates))
+    return updates._local
 
 
 @pytest.mark.parametrize("which", ["_nearest", "_fastest"])
 def test_solvers_get_values_and_gradients_that_are_differences(which):
     inputs = moving(3, 3.0)
-    solver = solved_once(inputs)  # which the program does not hold
+    solver = solved_once(inputs)
     mathematical_program = getattr(solver, which)
     bindings = mathematical_program.GetAllCosts() + mathematical_program.generic_constraints()
     assert len(bindings) == 2
@@ -49,7 +41,7 @@ def test_solvers_get_values_and_gradients_that_are_differences(which):
 
 def test_solver_may_try_every_point_within_the_bounds():
     far = (0.01, 1000.0)
-    solver = solved_once(STILL, amplitude_bounds=far)
+    solver = solved_once(AT_REST, amplitude_bounds=far)
     for frequency in NonstopOptimizerConfig().frequency_bounds:
         for amplitude in far:
             x = InitializeAutoDiff(np.array([frequency, amplitude]))[:, 0]

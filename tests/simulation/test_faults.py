@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from drake_nonstop.cli.main import main
-from drake_nonstop.optimization.speed_program import SpeedProgram
+from drake_nonstop.optimization.update_data import UpdateData
+from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.simulation.simulate import simulate
@@ -62,14 +63,14 @@ def test_no_room_for_the_results_leaves_the_earlier_ones(tmp_path, results):
 def test_a_solver_that_throws_stops_the_run_with_its_cause_and_keeps_what_there_is(
     tmp_path, monkeypatch, capsys
 ):
-    solve = SpeedProgram.solve
+    solve = UpdateSolver.solve
 
-    def failing(program, data):
-        if data[2] > 0.3:  # rad, the orbit's phase: after 0.15 s
+    def failing(solver, data):
+        if UpdateData.view(data).phase[0] > 0.3:  # rad: after 0.15 s
             raise RuntimeError("the solver\nis out of licences")
-        return solve(program, data)
+        return solve(solver, data)
 
-    monkeypatch.setattr(SpeedProgram, "solve", failing)
+    monkeypatch.setattr(UpdateSolver, "solve", failing)
     assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF]) == 1
     error = capsys.readouterr().err
     assert "RuntimeError: the solver is out of licences" in error
@@ -84,8 +85,8 @@ def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch):
         parameters, *others = solve(*arguments)
         return parameters * np.nan, *others
 
-    solve = SpeedProgram.solve
-    monkeypatch.setattr(SpeedProgram, "solve", broken)
+    solve = UpdateSolver.solve
+    monkeypatch.setattr(UpdateSolver, "solve", broken)
     with pytest.raises(RunStopped, match="not finite"):
         simulate(load_scenario("quintic", ["duration=0.3"]))
 

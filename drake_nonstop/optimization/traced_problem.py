@@ -1,0 +1,172 @@
+"""The cost and the margins of the nonstop problem, traced once for all updates."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics import nonstop
+from drake_nonstop.mechanics.rigid_load import load_acceleration
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.margins import ConstraintMargins
+from drake_nonstop.optimization.problem_config import NonstopProblemConfig, amplitude_range
+from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE, UpdateData
+from drake_nonstop.systems.tracing import TracedFunction
+
+
+class SpeedTerms(NamedTuple):
+    """What the speeds of p carriers, at all instants and phases, depend on besides ξ and A."""
+
+    polynomials: NDArray  # (10, 3, p), of `mechanics.nonstop.speed_polynomials`
+    forces: NDArray  # (n, 3), N, in L at the last instant
+    levers: NDArray  # (n, 3), m, likewise
+    angles: NDArray  # (m,), rad, θ + φ_k
+
+    @classmethod
+    def from_flat(
+        cls, polynomials: NDArray, forces: NDArray, levers: NDArray, angles: NDArray
+    ) -> "SpeedTerms":
+        """The terms, each with its shape, from flat ones."""
+        return cls(
+            polynomials.reshape(10, 3, -1), forces.reshape(-1, 3), levers.reshape(-1, 3), angles
+        )
+
+
+class TracedProblem:
+    """What all updates of one model and config share.
+
+    Three traced functions of x = [ξ, A] (2,) and the flat vector of an `UpdateData` (61,):
+    `terms`, `margins` and `cost`. `margins` are in the order of `ConstraintMargins`.
+
+    Args:
+        model: what the controllers believe.
+        config: its values are taken to be valid, see `check_problem`.
+        name: tells what evaluates the functions, for the error of a value that is not finite.
+    """
+
+    def __init__(self, model: Model, config: NonstopProblemConfig, name: Callable[[], str]):
+        self.model, self.config, self.name = model, config, name
+        self.nominal = np.array([config.frequency, config.amplitude])
+        self._lower, self._upper = np.transpose(
+            [config.frequency_bounds, amplitude_range(config, model)]
+        )
+        points = config.look_ahead_points
+        self._instants = np.linspace(0, config.period, points) if points > 1 else np.zeros(1)
+        turn_count = config.orbit_points // config.orbit_updates if config.orbit_points > 1 else 0
+        self._turns = 2 * np.pi * np.arange(turn_count) / max(turn_count, 1)
+        # The speeds of n carriers are constrained at each of these, by its number: at every
+        # instant, and at the last one at the turns of the orbit ahead.
+        self._instant_of_row = np.minimum(np.arange(points + turn_count), points - 1)
+        axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
+        self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
+        self.cables = {"rest_length": model.cable_length, "compliance": model.cable_compliance}
+        self.constraints = ConstraintMargins(
+            model, config, self._axes, len(self._instant_of_row) * model.n
+        )
+        self.terms = self._compiled(self._trace_terms)
+        self.margins = self._compiled(self._trace_margins)
+        self.cost = self._compiled(self._trace_cost)
+
+    def with_gradients(self) -> tuple[TracedFunction, TracedFunction]:
+        """The cost and the margins, each with one more output: its exact Jacobian by x."""
+        return (
+            self._compiled(self._trace_cost, jacobian_of=0),
+            self._compiled(self._trace_margins, jacobian_of=0),
+        )
+
+    def bounds(self, previous: NDArray) -> tuple[NDArray, NDArray]:
+        """The lower and upper bounds (2,) of [ξ, A], within reach at the limits of their rates."""
+        step = self.config.period * np.array(
+            [self.config.max_frequency_rate, self.config.max_amplitude_rate]
+        )
+        return np.maximum(self._lower, previous - step), np.minimum(self._upper, previous + step)
+
+    def _compiled(self, function: Callable, jacobian_of: int | None = None) -> TracedFunction:
+        # A solver may try the far ends of the bounds, where values are huge and sound.
+        return TracedFunction(
+            function,
+            [2, UPDATE_DATA_SIZE],
+            name=self.name,
+            largest=1e100,
+            jacobian_of=jacobian_of,
+            key=(function.__name__, vars(self.model), self.config),
+        )
+
+    def _trace_orbits(self, data: UpdateData) -> tuple[NDArray, NDArray, NDArray]:
+        """The products (25, instants, n), and the last instant's forces and levers (n, 3)."""
+        state, reference, model = data.load_state, data.reference, self.model
+        accelerations = load_acceleration(model.load, state, data.wrench)
+        products = []
+        for instant in self._instants:
+            ahead = motion = nonstop.advance(state, *accelerations, instant)
+            if self.config.load_motion == "desired":
+                motion = nonstop.advance(
+                    reference[:13], reference[13:16], reference[16:19], instant
+                )
+            forces, rates, levers, velocities, omega = nonstop.orbit_ahead(
+                ahead,
+                motion,
+                data.wrench,
+                data.wrench_rate,
+                data.wrench_second_rate,
+                time=instant,
+                pseudo_inverse=_without_round_off(model.pseudo_inverse),
+                offset=model.pattern.offset,
+                attachments=model.attachments,
+            )
+            products.append(nonstop.speed_products(forces, rates, velocities, omega, *self._axes))
+        return np.stack(products, axis=1), forces, levers
+
+    def _trace_terms(self, x: NDArray, vector: NDArray) -> tuple[NDArray, ...]:
+        """The `SpeedTerms`."""
+        data = UpdateData.view(vector)
+        products, forces, levers = self._trace_orbits(data)
+        angle = nonstop.phase_of(x, data.previous, data.phase)
+        ahead = angle + data.previous[:1] * self._instants
+        cosine, sine = np.cos(ahead), np.sin(ahead)
+        first = ahead[-1:] + data.orbit_turn
+        turn_cosine, turn_sine = np.cos(self._turns), np.sin(self._turns)
+        polynomials = nonstop.speed_polynomials(
+            np.concatenate([cosine, np.cos(first) * turn_cosine - np.sin(first) * turn_sine])[
+                :, None
+            ],
+            np.concatenate([sine, np.sin(first) * turn_cosine + np.cos(first) * turn_sine])[
+                :, None
+            ],
+            products[:, self._instant_of_row],
+        )
+        angles = angle + self.model.pattern.phases
+        return SpeedTerms(polynomials.reshape(10, 3, -1), forces, levers, angles)
+
+    def _trace_margins(self, x: NDArray, vector: NDArray) -> NDArray:
+        data = UpdateData.view(vector)
+        terms = SpeedTerms.from_flat(*self.terms.traced(x, vector))
+        amplitude = x[1:]
+        values = nonstop.polynomial_values(terms.polynomials[:, :, None], amplitude[:, None])
+        c, b, a, tension_squares = nonstop.speed_squares(values, **self.cables)
+        s = x[:1] * amplitude
+        squares = c + s * (2 * b + s * a)
+        margins = [
+            *self.constraints.of_speeds(squares, data.speed_bound, data.speed_unit),
+            *self.constraints.of_amplitudes(amplitude, tension_squares, terms.forces, terms.levers),
+        ]
+        return np.concatenate(margins, axis=1)[0]
+
+    def _trace_cost(self, x: NDArray, vector: NDArray) -> NDArray:
+        data = UpdateData.view(vector)
+        return nonstop.change_cost(
+            x,
+            data.previous,
+            data.phase,
+            phases=self.model.pattern.phases,
+            internal_force_weight=self.config.internal_force_weight,
+            internal_force_rate_weight=self.config.internal_force_rate_weight,
+            anchor_weight=data.anchor_weight,
+            nominal=self.nominal,
+        )
+
+
+def _without_round_off(matrix: NDArray) -> NDArray:
+    """The matrix with entries that are zero but for round-off set to zero: fewer operations."""
+    return np.where(np.abs(matrix) > 1e-14 * np.max(np.abs(matrix)), matrix, 0.0)

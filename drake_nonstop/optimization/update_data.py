@@ -1,0 +1,36 @@
+"""What varies from update to update of the nonstop problem, in one flat vector with named parts."""
+
+from itertools import accumulate
+from typing import NamedTuple
+
+from numpy.typing import NDArray
+
+
+class UpdateData(NamedTuple):
+    """The parts of the data of one update, all in W.
+
+    `np.concatenate` of an instance is the flat vector, and `view` of that gives the parts.
+    """
+
+    previous: NDArray  # (2,), [ξ⁻, A⁻], rad/s and N
+    phase: NDArray  # (2,), [θ, ∂θ/∂ξ], rad and s
+    load_state: NDArray  # (13,)
+    reference: NDArray  # (22,)
+    wrench: NDArray  # (6,), N m and N
+    wrench_rate: NDArray  # (6,)
+    wrench_second_rate: NDArray  # (6,)
+    speed_bound: NDArray  # (1,), m/s, tightened
+    speed_unit: NDArray  # (1,), m/s, scales the margins of the speed bound
+    orbit_turn: NDArray  # (1,), rad, by which the phases of the orbit ahead are turned on
+    anchor_weight: NDArray  # (1,)
+
+    @classmethod
+    def view(cls, vector: NDArray) -> "UpdateData":
+        """The parts of a flat vector (61,), of numbers or symbols: views, not copies."""
+        return cls(*[vector[part] for part in _PARTS])
+
+
+_SIZES = (2, 2, 13, 22, 6, 6, 6, 1, 1, 1, 1)  # of the parts, in their order
+_ENDS = list(accumulate(_SIZES))
+_PARTS = [slice(end - size, end) for size, end in zip(_SIZES, _ENDS, strict=True)]
+UPDATE_DATA_SIZE = _ENDS[-1]

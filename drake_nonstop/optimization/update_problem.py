@@ -1,0 +1,131 @@
+"""The nonstop problem of one update, in numbers."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics import nonstop
+from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.search_problem import SearchProblem
+from drake_nonstop.optimization.traced_problem import SpeedTerms, TracedProblem
+from drake_nonstop.optimization.update_data import UpdateData
+from drake_nonstop.systems.tracing import NotFiniteError
+
+_MIN_SPEEDS_FOR_ARRAYS = 90  # from so many on arrays are faster than a trace
+
+
+class UpdateProblem:
+    """min cost(x) such that margins(x) ≥ 0, over x = [ξ, A] (2,), in rad/s and N, within `bounds`.
+
+    Args:
+        traced: what all updates share.
+        vector: the flat vector (61,) of an `UpdateData`, which is not to change any more.
+    """
+
+    def __init__(self, traced: TracedProblem, vector: NDArray):
+        self._traced = traced
+        self.vector, self.data = vector, UpdateData.view(vector)
+        self.previous = self.data.previous.copy()
+        # By the bytes of x. The margins of the answer were computed in the search already.
+        self._margins_at: dict[bytes, NDArray] = {}
+        self._worst_margin_at: dict[bytes, float] = {}
+        self._search_problem: SearchProblem | None = None
+
+    @property
+    def bounds(self) -> tuple[NDArray, NDArray]:
+        """The lower and upper bounds (2,) of x, within reach at the limits of its rates."""
+        return self._traced.bounds(self.previous)
+
+    @property
+    def phase_jumps(self) -> bool:
+        """Whether the phase jumps with ξ, as a printed one does, rather than accumulate it."""
+        return bool(self.data.phase[1] != 0)
+
+    def cost(self, x: NDArray) -> float:
+        """The cost of the step to x."""
+        return float(self._traced.cost(x, self.vector)[0][0])
+
+    def margins(self, x: NDArray) -> NDArray:
+        """The margins of all constraints at x, in the order of `ConstraintMargins`; for reading.
+
+        Raises:
+            NotFiniteError: one is not, such as that of a cable without any tension.
+        """
+        key = x.tobytes()
+        found = self._margins_at.get(key)
+        if found is None:
+            found = self._margins_at[key] = self._computed_margins(x)
+        return found
+
+    def worst_margin(self, x: NDArray) -> float:
+        """The least margin of all constraints at x."""
+        key = x.tobytes()
+        if key not in self._worst_margin_at:
+            self._worst_margin_at[key] = float(self.margins(x).min())
+        return self._worst_margin_at[key]
+
+    def feasible_cost(self, x: NDArray) -> float:
+        """The cost of the step to x, inf where x does not fulfil the constraints."""
+        is_feasible = self.worst_margin(x) >= -FEASIBILITY_TOLERANCE
+        return self.cost(x) if is_feasible else np.inf
+
+    def slowest_speed(self, x: NDArray) -> float:
+        """The slowest predicted speed (m/s) at x."""
+        margins, count = self.margins(x), self._traced.constraints.speed_count
+        worst = self.worst_margin(x) if len(margins) == count else float(margins[:count].min())
+        bound, unit = float(self.data.speed_bound[0]), float(self.data.speed_unit[0])
+        return math.sqrt(max(0.0, worst * unit * unit + bound * bound))
+
+    @property
+    def search_problem(self) -> SearchProblem:
+        """The problem with the phases of now, which do not depend on ξ where they accumulate it."""
+        if self._search_problem is None:
+            self._search_problem = self.search_problem_at(float(self.previous[0]))
+        return self._search_problem
+
+    def search_problem_at(self, frequency: float) -> SearchProblem:
+        """The problem with the phases that `frequency` (rad/s) gives."""
+        traced, data, previous = self._traced, self.data, self.previous
+        constraints, config = traced.constraints, traced.config
+        flat = traced.terms(np.array([frequency, previous[1]]), self.vector)
+        terms = SpeedTerms.from_flat(*[term.copy() for term in flat])
+        lower, upper = self.bounds
+
+        def amplitude_margins(amplitudes: NDArray) -> NDArray:
+            values = nonstop.polynomial_values(terms.polynomials[:, :, None], amplitudes[:, None])
+            tensions = nonstop.speed_squares(values, **traced.cables)[3]
+            margins = constraints.of_amplitudes(amplitudes, tensions, terms.forces, terms.levers)
+            return np.min([margin.min(axis=1) for margin in margins], axis=0)
+
+        return SearchProblem(
+            polynomials=terms.polynomials,
+            **traced.cables,
+            amplitude_margins=amplitude_margins if constraints.limit_amplitude else None,
+            angles=terms.angles,
+            previous=previous,
+            nominal=traced.nominal,
+            lower=lower,
+            upper=upper,
+            speed_bound=data.speed_bound[0],
+            speed_unit=data.speed_unit[0],
+            max_speed=constraints.max_speed,
+            internal_force_weight=config.internal_force_weight,
+            internal_force_rate_weight=config.internal_force_rate_weight,
+            anchor_weight=float(data.anchor_weight[0]),
+        )
+
+    def _computed_margins(self, x: NDArray) -> NDArray:
+        constraints = self._traced.constraints
+        if (
+            constraints.speed_count < _MIN_SPEEDS_FOR_ARRAYS
+            or constraints.limit_amplitude
+            or constraints.limit_high_speeds
+            or self.phase_jumps
+        ):
+            return self._traced.margins(x, self.vector)[0].copy()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            margins = self.search_problem.margins(x[1:], x[:1])[0][0, 0]
+        if not np.isfinite(margins).all():
+            raise NotFiniteError(self._traced.name())
+        return margins

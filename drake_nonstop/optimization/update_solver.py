@@ -1,0 +1,183 @@
+"""The answer to the nonstop problem of each update: keep, solve, relax or hold."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.active_set_search import nearest_feasible
+from drake_nonstop.optimization.diagnostics import Outcome
+from drake_nonstop.optimization.grid_search import cheapest_on_grid, least_infeasible_on_grid
+from drake_nonstop.optimization.local_solver import LocalSolver
+from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.problem_config import NonstopProblemConfig
+from drake_nonstop.optimization.traced_problem import TracedProblem
+from drake_nonstop.optimization.update_data import UpdateData
+from drake_nonstop.optimization.update_problem import UpdateProblem
+from drake_nonstop.systems.tracing import TracedFunction
+
+_COST_TOLERANCE = 1e-4  # relative; what the global search finds has to be cheaper by more
+_REST_TOLERANCE = 1e-3  # m/s, rad/s, m/s², rad/s²; a reference that moves less is at rest
+
+
+class Answer(NamedTuple):
+    """The answer of one update."""
+
+    parameters: NDArray  # (2,), the next [ξ, A], rad/s and N
+    outcome: Outcome
+    slowest_speed: float  # m/s, predicted
+
+
+class UpdateSolver:
+    """Solves the nonstop problem, built once, with the data of each update.
+
+    An update's data is the flat vector (61,) of an `UpdateData`, from `update_data`. Answers
+    depend on it alone.
+
+    Args:
+        model: what the controllers believe.
+        config: its values are taken to be valid, see `check_problem`.
+        name: tells what evaluates the problem, for the error of a value that is not finite.
+    """
+
+    def __init__(self, model: Model, config: NonstopProblemConfig, name: Callable[[], str]):
+        self._config = config
+        self._traced = TracedProblem(model, config, name)
+        self._local: LocalSolver | None = None
+        if config.solver in LocalSolver.NAMES:
+            self._local = LocalSolver(
+                config.solver, *self._traced.with_gradients(), self._traced.constraints.speed_count
+            )
+
+    def update_data(
+        self,
+        previous: NDArray,
+        phase: NDArray,
+        load_state: NDArray,
+        reference: NDArray,
+        wrench: NDArray,
+        wrench_rate: NDArray,
+        wrench_second_rate: NDArray,
+        speed_bound: float,
+        updates: int = 0,
+    ) -> NDArray:
+        """The flat vector (61,) of the data of an update.
+
+        Args:
+            previous: [ξ⁻, A⁻] (2,), rad/s and N.
+            phase: [θ, ∂θ/∂ξ] (2,), rad and s.
+            load_state: (13,), in W.
+            reference: (22,), in W.
+            wrench: [torque; force] (6,), in W.
+            wrench_rate: (6,), per s.
+            wrench_second_rate: (6,), per s².
+            speed_bound: m/s, ε before it is tightened.
+            updates: how many there were before this one: it turns the phases of the orbit ahead on.
+        """
+        config = self._config
+        anchor_weight = config.anchor_weight
+        # A reference that moves switches the anchor off.
+        if anchor_weight > 0 and np.abs(reference[7:19]).max() > _REST_TOLERANCE:
+            anchor_weight = 0.0
+        bound = (1 + config.tightening) * speed_bound
+        turn = 2 * math.pi * (updates % config.orbit_updates) / config.orbit_points
+        parts = UpdateData(
+            previous=previous,
+            phase=phase,
+            load_state=load_state,
+            reference=reference,
+            wrench=wrench,
+            wrench_rate=wrench_rate,
+            wrench_second_rate=wrench_second_rate,
+            speed_bound=np.array([bound]),
+            speed_unit=np.array([bound or 1.0]),  # without a bound every speed is above it
+            orbit_turn=np.array([turn]),
+            anchor_weight=np.array([anchor_weight]),
+        )
+        return np.concatenate(parts)
+
+    def problem(self, data: NDArray) -> UpdateProblem:
+        """The problem of the update with this data (61,)."""
+        return UpdateProblem(self._traced, data)
+
+    def functions(self, *, with_gradients: bool = False) -> tuple[TracedFunction, TracedFunction]:
+        """The cost and the margins of x = [ξ, A] and the data, for solvers of any kind."""
+        if with_gradients:
+            return self._traced.with_gradients()
+        return self._traced.cost, self._traced.margins
+
+    def solve(self, data: NDArray) -> Answer:
+        """The answer of the update with this data (61,).
+
+        Raises:
+            NotFiniteError: a margin is not finite, such as that of a cable without any tension.
+        """
+        problem = self.problem(data)
+        previous = problem.previous
+        was_feasible = problem.worst_margin(previous) >= -FEASIBILITY_TOLERANCE
+        if was_feasible and not self._is_anchor_active(problem):
+            return _answer(problem, previous, Outcome.KEPT)
+        parameters = self._best(problem)
+        is_feasible = problem.worst_margin(parameters) >= -FEASIBILITY_TOLERANCE
+        if was_feasible and (not is_feasible or problem.cost(parameters) >= problem.cost(previous)):
+            return _answer(problem, previous, Outcome.KEPT)
+        if is_feasible:
+            return _answer(problem, parameters, Outcome.SOLVED)
+        order = self._traced.constraints.infeasibility_order
+        if order(problem.margins(parameters)) > order(problem.margins(previous)):
+            return _answer(problem, parameters, Outcome.RELAXED)
+        return _answer(problem, previous, Outcome.HELD)
+
+    def _is_anchor_active(self, problem: UpdateProblem) -> bool:
+        """Whether the anchor asks for something else than the previous parameters."""
+        return problem.data.anchor_weight[0] > 0 and not np.allclose(
+            problem.previous, self._traced.nominal, rtol=1e-6, atol=0
+        )
+
+    def _best(self, problem: UpdateProblem) -> NDArray:
+        """The feasible point of the least cost; where none is found the least infeasible one."""
+        if self._local is None:
+            return self._searched(problem)[0]
+        start, data, bounds = problem.previous, problem.vector, problem.bounds
+        parameters = self._local.nearest(start, data, *bounds)
+        cost = problem.feasible_cost(parameters)
+        if self._config.global_search:
+            other, other_cost = self._searched(problem)
+            is_best = np.isfinite(cost) and cost * (1 - _COST_TOLERANCE) <= other_cost
+            return parameters if is_best else other
+        if np.isfinite(cost):
+            return parameters
+        return self._local.fastest(start, data, *bounds)
+
+    def _searched(self, problem: UpdateProblem) -> tuple[NDArray, float]:
+        """The point that a search finds and its cost, inf where it is infeasible."""
+        if self._config.solver == "grid" or problem.phase_jumps:
+            return cheapest_on_grid(
+                problem.search_problem_at, float(problem.previous[0]), problem.cost
+            )
+        worse_of_each_speed = self._traced.constraints.worse_of_each_speed
+
+        def speed_margins(x: NDArray) -> NDArray:
+            return worse_of_each_speed(problem.margins(x))
+
+        search_problem = problem.search_problem
+        before = speed_margins(problem.previous)
+        parameters, cost = nearest_feasible(search_problem, before, speed_margins)
+        if np.isfinite(cost):
+            return parameters, cost
+        parameters = least_infeasible_on_grid(search_problem)
+        cost = problem.feasible_cost(parameters)
+        if not np.isfinite(cost):
+            return parameters, cost
+        # The grid found a feasible range of A so narrow that the search had missed it.
+        nearer, lower_cost = nearest_feasible(
+            search_problem, before, speed_margins, float(parameters[1])
+        )
+        return (nearer, lower_cost) if lower_cost < cost else (parameters, cost)
+
+
+def _answer(problem: UpdateProblem, parameters: NDArray, outcome: Outcome) -> Answer:
+    return Answer(parameters, outcome, problem.slowest_speed(parameters))
