@@ -1,11 +1,11 @@
 # make demo: environment, install, one run. make test: the tests. make check: lint and types.
-# make lowest: the unit tests with the lowest versions that pyproject.toml names.
 # make pictures: those of the README; needs Chromium (on Debian: apt-get install chromium).
+# make lowest: the unit tests with the lowest versions that pyproject.toml names.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check lowest pictures clean
+.PHONY: demo test check pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/drake-nonstop run quintic
@@ -20,12 +20,6 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo --no-cache
-
-# In an environment of its own, with the oldest Python that is found.
-LOWEST := .venv-lowest
-UNITS := $(addprefix tests/,blocks diagrams mechanics model optimization scenario systems)
-lowest: $(LOWEST)/.installed
-	OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/pytest -n 2 --dist worksteal $(UNITS)
 
 pictures: $(VENV)/.installed-dev
 	$(BIN)/drake-nonstop pictures --out examples/pictures
@@ -43,6 +37,12 @@ $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --editable '.[dev]'
 	@touch $@ $(VENV)/.installed
+
+# In an environment of its own, with the oldest Python that is found.
+LOWEST := .venv-lowest
+.PHONY: lowest
+lowest: $(LOWEST)/.installed
+	OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/pytest -n 2 --dist worksteal -m "not slow"
 
 # The lowest versions for which there are wheels: older ones may not compile with a new Python.
 $(LOWEST)/.installed: pyproject.toml
