@@ -1,6 +1,7 @@
 # make demo: environment, install, one run. make check: lint and types.
 # make test: all tests. make quick: without whole runs, processes and browsers; within a minute.
 # make pictures: those of the README; needs Chromium (on Debian: apt-get install chromium).
+# make lowest: the unit tests with the lowest versions that pyproject.toml names.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -22,6 +23,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo --no-cache
 
 pictures: $(VENV)/.installed-dev
 	$(BIN)/drake-nonstop pictures --out examples/pictures
@@ -40,5 +42,23 @@ $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --editable '.[dev]'
 	@touch $@ $(VENV)/.installed
 
+# In an environment of its own, with the oldest Python that is found.
+LOWEST := .venv-lowest
+.PHONY: lowest
+lowest: $(LOWEST)/.installed
+	OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/pytest -n 2 --dist worksteal -m "not slow"
+
+# The lowest versions for which there are wheels: older ones may not compile with a new Python.
+$(LOWEST)/.installed: pyproject.toml
+	rm -rf $(LOWEST)
+	for python in python3.10 python3.11 python3.12 python3.13 $(PYTHON); do \
+	  $$python -c 'import ensurepip' 2>/dev/null && exec $$python -m venv $(LOWEST); done; exit 1
+	$(LOWEST)/bin/pip install --quiet uv==0.13.9
+	$(LOWEST)/bin/uv pip compile --quiet --python $(LOWEST) --no-build --extra dev pyproject.toml \
+	  --resolution lowest-direct --output-file $(LOWEST)/requirements.txt
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST) --requirements $(LOWEST)/requirements.txt
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST) --no-deps --editable .
+	@touch $@
+
 clean:
-	rm -rf $(VENV) out
+	rm -rf $(VENV) $(LOWEST) out

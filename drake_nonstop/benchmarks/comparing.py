@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-import drake_nonstop
 from drake_nonstop.benchmarks import fresh_run
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import ScenarioError, require
 
-PACKAGE_PARENT = Path(drake_nonstop.__file__).parent.parent
+PACKAGE_PARENT = Path(__file__).parents[2]
 _SIDES = ("present", "other")  # of a comparison
 
 
