@@ -18,6 +18,7 @@ from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternCon
 from drake_nonstop.model.system import Model, PatternConfig, SystemParameters
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import SearchProblem
+from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.studies.files import replacing_file
@@ -75,10 +76,10 @@ _SYSTEMS: dict[str, tuple[int, PatternConfig]] = {
 
 @dataclass(frozen=True)
 class Instance:
-    """The flat `UpdateData` (61,) of one update of a system."""
+    """One update of a system."""
 
     system: str
-    data: NDArray
+    data: UpdateData
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def _cache_path(instances: list[Instance], solvers: dict[str, UpdateSolver]) -> 
     digest = hashlib.sha256(Path(__file__).read_bytes())
     for instance in instances:
         problem = solvers[instance.system].problem(instance.data)
-        digest.update(instance.data.tobytes())
+        digest.update(problem.vector.tobytes())
         for factor in (0.7, 1.6):
             x = problem.previous * factor
             digest.update(np.array([problem.worst_margin(x), problem.cost(x)]).tobytes())

@@ -17,6 +17,7 @@ from drake_nonstop.benchmarks.peers import Solve, casadi_ipopt, scipy_slsqp
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizer, NonstopOptimizerConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import Answer, UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
@@ -162,20 +163,20 @@ def _percent(share: float | None) -> str:
     return f"{'-' if share is None else f'{share:.2%}':>10}"
 
 
-def _closed_loop() -> tuple[list[NDArray], float, Model, Any]:
+def _closed_loop() -> tuple[list[UpdateData], float, Model, Any]:
     """The data of all updates of `quintic`, and the layer's share of the run's wall time."""
     scenario = load_scenario("quintic")
     config = scenario.optimization_layer
     assert isinstance(config, NonstopOptimizerConfig)
-    updates: list[NDArray] = []
+    updates: list[UpdateData] = []
     models: list[Model] = []
 
     def recording(model: Model) -> NonstopOptimizer:
         block = NonstopOptimizer(model, config)
         solve = block.solver.solve
 
-        def record(data: NDArray) -> Answer:
-            updates.append(data.copy())
+        def record(data: UpdateData) -> Answer:
+            updates.append(data)
             return solve(data)
 
         block.solver.solve = record  # type: ignore[method-assign]
@@ -206,7 +207,7 @@ def _answer_of(solver: UpdateSolver) -> Solve:
 
 
 def _unless_feasible(solver: UpdateSolver, solve: Solve) -> Solve:
-    def kept_or_solved(data: NDArray) -> NDArray:
+    def kept_or_solved(data: UpdateData) -> NDArray:
         update = solver.problem(data)
         if update.worst_margin(update.previous) >= -FEASIBILITY_TOLERANCE:
             return update.previous

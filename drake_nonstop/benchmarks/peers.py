@@ -6,10 +6,10 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE
+from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE, UpdateData
 from drake_nonstop.optimization.update_solver import UpdateSolver
 
-Solve = Callable[[NDArray], NDArray]
+Solve = Callable[[UpdateData], NDArray]
 
 
 def casadi_ipopt(updates: UpdateSolver) -> Solve:
@@ -26,10 +26,10 @@ def casadi_ipopt(updates: UpdateSolver) -> Solve:
     problem = {"x": x, "p": data, "f": cost, "g": margins}
     solver = casadi.nlpsol("solver", "ipopt", problem, options)
 
-    def solve(data: NDArray) -> NDArray:
+    def solve(data: UpdateData) -> NDArray:
         update = updates.problem(data)
         lower, upper = update.bounds
-        found = solver(x0=update.previous, p=data, lbx=lower, ubx=upper, lbg=0, ubg=np.inf)
+        found = solver(x0=update.previous, p=update.vector, lbx=lower, ubx=upper, lbg=0, ubg=np.inf)
         return np.clip(np.array(found["x"])[:, 0], lower, upper)
 
     return solve
@@ -45,12 +45,12 @@ def scipy_slsqp(updates: UpdateSolver) -> Solve:
 
     cost, margins = updates.functions(with_gradients=True)
 
-    def solve(data: NDArray) -> NDArray:
+    def solve(data: UpdateData) -> NDArray:
         update = updates.problem(data)
         lower, upper = update.bounds
 
         def value_and_gradient(x: NDArray) -> tuple[float, NDArray]:
-            value, gradient = cost(x, data)
+            value, gradient = cost(x, update.vector)
             return float(value[0]), gradient[0].copy()
 
         found = minimize(
@@ -61,8 +61,8 @@ def scipy_slsqp(updates: UpdateSolver) -> Solve:
             bounds=list(zip(lower, upper, strict=True)),
             constraints={
                 "type": "ineq",
-                "fun": lambda x: margins(x, data)[0].copy(),
-                "jac": lambda x: margins(x, data)[1].copy(),
+                "fun": lambda x: margins(x, update.vector)[0].copy(),
+                "jac": lambda x: margins(x, update.vector)[1].copy(),
             },
             options={"maxiter": 100, "ftol": 1e-9},
         )

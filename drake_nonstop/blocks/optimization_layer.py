@@ -12,8 +12,13 @@ from pydrake.systems.framework import (
 )
 
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE, Diagnostics, Outcome
-from drake_nonstop.optimization.gradual_change import limit_step, next_bound, step_towards
+from drake_nonstop.optimization.diagnostics import (
+    DIAGNOSTICS_SIZE,
+    Outcome,
+    count_update,
+    update_count,
+)
+from drake_nonstop.optimization.gradual_change import limit_step, raised_bound, step_towards
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
     check_problem,
@@ -194,14 +199,16 @@ class NonstopOptimizer(LeafBlock):
             discrete_state.set_value(self._is_changing, [1.0])
             discrete_state.set_value(self._last_wrench_rate, wrench_rate)
             return
-        wanted_bound = context.get_numeric_parameter(self._speed_bound).value()[0]
+        bound = context.get_numeric_parameter(self._speed_bound).value()[0]
         last_bound = context.get_discrete_state(self._bound_in_force).value()[0]
-        bound = next_bound(last_bound, wanted_bound, **self._times)
-        is_rising = last_bound < wanted_bound
-        is_changing = is_rising or context.get_discrete_state(self._is_changing).value()[0] > 0
-        diagnostics = Diagnostics(*context.get_discrete_state(self._diagnostics).value().tolist())
+        is_changing = context.get_discrete_state(self._is_changing).value()[0] > 0
+        is_rising = last_bound < bound
+        if is_rising:
+            bound = raised_bound(last_bound, bound, **self._times)
+        diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
+        updates = update_count(diagnostics)
         last_wrench_rate = wrench_rate
-        if diagnostics.updates > 0:
+        if updates > 0:
             last_wrench_rate = context.get_discrete_state(self._last_wrench_rate).value()
         inputs = (
             previous,
@@ -213,18 +220,18 @@ class NonstopOptimizer(LeafBlock):
             (wrench_rate - last_wrench_rate) / self._period,
         )
         start = time.perf_counter()
-        data = self.solver.update_data(*inputs, speed_bound=bound, updates=int(diagnostics.updates))
+        data = self.solver.update_data(*inputs, speed_bound=bound, updates=updates)
         parameters, outcome, slowest_speed = self.solver.solve(data)
-        if is_changing:
+        if is_changing or is_rising:
             parameters, is_limited = limit_step(previous, parameters, self._largest_step)
             if is_limited:
                 outcome = Outcome.RELAXED
                 slowest_speed = self.solver.problem(data).slowest_speed(parameters)
             is_changing = is_rising or outcome > Outcome.SOLVED
         solve_time = time.perf_counter() - start
-        diagnostics = diagnostics.after(outcome, slowest_speed - bound)
+        count_update(diagnostics, outcome, slowest_speed - bound)
         discrete_state.set_value(self._parameters, parameters)
-        discrete_state.set_value(self._diagnostics, np.array(diagnostics, dtype=float))
+        discrete_state.set_value(self._diagnostics, diagnostics)
         discrete_state.set_value(self._last_wrench_rate, wrench_rate)
         discrete_state.set_value(self._solve_time, [solve_time])
         discrete_state.set_value(self._bound_in_force, [bound])

@@ -32,17 +32,20 @@ class Diagnostics(NamedTuple):
         """The entries (...) of an array (..., 7)."""
         return cls(*[values[..., i] for i in range(DIAGNOSTICS_SIZE)])
 
-    def after(self, outcome: Outcome, speed_margin: float) -> "Diagnostics":
-        """The diagnostics after one more update."""
-        return Diagnostics(
-            outcome=outcome,
-            updates=self.updates + 1,
-            kept=self.kept + (outcome == Outcome.KEPT),
-            solved=self.solved + (outcome == Outcome.SOLVED),
-            relaxed=self.relaxed + (outcome == Outcome.RELAXED),
-            held=self.held + (outcome == Outcome.HELD),
-            speed_margin=speed_margin,
-        )
-
 
 DIAGNOSTICS_SIZE = len(Diagnostics._fields)
+_PLACES = Diagnostics(*range(DIAGNOSTICS_SIZE))
+_COUNT_PLACES = (0, _PLACES.kept, _PLACES.solved, _PLACES.relaxed, _PLACES.held)  # by `Outcome`
+
+
+def count_update(diagnostics: NDArray, outcome: Outcome, speed_margin: float) -> None:
+    """Adds an update to the vector `diagnostics` (7), in place."""
+    diagnostics[_PLACES.outcome] = outcome
+    diagnostics[_PLACES.updates] += 1
+    diagnostics[_COUNT_PLACES[outcome]] += 1
+    diagnostics[_PLACES.speed_margin] = speed_margin
+
+
+def update_count(diagnostics: NDArray) -> int:
+    """How many updates the vector `diagnostics` (7) counts."""
+    return int(diagnostics[_PLACES.updates])

@@ -8,13 +8,11 @@ from numpy.typing import NDArray
 from drake_nonstop.optimization.problem_config import LEAST_BOUND
 
 
-def next_bound(in_force: float, wanted: float, *, period: float, change_time: float) -> float:
-    """The bound (m/s) of the next update: a raised one rises by its height per `change_time`.
+def raised_bound(in_force: float, wanted: float, *, period: float, change_time: float) -> float:
+    """The bound (m/s) of the next update, on the way from one to a higher one.
 
-    A lowered one is in force at once.
+    It rises by the height of the wanted one per `change_time`, from `LEAST_BOUND` on.
     """
-    if in_force >= wanted:
-        return wanted
     step = wanted * period / change_time
     return min(wanted, max(in_force + step, LEAST_BOUND))
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 class UpdateData(NamedTuple):
     """The parts of the data of one update, all in W.
 
-    `np.concatenate` of an instance is the flat vector, and `view` of that gives the parts.
+    `np.concatenate` of an instance is the flat vector that the traced functions take, and `view` of
+    that gives the parts. The parts are for reading: some are shared between updates.
     """
 
     previous: NDArray  # (2,), [ξ⁻, A⁻], rad/s and N

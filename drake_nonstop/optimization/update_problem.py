@@ -20,16 +20,16 @@ class UpdateProblem:
 
     Args:
         traced: what all updates share.
-        vector: the flat vector (61,) of an `UpdateData`, which is not to change any more.
+        data: of the update.
     """
 
-    def __init__(self, traced: TracedProblem, vector: NDArray):
+    def __init__(self, traced: TracedProblem, data: UpdateData):
         self._traced = traced
-        self.vector, self.data = vector, UpdateData.view(vector)
-        self.previous = self.data.previous.copy()
+        self.data = data
+        self.vector = np.concatenate(data)  # (61,), for the functions of `UpdateSolver.functions`
+        self.previous = data.previous.copy()
         # By the bytes of x. The margins of the answer were computed in the search already.
-        self._margins_at: dict[bytes, NDArray] = {}
-        self._worst_margin_at: dict[bytes, float] = {}
+        self._margins_at: dict[bytes, tuple[NDArray, float]] = {}
         self._search_problem: SearchProblem | None = None
 
     @property
@@ -52,18 +52,11 @@ class UpdateProblem:
         Raises:
             NotFiniteError: one is not, such as that of a cable without any tension.
         """
-        key = x.tobytes()
-        found = self._margins_at.get(key)
-        if found is None:
-            found = self._margins_at[key] = self._computed_margins(x)
-        return found
+        return self._margins_and_worst(x)[0]
 
     def worst_margin(self, x: NDArray) -> float:
         """The least margin of all constraints at x."""
-        key = x.tobytes()
-        if key not in self._worst_margin_at:
-            self._worst_margin_at[key] = float(self.margins(x).min())
-        return self._worst_margin_at[key]
+        return self._margins_and_worst(x)[1]
 
     def feasible_cost(self, x: NDArray) -> float:
         """The cost of the step to x, inf where x does not fulfil the constraints."""
@@ -72,8 +65,10 @@ class UpdateProblem:
 
     def slowest_speed(self, x: NDArray) -> float:
         """The slowest predicted speed (m/s) at x."""
-        margins, count = self.margins(x), self._traced.constraints.speed_count
-        worst = self.worst_margin(x) if len(margins) == count else float(margins[:count].min())
+        margins, worst = self._margins_and_worst(x)
+        count = self._traced.constraints.speed_count
+        if len(margins) > count:
+            worst = float(margins[:count].min())
         bound, unit = float(self.data.speed_bound[0]), float(self.data.speed_unit[0])
         return math.sqrt(max(0.0, worst * unit * unit + bound * bound))
 
@@ -114,6 +109,14 @@ class UpdateProblem:
             internal_force_rate_weight=config.internal_force_rate_weight,
             anchor_weight=float(data.anchor_weight[0]),
         )
+
+    def _margins_and_worst(self, x: NDArray) -> tuple[NDArray, float]:
+        key = x.tobytes()
+        found = self._margins_at.get(key)
+        if found is None:
+            margins = self._computed_margins(x)
+            found = self._margins_at[key] = margins, float(margins.min())
+        return found
 
     def _computed_margins(self, x: NDArray) -> NDArray:
         constraints = self._traced.constraints

@@ -34,8 +34,7 @@ class Answer(NamedTuple):
 class UpdateSolver:
     """Solves the nonstop problem, built once, with the data of each update.
 
-    An update's data is the flat vector (61,) of an `UpdateData`, from `update_data`. Answers
-    depend on it alone.
+    Answers depend on the data alone, which come from `update_data`.
 
     Args:
         model: what the controllers believe.
@@ -45,6 +44,10 @@ class UpdateSolver:
 
     def __init__(self, model: Model, config: NonstopProblemConfig, name: Callable[[], str]):
         self._config = config
+        self._orbit_turns = [
+            np.array([2 * math.pi * i / config.orbit_points]) for i in range(config.orbit_updates)
+        ]
+        self._anchor_weight, self._no_anchor = np.array([config.anchor_weight]), np.zeros(1)
         self._traced = TracedProblem(model, config, name)
         self._local: LocalSolver | None = None
         if config.solver in LocalSolver.NAMES:
@@ -63,8 +66,8 @@ class UpdateSolver:
         wrench_second_rate: NDArray,
         speed_bound: float,
         updates: int = 0,
-    ) -> NDArray:
-        """The flat vector (61,) of the data of an update.
+    ) -> UpdateData:
+        """The data of an update.
 
         Args:
             previous: [ξ⁻, A⁻] (2,), rad/s and N.
@@ -78,13 +81,12 @@ class UpdateSolver:
             updates: how many there were before this one: it turns the phases of the orbit ahead on.
         """
         config = self._config
-        anchor_weight = config.anchor_weight
+        anchor_weight = self._anchor_weight
         # A reference that moves switches the anchor off.
-        if anchor_weight > 0 and np.abs(reference[7:19]).max() > _REST_TOLERANCE:
-            anchor_weight = 0.0
-        bound = (1 + config.tightening) * speed_bound
-        turn = 2 * math.pi * (updates % config.orbit_updates) / config.orbit_points
-        parts = UpdateData(
+        if config.anchor_weight > 0 and np.abs(reference[7:19]).max() > _REST_TOLERANCE:
+            anchor_weight = self._no_anchor
+        bound = np.array([(1 + config.tightening) * speed_bound])
+        return UpdateData(
             previous=previous,
             phase=phase,
             load_state=load_state,
@@ -92,25 +94,24 @@ class UpdateSolver:
             wrench=wrench,
             wrench_rate=wrench_rate,
             wrench_second_rate=wrench_second_rate,
-            speed_bound=np.array([bound]),
-            speed_unit=np.array([bound or 1.0]),  # without a bound every speed is above it
-            orbit_turn=np.array([turn]),
-            anchor_weight=np.array([anchor_weight]),
+            speed_bound=bound,
+            speed_unit=bound if speed_bound else np.ones(1),  # without a bound any speed is enough
+            orbit_turn=self._orbit_turns[updates % config.orbit_updates],
+            anchor_weight=anchor_weight,
         )
-        return np.concatenate(parts)
 
-    def problem(self, data: NDArray) -> UpdateProblem:
-        """The problem of the update with this data (61,)."""
+    def problem(self, data: UpdateData) -> UpdateProblem:
+        """The problem of one update."""
         return UpdateProblem(self._traced, data)
 
     def functions(self, *, with_gradients: bool = False) -> tuple[TracedFunction, TracedFunction]:
-        """The cost and the margins of x = [ξ, A] and the data, for solvers of any kind."""
+        """The cost and the margins of x = [ξ, A] and the data's flat vector, for other solvers."""
         if with_gradients:
             return self._traced.with_gradients()
         return self._traced.cost, self._traced.margins
 
-    def solve(self, data: NDArray) -> Answer:
-        """The answer of the update with this data (61,).
+    def solve(self, data: UpdateData) -> Answer:
+        """The answer of one update.
 
         Raises:
             NotFiniteError: a margin is not finite, such as that of a cable without any tension.

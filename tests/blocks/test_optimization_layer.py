@@ -269,6 +269,15 @@ def test_diagnostics_count_the_outcomes_of_successive_updates():
     )
 
 
+def test_a_lowered_bound_is_in_force_at_once_and_a_raised_one_gradually():
+    layer = Layer(config(0.3))
+    for bound, in_force in ((0.2, 0.2), (0.4, 0.2 + 0.4 * PERIOD / 2.0)):
+        layer.block.set_speed_bound(layer.context, bound)
+        layer.update(AT_REST)
+        margin = speed_at_rest(*START) - in_force
+        assert layer.diagnostics.speed_margin == pytest.approx(margin, abs=1e-9)
+
+
 def test_solve_time_is_a_duration():
     layer = Layer(config(2.0))
     layer.update(AT_REST)

@@ -1,5 +1,5 @@
 import numpy as np
-from nonstop_cases import START, TIGHTENING, moving, update_solver
+from nonstop_cases import START, TIGHTENING, moving, update_data, update_solver
 
 from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE, UpdateData
 
@@ -26,8 +26,8 @@ def test_update_data_are_found_by_their_names():
         speed_bound=0.5,
         updates=7,
     )
-    assert data.shape == (61,)
-    parts = UpdateData.view(data)
+    assert np.concatenate(data).shape == (61,)
+    parts = UpdateData.view(np.concatenate(data))
     np.testing.assert_array_equal(parts.previous, START)
     np.testing.assert_array_equal(parts.load_state, inputs["measured_load_state"])
     for name in ("phase", "reference", "wrench", "wrench_rate"):
@@ -42,16 +42,5 @@ def test_update_data_are_found_by_their_names():
 
 def test_margins_without_a_bound_have_the_unit_one():
     inputs = moving(1)
-    parts = UpdateData.view(
-        update_solver().update_data(
-            START,
-            inputs["phase"],
-            inputs["measured_load_state"],
-            inputs["reference"],
-            inputs["wrench"],
-            inputs["wrench_rate"],
-            np.zeros(6),
-            0.0,
-        )
-    )
-    assert (parts.speed_bound[0], parts.speed_unit[0]) == (0.0, 1.0)
+    data = update_data(inputs, 0.0)
+    assert (data.speed_bound[0], data.speed_unit[0]) == (0.0, 1.0)
