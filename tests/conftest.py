@@ -12,9 +12,12 @@ from shared_runs import SharedRuns
 # the paths of tests begin with, from this folder on.
 SLOW = (
     "benchmarks/",
+    "blocks/test_carrier_dynamics.py::test_with_the_cables_reaction",
+    "blocks/test_cables.py::test_a_cable_that_goes_slack",
     "blocks/test_fused_plant.py",
     "cli/",
     "evals/",
+    "optimization/test_speed_program.py::test_carriers_stay_apart_over_a_whole_orbit",
     "simulation/test_faults.py",
     "studies/",
     "test_examples.py",

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import carrier_speeds
@@ -97,7 +98,7 @@ def benchmark_accuracy(
 
 def _errors(run: Run, reference: Run) -> dict[str, float]:
     """The largest distance of the loads in m, and of the carriers' relative speeds."""
-    positions = [each.signal("load_state")[:, 4:7] for each in (run, reference)]
+    positions = [LoadState.view(each.signal("load_state")).position for each in (run, reference)]
     speeds = [carrier_speeds(each.signal("carrier_state")) for each in (run, reference)]
     distances = np.linalg.norm(positions[0] - positions[1], axis=1)
     return {

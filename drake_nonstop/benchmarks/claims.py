@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import (
@@ -196,7 +197,7 @@ def _slowest_while_moving(run: Run, metrics: Metrics) -> float:
 
 def _error_at_rest(run: Run, metrics: Metrics) -> float:
     """The mean while the reference rests."""
-    rests = np.linalg.norm(run.signal("reference")[:, 10:13], axis=1) == 0
+    rests = np.linalg.norm(LoadReference.view(run.signal("reference")).velocity, axis=1) == 0
     return 1e3 * np.mean(np.linalg.norm(load_errors(run)[0][rests], axis=1))
 
 

@@ -30,7 +30,7 @@ def main() -> None:
     os.dup2(2, 1)  # all else that is printed goes to the standard error
     asked = json.loads(sys.argv[1])
     start = time.perf_counter()
-    drake_nonstop = importlib.import_module("drake_nonstop")  # of whatever revision
+    drake_nonstop: Any = importlib.import_module("drake_nonstop")  # of whatever revision
 
     imported = time.perf_counter()
     memory_of_imports = memory("VmRSS")

@@ -14,6 +14,7 @@ from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.rigid_load import gravity_wrench
 from drake_nonstop.mechanics.rotation import roll_pitch_yaw_to_quaternion
+from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternConfig
 from drake_nonstop.model.system import Model, PatternConfig, SystemParameters
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
@@ -135,8 +136,8 @@ def _draw(rng: np.random.Generator, solvers: dict[str, UpdateSolver]) -> Instanc
     acceleration = either_way("reference_acceleration_m_s2")
     state = np.concatenate([roll_pitch_yaw_to_quaternion(tilt), np.zeros(3), omega, velocity])
     reference = np.concatenate([state, np.zeros(3), acceleration, np.zeros(3)])
-    reference[4:7] += either_way("position_error_m")
-    reference[10:13] += either_way("velocity_error_m_s")
+    LoadReference.view(reference).position[:] += either_way("position_error_m")
+    LoadReference.view(reference).velocity[:] += either_way("velocity_error_m_s")
     torque = either_way("torque_per_weight_m", weight[5])
     data = solvers[name].update_data(
         previous=np.array(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.grasp import in_load_frame
 from drake_nonstop.mechanics.internal_force import ellipse_axes, internal_force
 from drake_nonstop.mechanics.rotation import absolute, cross, quaternion_rate, rotation_matrix
+from drake_nonstop.mechanics.signals import LoadState, Parameters, Phase
 
 
 def phase_of(parameters: NDArray, previous: NDArray, phase: NDArray) -> NDArray:
@@ -19,7 +20,9 @@ def phase_of(parameters: NDArray, previous: NDArray, phase: NDArray) -> NDArray:
 
     `phase` (2,) is [θ, ∂θ/∂ξ]: the slope is 0 for an accumulated phase and t for ξ t.
     """
-    return phase[:1] + (parameters[:1] - previous[:1]) * phase[1:]
+    angle, slope = Phase.view(phase)
+    change = Parameters.view(parameters).frequency - Parameters.view(previous).frequency
+    return angle + change * slope
 
 
 def advance(state: NDArray, angular: NDArray, translational: NDArray, time: float) -> NDArray:
@@ -28,8 +31,7 @@ def advance(state: NDArray, angular: NDArray, translational: NDArray, time: floa
     First order in the quaternion, which `rotation_matrix` normalizes; second order in
     the position.
     """
-    quaternion, position = state[:4], state[4:7]
-    angular_velocity, velocity = state[7:10], state[10:13]
+    quaternion, position, angular_velocity, velocity = LoadState.view(state)
     return np.concatenate(
         [
             quaternion + time * quaternion_rate(quaternion, angular_velocity + time / 2 * angular),
@@ -58,7 +60,7 @@ def change_cost(
     """
     change = parameters - previous
     away = parameters - nominal
-    before = internal_force(previous, phase[:1], phases=phases)
+    before = internal_force(previous, Phase.view(phase).angle, phases=phases)
     after = internal_force(parameters, phase_of(parameters, previous, phase), phases=phases)
     jump, rate_jump = after[0] - before[0], after[1] - before[1]
     return (
@@ -167,8 +169,9 @@ def orbit_ahead(
     R_LW, omega, wrench_L, wrench_rate_L = in_load_frame(load_state, wrench, wrench_rate)
     forces = pseudo_inverse @ wrench_L + offset
     rates = pseudo_inverse @ wrench_rate_L
-    levers = attachments @ (R_LW @ rotation_matrix(load_motion[:4])).T
-    velocities = R_LW @ load_motion[10:13] + cross(R_LW @ load_motion[7:10], levers)
+    motion = LoadState.view(load_motion)
+    levers = attachments @ (R_LW @ rotation_matrix(motion.quaternion)).T
+    velocities = R_LW @ motion.velocity + cross(R_LW @ motion.angular_velocity, levers)
     return forces.reshape(-1, 3), rates.reshape(-1, 3), levers, velocities, omega
 
 

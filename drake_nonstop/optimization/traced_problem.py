@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import nonstop
 from drake_nonstop.mechanics.rigid_load import load_acceleration
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadReference
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig, amplitude_range
@@ -101,8 +102,12 @@ class TracedProblem:
         for instant in self._instants:
             ahead = motion = nonstop.advance(state, *accelerations, instant)
             if self.config.load_motion == "desired":
+                desired = LoadReference.view(reference)
                 motion = nonstop.advance(
-                    reference[:13], reference[13:16], reference[16:19], instant
+                    reference[:LOAD_STATE_SIZE],
+                    desired.angular_acceleration,
+                    desired.acceleration,
+                    instant,
                 )
             forces, rates, levers, velocities, omega = nonstop.orbit_ahead(
                 ahead,

@@ -11,6 +11,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import box_of
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadState
 from drake_nonstop.validation import ScenarioError
 
 _STEP = 1e-6  # of the differences, in SI units
@@ -35,7 +36,7 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     trial = _copied(nonstop, context)
     start = trial.Clone()
     simulator = Simulator(nonstop, trial)
-    reference = nonstop.GetOutputPort("reference").Eval(trial)[:13].copy()
+    reference = nonstop.GetOutputPort("reference").Eval(trial)[:LOAD_STATE_SIZE].copy()
     settled: dict[str, NDArray] = {}
 
     def settle(offset: NDArray) -> NDArray:
@@ -46,7 +47,8 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
         simulator.Initialize()  # whatever samples or holds takes its first value
         settled["carrier_state"] = nonstop.GetOutputPort("carrier_reference").Eval(trial)
         plant.set_states(trial, **settled)
-        return plant.load_rate(trial)[7:13]
+        rate = LoadState.view(plant.load_rate(trial))
+        return np.concatenate([rate.angular_velocity, rate.velocity])
 
     for drop in _DROPS:
         residual = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
@@ -190,8 +192,12 @@ def _jacobian(function: Callable[[NDArray], NDArray], at: NDArray) -> NDArray:
 
 
 def _moved(state: NDArray, offset: NDArray) -> NDArray:
-    """A load state (13,) turned by a rotation vector and shifted, both in W (6,)."""
-    angle = np.linalg.norm(offset[:3])
-    turn = RotationMatrix() if angle == 0 else RotationMatrix(AngleAxis(angle, offset[:3] / angle))
-    rotation = turn @ RotationMatrix(Quaternion(state[:4]))
-    return np.concatenate([rotation.ToQuaternion().wxyz(), state[4:7] + offset[3:], state[7:]])
+    """A load state (13,) rotated by a rotation vector and shifted, both in W (6,)."""
+    rotation_vector, shift = np.split(offset, 2)
+    quaternion, position, *twist = LoadState.view(state)
+    angle = np.linalg.norm(rotation_vector)
+    turn = RotationMatrix()
+    if angle > 0:
+        turn = RotationMatrix(AngleAxis(angle, rotation_vector / angle))
+    rotated = (turn @ RotationMatrix(Quaternion(quaternion))).ToQuaternion().wxyz()
+    return np.concatenate([rotated, position + shift, *twist])

@@ -16,13 +16,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.rotation import (
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_matrix,
+    rotation_vector,
+)
+from drake_nonstop.mechanics.signals import CarrierStates, Parameters, Pose
 from drake_nonstop.model.system import overridden
+from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.version import __version__
 
-# The entries of the signal `diagnostics` after the first: numbers of updates.
+# The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
 _SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
@@ -110,12 +117,12 @@ class RunQuantities:
     @cached_property
     def carrier_positions(self) -> NDArray:
         """(k, n, 3), m."""
-        return _split(self.run.steps["carrier_state"])[0]
+        return CarrierStates.view(self.run.steps["carrier_state"]).positions
 
     @cached_property
     def carrier_velocities(self) -> NDArray:
         """(k, n, 3), m/s."""
-        return _split(self.run.steps["carrier_state"])[1]
+        return CarrierStates.view(self.run.steps["carrier_state"]).velocities
 
     @cached_property
     def speeds(self) -> NDArray:
@@ -166,10 +173,10 @@ class RunQuantities:
     @cached_property
     def update_counts(self) -> dict[str, int]:
         """How many updates of the optimization layer there were, and how they ended."""
-        counts = np.zeros(len(_UPDATE_COUNTS))
-        if "diagnostics" in self.run.steps:
-            counts = self.run.steps["diagnostics"][-1, 1 : 1 + len(_UPDATE_COUNTS)]
-        return {name: int(count) for name, count in zip(_UPDATE_COUNTS, counts, strict=True)}
+        if "diagnostics" not in self.run.steps:
+            return dict.fromkeys(_UPDATE_COUNTS, 0)
+        diagnostics = Diagnostics.view(self.run.steps["diagnostics"][-1])
+        return {name: int(getattr(diagnostics, name)) for name in _UPDATE_COUNTS}
 
     @cached_property
     def solve_times(self) -> dict[str, float | None]:
@@ -181,9 +188,9 @@ class RunQuantities:
         return dict(zip(_SOLVE_TIME_QUANTILES, quantiles, strict=True))
 
     @cached_property
-    def final_parameters(self) -> NDArray:
-        """[ξ, A] (2,), rad/s and N."""
-        return self.run.signal("parameters")[-1]
+    def final_parameters(self) -> Parameters:
+        """ξ (1,), rad/s, and A (1,), N."""
+        return Parameters.view(self.run.signal("parameters")[-1])
 
     def duration_of(self, condition: NDArray) -> float:
         """For how long (s) a condition (k,) holds; a step stands for half its two intervals."""
@@ -498,13 +505,13 @@ METRICS = (
     ),
     Metric(
         path="optimizer.xi_final_rad_s",
-        measure=lambda run: float(run.final_parameters[0]),
+        measure=lambda run: float(run.final_parameters.frequency[0]),
         label="final ξ",
         unit="rad/s",
     ),
     Metric(
         path="optimizer.A_final_N",
-        measure=lambda run: float(run.final_parameters[1]),
+        measure=lambda run: float(run.final_parameters.amplitude[0]),
         label="final A",
         unit="N",
     ),
@@ -562,20 +569,15 @@ def load_errors(run: Run) -> tuple[NDArray, NDArray]:
     The orientation error is the rotation vector from the reference to the load, in L; its
     norm is the angle between the two.
     """
-    state, reference = run.signal("load_state"), run.signal("reference")
-    a, b = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (reference[:, :4], state[:, :4]))
-    scalar = (a * b).sum(axis=1, keepdims=True)
-    vector = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - np.cross(a[:, 1:], b[:, 1:])
-    vector = np.where(scalar < 0, -vector, vector)
-    sine = np.linalg.norm(vector, axis=1, keepdims=True)
-    angle_per_sine = 2 * np.arctan2(sine, np.abs(scalar)) / np.maximum(sine, 1e-300)
-    rotation = vector * np.where(sine > 0, angle_per_sine, 2.0)
-    return state[:, 4:7] - reference[:, 4:7], rotation
+    state, reference = (Pose.view(run.signal(name)) for name in ("load_state", "reference"))
+    inverse = quaternion_conjugate(reference.quaternion)
+    rotation = rotation_vector(quaternion_product(inverse, state.quaternion))
+    return state.position - reference.position, rotation
 
 
 def carrier_speeds(carrier_state: NDArray) -> NDArray:
     """Speeds (k, n) in m/s of carrier states (k, 6n)."""
-    return np.linalg.norm(_split(carrier_state)[1], axis=2)
+    return np.linalg.norm(CarrierStates.view(carrier_state).velocities, axis=2)
 
 
 def closest_carriers(positions: NDArray) -> NDArray:
@@ -633,10 +635,6 @@ def speed_bounds(run: Run) -> NDArray:
 def attachment_positions(run: Run, load_states: NDArray) -> NDArray:
     """The simulated attachment points (k, n, 3), in W, for load states (k, 13)."""
     system = overridden(run.scenario.system, run.scenario.simulated)
-    R_WL = rotation_matrix(load_states[:, :4])
-    return load_states[:, None, 4:7] + np.array(system.attachments) @ R_WL.swapaxes(1, 2)
-
-
-def _split(carrier_state: NDArray) -> NDArray:
-    """Positions and velocities (2, k, n, 3) of carrier states (k, 6n)."""
-    return carrier_state.reshape(len(carrier_state), 2, -1, 3).swapaxes(0, 1)
+    quaternions, positions = Pose.view(load_states)
+    R_WL = rotation_matrix(quaternions)
+    return positions[:, None] + np.array(system.attachments) @ R_WL.swapaxes(1, 2)

@@ -25,6 +25,7 @@ from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
@@ -199,7 +200,9 @@ def _collect(
     (times, signals), (step_times, step_signals) = samples, steps
     solve_times = np.zeros(0)
     if "diagnostics" in step_signals and _WALL_TIME in step_signals:
-        updates = np.flatnonzero(np.diff(step_signals["diagnostics"][:, 1], prepend=0.0))
+        updates = np.flatnonzero(
+            np.diff(Diagnostics.view(step_signals["diagnostics"]).updates, prepend=0.0)
+        )
         solve_times = step_signals[_WALL_TIME][updates, 0]
     return Run(
         scenario=scenario,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.simulation.metrics import (
     attachment_positions,
     closest_cables,
@@ -179,8 +180,7 @@ def make_encounters_figure(runs: dict[str, Run]) -> Figure:
     figure = new_figure((3.6 * len(runs), 5.6))
     grid = figure.add_gridspec(2, len(runs), height_ratios=[1.3, 1])
     for k, (title, run) in enumerate(runs.items()):
-        states = run.signal("carrier_state")
-        carriers = states.reshape(len(states), 2, -1, 3)[:, 0]
+        carriers = CarrierStates.view(run.signal("carrier_state")).positions
         ends = attachment_positions(run, run.signal("load_state"))
         closest = closest_carriers(carriers), closest_cables(ends, carriers)
         instant = int(np.argmin(np.minimum(*closest)))

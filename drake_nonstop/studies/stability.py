@@ -16,8 +16,14 @@ from drake_nonstop.blocks.load_feedback import NoisyFeedbackConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
-from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.mechanics.rotation import cross, rotate_quaternion
+from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
+from drake_nonstop.mechanics.rotation import (
+    quaternion_conjugate,
+    quaternion_product,
+    rotate_quaternion,
+    rotation_vector,
+)
+from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.step_size import stable_config
@@ -25,8 +31,9 @@ from drake_nonstop.simulation.step_size import stable_config
 _STEP = 1e-6  # of the differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized
 NEUTRAL = 1 + 1e-4  # above the multipliers of slow integrators, with rounding
-_LOAD = "load_plant"
-_EXOGENOUS = ("phase", "sample_and_hold")  # states that nothing drives, or that are taken anew
+_LOAD = box_of("load_state")
+# Whose states are not perturbed.
+_EXOGENOUS = (SAMPLE_AND_HOLD, *(name for name, box in BOXES.items() if not box.is_linearized))
 
 
 @dataclass(kw_only=True)
@@ -211,8 +218,9 @@ class _Coordinates:
             values = _values(self._nonstop, block, context)
             by = change[place]
             if name == _LOAD:
-                values[:4] = rotate_quaternion(values[:4], by[:3])
-                values[4:] += by[3:]
+                quaternion, *others = LoadState.view(values)
+                rotated = rotate_quaternion(quaternion, by[:3])
+                values = np.concatenate([rotated, np.concatenate(others) + by[3:]])
             else:
                 values += by
             own = self._nonstop.GetMutableSubsystemContext(block, context)
@@ -234,13 +242,14 @@ class _Coordinates:
         """The small change (k,) that leads from one reading to another."""
         changes = []
         for name in self._blocks:
-            change = after[name] - before[name]
-            if name == _LOAD:
-                # q̇ = ½ (0, ω) ⊗ q, the other way round; the norm of q does not matter.
-                q, rate = before[name][:4], change[:4]
-                vector = q[0] * rate[1:] - rate[0] * q[1:] - cross(rate[1:], q[1:])
-                change = np.concatenate([2 * vector / (q @ q), change[4:]])
-            changes.append(change)
+            if name != _LOAD:
+                changes.append(after[name] - before[name])
+                continue
+            (start, *start_others), (end, *end_others) = (
+                LoadState.view(reading[name]) for reading in (before, after)
+            )
+            rotation = rotation_vector(quaternion_product(end, quaternion_conjugate(start)))
+            changes += [rotation, np.concatenate(end_others) - np.concatenate(start_others)]
         return np.concatenate(changes)
 
 

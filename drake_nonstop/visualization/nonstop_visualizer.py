@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 
+from drake_nonstop.mechanics.signals import Pose
 from drake_nonstop.model.system import Model, SystemParameters, overridden
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
@@ -16,7 +17,7 @@ from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import is_number, require
 from drake_nonstop.visualization.canvas import LiveCanvas
 from drake_nonstop.visualization.scene import Scene
-from drake_nonstop.visualization.snapshot import Snapshot, reference_position
+from drake_nonstop.visualization.snapshot import Snapshot
 
 FRAME_RATE = 30.0  # 1/s of wall time
 _PATH_SAMPLES = 100
@@ -199,5 +200,5 @@ def _reference_path(nonstop: Diagram, duration: float) -> NDArray | None:
     for instant in np.linspace(0, duration, _PATH_SAMPLES):
         context.SetTime(instant)
         reference = trajectory.GetOutputPort("reference").Eval(context)
-        positions.append(reference_position(reference).copy())
+        positions.append(Pose.view(reference).position.copy())
     return np.array(positions)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
 
+from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.simulation.metrics import (
     attachment_positions,
     carrier_speeds,
@@ -32,8 +33,7 @@ def make_figures(run: Run) -> dict[str, Figure]:
 
 
 def _draw_load_reference(run: Run) -> Figure:
-    reference = run.signal("reference")
-    quaternions, positions, velocities = reference[:, :4], reference[:, 4:7], reference[:, 10:13]
+    quaternions, positions, _, velocities = LoadState.view(run.signal("reference"))
     angles = [RollPitchYaw(Quaternion(q / np.linalg.norm(q))).vector() for q in quaternions]
     figure, panels = _stacked(3)
     for axes, values, label, names in (
@@ -125,9 +125,8 @@ FIGURE_NAMES = tuple(draw.__name__.removeprefix("_draw_") for draw in _FIGURES)
 def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:
     """Draws paths over the samples `shown`, with load and cables at the last of them."""
     load_states = run.signal("load_state")[shown]
-    carrier_states = run.signal("carrier_state")[shown]
-    load = load_states[:, 4:7]
-    carriers = carrier_states.reshape(len(shown), 2, -1, 3)[:, 0]
+    load = LoadState.view(load_states).position
+    carriers = CarrierStates.view(run.signal("carrier_state")[shown]).positions
     for i in range(carriers.shape[1]):
         axes.plot(*carriers[:, i, :2].T, color=f"C{i}", linewidth=0.9, label=f"carrier {i + 1}")
         axes.plot(*carriers[-1, i, :2], "x", color=f"C{i}")

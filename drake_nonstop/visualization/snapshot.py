@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.signals import CarrierStates, Pose
+
 
 @dataclass(kw_only=True)
 class Snapshot:
@@ -41,15 +43,16 @@ class Snapshot:
             tensions: (n,), N.
             speed_bound: ε in m/s.
         """
-        carriers, velocities = carrier_state.reshape(2, -1, 3)
+        load, desired = Pose.view(load_state), Pose.view(reference)
+        carriers = CarrierStates.view(carrier_state)
         return cls(
             time=time,
-            load_quaternion=load_state[:4],
-            load_position=load_state[4:7],
-            reference_quaternion=reference[:4],
-            reference_position=reference_position(reference),
-            carriers=carriers,
-            velocities=velocities,
+            load_quaternion=load.quaternion,
+            load_position=load.position,
+            reference_quaternion=desired.quaternion,
+            reference_position=desired.position,
+            carriers=carriers.positions,
+            velocities=carriers.velocities,
             tensions=tensions,
             speed_bound=speed_bound,
         )
@@ -69,8 +72,3 @@ class Snapshot:
         return all(np.isfinite(array).all() for array in arrays) and bool(
             self.load_quaternion.any() and self.reference_quaternion.any()
         )
-
-
-def reference_position(reference: NDArray) -> NDArray:
-    """The position (3,) in m of a reference (22,)."""
-    return reference[4:7]

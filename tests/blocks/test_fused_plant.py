@@ -132,7 +132,36 @@ def test_a_block_of_ones_own_stays_apart():
 
 
 class Impatient(TracedBlock):
-    """A controller that reads what the cables make of the carriers' forces."""
+    """Cables that read the forces of the controller that reads the cables' tensions."""
+
+    def __init__(self, model):
+        n = model.n
+        super().__init__(
+            lambda load, carriers, forces: (forces, forces[:n]),
+            inputs={"load_state": 13, "carrier_state": 6 * n, "carrier_forces": 3 * n},
+            outputs={"cable_forces": 3 * n, "tensions": n},
+        )
+
+
+def test_parts_that_read_each_other_stay_apart():
+    blocks = {"carrier_controller": ReadsTensions, "cables": Impatient}
+    with (
+        pytest.warns(ScenarioWarning, match="reads what is made from its own outputs"),
+        pytest.raises(RuntimeError, match="algebraic loop"),
+    ):
+        make_nonstop(load_scenario("line", [CONSTANT, FUSE]), **blocks)
+
+
+def test_parts_are_fused_in_any_order():
+    """A controller that reads the cables' tensions is one block with them."""
+    diagram = make_nonstop(
+        load_scenario("line", [CONSTANT, FUSE]), carrier_controller=ReadsTensions
+    )
+    assert diagram.HasSubsystemNamed("plant")
+
+
+class ReadsTensions(TracedBlock):
+    """A controller that reads the cables' tensions."""
 
     def __init__(self, model):
         super().__init__(
@@ -184,7 +213,6 @@ class Wandering(TracedBlock):
 @pytest.mark.parametrize(
     ("box", "block", "words"),
     [
-        ("carrier_controller", Impatient, "Impatient reads what is made after it"),
         ("carrier_controller", Wandering, "Wandering has no equations"),
         ("phase", None, "phase = left out may change between samples"),
         ("optimization_layer", Ramp, "Ramp may change between samples"),
