@@ -17,7 +17,7 @@ SLOW = (
     "blocks/test_fused_plant.py",
     "cli/",
     "evals/",
-    "optimization/test_speed_program.py::test_carriers_stay_apart_over_a_whole_orbit",
+    "optimization/test_update_solver.py::test_carriers_stay_apart_over_a_whole_orbit",
     "simulation/test_faults.py",
     "studies/",
     "test_examples.py",

@@ -17,7 +17,7 @@ _STEP = "simulator.max_step_size={}"
 _REFERENCE_STEP = 0.0005  # s; a run with half of it shows the error of the reference
 
 # The overrides of each run that is compared, besides the scenario as it is.
-SETTINGS: tuple[tuple[str, ...], ...] = (
+OVERRIDES: tuple[tuple[str, ...], ...] = (
     ("fused_plant=true",),
     (_STEP.format(0.0025),),
     (_STEP.format(0.001),),
@@ -31,7 +31,7 @@ SETTINGS: tuple[tuple[str, ...], ...] = (
 def benchmark_accuracy(
     scenario: Scenario,
     *,
-    settings: Sequence[Sequence[str]] = SETTINGS,
+    overrides: Sequence[Sequence[str]] = OVERRIDES,
     repeats: int = 3,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def benchmark_accuracy(
 
     Args:
         scenario: what to run.
-        settings: the overrides of each run, as in `load_scenario`; the scenario without any is
+        overrides: the overrides of each run, as in `load_scenario`; the scenario without any is
             run as well.
         repeats: of each; medians of the times are taken.
         progress: called with what is being done and the share of it that is done.
@@ -65,10 +65,10 @@ def benchmark_accuracy(
         simulate(changed(scenario, [*fine, _STEP.format(_REFERENCE_STEP / part)]))
         for part in (1, 2)
     )
-    variants = [(), *settings]
+    variants = [(), *overrides]
     scenarios = [changed(scenario, overrides) for overrides in variants]
     rows: list[dict[str, Any]] = [
-        {"settings": list(overrides), "wall_s": []} for overrides in variants
+        {"overrides": list(overrides), "wall_s": []} for overrides in variants
     ]
     for turn in range(repeats):
         for i, (row, one) in enumerate(zip(rows, scenarios, strict=True)):
@@ -109,17 +109,17 @@ def _errors(run: Run, reference: Run) -> dict[str, float]:
 
 def table(results: dict[str, Any]) -> str:
     """The results as text."""
-    lines = [f"{'real-time factor':>16}{'load (mm)':>12}{'speed':>10}{'steps':>8}  settings"]
+    lines = [f"{'real-time factor':>16}{'load (mm)':>12}{'speed':>10}{'steps':>8}  overrides"]
     for row in results["runs"]:
-        settings = " ".join(row["settings"]) or "(as it is)"
+        overrides = " ".join(row["overrides"]) or "(as it is)"
         if "stopped" in row:
-            lines.append(f"{'-':>16}{'-':>12}{'-':>10}{'-':>8}  {settings}: {row['stopped']}")
+            lines.append(f"{'-':>16}{'-':>12}{'-':>10}{'-':>8}  {overrides}: {row['stopped']}")
             continue
-        if "fused_plant=true" in row["settings"] and not row["is_fused"]:
-            settings += " (cannot be fused: separate blocks)"
+        if "fused_plant=true" in row["overrides"] and not row["is_fused"]:
+            overrides += " (cannot be fused: separate blocks)"
         lines.append(
             f"{row['real_time_factor']:16.1f}{1e3 * row['load_error_m']:12.5f}"
-            f"{row['speed_error']:10.4%}{row['steps']:8}  {settings}"
+            f"{row['speed_error']:10.4%}{row['steps']:8}  {overrides}"
         )
     error = results["reference"]
     lines.append(

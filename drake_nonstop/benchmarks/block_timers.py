@@ -8,7 +8,6 @@ same to the bit.
 
 import contextlib
 import functools
-import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -116,7 +115,7 @@ class BlockTimers:
             for owner in _python_classes(System):
                 for name, function in list(vars(owner).items()):
                     if isinstance(function, FunctionType) and not name.startswith("__"):
-                        replace(owner, name, self._timed_method(function))
+                        replace(owner, name, self._timed(function, name))
             for name in [name for name in vars(LeafSystem) if name.startswith("Declare")]:
                 replace(LeafSystem, name, self._timed_declaration(vars(LeafSystem)[name]))
             replace(TracedFunction, "__call__", self._counted(TracedFunction.__call__))
@@ -125,33 +124,15 @@ class BlockTimers:
             for owner, name, value in reversed(replaced):
                 setattr(owner, name, value)
 
-    def _timed_method(self, function: FunctionType) -> Callable:
-        """The method of a block, timed where the block is in the diagram of the run."""
-        if _is_callback(function):
-            return functools.wraps(function)(self._timed(function, function.__name__))
-
-        def packed(system: System, arguments: Any, named: Any) -> Any:
-            return function(system, *arguments, **named)
-
-        inner = self._timed(packed, function.__name__)
+    def _timed(self, function: Callable, name: str) -> Callable:
+        """A function whose first argument is a system, timed where that is in the run's diagram."""
+        boxes, stack, clock = self._boxes, self._stack, self._clock
 
         @functools.wraps(function)
         def timed(system: System, *arguments: Any, **named: Any) -> Any:
-            return inner(system, arguments, named)
-
-        return timed
-
-    def _timed(self, function: Callable, name: str) -> Callable:
-        """A function of a system and two more arguments, timed.
-
-        All is in one function with a fixed number of arguments, to keep the timers' cost low.
-        """
-        boxes, stack, clock = self._boxes, self._stack, self._clock
-
-        def timed(system: System, first: Any, second: Any, /) -> Any:
             box, caller = boxes.get(id(system)), stack[-1]
             if box is None or box == caller.box:  # a block's own functions call each other
-                return function(system, first, second)
+                return function(system, *arguments, **named)
             frame = caller.children.get(box)
             if frame is None:
                 frame = caller.children[box] = Frame(box)
@@ -161,7 +142,7 @@ class BlockTimers:
             caller.seconds += start - self._last
             self._last = start
             try:
-                return function(system, first, second)
+                return function(system, *arguments, **named)
             finally:
                 end = clock()
                 frame.seconds += end - self._last
@@ -178,8 +159,10 @@ class BlockTimers:
             def timed(value: Any) -> Any:
                 if not isinstance(value, FunctionType):
                     return value
-                inner = self._timed(lambda _, given, named: value(*given, **named), value.__name__)
-                return lambda *given, **named: inner(system, given, named)
+                inner = self._timed(
+                    lambda _, *given, **named: value(*given, **named), value.__name__
+                )
+                return functools.partial(inner, system)
 
             return declare(
                 system,
@@ -198,22 +181,6 @@ class BlockTimers:
             return evaluate(function, *inputs)
 
         return counted
-
-
-def _is_callback(function: FunctionType) -> bool:
-    """Whether this is a callback of the package: always called by position, as Drake does.
-
-    A user's own function of the same signature may be called by keyword.
-    """
-    code = function.__code__
-    return (
-        function.__module__.startswith("drake_nonstop.")
-        and code.co_varnames[: code.co_argcount][1:2] == ("context",)
-        and code.co_argcount == 3
-        and code.co_kwonlyargcount == 0
-        and not code.co_flags & (inspect.CO_VARARGS | inspect.CO_VARKEYWORDS)
-        and not function.__defaults__
-    )
 
 
 def _python_classes(base: type) -> Iterator[type]:

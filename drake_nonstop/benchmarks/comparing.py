@@ -159,7 +159,7 @@ def compare(
     medians = [statistics.median(side) for side in factors]
     return {
         "scenario": scenario.name,
-        "settings": list(source.overrides),
+        "overrides": list(source.overrides),
         "against": list(against),
         "against_revision": revision,
         "repeats": repeats,

@@ -69,9 +69,9 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
 
 def _patterns() -> dict[str, Run]:
     """The real-scale scenarios' patterns above a resting load, for a turn."""
-    settings = ["duration=23", "load_trajectory.start_time=30", "fused_plant=true"]
+    overrides = ["duration=23", "load_trajectory.start_time=30", "fused_plant=true"]
     return {
-        title: simulate(load_scenario(name, settings))
+        title: simulate(load_scenario(name, overrides))
         for name, title in (
             ("real_scale_cycle", "the paper's cycle"),
             ("real_scale_carousel", "carousel"),
@@ -83,9 +83,9 @@ def _patterns() -> dict[str, Run]:
 def _runs() -> list[Run]:
     """The line task without and with optimization, a little longer than it is shown."""
     runs = []
-    for settings in (["optimization_layer=!ConstantParameters {}"], []):
+    for overrides in (["optimization_layer=!ConstantParameters {}"], []):
         duration = f"duration={_SPAN[1] + 1.0}"
-        runs.append(simulate(load_scenario("line", [duration, *settings])))
+        runs.append(simulate(load_scenario("line", [duration, *overrides])))
     return runs
 
 

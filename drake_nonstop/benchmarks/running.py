@@ -68,7 +68,7 @@ def benchmark_run(
     peaks = [answer["peak_memory_MiB"] for answer in fresh]
     return {
         "scenario": scenario.name,
-        "settings": list(source.overrides),
+        "overrides": list(source.overrides),
         "versions": versions() | {"python": platform.python_version()},
         "repeats": repeats,
         "simulated_s": scenario.duration,

@@ -6,7 +6,7 @@ from pathlib import Path
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.exit_codes import FAILED
 from drake_nonstop.cli.progress import TaskProgress
-from drake_nonstop.studies.ablation import ablate, as_text, grid_names, name_settings, read_grid
+from drake_nonstop.studies.ablation import ablate, as_text, grid_names, name_overrides, read_grid
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED
 from drake_nonstop.validation import require
 
@@ -30,7 +30,7 @@ def add_to(commands: Commands) -> None:
         action="append",
         default=[],
         metavar="BOX=BLOCK",
-        help="one more variant, with these settings together (as in --set); may be repeated",
+        help="one more variant, with these overrides together (as in --set); may be repeated",
     )
     parser.add_argument("--no-replay", action="store_true", help="write no replays")
 
@@ -45,11 +45,11 @@ def _ablate(options: argparse.Namespace) -> int:
         variants += grid.variants.items()
         name = f"{name}_{grid.name}"
         title += f": {grid.description or grid.name}"
-    for settings in options.swap:
-        for setting in settings:
+    for overrides in options.swap:
+        for override in overrides:
             remedy = "give BOX=BLOCK, such as phase=PaperPhase"
-            require("=" in setting[1:], "--swap", setting, remedy)
-        variants.append((name_settings(settings), settings))
+            require("=" in override[1:], "--swap", override, remedy)
+        variants.append((name_overrides(overrides), overrides))
     folder: Path = options.out or Path("out/ablate") / name
     with TaskProgress() as progress:
         rows = ablate(

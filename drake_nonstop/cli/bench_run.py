@@ -24,7 +24,7 @@ def add_to(commands: Commands) -> None:
         action="extend",
         default=[],
         metavar="PATH=VALUE",
-        help="compare with these settings besides, as in --set",
+        help="compare with these overrides besides, as in --set",
     )
     parser.add_argument(
         "--against-revision",

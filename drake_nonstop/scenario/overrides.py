@@ -59,11 +59,11 @@ def read_mapping(path: Path, option: str, known: tuple[str, ...], remedy: str) -
     return content
 
 
-def require_setting(setting: Any, where: str) -> None:
+def require_override(override: Any, where: str) -> None:
     """Raises ScenarioError for what is no "path=value"."""
-    is_setting = isinstance(setting, str) and not setting.startswith("=") and "=" in setting
+    is_override = isinstance(override, str) and not override.startswith("=") and "=" in override
     remedy = "give path=value, such as phase=PaperPhase, in quotes where it has a colon"
-    require(is_setting, where, setting, remedy)
+    require(is_override, where, override, remedy)
 
 
 def require_choices(values: Any, where: str) -> None:
@@ -79,8 +79,8 @@ def combinations(grid: Mapping[str, list[Any]]) -> Iterator[dict[str, Any]]:
         yield dict(zip(grid, values, strict=True))
 
 
-def as_setting(path: str, value: Any) -> str:
-    """The setting that gives the path the value, which is as `parse_plain` makes it."""
+def as_override(path: str, value: Any) -> str:
+    """The override that gives the path the value, which is as `parse_plain` makes it."""
     return f"{path}={dump_plain(value)}"
 
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from drake_nonstop.scenario.overrides import (
-    as_setting,
+    as_override,
     combinations,
     read_mapping,
     require_choices,
-    require_setting,
+    require_override,
 )
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.validation import is_number, require, require_seed
@@ -69,7 +69,7 @@ class SweepSpec:
             "give a list of path=value",
         )
         for override in self.overrides:
-            require_setting(override, f"{source}.overrides")
+            require_override(override, f"{source}.overrides")
         for name in ("grid", "draws"):
             entries = getattr(self, name)
             what = "lists of values" if name == "grid" else "distributions"
@@ -109,7 +109,7 @@ class SweepSpec:
         for path, distribution in self.draws.items():
             ((kind, parameters),) = distribution.items()
             values[path] = seed if kind == "seed" else _DRAW[kind](random, parameters)
-        overrides = [*self.overrides, *(as_setting(*item) for item in values.items())]
+        overrides = [*self.overrides, *(as_override(*item) for item in values.items())]
         return PlannedRun(number=number, seed=seed, values=values, overrides=overrides)
 
     @cached_property

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop import load_scenario, simulate
-from drake_nonstop.benchmarks.accuracy import SETTINGS, benchmark_accuracy, table
+from drake_nonstop.benchmarks.accuracy import OVERRIDES, benchmark_accuracy, table
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.overrides import changed
 
@@ -16,8 +16,8 @@ LONG = ("simulator.integration_scheme=runge_kutta2", "simulator.max_step_size=0.
 
 @pytest.fixture(scope="module")
 def results():
-    settings = [("fused_plant=true",), ("simulator.max_step_size=0.001",), LONG]
-    return benchmark_accuracy(load_scenario("line", BRIEF), settings=settings, repeats=2)
+    overrides = [("fused_plant=true",), ("simulator.max_step_size=0.001",), LONG]
+    return benchmark_accuracy(load_scenario("line", BRIEF), overrides=overrides, repeats=2)
 
 
 def test_shorter_steps_are_nearer_to_the_truth(results):
@@ -58,4 +58,4 @@ def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     assert main([*arguments, "--set", "duration=0.05", BRIEF[1]]) == 0
     assert "(as it is)" in capsys.readouterr().out
     runs = json.loads((tmp_path / "accuracy.json").read_text())["runs"]
-    assert len(runs) == 1 + len(SETTINGS)
+    assert len(runs) == 1 + len(OVERRIDES)

@@ -55,9 +55,9 @@ def timed():
     return timed_run(load_scenario("quintic", SHORT))
 
 
-@pytest.mark.parametrize("settings", SWAPS.values(), ids=SWAPS)
-def test_timed_runs_give_the_results_of_others_to_the_bit(settings):
-    scenario = load_scenario("quintic", [*SHORT, *settings])
+@pytest.mark.parametrize("overrides", SWAPS.values(), ids=SWAPS)
+def test_timed_runs_give_the_results_of_others_to_the_bit(overrides):
+    scenario = load_scenario("quintic", [*SHORT, *overrides])
     run, timers = timed_run(scenario)
     plain = simulate(scenario)
     assert run.signals.keys() == plain.signals.keys()
@@ -201,9 +201,9 @@ def test_fresh_runs_have_own_blocks_and_memory_of_their_own(tmp_path, monkeypatc
         """)
     )
     monkeypatch.chdir(tmp_path)
-    settings = [*SHORT, "load_disturbance=own_running_blocks.Calm"]
+    overrides = [*SHORT, "load_disturbance=own_running_blocks.Calm"]
     ballast = np.ones(60_000_000)  # 458 MiB, of this process
-    with contextlib.closing(FreshRuns(Source("quintic", settings, trust=True))) as runs:
+    with contextlib.closing(FreshRuns(Source("quintic", overrides, trust=True))) as runs:
         answer = runs.run()
     assert answer["simulated_s"] == pytest.approx(0.1)
     if Path("/proc/self/status").exists():

@@ -28,7 +28,7 @@ from drake_nonstop.studies.ablation import (
     as_markdown,
     as_text,
     grid_names,
-    name_settings,
+    name_overrides,
     ordered,
     read_grid,
 )
@@ -95,10 +95,10 @@ class TestGrids:
         assert scenario.speed_bound == 0.3
 
     def test_names(self):
-        assert name_settings(["phase=my.Own", "carrier_controller=!CarrierPid {}"]) == (
+        assert name_overrides(["phase=my.Own", "carrier_controller=!CarrierPid {}"]) == (
             "my.Own, CarrierPid"
         )
-        assert name_settings(["system.load_mass=1", "simulated.load_mass=2", "duration=3"]) == (
+        assert name_overrides(["system.load_mass=1", "simulated.load_mass=2", "duration=3"]) == (
             "system.load_mass=1, simulated.load_mass=2, duration=3"
         )
 

@@ -9,11 +9,11 @@ from typing import Any
 
 from drake_nonstop import diagrams
 from drake_nonstop.scenario.overrides import (
-    as_setting,
+    as_override,
     combinations,
     read_mapping,
     require_choices,
-    require_setting,
+    require_override,
 )
 from drake_nonstop.validation import require
 
@@ -84,7 +84,7 @@ def _listed(entries: Mapping[str, Any], source: str) -> dict[str, list[str]]:
             isinstance(overrides, list) and overrides, where, overrides, "give a list of path=value"
         )
         for override in overrides:
-            require_setting(override, where)
+            require_override(override, where)
     return {" ".join(name.split()): overrides for name, overrides in entries.items()}
 
 
@@ -92,11 +92,11 @@ def _combined(entries: Mapping[str, Any], source: str) -> dict[str, list[str]]:
     """A variant for every combination of the values, named by them."""
     for path, values in entries.items():
         require_choices(values, f"{source}.{path}")
-    variants = ([as_setting(*item) for item in c.items()] for c in combinations(entries))
-    return {name_settings(overrides): overrides for overrides in variants}
+    variants = ([as_override(*item) for item in c.items()] for c in combinations(entries))
+    return {name_overrides(overrides): overrides for overrides in variants}
 
 
-def name_settings(overrides: Sequence[str]) -> str:
+def name_overrides(overrides: Sequence[str]) -> str:
     """A variant's name: its blocks, and its other values with their fields."""
     paths = [override.partition("=")[0] for override in overrides]
     last = Counter(path.split(".")[-1] for path in paths)
