@@ -1,4 +1,4 @@
-"""What is told of a box of a control figure, and the rule by which blocks have their configs."""
+"""A box of a control figure, and the rule that pairs blocks with their configs."""
 
 import sys
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """All that is asked of a box.
+    """What the scenario, the diagram, the drawing and the studies know of a box.
 
     Attributes:
         variants: the blocks that it can be, the default first. Block X is in the same module as
@@ -95,5 +95,5 @@ def block_class(box: str, config: type) -> type[System]:
 
 
 def import_path(config: type) -> str:
-    """What names the block of a dataclass outside the package: "module.X" for XConfig."""
+    """The name of a block outside the package: "module.X" for the dataclass XConfig."""
     return f"{config.__module__}.{config.__name__.removesuffix('Config')}"

@@ -61,7 +61,7 @@ def _reason_against(
     steps: int,
     config: SimulatorConfig,
 ) -> str:
-    """Why the blocks cannot be one with so many steps a sample, or nothing."""
+    """Why the blocks cannot be one with that number of steps a sample; empty where they can."""
     if control_period == 0:
         return "control_period = 0, and it steps from sample to sample of the controllers"
     if config.integration_scheme != "runge_kutta3" or config.use_error_control:

@@ -20,7 +20,7 @@ MASS, GUST, BOUND = (
 def main(
     duration: float = 15.0, runs: int = 1000, folder: str | Path = "out/success_study"
 ) -> None:
-    """Runs the quintic task so many times, in a process per core, and draws what succeeded.
+    """Runs the quintic task many times, in one process per core, and plots the successes.
 
     The runs that the folder has are not run again.
     """

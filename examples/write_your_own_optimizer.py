@@ -17,7 +17,7 @@ from drake_nonstop import Model, compute_metrics, load_scenario, simulate
 
 @dataclass(kw_only=True)
 class HurryConfig:
-    """What of `NonstopOptimizer` it can be told, too: an ablation takes these over."""
+    """Fields that `NonstopOptimizer` has too: a swap keeps their values."""
 
     speed_bound: float = 0.2  # m/s
     frequency: float = 2.0  # rad/s, at the start

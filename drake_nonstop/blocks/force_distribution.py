@@ -168,7 +168,7 @@ class _TensionBounds(InnerBlock):
             ValueProducer(Value(()).Clone, weakly(self._calc)),
             {self.all_input_ports_ticket()},
         )
-        self._entry_index = entry.cache_index()  # the entry would hold this block for ever
+        self._entry_index = entry.cache_index()  # the entry would keep this block alive
         for name, calc in zip(_OUTPUTS, (self._calc_forces, self._calc_rates), strict=True):
             self.DeclareVectorOutputPort(name, 3 * model.n, calc, {entry.ticket()})
 

@@ -12,7 +12,7 @@ from drake_nonstop.optimization.traced_problem import SpeedTerms, TracedProblem
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.systems.tracing import NotFiniteError
 
-_MIN_SPEEDS_FOR_ARRAYS = 90  # from so many on arrays are faster than a trace
+_MIN_SPEEDS_FOR_ARRAYS = 90  # from this number on arrays are faster than a trace
 
 
 class UpdateProblem:

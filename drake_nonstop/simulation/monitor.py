@@ -91,7 +91,7 @@ class Monitor:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._simulator.clear_monitor()  # each would keep the other for ever
+        self._simulator.clear_monitor()  # each would keep the other alive
         if self._previous_handler is not None:
             signal.signal(signal.SIGINT, self._previous_handler)
 

@@ -50,7 +50,7 @@ class StepAction(Enum):
     END = 3
 
 
-class RunStopped(RuntimeError):  # noqa: N818 - a run stopped; the cause is told
+class RunStopped(RuntimeError):  # noqa: N818 - the end of a run; its message has the cause
     """A run ended before its time; `run` holds the signals up to there."""
 
     def __init__(self, message: str, run: Run):

@@ -27,7 +27,7 @@ FAILED = "failed"  # a block raised an error during the run, or its process died
 UNBUILDABLE = "unbuildable"
 
 _MAX_PENDING = 200  # runs that an executor has at a time
-_PROCESS_DIED = "its process died, by a crash or for want of memory"
+_PROCESS_DIED = "its process died: it crashed or ran out of memory"
 
 Key = TypeVar("Key", bound=Hashable)
 Result = TypeVar("Result")

@@ -63,7 +63,7 @@ def test_a_result_or_an_error_for_each_key(executor):
 def test_the_call_that_ends_its_process_is_found():
     values = [1, 2, "death", *range(3, 12)]
     found = results(values)
-    assert found.pop("death") == "failed: its process died, by a crash or for want of memory"
+    assert found.pop("death") == "failed: its process died: it crashed or ran out of memory"
     assert found == {value: 2 * value for value in range(1, 12)}
 
 
