@@ -9,8 +9,8 @@ import numpy as np
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import carrier_speeds
 from drake_nonstop.simulation.run import Run, RunStopped
+from drake_nonstop.simulation.run_quantities import carrier_speeds
 from drake_nonstop.simulation.simulate import simulate
 
 _STEP = "simulator.max_step_size={}"

@@ -18,14 +18,9 @@ import numpy as np
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import (
-    METRICS,
-    Metric,
-    carrier_speeds,
-    compute_metrics,
-    load_errors,
-)
+from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.run_quantities import carrier_speeds, load_errors
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.run_all import COMPLETED, Progress, attempt, no_progress, run_all
 from drake_nonstop.validation import ScenarioError, require

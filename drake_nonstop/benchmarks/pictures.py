@@ -15,8 +15,8 @@ from PIL import Image
 
 from drake_nonstop.benchmarks.browser import open_browser
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.metrics import carrier_speeds, speed_bounds
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.run_quantities import carrier_speeds, speed_bounds
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.figures import make_encounters_figure
 from drake_nonstop.studies.files import replacing_file

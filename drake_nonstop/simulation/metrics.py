@@ -1,4 +1,4 @@
-"""The metrics that judge a run: one table of them, and the quantities that they are made from.
+"""The metrics that judge a run, as one table.
 
 `METRICS` has a row per metric, and all that writes or prints metrics reads it: metrics.json,
 the table and the warnings of a run, the tables of an ablation and of a sweep, the quantities of
@@ -8,30 +8,19 @@ the README's claims.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property
 from importlib.metadata import version
-from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.rotation import (
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    rotation_vector,
-)
-from drake_nonstop.mechanics.signals import CarrierStates, Parameters, Pose
-from drake_nonstop.model.system import overridden
-from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.run_quantities import (
+    RunQuantities,
+    closest_cables,
+    closest_carriers,
+)
 from drake_nonstop.version import __version__
-
-# The entries of the signal `diagnostics` that count updates.
-_UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
-_SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 _NAME_WIDTH = 24  # characters, of a line's name in the table of a run
 
@@ -79,126 +68,6 @@ def value_at(metrics: Mapping[str, Any] | None, path: str) -> Any:
     for key in path.split("."):
         value = value.get(key) if isinstance(value, Mapping) else None
     return value
-
-
-class RunQuantities:
-    """The quantities of a run that metrics are made from, each computed once.
-
-    k is the number of steps, n that of the carriers.
-    """
-
-    def __init__(self, run: Run):
-        self.run = run
-
-    @cached_property
-    def time(self) -> NDArray:
-        """The instants (k,) of the steps, s."""
-        return self.run.steps["time"]
-
-    @property
-    def simulated_time(self) -> float:
-        """The time of the last step, s."""
-        return float(self.time[-1])
-
-    @cached_property
-    def position_error(self) -> NDArray:
-        """The load's distance (samples,) from its reference at 100 Hz, m."""
-        return np.linalg.norm(self._load_errors[0], axis=1)
-
-    @cached_property
-    def orientation_error(self) -> NDArray:
-        """The load's angle (samples,) to its reference at 100 Hz, rad."""
-        return np.linalg.norm(self._load_errors[1], axis=1)
-
-    @cached_property
-    def _load_errors(self) -> tuple[NDArray, NDArray]:
-        return load_errors(self.run)
-
-    @cached_property
-    def carrier_positions(self) -> NDArray:
-        """(k, n, 3), m."""
-        return CarrierStates.view(self.run.steps["carrier_state"]).positions
-
-    @cached_property
-    def carrier_velocities(self) -> NDArray:
-        """(k, n, 3), m/s."""
-        return CarrierStates.view(self.run.steps["carrier_state"]).velocities
-
-    @cached_property
-    def speeds(self) -> NDArray:
-        """The carriers' speeds (k, n), m/s."""
-        return carrier_speeds(self.run.steps["carrier_state"])
-
-    @cached_property
-    def speed_bounds(self) -> NDArray:
-        """The ε (k,), m/s."""
-        return speed_bounds(self.run)
-
-    @cached_property
-    def climb_angles(self) -> NDArray:
-        """The angles (k, n) of the carriers' velocities to the horizontal, rad, none negative."""
-        velocities = self.carrier_velocities
-        level = np.linalg.norm(velocities[..., :2], axis=2)
-        return np.arctan2(np.abs(velocities[..., 2]), level)
-
-    @cached_property
-    def sharpest_turn(self) -> tuple[float | None, float | None]:
-        """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
-        # Where an update or a sample ends a step, another may be a rounding error away.
-        apart = np.append(True, np.diff(self.time) > 1e-9)
-        time, velocities = self.time[apart], self.carrier_velocities[apart]
-        speeds = np.linalg.norm(velocities, axis=2)
-        if len(time) < 3 or not np.any(speeds > 0):
-            return None, None
-        accelerations = np.gradient(velocities, time, axis=0)
-        # v × a is speed × normal acceleration, and stays defined where a carrier stops.
-        crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
-        moving = speeds > 0
-        curvature = float(np.max(crossed[moving] / speeds[moving] ** 3))
-        return (
-            float(np.max(crossed[moving] / speeds[moving])),
-            1 / curvature if curvature > 0 else None,
-        )
-
-    @cached_property
-    def tensions(self) -> NDArray:
-        """(k, n), N."""
-        return self.run.steps["tensions"]
-
-    @cached_property
-    def attachment_positions(self) -> NDArray:
-        """Where the cables are attached to the load, (k, n, 3), in W, m."""
-        return attachment_positions(self.run, self.run.steps["load_state"])
-
-    @cached_property
-    def update_counts(self) -> dict[str, int]:
-        """How many updates of the optimization layer there were, and how they ended."""
-        if "diagnostics" not in self.run.steps:
-            return dict.fromkeys(_UPDATE_COUNTS, 0)
-        diagnostics = Diagnostics.view(self.run.steps["diagnostics"][-1])
-        return {name: int(getattr(diagnostics, name)) for name in _UPDATE_COUNTS}
-
-    @cached_property
-    def solve_times(self) -> dict[str, float | None]:
-        """Quantiles of the wall time of an update, ms; None where nothing was solved."""
-        if not len(self.run.solve_times):
-            return dict.fromkeys(_SOLVE_TIME_QUANTILES)
-        shares = list(_SOLVE_TIME_QUANTILES.values())
-        quantiles = (1e3 * np.quantile(self.run.solve_times, shares)).tolist()
-        return dict(zip(_SOLVE_TIME_QUANTILES, quantiles, strict=True))
-
-    @cached_property
-    def final_parameters(self) -> Parameters:
-        """ξ (1,), rad/s, and A (1,), N."""
-        return Parameters.view(self.run.signal("parameters")[-1])
-
-    def duration_of(self, condition: NDArray) -> float:
-        """For how long (s) a condition (k,) holds; a step stands for half its two intervals."""
-        if len(self.time) < 2:
-            return 0.0
-        intervals = np.diff(self.time)
-        weights = np.concatenate([intervals, [0.0]]) + np.concatenate([[0.0], intervals])
-        return float(np.sum(weights[condition]) / 2)
 
 
 class Better(Enum):
@@ -561,80 +430,3 @@ def find_warnings(metrics: Mapping[str, Any], scenario: Scenario) -> list[str]:
         text = f"{name} came within {round(closest, 3):g} m of each other, {safe:g} m is safe"
         found.append((closest < safe, text))
     return [text for is_so, text in found if is_so]
-
-
-def load_errors(run: Run) -> tuple[NDArray, NDArray]:
-    """Position (m) and orientation (rad) errors of the load, (samples, 3) each.
-
-    The orientation error is the rotation vector from the reference to the load, in L; its
-    norm is the angle between the two.
-    """
-    state, reference = (Pose.view(run.signal(name)) for name in ("load_state", "reference"))
-    inverse = quaternion_conjugate(reference.quaternion)
-    rotation = rotation_vector(quaternion_product(inverse, state.quaternion))
-    return state.position - reference.position, rotation
-
-
-def carrier_speeds(carrier_state: NDArray) -> NDArray:
-    """Speeds (k, n) in m/s of carrier states (k, 6n)."""
-    return np.linalg.norm(CarrierStates.view(carrier_state).velocities, axis=2)
-
-
-def closest_carriers(positions: NDArray) -> NDArray:
-    """The distance (k,) of the closest two of carriers at `positions` (k, n, 3), m."""
-    return np.min(
-        [
-            np.linalg.norm(positions[:, i] - positions[:, j], axis=1)
-            for i, j in combinations(range(positions.shape[1]), 2)
-        ],
-        axis=0,
-    )
-
-
-def closest_cables(ends: NDArray, carriers: NDArray) -> NDArray:
-    """The distance (k,) of the closest two straight cables from `ends` to `carriers`, m.
-
-    Both (k, n, 3).
-    """
-    return np.min(
-        [
-            segment_distances(ends[:, i], carriers[:, i], ends[:, j], carriers[:, j])
-            for i, j in combinations(range(ends.shape[1]), 2)
-        ],
-        axis=0,
-    )
-
-
-def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray:
-    """Distances (k,) between the segments from a to b and from c to d, (k, 3) each.
-
-    The nearest points of the two lines are clamped to the segments, one after the other
-    (C. Ericson, Real-Time Collision Detection, section 5.1.9).
-    """
-    u, v, w = b - a, d - c, a - c
-    uu, vv, uv = (u * u).sum(axis=1), (v * v).sum(axis=1), (u * v).sum(axis=1)
-    uw, vw = (u * w).sum(axis=1), (v * w).sum(axis=1)
-    tiny = np.finfo(float).tiny
-    determinant = uu * vv - uv * uv
-    parallel = determinant <= 1e-12 * uu * vv
-    on_first = np.where(parallel, 0.0, uv * vw - vv * uw) / np.where(parallel, 1.0, determinant)
-    on_first = on_first.clip(0, 1)
-    on_second = ((uv * on_first + vw) / (vv + tiny)).clip(0, 1)
-    on_first = ((uv * on_second - uw) / (uu + tiny)).clip(0, 1)
-    gap = w + on_first[:, None] * u - on_second[:, None] * v
-    return np.linalg.norm(gap, axis=1)
-
-
-def speed_bounds(run: Run) -> NDArray:
-    """The ε (m/s) that was asked for at every step (steps,); it may change during a live run."""
-    if "speed_bound" in run.steps:
-        return run.steps["speed_bound"][:, 0]
-    return np.full(len(run.steps["time"]), run.scenario.speed_bound)
-
-
-def attachment_positions(run: Run, load_states: NDArray) -> NDArray:
-    """The simulated attachment points (k, n, 3), in W, for load states (k, 13)."""
-    system = overridden(run.scenario.system, run.scenario.simulated)
-    quaternions, positions = Pose.view(load_states)
-    R_WL = rotation_matrix(quaternions)
-    return positions[:, None] + np.array(system.attachments) @ R_WL.swapaxes(1, 2)

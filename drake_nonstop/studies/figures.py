@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.signals import CarrierStates
-from drake_nonstop.simulation.metrics import (
+from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.run_quantities import (
     attachment_positions,
     closest_cables,
     closest_carriers,
 )
-from drake_nonstop.simulation.run import Run
 from drake_nonstop.studies.margins import Margin
 from drake_nonstop.studies.robustness import Case
 from drake_nonstop.visualization.figure_style import COLOURS, LINE_STYLES, new_figure, titled

@@ -11,8 +11,8 @@ from pydrake.systems.framework import Diagram
 
 from drake_nonstop.optimization.problem_config import LEAST_BOUND
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import carrier_speeds
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
+from drake_nonstop.simulation.run_quantities import carrier_speeds
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import is_number, require
 from drake_nonstop.visualization.nonstop_visualizer import show_in

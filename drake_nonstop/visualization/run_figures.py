@@ -11,13 +11,13 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
 
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
-from drake_nonstop.simulation.metrics import (
+from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.run_quantities import (
     attachment_positions,
     carrier_speeds,
     load_errors,
     speed_bounds,
 )
-from drake_nonstop.simulation.run import Run
 from drake_nonstop.visualization.figure_style import LINE_STYLES, new_figure, titled
 
 if TYPE_CHECKING:

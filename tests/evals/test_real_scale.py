@@ -5,7 +5,7 @@ import pytest
 from helpers import regular
 
 from drake_nonstop import compute_metrics, load_scenario, simulate
-from drake_nonstop.simulation.metrics import load_errors
+from drake_nonstop.simulation.run_quantities import load_errors
 
 RADIUS = 1.5  # m, of the circle of the attachments
 

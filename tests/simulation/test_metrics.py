@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 from drake_nonstop import load_scenario
-from drake_nonstop.simulation.metrics import (
-    METRICS,
-    compute_metrics,
-    flattened,
-    load_errors,
-    metrics_table,
-    segment_distances,
-)
+from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.run_quantities import load_errors, segment_distances
 
 KEYS = {
     "": {

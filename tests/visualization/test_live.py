@@ -8,7 +8,7 @@ import pytest
 
 from drake_nonstop.blocks.optimization_layer import ConstantParameters
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.metrics import carrier_speeds
+from drake_nonstop.simulation.run_quantities import carrier_speeds
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.visualization import live

@@ -11,8 +11,9 @@ from urllib.parse import quote
 from numpy.typing import NDArray
 
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import RunQuantities, value_at
+from drake_nonstop.simulation.metrics import value_at
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.studies.ablation.rows import (
     POSITION_ERROR,
     SLOWEST_SPEED,
