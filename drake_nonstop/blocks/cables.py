@@ -146,7 +146,5 @@ def _column(model: Model, name: str, given: list[float], default: float) -> NDAr
     return values[:, None]
 
 
-VARIANTS = (
-    Cables,
-    IndividualCables,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (Cables, IndividualCables)

@@ -363,10 +363,11 @@ class LoadedCarrierPid(TracedBlock):
         )
 
 
+# The blocks that the box can be, the default first.
 VARIANTS = (
     CarrierPid,
     FeedforwardCarrierPid,
     TunedCarrierPid,
     TunedFeedforwardCarrierPid,
     LoadedCarrierPid,
-)  # of the box, the default first
+)

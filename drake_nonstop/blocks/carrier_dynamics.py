@@ -123,8 +123,5 @@ class IdealCarriers(Selector, metaclass=BlockType):
         super().__init__(stacking({"carrier_reference": 6 * model.n}, "carrier_state"))
 
 
-VARIANTS = (
-    CarrierDynamics,
-    LoadedCarrierDynamics,
-    IdealCarriers,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (CarrierDynamics, LoadedCarrierDynamics, IdealCarriers)

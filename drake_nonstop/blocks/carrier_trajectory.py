@@ -149,8 +149,5 @@ class MeasuredCarrierTrajectory(_TrajectoryAboveLoad):
         )
 
 
-VARIANTS = (
-    CarrierTrajectory,
-    InextensibleCarrierTrajectory,
-    MeasuredCarrierTrajectory,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (CarrierTrajectory, InextensibleCarrierTrajectory, MeasuredCarrierTrajectory)

@@ -250,7 +250,5 @@ class _TensionBounds(InnerBlock):
         return active, np.where(at_low, low, high)[active]
 
 
-VARIANTS = (
-    CableForceDistribution,
-    BoundedTensionDistribution,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (CableForceDistribution, BoundedTensionDistribution)

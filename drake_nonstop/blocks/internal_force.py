@@ -42,4 +42,5 @@ class InternalForceTrajectory(TracedBlock):
         )
 
 
-VARIANTS = (InternalForceTrajectory,)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (InternalForceTrajectory,)

@@ -114,7 +114,5 @@ class Wind(LeafBlock):
         output.SetFromVector(wrench)
 
 
-VARIANTS = (
-    NoDisturbance,
-    Wind,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (NoDisturbance, Wind)

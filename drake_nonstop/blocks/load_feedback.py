@@ -187,8 +187,5 @@ class NoisyFeedback(LeafBlock):
         )
 
 
-VARIANTS = (
-    IdealFeedback,
-    DesiredStateFeedback,
-    NoisyFeedback,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (IdealFeedback, DesiredStateFeedback, NoisyFeedback)

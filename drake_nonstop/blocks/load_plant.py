@@ -141,7 +141,5 @@ class _LoadForces(InnerBlock):
         output.set_value(applied)
 
 
-VARIANTS = (
-    LoadPlant,
-    MultibodyLoadPlant,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (LoadPlant, MultibodyLoadPlant)

@@ -489,10 +489,5 @@ class SampledTrajectory(LoadTrajectory):
         )
 
 
-VARIANTS = (
-    RestToRest,
-    ConstantVelocityMove,
-    Waypoints,
-    Circle,
-    SampledTrajectory,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (RestToRest, ConstantVelocityMove, Waypoints, Circle, SampledTrajectory)

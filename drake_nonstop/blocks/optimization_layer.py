@@ -295,7 +295,5 @@ class ConstantParameters(LeafBlock):
         output.SetFromVector(context.get_numeric_parameter(self._speed_bound).value())
 
 
-VARIANTS = (
-    NonstopOptimizer,
-    ConstantParameters,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (NonstopOptimizer, ConstantParameters)

@@ -104,7 +104,5 @@ class PaperPhase(LeafBlock):
         output.SetFromVector([frequency * time, time])
 
 
-VARIANTS = (
-    AccumulatedPhase,
-    PaperPhase,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (AccumulatedPhase, PaperPhase)

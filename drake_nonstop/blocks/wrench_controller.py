@@ -285,9 +285,5 @@ class TunedWrenchController(_WrenchPid):
         super().__init__(model, gains)
 
 
-VARIANTS = (
-    WrenchController,
-    PaperWrenchController,
-    GeometricPd,
-    TunedWrenchController,
-)  # of the box, the default first
+# The blocks that the box can be, the default first.
+VARIANTS = (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController)
