@@ -1,5 +1,6 @@
 """Changes "path=value" to a scenario: read from files, checked, combined, applied."""
 
+import copy
 import dataclasses
 import itertools
 import typing
@@ -31,10 +32,13 @@ def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False
         ScenarioError: a path or value cannot be used.
     """
     tree = to_tree(scenario)
+    before = copy.deepcopy(tree)
     trusted = True if trust else own_tags(tree)
     for override in overrides:
         _apply(tree, override, trusted)
-    return from_tree(scenario.name, tree, trusted)
+    # By their texts, since True equals 1.
+    parts = {name: part for name, part in tree.items() if repr(part) != repr(before.get(name))}
+    return from_tree(scenario.name, parts, trusted, scenario)
 
 
 def read_mapping(path: Path, option: str, known: tuple[str, ...], remedy: str) -> dict[str, Any]:

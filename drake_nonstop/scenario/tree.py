@@ -3,6 +3,7 @@
 A dict that is a box's entry has the name of the block under "_tag": "!PaperPhase".
 """
 
+import copy
 import dataclasses
 import difflib
 import re
@@ -10,7 +11,7 @@ import typing
 from collections.abc import Collection
 from typing import Any
 
-from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
+from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.blocks.load_trajectory import SampledTrajectoryConfig
@@ -19,6 +20,7 @@ from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.own_blocks import import_config, is_import_path
 from drake_nonstop.scenario.schema import CHOICES, Scenario, check
+from drake_nonstop.scenario.yaml_text import parse_plain
 from drake_nonstop.validation import require
 
 Tree = dict[str, Any]
@@ -39,19 +41,23 @@ def to_tree(scenario: Scenario) -> Tree:
         if type(configs[name]) not in choices:
             replaced[name] = choices[0]()
     known = dataclasses.replace(scenario, **replaced)
-    tree = yaml_load(data=yaml_dump_typed(known, schema=Scenario), private=True)
+    tree = _plain_fields(known, Scenario)
     for name, config in configs.items():
         fields, tag = tree[name], block_name(type(config))
         if name in replaced:
-            fields = yaml_load(data=yaml_dump_typed(config, schema=type(config)), private=True)
+            fields = _plain_fields(config, type(config))
             tag = import_path(type(config))
         tree[name] = {**(fields or {}), "_tag": f"!{tag}"}
     del tree["name"]
     return tree
 
 
-def from_tree(name: str, tree: Tree, trusted: Trusted) -> Scenario:
+def from_tree(
+    name: str, tree: Tree, trusted: Trusted, defaults: Scenario | None = None
+) -> Scenario:
     """The scenario of that name from nested dicts such as `to_tree` makes, some left out.
+
+    Fields that are left out are those of `defaults`, which is not changed, or the schema's.
 
     Raises:
         ScenarioError: a key or value cannot be used, or a block is not trusted.
@@ -63,6 +69,7 @@ def from_tree(name: str, tree: Tree, trusted: Trusted) -> Scenario:
         "name it with letters, digits, _, - and . only: its results' folder is named after it",
     )
     tree = dict(tree)
+    scenario = Scenario() if defaults is None else copy.deepcopy(defaults)
     _check_fields(name, tree, Scenario)
     require("name" not in tree, f"{name}.name", tree.get("name"), "leave it to the file's one key")
     own = {}
@@ -82,13 +89,18 @@ def from_tree(name: str, tree: Tree, trusted: Trusted) -> Scenario:
         if field_name in tree:
             tree[field_name] = {} if tree[field_name] is None else tree[field_name]
             _check_fields(field_name, tree[field_name], schema)
-    scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(tree), defaults=Scenario())
+    scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(tree), defaults=scenario)
     scenario.name = name
     for field_name, config in own.items():
         setattr(scenario, field_name, config)
     _read_files(scenario)
     check(scenario)
     return scenario
+
+
+def _plain_fields(config: Any, schema: type) -> Tree:
+    """The fields of a dataclass as they stand in YAML."""
+    return parse_plain(yaml_dump_typed(config, schema=schema), schema.__name__) or {}
 
 
 def block_name(config_class: type) -> str:

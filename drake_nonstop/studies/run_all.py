@@ -4,6 +4,7 @@ import contextlib
 import gc
 import os
 import signal
+import sys
 import threading
 import warnings
 from collections import deque
@@ -73,7 +74,7 @@ def run_all(
         already_done: the number of calls of an earlier time that count in this share.
 
     Raises:
-        ScenarioError: the function raised it.
+        ScenarioError: the function raised it, or processes end as they start.
         KeyboardInterrupt: Ctrl-C; what was recorded stays.
     """
     done: set[Key] = set()
@@ -124,6 +125,7 @@ def run_all(
             # Each process has one call, and one more is on its way to them.
             for key in missing()[: (os.cpu_count() or 1) + 1]:
                 with _processes(1) as process:
+                    _require_start(process)
                     try:
                         result = result_of(submit(process, key), key)
                     except BrokenProcessPool:
@@ -187,8 +189,13 @@ class SerialExecutor(Executor):
 
 @contextlib.contextmanager
 def _processes(count: int | None = None) -> Iterator[ProcessPoolExecutor]:
-    """So many processes, or one per core; an error in the block drops what has not begun."""
-    context = get_context("spawn")
+    """So many processes, or one per core; an error in the block drops what has not begun.
+
+    They are forked from one process that has imported the package and nothing else, so that the
+    imports are paid for once.
+    """
+    context = get_context("forkserver")
+    context.set_forkserver_preload([__name__])
     cancelled = context.Event()
     executor = ProcessPoolExecutor(
         count, mp_context=context, initializer=_start_worker, initargs=(cancelled,)
@@ -200,6 +207,18 @@ def _processes(count: int | None = None) -> Iterator[ProcessPoolExecutor]:
         raise
     finally:
         executor.shutdown(cancel_futures=True)
+
+
+def _require_start(processes: ProcessPoolExecutor) -> None:
+    """Raises ScenarioError where a process ends before it can be given anything to do."""
+    try:
+        processes.submit(int).result()
+    except BrokenProcessPool:
+        script = getattr(sys.modules["__main__"], "__file__", "a script without a file")
+        raise ScenarioError(
+            f"__main__ = {script}: processes import it as they start, and end; put what it does "
+            'into a function that is called below `if __name__ == "__main__":`'
+        ) from None
 
 
 def _is_worker_cancelled() -> bool:

@@ -1,6 +1,8 @@
 """Many runs in processes: results, errors, and processes that die."""
 
 import os
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -103,3 +105,18 @@ def test_the_outcome_of_an_attempt(faulty_blocks):
         "diverges": DIVERGED,
         "constructor": UNBUILDABLE,
     }
+
+
+def test_a_script_without_a_main_guard_is_told_so(tmp_path):
+    """Its processes would run it again, and end as they start."""
+    script = tmp_path / "study.py"
+    script.write_text(
+        "from drake_nonstop import load_scenario\n"
+        "from drake_nonstop.studies.robustness import robustness\n"
+        "robustness(load_scenario('quintic', ['duration=0.1']))\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1
+    last = done.stderr.strip().splitlines()[-1]
+    assert f"ScenarioError: __main__ = {script}: processes import it as they start" in last
+    assert '`if __name__ == "__main__":`' in last
