@@ -1,7 +1,9 @@
 """A box of a control figure, and the rule that pairs blocks with their configs."""
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import NamedTuple
 
 from pydrake.systems.framework import System
@@ -10,13 +12,24 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.validation import require
 
 
+class Kind(Enum):
+    """What a box belongs to, which is its colour in the drawing."""
+
+    PLANT = "plant"
+    TRAJECTORY = "trajectory"
+    WRENCH = "wrench"
+    INNER_LOOP = "inner loop"
+    OPTIMIZATION = "optimization"
+    ADDITION = "addition"  # not in the paper's figure
+
+
 class Place(NamedTuple):
-    """Where a box stands in the drawing, which way its signals run (1: rightwards), its colour."""
+    """Where a box stands in the drawing, and which way its signals run (1: rightwards)."""
 
     column: int
     row: int
     flow: int
-    kind: str
+    kind: Kind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,31 +39,38 @@ class Box:
     Attributes:
         variants: the blocks that it can be, the default first. Block X is in the same module as
             the dataclass of its parameters, XConfig, and is made by `X(model, config)`.
-        signals: what its block makes, with sizes for n carriers and m coordinates of the
-            internal force: "13", "3n", "2m".
+        signals: what its block makes, with sizes: numbers, or, for n carriers and m coordinates
+            of the internal force, texts such as "3n" and "2m". The numbers become texts, too.
         optional: the signals among them that a block may leave out; nothing in the figure
             reads them.
         place: where the drawing has it.
         is_simulated: its block takes the model that is simulated, not the one that the
             controllers believe in.
         is_fused: a fused plant takes its place.
-        is_sampled: a fused plant needs a block here whose attribute `is_sampled` is true.
+        feeds_fused_plant: a fused plant needs a block here whose attribute `is_sampled` is true.
         is_linearized: the stability analysis perturbs its states; not those that nothing drives,
             nor those that are sampled anew.
+        swap_keeps_defaults: a swap by a block's name keeps parameters that both blocks have also
+            where they are defaults.
+        config_fields: fields that every config has, and what they are.
         configs: the dataclasses of the variants' parameters, in their order.
     """
 
     variants: tuple[type[System], ...]
-    signals: dict[str, str]
+    signals: Mapping[str, str | int]
     place: Place
     optional: tuple[str, ...] = ()
     is_simulated: bool = False
     is_fused: bool = False
-    is_sampled: bool = False
+    feeds_fused_plant: bool = False
     is_linearized: bool = True
+    swap_keeps_defaults: bool = True
+    config_fields: dict[str, str] = field(default_factory=dict)
     configs: tuple[type, ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        signals = {name: str(size) for name, size in self.signals.items()}
+        object.__setattr__(self, "signals", signals)
         object.__setattr__(self, "configs", tuple(map(config_class, self.variants)))
 
     def sizes(self, n: int, m: int) -> dict[str, int]:
@@ -58,7 +78,7 @@ class Box:
         numbers = {"n": n, "m": m}
         return {
             signal: int(size.rstrip("nm") or 1) * numbers.get(size[-1], 1)
-            for signal, size in self.signals.items()
+            for signal, size in ((signal, str(size)) for signal, size in self.signals.items())
         }
 
     def required_and_optional(self, model: Model) -> tuple[dict[str, int], dict[str, int]]:

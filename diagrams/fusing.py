@@ -69,7 +69,7 @@ def _reason_against(
     if steps > _MAX_STEPS:
         return f"{steps} steps a sample, of which {_MAX_STEPS} at most are traced"
     for name, box in boxes.items():
-        if box.is_sampled and not getattr(blocks.get(name), "is_sampled", False):
+        if box.feeds_fused_plant and not getattr(blocks.get(name), "is_sampled", False):
             return f"{_named(name, blocks)} may change between samples"
     for name, box in boxes.items():
         if box.is_fused and name not in parts:

@@ -33,96 +33,114 @@ from drake_nonstop.blocks import (
     wrench_controller,
 )
 from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
-from drake_nonstop.diagrams.box import Box, Place, block_class, import_path
+from drake_nonstop.diagrams.box import Box, Kind, Place, block_class, import_path
 from drake_nonstop.diagrams.fusing import fuse
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    PARAMETERS_SIZE,
+    PHASE_SIZE,
+    TRACKING_ERROR_SIZE,
+    WRENCH_SIZE,
+)
 from drake_nonstop.model.system import Model, PatternConfig, SystemParameters, overridden
+from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.validation import ScenarioError, one_line, require
 
-TRAJECTORY, INNER_LOOP, PLANT, ADDITION = "trajectory", "inner loop", "plant", "addition"
-
-# The boxes of the figure, in its order; an addition is not in the paper's.
+# The boxes of the figure, in its order.
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
-        signals={"reference": "22"},
-        place=Place(0, 1, 1, TRAJECTORY),
+        signals={"reference": LOAD_REFERENCE_SIZE},
+        place=Place(0, 1, 1, Kind.TRAJECTORY),
+        swap_keeps_defaults=False,  # each task has times of its own
     ),
     "load_feedback": Box(
         variants=load_feedback.VARIANTS,
-        signals={"measured_load_state": "13"},
-        place=Place(0, 2, 1, ADDITION),
+        signals={"measured_load_state": LOAD_STATE_SIZE},
+        place=Place(0, 2, 1, Kind.ADDITION),
     ),
     "wrench_controller": Box(
         variants=wrench_controller.VARIANTS,
-        signals={"wrench": "6", "wrench_rate": "6", "tracking_error": "12"},
+        signals={
+            "wrench": WRENCH_SIZE,
+            "wrench_rate": WRENCH_SIZE,
+            "tracking_error": TRACKING_ERROR_SIZE,
+        },
         optional=("tracking_error",),
-        place=Place(2, 2, 1, "wrench"),
-        is_sampled=True,
+        place=Place(2, 2, 1, Kind.WRENCH),
+        feeds_fused_plant=True,
     ),
     "optimization_layer": Box(
         variants=optimization_layer.VARIANTS,
-        signals={"parameters": "2", "diagnostics": "7", "solve_time": "1", "speed_bound": "1"},
+        signals={
+            "parameters": PARAMETERS_SIZE,
+            "diagnostics": DIAGNOSTICS_SIZE,
+            "solve_time": 1,
+            "speed_bound": 1,
+        },
         optional=("diagnostics", "solve_time", "speed_bound"),
-        place=Place(3, 0, 1, "optimization"),
-        is_sampled=True,
+        place=Place(3, 0, 1, Kind.OPTIMIZATION),
+        config_fields={"speed_bound": "m/s, which its runs are judged by"},
+        feeds_fused_plant=True,
     ),
     "phase": Box(
         variants=phase.VARIANTS,
-        signals={"phase": "2"},
-        place=Place(4, 0, 1, TRAJECTORY),
-        is_sampled=True,
+        signals={"phase": PHASE_SIZE},
+        place=Place(4, 0, 1, Kind.TRAJECTORY),
+        feeds_fused_plant=True,
         is_linearized=False,  # nothing drives it: its multiplier is 1 in any loop
     ),
     "internal_force": Box(
         variants=internal_force.VARIANTS,
         signals={"internal_force": "2m"},
-        place=Place(3, 1, -1, TRAJECTORY),
-        is_sampled=True,
+        place=Place(3, 1, -1, Kind.TRAJECTORY),
+        feeds_fused_plant=True,
     ),
     "force_distribution": Box(
         variants=force_distribution.VARIANTS,
         signals={"desired_cable_forces": "3n", "desired_cable_force_rates": "3n"},
-        place=Place(3, 2, 1, INNER_LOOP),
-        is_sampled=True,
+        place=Place(3, 2, 1, Kind.INNER_LOOP),
+        feeds_fused_plant=True,
     ),
     "carrier_trajectory": Box(
         variants=carrier_trajectory.VARIANTS,
         signals={"carrier_reference": "6n"},
-        place=Place(4, 2, 1, INNER_LOOP),
-        is_sampled=True,
+        place=Place(4, 2, 1, Kind.INNER_LOOP),
+        feeds_fused_plant=True,
     ),
     "carrier_controller": Box(
         variants=carrier_controller.VARIANTS,
         signals={"carrier_forces": "3n"},
-        place=Place(4, 3, -1, PLANT),
+        place=Place(4, 3, -1, Kind.PLANT),
         is_fused=True,
     ),
     "carrier_dynamics": Box(
         variants=carrier_dynamics.VARIANTS,
         signals={"carrier_state": "6n"},
-        place=Place(3, 3, -1, PLANT),
+        place=Place(3, 3, -1, Kind.PLANT),
         is_simulated=True,
         is_fused=True,
     ),
     "cables": Box(
         variants=cables.VARIANTS,
         signals={"cable_forces": "3n", "tensions": "n"},
-        place=Place(2, 3, -1, PLANT),
+        place=Place(2, 3, -1, Kind.PLANT),
         is_simulated=True,
         is_fused=True,
     ),
     "load_disturbance": Box(
         variants=load_disturbance.VARIANTS,
-        signals={"disturbance_wrench": "6"},
-        place=Place(0, 4, 1, ADDITION),
-        is_sampled=True,
+        signals={"disturbance_wrench": WRENCH_SIZE},
+        place=Place(0, 4, 1, Kind.ADDITION),
+        feeds_fused_plant=True,
     ),
     "load_plant": Box(
         variants=load_plant.VARIANTS,
-        signals={"load_state": "13"},
-        place=Place(0, 3, -1, PLANT),
+        signals={"load_state": LOAD_STATE_SIZE},
+        place=Place(0, 3, -1, Kind.PLANT),
         is_simulated=True,
         is_fused=True,
     ),
@@ -132,8 +150,8 @@ BOXES: dict[str, Box] = {
 # plant in place of its boxes.
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
 PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
-    SAMPLE_AND_HOLD: Place(1, 2, 1, ADDITION),
-    FUSED_PLANT: Place(2, 3, -1, PLANT),
+    SAMPLE_AND_HOLD: Place(1, 2, 1, Kind.ADDITION),
+    FUSED_PLANT: Place(2, 3, -1, Kind.PLANT),
 }
 # The figure's wires, to be read. They follow from the names of the ports, and building
 # the default blocks checks this list against what was built. Where the scenario has a

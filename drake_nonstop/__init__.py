@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.cli.progress import RunProgress, TaskProgress
 from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -43,6 +42,7 @@ from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer, show_in
+from drake_nonstop.visualization.progress import RunProgress, TaskProgress
 from drake_nonstop.visualization.replay import record_replay
 
 __all__ = [  # noqa: RUF022 - in the order of the figure

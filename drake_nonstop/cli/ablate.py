@@ -5,10 +5,10 @@ from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.exit_codes import FAILED
-from drake_nonstop.cli.progress import TaskProgress
 from drake_nonstop.studies.ablation import ablate, as_text, grid_names, name_overrides, read_grid
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED
 from drake_nonstop.validation import require
+from drake_nonstop.visualization.progress import TaskProgress
 
 
 def add_to(commands: Commands) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from drake_nonstop.cli.exit_codes import FAILED
-from drake_nonstop.cli.progress import TaskProgress
 from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.studies.files import replacing_file, require_writable, write_json
+from drake_nonstop.visualization.progress import TaskProgress
 
 
 def run_benchmark(

@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands
-from drake_nonstop.cli.progress import TaskProgress
 from drake_nonstop.studies.files import require_writable
+from drake_nonstop.visualization.progress import TaskProgress
 
 
 def add_to(commands: Commands) -> None:

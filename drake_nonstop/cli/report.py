@@ -6,9 +6,9 @@ from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands
 from drake_nonstop.cli.exit_codes import FAILED
-from drake_nonstop.cli.progress import TaskProgress
 from drake_nonstop.studies.files import replacing_file, require_writable
 from drake_nonstop.validation import ScenarioError
+from drake_nonstop.visualization.progress import TaskProgress
 
 
 def add_to(commands: Commands) -> None:

@@ -4,11 +4,11 @@ import argparse
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
-from drake_nonstop.cli.progress import TaskProgress
 from drake_nonstop.studies.figures import make_robustness_figure
 from drake_nonstop.studies.files import replacing_file, require_writable, write_json
 from drake_nonstop.studies.robustness import robustness, robustness_table
 from drake_nonstop.validation import require_seed
+from drake_nonstop.visualization.progress import TaskProgress
 
 
 def add_to(commands: Commands) -> None:

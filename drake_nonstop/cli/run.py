@@ -9,7 +9,6 @@ from typing import Any
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.exit_codes import FAILED, INTERRUPTED
-from drake_nonstop.cli.progress import RunProgress
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import find_warnings, metrics_table
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
@@ -19,6 +18,7 @@ from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.validation import ScenarioError, require
 from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.progress import RunProgress
 
 
 def add_to(commands: Commands) -> None:

@@ -5,12 +5,12 @@ import dataclasses
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
-from drake_nonstop.cli.progress import TaskProgress
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.figures import make_margins_figure
 from drake_nonstop.studies.files import replacing_file, require_writable, write_json
 from drake_nonstop.studies.margins import find_margins
 from drake_nonstop.studies.stability import linearize
+from drake_nonstop.visualization.progress import TaskProgress
 
 _FINE_STEP = 0.001  # s, at which integrators damp nothing that matters here
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.exit_codes import FAILED, INTERRUPTED
-from drake_nonstop.cli.progress import TaskProgress
 from drake_nonstop.cli.run import run_into
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, SerialExecutor
 from drake_nonstop.studies.sweep import SweepInterrupted, sweep
 from drake_nonstop.studies.sweep_spec import read_sweep
+from drake_nonstop.visualization.progress import TaskProgress
 
 
 def add_to(commands: Commands) -> None:

@@ -142,7 +142,7 @@ def _pattern(config: type) -> Choice:
 
 def _port(name: str, size: int | None) -> Port:
     """The port of that name: its size by the contract, or else as it is for the default n."""
-    sizes = {signal: text for box in BOXES.values() for signal, text in box.signals.items()}
+    sizes = {signal: str(size) for box in BOXES.values() for signal, size in box.signals.items()}
     is_optional = any(name in box.optional for box in BOXES.values())
     text = "abstract" if size is None else str(size)
     return Port(name=name, size=sizes.get(name, text), is_optional=is_optional)

@@ -17,12 +17,11 @@ from drake_nonstop import diagrams
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.own_blocks import make_importable
 from drake_nonstop.scenario.schema import CHOICES, Scenario
-from drake_nonstop.scenario.tree import Tree, block_name, from_tree, to_tree
+from drake_nonstop.scenario.tree import BASE, Tree, block_name, from_tree, to_tree
 from drake_nonstop.scenario.yaml_text import TreeDumper, compose, to_plain
 from drake_nonstop.validation import ScenarioError, require
 
 SCENARIOS = diagrams.FOLDER / "scenarios"
-_BASE = "based_on"
 
 
 def scenario_names() -> list[str]:
@@ -121,9 +120,9 @@ def _tree(
     ((name, content),) = to_plain(node, source).items()
     content = {} if content is None else content
     require(isinstance(content, dict), name, content, "give the scenario's fields below its name")
-    if _BASE not in content:
+    if BASE not in content:
         return name, content
-    field, base = f"{name}.{_BASE}", content.pop(_BASE)
+    field, base = f"{name}.{BASE}", content.pop(BASE)
     require(isinstance(base, str), field, base, "give a scenario's name, or a .yaml file")
     path = _path(base, field, folder)
     is_new = all(not path.exists() or not path.samefile(other) for other in trail)
@@ -131,6 +130,7 @@ def _tree(
     if trust and path.parent != SCENARIOS:
         make_importable(str(path.parent.absolute()))
     _, inherited = _tree(_read(path, field), str(path), path.parent, trust, [*trail, path])
+    inherited.pop("description", None)  # that of another task
     return name, _merged(inherited, content)
 
 
@@ -143,6 +143,8 @@ def _merged(base: Tree, content: Tree) -> Tree:
     merged = dict(base)
     for name, value in content.items():
         inherited: Any = base.get(name)
+        if isinstance(inherited, dict) and value is None:
+            continue  # a part without any fields
         if isinstance(value, dict) and isinstance(inherited, dict):
             tag = _tag(name, inherited)
             if value.get("_tag", tag) == tag:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import (
     Tree,
@@ -114,7 +115,7 @@ def _swapped(name: str, entry: Tree, block: str, trusted: Trusted) -> Tree:
     types = typing.get_type_hints(config_class_of(name, f"!{block}", trusted))
     shared = [key for key, kind in typing.get_type_hints(old).items() if types.get(key) == kind]
     kept = {key: entry[key] for key in shared if key in entry}
-    if name == "load_trajectory":  # each task has times of its own, unless they were set
+    if name in BOXES and not BOXES[name].swap_keeps_defaults:
         default = dataclasses.asdict(old())
         kept = {key: value for key, value in kept.items() if value != default[key]}
     return {**kept, "_tag": f"!{block}"}

@@ -11,6 +11,7 @@ import sys
 from pydrake.common.yaml import yaml_dump_typed
 
 from drake_nonstop.diagrams.box import block_class
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.validation import ScenarioError, one_line, require
 
 
@@ -52,12 +53,9 @@ def import_config(field: str, path: str) -> type:
         yaml_dump_typed(config())
     except Exception as error:  # whatever a user's dataclass may raise
         raise ScenarioError(f"{field} = !{path}: {remedy} ({one_line(error)})") from error
-    if field != "pattern":
+    if field in BOXES:
         block_class(field, config)
-    require(
-        field != "optimization_layer" or hasattr(config(), "speed_bound"),
-        field,
-        f"!{path}",
-        f"give {name}Config a field speed_bound (m/s), which its runs are judged by",
-    )
+        for needed, meaning in BOXES[field].config_fields.items():
+            remedy = f"give {name}Config a field {needed} ({meaning})"
+            require(hasattr(config(), needed), field, f"!{path}", remedy)
     return config

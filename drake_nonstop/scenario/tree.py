@@ -14,7 +14,6 @@ from typing import Any
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 from pydrake.systems.analysis import SimulatorConfig
 
-from drake_nonstop.blocks.load_trajectory import SampledTrajectoryConfig
 from drake_nonstop.diagrams.box import import_path
 from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters
@@ -22,6 +21,8 @@ from drake_nonstop.scenario.own_blocks import import_config, is_import_path
 from drake_nonstop.scenario.schema import CHOICES, Scenario, check
 from drake_nonstop.scenario.yaml_text import parse_plain
 from drake_nonstop.validation import require
+
+BASE = "based_on"  # a key of files, which `loading` replaces by what it stands for
 
 Tree = dict[str, Any]
 Trusted = bool | set[str]  # tags of blocks of the user's own that may be imported; True: all
@@ -57,7 +58,8 @@ def from_tree(
 ) -> Scenario:
     """The scenario of that name from nested dicts such as `to_tree` makes, some left out.
 
-    Fields that are left out are those of `defaults`, which is not changed, or the schema's.
+    Fields that are left out are those of `defaults`, which is not changed, or the schema's; what a
+    field leaves out is the schema's in both cases.
 
     Raises:
         ScenarioError: a key or value cannot be used, or a block is not trusted.
@@ -69,8 +71,12 @@ def from_tree(
         "name it with letters, digits, _, - and . only: its results' folder is named after it",
     )
     tree = dict(tree)
-    scenario = Scenario() if defaults is None else copy.deepcopy(defaults)
-    _check_fields(name, tree, Scenario)
+    scenario = Scenario()
+    if defaults is not None:
+        scenario = copy.deepcopy(defaults)
+        for key in tree.keys() & vars(scenario).keys():
+            setattr(scenario, key, getattr(Scenario(), key))
+    _check_fields(name, tree, Scenario, BASE)
     require("name" not in tree, f"{name}.name", tree.get("name"), "leave it to the file's one key")
     own = {}
     for field_name, options in CHOICES.items():
@@ -166,8 +172,10 @@ def _read_files(scenario: Scenario) -> None:
             fields = read_load(system.load_file, system.attachment_frames or [])
             fields |= {"load_file": "", "attachment_frames": []}
             setattr(scenario, owner, dataclasses.replace(system, **fields))
-    if isinstance(scenario.load_trajectory, SampledTrajectoryConfig):
-        scenario.load_trajectory = scenario.load_trajectory.resolved()
+    for name in CHOICES:
+        config = getattr(scenario, name)
+        if hasattr(config, "resolved"):
+            setattr(scenario, name, config.resolved())
 
 
 def _checked_entry(name: str, entry: Any, trusted: Trusted) -> tuple[type, Tree]:
@@ -188,13 +196,16 @@ def _loaded(config_class: type, fields: Tree) -> Any:
     return yaml_load_typed(schema=config_class, data=yaml_dump(fields), defaults=config_class())
 
 
-def _check_fields(name: str, tree: Any, schema: Any) -> None:
-    """Raises ScenarioError for the first key that is no field, or value not of its type."""
+def _check_fields(name: str, tree: Any, schema: Any, *other_keys: str) -> None:
+    """Raises ScenarioError for the first key that is no field, or value not of its type.
+
+    `other_keys` are named among those that there are.
+    """
     require(isinstance(tree, dict), name, tree, "give a mapping of fields to values")
     fields = dataclasses.fields(schema) if dataclasses.is_dataclass(schema) else schema.__fields__
     types = {f.name: f.type for f in fields}
     for key, value in tree.items():
-        require_known(key, types, f"{name}.{key}", value)
+        require_known(key, [*types, *other_keys], f"{name}.{key}", value)
         _check_type(f"{name}.{key}", value, types[key])
 
 

@@ -1,6 +1,7 @@
 """Which block a run stopped at."""
 
 import traceback
+from collections import deque
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,8 @@ def raising_block(error: BaseException) -> str:
 def source_of_fault(error: NotFiniteError, nonstop: Diagram, context: Context) -> str:
     """The name of the block that made the value that is not finite, or is too large.
 
-    Where a block was given it, the wires are followed back to the first block whose inputs are
-    all sound.
+    Where a block was given it, the wires are followed back to the nearest block whose inputs are
+    all sound. There is none where the loop as a whole diverges: it is the block of the error then.
 
     Args:
         error: what a block of the diagram raised.
@@ -37,16 +38,19 @@ def source_of_fault(error: NotFiniteError, nonstop: Diagram, context: Context) -
     wires: dict[str, list[tuple[System, int]]] = {}
     for (reader, _), (source, port) in nonstop.connection_map().items():
         wires.setdefault(reader.get_name(), []).append((source, port))
-    blamed, seen = error.block, {error.block}
-    while True:
-        for source, index in wires.get(blamed, []):
-            name = source.get_name()
-            if name not in seen and _is_unsound(source, index, nonstop, context):
-                blamed = name
-                seen.add(name)
-                break
-        else:
-            return blamed
+    waiting, seen = deque([error.block]), {error.block}
+    while waiting:
+        block = waiting.popleft()
+        unsound = [
+            source.get_name()
+            for source, index in wires.get(block, [])
+            if _is_unsound(source, index, nonstop, context)
+        ]
+        if not unsound and block != error.block:
+            return block
+        waiting += [name for name in unsound if name not in seen]
+        seen.update(unsound)
+    return error.block
 
 
 def _is_unsound(source: System, index: int, nonstop: Diagram, context: Context) -> bool:
@@ -58,6 +62,6 @@ def _is_unsound(source: System, index: int, nonstop: Diagram, context: Context) 
         value = port.Eval(nonstop.GetSubsystemContext(source, context))
     except NotFiniteError:
         return True
-    except Exception:  # whatever else fails there is not what is looked for
+    except Exception:  # the error of the run is reported, whatever else fails after it
         return False
     return not np.all(np.abs(value) < LARGEST)

@@ -19,21 +19,21 @@ from xml.sax.saxutils import escape, quoteattr
 
 from pydrake.systems.framework import Diagram
 
-from drake_nonstop.diagrams.box import Place
+from drake_nonstop.diagrams.box import Kind, Place
 from drake_nonstop.diagrams.nonstop import PLACES
 from drake_nonstop.systems import wiring
 
 COLUMNS = 1 + max(place.column for place in PLACES.values())
 ROWS = 1 + max(place.row for place in PLACES.values())
 
-# Fill and border. An addition is not in the paper's figure.
+# Fill and border.
 COLOURS = {
-    "plant": ("#f2f2f2", "#7a7a7a"),
-    "trajectory": ("#f2f2f2", "#7a7a7a"),
-    "wrench": ("#e4f5e4", "#4f9a4f"),
-    "inner loop": ("#e6e8fc", "#5f68bd"),
-    "optimization": ("#fde4e4", "#c05a5a"),
-    "addition": ("#ffffff", "#7a7a7a"),
+    Kind.PLANT: ("#f2f2f2", "#7a7a7a"),
+    Kind.TRAJECTORY: ("#f2f2f2", "#7a7a7a"),
+    Kind.WRENCH: ("#e4f5e4", "#4f9a4f"),
+    Kind.INNER_LOOP: ("#e6e8fc", "#5f68bd"),
+    Kind.OPTIMIZATION: ("#fde4e4", "#c05a5a"),
+    Kind.ADDITION: ("#ffffff", "#7a7a7a"),
 }
 
 UNIT = 10  # px between neighbouring lanes; lengths are in units unless they say px
@@ -200,7 +200,7 @@ def _boxes(diagram: Diagram) -> list[Box]:
         place = PLACES.get(name)
         if place is None:
             row, column = divmod(unknown_boxes, COLUMNS)
-            place = Place(column, ROWS + row, 1, "addition")
+            place = Place(column, ROWS + row, 1, Kind.ADDITION)
             unknown_boxes += 1
         ports = [system.get_output_port(i) for i in range(system.num_output_ports())]
         outputs = [Signal(f"{name}.{port.get_name()}", place.flow) for port in ports]

@@ -13,18 +13,22 @@ def resolved(scenario):
 def test_nothing_but_the_name_changes_where_nothing_else_is_given():
     copy = parse_scenario("copy: {based_on: quintic}")
     assert copy.name == "copy"
-    assert resolved(copy) == resolved(load_scenario("quintic"))
+    assert copy.description == ""
+    assert resolved(copy) == resolved(load_scenario("quintic", ["description=''"]))
 
 
 def test_parts_are_merged_field_by_field_and_so_is_the_same_block():
     text = """
     heavy:
       based_on: quintic
+      description: with more mass
       system: {load_mass: 1.2}
+      pattern:  # nothing of it changes
       load_trajectory: {move_time: 8.0}
       optimization_layer: !NonstopOptimizer {tightening: 0.02}
     """
     overrides = [
+        "description=with more mass",
         "system.load_mass=1.2",
         "load_trajectory.move_time=8.0",
         "optimization_layer.tightening=0.02",
@@ -62,6 +66,7 @@ def test_the_resolved_scenario_stands_alone():
         ("x: {based_on: [line]}", r"x\.based_on = \['line'\]: give a scenario's name"),
         ("x: {based_on: gone.yaml}", r"x\.based_on = gone\.yaml: give a file that can be read"),
         ("x: {based_on: line, duraton: 3}", r"x\.duraton = 3: there is no duraton"),
+        ("x: {based_onn: line}", r"x\.based_onn = line: .*did you mean based_on\?"),
         ("x: {based_on: line, system: 3}", "system = 3: give a mapping"),
         ("x: {based_on: line, phase: !Nothing {}}", "phase = !Nothing: give one of"),
     ],

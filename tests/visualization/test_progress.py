@@ -5,8 +5,8 @@ import re
 
 import pytest
 
-from drake_nonstop.cli import progress
-from drake_nonstop.cli.progress import RunProgress, TaskProgress
+from drake_nonstop.visualization import progress
+from drake_nonstop.visualization.progress import RunProgress, TaskProgress
 
 
 class Terminal(io.StringIO):
