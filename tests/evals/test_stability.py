@@ -86,7 +86,7 @@ def test_prediction_and_simulation_agree(name, setting, is_stable):
     assert (simulated < 1) == is_stable
 
 
-def test_there_are_twenty_settings():
+def test_there_are_twenty_cases():
     assert len(CASES) >= 20
 
 
