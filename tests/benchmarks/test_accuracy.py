@@ -1,4 +1,4 @@
-"""`bench accuracy` reports how far a setting of the integrator leaves a run from a converged one."""
+"""`bench accuracy` reports how far an integrator setting leaves a run from a converged one."""
 
 import json
 

@@ -293,9 +293,7 @@ def test_every_box_asks_for_its_signals_at_their_sizes(box):
     ],
 )
 @pytest.mark.parametrize("period", [0.0, 0.01])
-def test_block_with_other_inputs_is_reported_with_the_existing_signals(
-    inputs, given, wrong, period
-):
+def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wrong, period):
     block = with_ports(inputs, {"disturbance_wrench": 6})
     with pytest.raises(wiring.WiringError) as error:
         make_nonstop(plain(period), load_disturbance=block)

@@ -7,16 +7,19 @@ from scipy.spatial.transform import Rotation
 
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
+from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.simulate import simulate
 
 
 @pytest.mark.parametrize("name", scenario_names())
 def test_both_plants_agree(name):
     overrides = [] if name in ("quintic", "line") else ["duration=7"]  # all that move do by then
-    size = load_scenario(name).system.load_inertia[0][0]
+    scenario = load_scenario(name)
+    size = scenario.system.load_inertia[0][0]
     inertia = size * np.array([[1.2, 0.1, 0.0], [0.1, 1.0, 0.2], [0.0, 0.2, 1.5]])
     overrides += [f"simulated.load_inertia={inertia.tolist()}"]
     overrides += [f"simulated.load_angular_drag={size}"]
+    scenario = changed(scenario, overrides)
     ours, drakes = (
         simulate(load_scenario(name, [*overrides, f"load_plant=!{plant} {{}}"])).signal(
             "load_state"

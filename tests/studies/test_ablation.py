@@ -367,7 +367,7 @@ def test_changes_are_marked_as_better_or_worse(tmp_path):
         (["--swap", "phase=no_such_module_here.Mine", "--trust"], "cannot be imported"),
     ],
 )
-def test_bad_input_is_reported_at_once_and_leaves_no_folder(tmp_path, capsys, arguments, words):
+def test_bad_input_is_reported_and_leaves_no_folder(tmp_path, capsys, arguments, words):
     folder = tmp_path / "out"
     assert main(["ablate", "line", "--out", str(folder), *arguments]) == cli.BAD_INPUT
     error = capsys.readouterr().err

@@ -71,7 +71,7 @@ def test_a_continuous_state_without_rates_is_an_error():
         block.EvalTimeDerivatives(block.CreateDefaultContext())
 
 
-def test_deleting_a_block_of_the_users_frees_the_rest():
+def test_release_frees_the_rest_beside_a_block_of_the_users():
     run = simulate(load_scenario("line", ["duration=0.02"]), load_disturbance=PlainWind)
     reference, blocks = weakref.ref(run.diagram), held(run)
     release(run.diagram)

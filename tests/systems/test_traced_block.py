@@ -134,4 +134,4 @@ def test_an_error_names_the_block_however_deep_inside_it():
         "force_distribution=!BoundedTensionDistribution {max_tension: 1.2}",
     ]
     with pytest.raises(RunStopped, match=r": force_distribution \(force_distribution.py"):
-        simulate(load_scenario("line", overrides))
+        simulate(load_scenario("line", ["duration=0.1", block]))
