@@ -1,4 +1,4 @@
-"""Fixtures and tiers; this file also makes `helpers` importable from the folders below."""
+"""Fixtures for all tests, and which tests are slow."""
 
 import os
 from pathlib import Path
@@ -29,10 +29,17 @@ SLOW = (
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     here = Path(__file__).parent
+    found = set()
     for item in items:
         path = f"{item.path.relative_to(here).as_posix()}::{item.name}"
-        if path.startswith(SLOW):
+        prefixes = [prefix for prefix in SLOW if path.startswith(prefix)]
+        if prefixes:
             item.add_marker("slow")
+        found.update(prefixes)
+    is_whole_suite = {item.path for item in items} >= {*here.rglob("test_*.py")}
+    stale = [prefix for prefix in SLOW if prefix not in found]
+    if is_whole_suite and stale:
+        raise pytest.UsageError(f"SLOW = {', '.join(stale)}: no test has such a path; remove it")
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A page of a real browser, which notes what goes wrong; tests are skipped where there is none."""
+"""A page of a real browser, which records its errors; tests are skipped where there is none."""
 
 import contextlib
 import os

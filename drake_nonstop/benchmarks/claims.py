@@ -21,7 +21,6 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import carrier_speeds, load_errors
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.run_all import COMPLETED, Progress, attempt, no_progress, run_all
 from drake_nonstop.validation import ScenarioError, require
 
@@ -134,15 +133,13 @@ def failing_evals(folder: Path) -> list[str]:
     return lines or [f"tests/evals: {(done.stderr or done.stdout).strip()[-300:]}"]
 
 
-def scenario_run(arguments: str) -> tuple[Run, Metrics]:
-    """The run of a scenario's name and overrides, such as "line phase=PaperPhase".
-
-    Raises:
-        ScenarioError: the arguments make no scenario.
-        RunStopped: the run did not complete.
-    """
-    run = simulate(_scenario(arguments))
-    return run, compute_metrics(run)
+def wrong_claims(values: dict[Claim, float]) -> list[str]:
+    """The claims that do not hold, a sentence each."""
+    return [
+        f"{claim.arguments}: {claim.quantity} = {value:.4g}, not {claim.printed}"
+        for claim, value in values.items()
+        if not claim.holds(value)
+    ]
 
 
 def as_markdown(values: dict[Claim, float]) -> str:
@@ -157,6 +154,21 @@ def as_markdown(values: dict[Claim, float]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def report_text(values: dict[Claim, float], solvers: str, failures: Sequence[str]) -> str:
+    """The report in Markdown.
+
+    Args:
+        values: of the claims.
+        solvers: the table of the solvers' benchmark, "" where that was not run.
+        failures: a sentence for each claim that does not hold, of whatever kind.
+    """
+    parts = [as_markdown(values)]
+    if solvers:
+        parts.append(f"\n```\n{solvers}\n```\n")
+    parts += [f"\nFails: {line}\n" for line in failures]
+    return "".join(parts)
+
+
 def _scenario(arguments: str) -> Scenario:
     name, *overrides = shlex.split(arguments)
     return load_scenario(name, overrides)
@@ -166,7 +178,7 @@ def _values(arguments: str, quantities: list[str]) -> dict[str, float]:
     tried = attempt(lambda: _scenario(arguments))
     run = tried.run
     if run is None or tried.outcome != COMPLETED:
-        raise ScenarioError(f"claim on {arguments} = {tried.message}")
+        raise ScenarioError(f"claim on {arguments} = {tried.message}") from tried.error
     metrics = compute_metrics(run)
     values = {name: QUANTITIES[name](run, metrics) for name in quantities}
     for name, value in values.items():
@@ -204,7 +216,6 @@ def _value_of(metric: Metric) -> Callable[[Run, Metrics], Any]:
 # that are no metrics.
 QUANTITIES: dict[str, Callable[[Run, Metrics], Any]] = {
     **{metric.heading: _value_of(metric) for metric in METRICS if not metric.is_list},
-    "slowest (m/s)": lambda run, m: m["carriers"]["speed_min_m_s"],
     "slowest while moving (m/s)": _slowest_while_moving,
     "slowest final speed (m/s)": lambda run, m: min(m["carriers"]["speed_final_m_s"]),
     "fastest final speed (m/s)": lambda run, m: max(m["carriers"]["speed_final_m_s"]),

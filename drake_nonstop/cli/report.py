@@ -41,12 +41,7 @@ def _report_claims(options: argparse.Namespace) -> int:
     require_writable(options.out)
     with TaskProgress() as progress:
         measured = report.measure(claims, progress=progress)
-    table = report.as_markdown(measured)
-    failed = [
-        f"{claim.arguments}: {claim.quantity} = {value:.4g}, not {claim.printed}"
-        for claim, value in measured.items()
-        if not claim.holds(value)
-    ]
+    failed, solvers = report.wrong_claims(measured), ""
     if not options.quick:
         from drake_nonstop.benchmarks.optimizer import benchmark_optimizer
         from drake_nonstop.benchmarks.optimizer import table as solvers_table
@@ -55,13 +50,12 @@ def _report_claims(options: argparse.Namespace) -> int:
         with TaskProgress() as progress:
             make_pictures(options.out, progress=progress)
             results = benchmark_optimizer(1000, 0, [], progress=progress)
-        table += f"\n```\n{solvers_table(results)}\n```\n"
+        solvers = solvers_table(results)
         failed += report.wrong_shares(text, results)
         print("running tests/evals, which measure the rest ...", flush=True)
         failed += report.failing_evals(options.readme.parent)
-    table += "".join(f"\nFails: {line}\n" for line in failed)
     with replacing_file(options.out / "report.md") as file:
-        file.write(table.encode())
+        file.write(report.report_text(measured, solvers, failed).encode())
     for claim in failed:
         print(claim, file=sys.stderr)
     print(f"{len(claims)} numbers measured, {len(failed) or 'no'} claims failed")

@@ -1,6 +1,7 @@
 """`drake-nonstop robustness`: errors that the controllers do not know of."""
 
 import argparse
+import dataclasses
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
@@ -30,7 +31,7 @@ def _robustness(options: argparse.Namespace) -> int:
         cases = robustness(scenario, seed=options.seed, progress=progress)
     write_json(
         folder / "robustness.json",
-        {"scenario": scenario.name, "cases": [case.as_json() for case in cases]},
+        {"scenario": scenario.name, "cases": [dataclasses.asdict(case) for case in cases]},
     )
     with replacing_file(folder / "robustness.png") as file:
         make_robustness_figure(scenario.name, cases).savefig(file, format="png", dpi=150)

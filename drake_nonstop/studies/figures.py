@@ -16,7 +16,7 @@ from drake_nonstop.simulation.run_quantities import (
     closest_carriers,
 )
 from drake_nonstop.studies.margins import Margin
-from drake_nonstop.studies.robustness import Case
+from drake_nonstop.studies.robustness import POSITION_ERROR_MEAN, Case
 from drake_nonstop.visualization.figure_style import COLOURS, LINE_STYLES, new_figure, titled
 
 if TYPE_CHECKING:
@@ -54,13 +54,14 @@ def make_robustness_figure(title: str, cases: Sequence[Case]) -> Figure:
     for name, (top, bottom) in zip(names, axes.T, strict=True):
         shown = sorted((c for c in cases if c.error in ("none", name)), key=lambda c: c.level)
         levels = [case.level for case in shown]
-        top.plot(levels, [1e3 * case.position_error_mean for case in shown], "o-", markersize=3)
+        errors = [case.shown(POSITION_ERROR_MEAN) for case in shown]
+        top.plot(levels, errors, "o-", markersize=3)
         bottom.plot(levels, [case.speed_margin for case in shown], "o-", markersize=3)
         bottom.axhline(0, color="green", linestyle="--")
         top.set_title(name, fontsize="medium")
         unit = next(case.unit for case in cases if case.error == name)
         bottom.set_xlabel(unit.split(" (")[0])
-    axes[0, 0].set_ylabel("mean position error (mm)")
+    axes[0, 0].set_ylabel(POSITION_ERROR_MEAN.heading)
     axes[1, 0].set_ylabel("slowest speed − ε (m/s)")
     axes[0, 0].set_yscale("log")
     figure.suptitle(title)

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import compute_metrics, flattened
+from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics, metric_at
 from drake_nonstop.studies.run_all import (
     COMPLETED,
     FAILED,
@@ -24,13 +24,21 @@ from drake_nonstop.studies.run_all import (
 )
 from drake_nonstop.validation import ScenarioError
 
+# Which metrics the table and the figure show.
+POSITION_ERROR_MEAN = metric_at("load.position_error_mean_m")
+_POSITION_ERROR_FINAL = metric_at("load.position_error_final_m")
+_SLOWEST_SPEED = metric_at("carriers.speed_min_m_s")
+_SPEED_BOUND = metric_at("carriers.speed_bound_m_s")
+_TIME_BELOW_BOUND = metric_at("carriers.time_below_bound_s")
+_SLACK_TIME = metric_at("cables.slack_time_s")
+
 
 @dataclass(kw_only=True)
 class Case:
     """A run with one error.
 
-    The figures of a run that did not complete are those up to its end, and NaN where it has no
-    samples at all.
+    The metrics of a run that did not complete are those up to its end; there are none where it
+    has no samples at all.
     """
 
     error: str  # what is wrong
@@ -39,19 +47,17 @@ class Case:
     overrides: list[str]  # "path=value"
     outcome: str = COMPLETED  # or "diverged", or "failed": a block raised an error
     message: str = ""  # why it did not complete
-    position_error_mean: float = math.nan  # m
-    position_error_final: float = math.nan  # m
-    orientation_error_mean: float = math.nan  # rad
-    speed_margin: float = math.nan  # m/s, the slowest carrier's speed minus ε
-    time_below_bound: float = math.nan  # s
-    slack_time: float = math.nan  # s
+    metrics: dict[str, Any] = field(default_factory=dict)  # by path, no wall times among them
 
-    def as_json(self) -> dict[str, Any]:
-        """The fields, with None in place of NaN."""
-        return {
-            name: None if isinstance(value, float) and math.isnan(value) else value
-            for name, value in dataclasses.asdict(self).items()
-        }
+    @property
+    def speed_margin(self) -> float:
+        """The slowest carrier's speed minus ε, in m/s; NaN without metrics."""
+        return self.shown(_SLOWEST_SPEED) - self.shown(_SPEED_BOUND)
+
+    def shown(self, metric: Metric) -> float:
+        """A metric in the unit that is shown; NaN where there is none."""
+        value = metric.shown(self.metrics.get(metric.path))
+        return math.nan if value is None else value
 
 
 def robustness(
@@ -96,14 +102,25 @@ def robustness(
 
 def robustness_table(cases: Sequence[Case]) -> str:
     """A line per case in aligned columns, for a terminal."""
-    columns = "e_p mean / final, mm", "slowest - bound", "below", "slack"
+    errors_heading = f"e_p mean / final, {POSITION_ERROR_MEAN.unit}"
+    columns = errors_heading, "slowest - bound", "below", "slack"
     lines = ["{:42} {:>20} {:>16} {:>8} {:>8}".format("error", *columns)]
     for case in cases:
         name = f"{case.error} {case.level:+g} {case.unit}" if case.unit else "none"
-        errors = f"{1e3 * case.position_error_mean:.3g} / {1e3 * case.position_error_final:.3g}"
+        mean, final, below, slack = (
+            case.shown(metric)
+            for metric in (
+                POSITION_ERROR_MEAN,
+                _POSITION_ERROR_FINAL,
+                _TIME_BELOW_BOUND,
+                _SLACK_TIME,
+            )
+        )
+        errors = f"{mean:.3g} / {final:.3g}"
         lines.append(
-            f"{name:42} {errors:>20} {case.speed_margin:+12.3f} m/s {case.time_below_bound:6.3g} s "
-            f"{case.slack_time:6.3g} s{'' if case.outcome == COMPLETED else f'  {case.outcome}'}"
+            f"{name:42} {errors:>20} {case.speed_margin:+12.3f} {_SLOWEST_SPEED.unit} "
+            f"{below:6.3g} {_TIME_BELOW_BOUND.unit} {slack:6.3g} {_SLACK_TIME.unit}"
+            f"{'' if case.outcome == COMPLETED else f'  {case.outcome}'}"
         )
     return "\n".join(lines)
 
@@ -152,21 +169,16 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
 
 
 def _measured(text: str, case: Case) -> Case:
-    """The case with its outcome and figures."""
+    """The case with its outcome and metrics."""
     # A copy of a scenario that was trusted when it was loaded.
     tried = attempt(lambda: changed(parse_scenario(text, trust=True), case.overrides))
     if tried.outcome == UNBUILDABLE:
-        raise ScenarioError(tried.message)
+        raise ScenarioError(tried.message) from tried.error
     ended = dataclasses.replace(case, outcome=tried.outcome, message=tried.message)
     if tried.run is None:
         return ended
-    figures = flattened(compute_metrics(tried.run))
+    metrics = compute_metrics(tried.run)
+    kept = (metric for metric in METRICS if not metric.is_list and not metric.is_wall_time)
     return dataclasses.replace(
-        ended,
-        position_error_mean=figures["load.position_error_mean_m"],
-        position_error_final=figures["load.position_error_final_m"],
-        orientation_error_mean=figures["load.orientation_error_mean_rad"],
-        speed_margin=figures["carriers.speed_min_m_s"] - figures["carriers.speed_bound_m_s"],
-        time_below_bound=figures["carriers.time_below_bound_s"],
-        slack_time=figures["cables.slack_time_s"],
+        ended, metrics={metric.path: metric.value(metrics) for metric in kept}
     )

@@ -144,6 +144,7 @@ class Attempt:
     outcome: str
     message: str = ""
     run: Run | None = None
+    error: BaseException | None = None  # of a scenario that is "unbuildable"
 
 
 def attempt(scenario: Callable[[], Scenario]) -> Attempt:
@@ -166,9 +167,9 @@ def attempt(scenario: Callable[[], Scenario]) -> Attempt:
     except RunInterrupted:
         raise KeyboardInterrupt from None  # without the run, which cannot be sent to a process
     except ScenarioError as error:
-        return Attempt(outcome=UNBUILDABLE, message=str(error))
+        return Attempt(outcome=UNBUILDABLE, message=str(error), error=error)
     except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
-        return Attempt(outcome=UNBUILDABLE, message=one_line(error))
+        return Attempt(outcome=UNBUILDABLE, message=one_line(error), error=error)
     if _is_worker_cancelled():
         raise KeyboardInterrupt
     return Attempt(outcome=outcome, message=message, run=run if len(run.time) > 0 else None)

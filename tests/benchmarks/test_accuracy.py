@@ -1,4 +1,4 @@
-"""`bench accuracy` tells how far a setting of the integrator leaves a run from a converged one."""
+"""`bench accuracy` reports how far an integrator setting leaves a run from a converged one."""
 
 import json
 
@@ -46,7 +46,7 @@ def test_errors_are_the_largest_of_any_sample_and_carrier(results):
     assert default["speed_error"] == pytest.approx(off, rel=1e-9)
 
 
-def test_a_run_that_diverges_is_told(results):
+def test_a_run_that_diverges_is_reported(results):
     row = results["runs"][-1]
     assert "diverged" in row["stopped"]
     assert "load_error_m" not in row

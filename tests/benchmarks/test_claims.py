@@ -26,15 +26,15 @@ SHARES = "| search | 1.4 / 3.2 | 100.0% | {}% | 0.3 / 0.6 |"
     ],
 )
 def test_a_claim_holds_where_the_value_rounds_to_it(printed, value, holds):
-    claim = Claim(arguments="line", quantity="slowest (m/s)", printed=printed)
+    claim = Claim(arguments="line", quantity="slowest speed (m/s)", printed=printed)
     assert claim.holds(value) == holds
 
 
 def test_rows_that_cannot_be_read_are_no_silent_gap():
-    text = ROW.format("line", "slowest (m/s)", "0.2")
+    text = ROW.format("line", "slowest speed (m/s)", "0.2")
     assert len(read_claims(text)) == 1
     with pytest.raises(ScenarioError, match=r"claim = .*with ours a number"):
-        read_claims(text + "\n" + ROW.format("line", "slowest (m/s)", "about 0.2"))
+        read_claims(text + "\n" + ROW.format("line", "slowest speed (m/s)", "about 0.2"))
     with pytest.raises(ScenarioError, match=r"claim on line = tallest .m.: give one of"):
         read_claims(ROW.format("line", "tallest (m)", "0.2"))
     with pytest.raises(ScenarioError, match="a text without claims"):
@@ -43,7 +43,7 @@ def test_rows_that_cannot_be_read_are_no_silent_gap():
 
 def test_every_metric_that_is_one_value_can_be_claimed():
     assert {metric.heading for metric in METRICS if not metric.is_list} < set(QUANTITIES)
-    assert {"mean position error (mm)", "slowest (m/s)", "final A (N)"} < set(QUANTITIES)
+    assert {"mean position error (mm)", "slowest speed (m/s)", "final A (N)"} < set(QUANTITIES)
 
 
 @pytest.mark.parametrize(

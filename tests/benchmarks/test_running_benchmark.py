@@ -397,7 +397,7 @@ def test_revisions_that_cannot_be_had_are_named(checkout, tmp_path):
         compare(QUICK, revision="--all", checkout=folder)
     with pytest.raises(ScenarioError, match="is no git checkout of the package"):
         compare(QUICK, revision="HEAD", checkout=tmp_path)
-    # What does not run there is told in the words of what did not.
+    # What does not run there is reported in the words of what did not.
     (folder / "drake_nonstop" / "__init__.py").write_text("raise ImportError('out of order')\n")
     git("commit", "--quiet", "-a", "-m", "broken")
     with (

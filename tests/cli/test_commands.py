@@ -116,12 +116,12 @@ def test_bad_input_leaves_no_new_folder(tmp_path):
     assert contents(tmp_path) == set()
 
 
-def test_what_nobody_wants_is_warned_of(tmp_path, capsys):
-    settings = ["--set", "optimization_layer.speed_bound=0.8", "duration=0.3"]
-    settings += ["optimization_layer.frequency_bounds=[1, 2.05]"]
-    settings += ["optimization_layer.amplitude_bounds=[1, 1.25]"]
-    settings += ["safe_carrier_distance=5", "safe_cable_distance=0.01"]
-    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF[1:], *settings]) == 0
+def test_dangerous_metrics_are_warned_of(tmp_path, capsys):
+    overrides = ["--set", "optimization_layer.speed_bound=0.8", "duration=0.3"]
+    overrides += ["optimization_layer.frequency_bounds=[1, 2.05]"]
+    overrides += ["optimization_layer.amplitude_bounds=[1, 1.25]"]
+    overrides += ["safe_carrier_distance=5", "safe_cable_distance=0.01"]
+    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF[1:], *overrides]) == 0
     warnings = [s for s in capsys.readouterr().out.splitlines() if s.startswith("warning: ")]
     assert any("below the bound" in line for line in warnings)
     assert any("no parameters fulfilled the bound" in line for line in warnings)
@@ -150,7 +150,7 @@ def test_bad_input_is_one_sentence_and_leaves_earlier_results(tmp_path, capsys, 
     assert (tmp_path / "metrics.json").read_text() == "earlier"
 
 
-def test_an_unwritable_folder_is_told_before_the_run(tmp_path, capsys, monkeypatch):
+def test_an_unwritable_folder_is_reported_before_the_run(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(run, "simulate", lambda *_: pytest.fail("the run began"))
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
@@ -159,8 +159,8 @@ def test_an_unwritable_folder_is_told_before_the_run(tmp_path, capsys, monkeypat
 
 
 def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys):
-    settings = ["--set", "simulator.integration_scheme=explicit_euler", "duration=2"]
-    assert main(["run", "quintic", "--out", str(tmp_path), *settings, *BRIEF]) == 1
+    overrides = ["--set", "simulator.integration_scheme=explicit_euler", "duration=2"]
+    assert main(["run", "quintic", "--out", str(tmp_path), *overrides, *BRIEF]) == 1
     error = capsys.readouterr().err
     assert "diverged at t = " in error
     assert "Traceback" not in error
@@ -211,7 +211,7 @@ def test_view_wants_a_folder_with_a_replay(tmp_path, capsys):
     assert "replay.html" in capsys.readouterr().err
 
 
-def test_a_taken_port_is_told(tmp_path, capsys):
+def test_a_taken_port_is_reported(tmp_path, capsys):
     (tmp_path / "replay.html").write_text("")
     with serve_folder(tmp_path) as address:
         port = address.rsplit(":", 1)[1]
@@ -220,7 +220,7 @@ def test_a_taken_port_is_told(tmp_path, capsys):
     assert main(["view", str(tmp_path), "--no-open", "--port", "99999999"]) == 2
 
 
-def test_a_live_run_that_nobody_watches_ends_with_its_results(tmp_path, capsys):
+def test_a_live_run_without_a_browser_ends_with_its_results(tmp_path, capsys):
     options = ["--live", "--realtime", "0", "--set", "duration=0.2", *BRIEF[1:]]
     assert main(["run", "quintic", "--out", str(tmp_path), *options]) == 0
     assert "http://localhost:" in capsys.readouterr().out

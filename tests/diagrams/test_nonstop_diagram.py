@@ -255,7 +255,7 @@ LAYER = "expected parameters (2), optional diagnostics (7), solve_time (1), spee
     ],
 )
 @pytest.mark.parametrize("period", [0.0, 0.01])
-def test_block_with_other_outputs_is_told_those_of_its_box(box, outputs, said, period):
+def test_block_with_other_outputs_is_reported_with_those_of_its_box(box, outputs, said, period):
     with pytest.raises(wiring.WiringError) as error:
         make_nonstop(plain(period), **{box: with_ports({}, outputs)})
     assert str(error.value) == f"{box} = Ports with outputs {said}; rename or resize the ports"
@@ -293,7 +293,7 @@ def test_every_box_asks_for_its_signals_at_their_sizes(box):
     ],
 )
 @pytest.mark.parametrize("period", [0.0, 0.01])
-def test_block_with_other_inputs_is_told_the_signals_that_there_are(inputs, given, wrong, period):
+def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wrong, period):
     block = with_ports(inputs, {"disturbance_wrench": 6})
     with pytest.raises(wiring.WiringError) as error:
         make_nonstop(plain(period), load_disturbance=block)
@@ -318,7 +318,7 @@ def test_block_with_other_inputs_is_told_the_signals_that_there_are(inputs, give
         ({"reference": 7, "phase": 2}, "reference (7), phase (2)", "reference (22)"),
     ],
 )
-def test_block_with_an_input_of_another_size_is_told_the_size(inputs, given, expected):
+def test_block_with_an_input_of_another_size_is_reported_with_the_size(inputs, given, expected):
     block = with_ports(inputs, {"disturbance_wrench": 6})
     with pytest.raises(wiring.WiringError) as error:
         make_nonstop(plain(), load_disturbance=block)
@@ -415,7 +415,7 @@ def test_only_the_plant_takes_the_simulated_system():
     assert masses == {name: (1.3, 0.2) if name in plant else (1.0, 0.1) for name in BOXES}
 
 
-def test_unknown_box_is_told_the_boxes():
+def test_unknown_box_is_reported_with_the_boxes():
     with pytest.raises(ScenarioError, match=r"replacement = plant: give one of load_trajectory"):
         make_nonstop(plain(), plant=ConstantParameters)
 
@@ -426,7 +426,7 @@ def test_replacement_that_is_no_block_is_named(entry):
         make_nonstop(plain(), phase=entry)
 
 
-def test_config_of_another_box_is_told_the_choices():
+def test_config_of_another_box_is_reported_with_the_choices():
     config = CarrierDynamicsConfig()
     with pytest.raises(
         ScenarioError, match="phase = CarrierDynamics: give one of AccumulatedPhase, PaperPhase"

@@ -1,4 +1,4 @@
-"""What mechanics promises of any run, from the signals alone, in formulas of their own."""
+"""Laws of mechanics that every run obeys, computed from its signals by independent formulas."""
 
 import dataclasses
 from itertools import pairwise
@@ -95,11 +95,11 @@ def test_internal_forces_have_no_net_wrench(fine):
     assert np.ptp(forces, axis=0).max() > 1.0  # they do move
 
 
-@pytest.mark.parametrize(("settings", "tolerance"), [(CONSTANT, 1e-9), ([], 1e-6)])
-def test_a_turned_and_moved_run_gives_the_turned_and_moved_result(settings, tolerance):
+@pytest.mark.parametrize(("overrides", "tolerance"), [(CONSTANT, 1e-9), ([], 1e-6)])
+def test_a_turned_and_moved_run_gives_the_turned_and_moved_result(overrides, tolerance):
     yaw, shift = 0.7, np.array([3.0, -2.0, 5.0])
     turn = Rotation.from_euler("z", yaw).as_matrix()
-    scenario = load_scenario("quintic", ["duration=4", *settings])
+    scenario = load_scenario("quintic", ["duration=4", *overrides])
     trajectory = scenario.load_trajectory
     turned = dataclasses.replace(
         scenario,
@@ -142,8 +142,8 @@ def test_the_integrator_converges_in_its_nominal_order():
     results = []
     steps = (0.005, 0.0025, 0.00125, 0.000625, 0.0003125)
     for step in steps:
-        settings = ["duration=2", f"simulator.max_step_size={step}", *CONSTANT]
-        run = simulate(load_scenario("quintic", settings))
+        overrides = ["duration=2", f"simulator.max_step_size={step}", *CONSTANT]
+        run = simulate(load_scenario("quintic", overrides))
         states = [run.signal("load_state")[-1, :7], run.signal("carrier_state")[-1]]
         results.append(np.concatenate(states))
     changes = [np.abs(a - b).max() for a, b in pairwise(results)]

@@ -7,18 +7,23 @@ from scipy.spatial.transform import Rotation
 
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
+from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.simulate import simulate
 
 
 @pytest.mark.parametrize("name", scenario_names())
 def test_both_plants_agree(name):
-    settings = [] if name in ("quintic", "line") else ["duration=7"]  # all that move do by then
-    size = load_scenario(name).system.load_inertia[0][0]
+    overrides = [] if name in ("quintic", "line") else ["duration=7"]  # all that move do by then
+    scenario = load_scenario(name)
+    size = scenario.system.load_inertia[0][0]
     inertia = size * np.array([[1.2, 0.1, 0.0], [0.1, 1.0, 0.2], [0.0, 0.2, 1.5]])
-    settings += [f"simulated.load_inertia={inertia.tolist()}"]
-    settings += [f"simulated.load_angular_drag={size}"]
+    overrides += [f"simulated.load_inertia={inertia.tolist()}"]
+    overrides += [f"simulated.load_angular_drag={size}"]
+    scenario = changed(scenario, overrides)
     ours, drakes = (
-        simulate(load_scenario(name, [*settings, f"load_plant=!{plant} {{}}"])).signal("load_state")
+        simulate(load_scenario(name, [*overrides, f"load_plant=!{plant} {{}}"])).signal(
+            "load_state"
+        )
         for plant in ("LoadPlant", "MultibodyLoadPlant")
     )
     assert np.abs(ours[:, 4:7] - drakes[:, 4:7]).max() < 1e-10

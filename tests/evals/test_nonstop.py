@@ -1,4 +1,4 @@
-"""What the better defaults promise: no carrier below its bound, and the load on its path."""
+"""With the better defaults: no carrier below its bound, and the load on its path."""
 
 import numpy as np
 import pytest

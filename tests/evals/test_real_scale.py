@@ -10,24 +10,18 @@ from drake_nonstop.simulation.run_quantities import load_errors
 RADIUS = 1.5  # m, of the circle of the attachments
 
 
-def flown(n, evaluated):
-    """Run and metrics of the shipped scenario with n attachments, and nothing else changed.
-
-    The subject is the pattern, not the blocks of the plant: where it is not the shipped run, it is
-    flown with the fused plant, which equals the separate blocks to round-off. Its steps of 10 ms
-    are short beside orbits of some 20 s.
-    """
+def flown(n, shared_runs):
+    """Run and metrics of the shipped scenario with n attachments, and nothing else changed."""
     if n == 4:
-        return evaluated("real_scale_spread")
+        return shared_runs.evaluated(load_scenario("real_scale_spread"))
     attachments = regular(n, RADIUS).tolist()
-    settings = [f"system.attachments={attachments}", "fused_plant=true"]
-    run = simulate(load_scenario("real_scale_spread", settings))
+    run = simulate(load_scenario("real_scale_spread", [f"system.attachments={attachments}"]))
     return run, compute_metrics(run)
 
 
 @pytest.mark.parametrize("n", [3, 4, 6, 8])
-def test_spread_carousel_flies_any_number_of_carriers_apart(n, evaluated):
-    run, metrics = flown(n, evaluated)
+def test_spread_carousel_flies_any_number_of_carriers_apart(n, shared_runs):
+    run, metrics = flown(n, shared_runs)
     carriers, cables = metrics["carriers"], metrics["cables"]
     assert metrics["optimizer"]["solved"] > 0
     assert metrics["optimizer"]["relaxed"] == 0

@@ -68,8 +68,8 @@ def test_urdf_too(tmp_path):
 
 @pytest.mark.parametrize("plant", ["LoadPlant", "MultibodyLoadPlant"])
 def test_a_scenario_flies_a_load_from_a_file(crate, plant):
-    settings = [f"system.load_file={crate}", f"system.attachment_frames=[{', '.join(FRAMES)}]"]
-    scenario = load_scenario("quintic", [*settings, f"load_plant=!{plant} {{}}", "duration=0.5"])
+    overrides = [f"system.load_file={crate}", f"system.attachment_frames=[{', '.join(FRAMES)}]"]
+    scenario = load_scenario("quintic", [*overrides, f"load_plant=!{plant} {{}}", "duration=0.5"])
     assert scenario.system.load_mass == 1.2
     assert parse_scenario(dump_scenario(scenario)).system == scenario.system
     run = simulate(scenario)
@@ -77,11 +77,11 @@ def test_a_scenario_flies_a_load_from_a_file(crate, plant):
 
 
 def test_a_file_for_the_simulated_load_alone(crate):
-    settings = [
+    overrides = [
         f"simulated.load_file={crate}",
         f"simulated.attachment_frames=[{', '.join(FRAMES)}]",
     ]
-    scenario = load_scenario("quintic", settings)
+    scenario = load_scenario("quintic", overrides)
     assert scenario.system.load_mass == 1.0
     assert scenario.simulated.load_mass == 1.2
 
@@ -102,7 +102,7 @@ def test_a_file_for_the_simulated_load_alone(crate):
         ),
     ],
 )
-def test_what_cannot_be_used_is_told_in_a_sentence(tmp_path, text, frames, words):
+def test_a_file_that_cannot_be_used_is_reported_in_a_sentence(tmp_path, text, frames, words):
     (tmp_path / "load.sdf").write_text(text)
     with pytest.raises(ScenarioError) as caught:
         read_load(tmp_path / "load.sdf", frames)

@@ -260,7 +260,7 @@ def test_spread_has_to_be_positive(spread):
         SpreadCarouselConfig(spread=spread).make(regular(4))
 
 
-def test_linear_pattern_is_the_cycle_unless_it_is_told_otherwise():
+def test_linear_pattern_is_the_cycle_by_default():
     plain, cycle_pattern = LinearPatternConfig().make(regular(5)), HamiltonianCycleConfig()
     np.testing.assert_array_equal(plain.basis, cycle_pattern.make(regular(5)).basis)
     np.testing.assert_array_equal(plain.phases, cycle_pattern.make(regular(5)).phases)

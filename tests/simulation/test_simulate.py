@@ -7,8 +7,8 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop import ConstantParameters, RunStopped, ScenarioError, load_scenario, simulate
 
 
-def short(name, *settings, duration=0.5):
-    return load_scenario(name, [*settings, f"duration={duration}"])
+def short(name, *overrides, duration=0.5):
+    return load_scenario(name, [*overrides, f"duration={duration}"])
 
 
 def test_two_runs_of_one_scenario_are_equal_to_the_bit():
@@ -105,7 +105,7 @@ def test_a_nan_from_a_users_block_stops_the_run_and_is_blamed_on_it():
     assert 0.15 < caught.value.run.time[-1] <= 0.2
 
 
-def test_an_error_in_a_users_block_is_told_with_its_time():
+def test_an_error_in_a_users_block_is_reported_with_its_time():
     layer = lambda model: FailsAt(0.2, ZeroDivisionError("my mistake"))  # noqa: E731
     with pytest.raises(RunStopped, match="my mistake") as caught:
         simulate(short("quintic"), optimization_layer=layer)
@@ -145,8 +145,8 @@ def test_a_run_starts_with_cables_that_the_controllers_know_wrongly(length):
 def test_the_step_is_shortened_where_the_fastest_mode_needs_it(n):
     angles = 2 * np.pi * np.arange(n) / n
     points = 1.06 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    settings = [f"system.attachments={points.tolist()}", "pattern=!HamiltonianCycle {}"]
-    run = simulate(short("quintic", *settings, duration=3))
+    overrides = [f"system.attachments={points.tolist()}", "pattern=!HamiltonianCycle {}"]
+    run = simulate(short("quintic", *overrides, duration=3))
     assert np.max(np.diff(run.steps["time"])) < 0.004  # less than the scenario's 5 ms
     assert np.min(run.steps["tensions"]) > 0
     assert np.max(np.abs(run.signal("tracking_error")[:, 3:6])) < 1e-3

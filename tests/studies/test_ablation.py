@@ -294,7 +294,7 @@ def test_table_page_and_terminal_show_the_metrics_of_the_folders(compared):
         assert error in next(line for line in shown.splitlines() if line.startswith(f"{name} "))
 
 
-def test_a_variant_that_cannot_be_built_is_told_and_spoils_nothing(compared):
+def test_a_variant_that_cannot_be_built_is_reported_and_spoils_nothing(compared):
     folder, code, shown = compared
     assert code == cli.FAILED
     message = "Nope (unbuildable): phase = !Nope: give one of"
@@ -367,7 +367,7 @@ def test_changes_are_marked_as_better_or_worse(tmp_path):
         (["--swap", "phase=no_such_module_here.Mine", "--trust"], "cannot be imported"),
     ],
 )
-def test_bad_input_is_told_at_once_and_leaves_no_folder(tmp_path, capsys, arguments, words):
+def test_bad_input_is_reported_and_leaves_no_folder(tmp_path, capsys, arguments, words):
     folder = tmp_path / "out"
     assert main(["ablate", "line", "--out", str(folder), *arguments]) == cli.BAD_INPUT
     error = capsys.readouterr().err

@@ -25,7 +25,7 @@ def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     cases = json.loads((tmp_path / "robustness.json").read_text())["cases"]
     assert [case["error"] for case in cases] == ["none"] + ["load mass"] * 4 + ["gusty wind"] * 4
     assert all(case["outcome"] == "completed" for case in cases)
-    none, *others = (case["position_error_mean"] for case in cases)
+    none, *others = (case["metrics"]["load.position_error_mean_m"] for case in cases)
     assert all(error > 1.5 * none for error in others)
     assert Image.open(tmp_path / "robustness.png").width > 300
 
@@ -71,7 +71,7 @@ def test_a_run_that_does_not_complete_says_how_it_ended(
     first, *others = json.loads((tmp_path / "robustness.json").read_text())["cases"]
     assert first["outcome"] == outcome
     assert words in first["message"]
-    assert (first["position_error_mean"] is None) == (fault == "dies")
+    assert ("load.position_error_mean_m" not in first["metrics"]) == (fault == "dies")
     assert {case["outcome"] for case in others} == {"completed"}
 
 

@@ -364,7 +364,7 @@ class TestCommand:
             ("grid: {}", "give grid, draws or both"),
         ],
     )
-    def test_bad_input_is_told_at_once_and_leaves_no_folder(self, tmp_path, capsys, text, words):
+    def test_bad_input_is_reported_and_leaves_no_folder(self, tmp_path, capsys, text, words):
         folder = tmp_path / "out"
         assert main(["sweep", "line", self.spec(tmp_path, text), "--out", str(folder)]) == BAD_INPUT
         error = capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What a run holds is given back once nothing uses it any more."""
+"""A run is freed once nothing refers to it any more."""
 
 import gc
 import itertools
@@ -43,9 +43,9 @@ def held(run):
     return [weakref.ref(thing) for thing in things]
 
 
-@pytest.mark.parametrize("settings", SWAPS, ids=lambda s: ", ".join(s) or "default")
-def test_nothing_is_left_of_a_run(settings):
-    run = simulate(load_scenario("line", ["duration=0.02", *settings]))
+@pytest.mark.parametrize("overrides", SWAPS, ids=lambda s: ", ".join(s) or "default")
+def test_a_run_leaves_nothing_in_memory(overrides):
+    run = simulate(load_scenario("line", ["duration=0.02", *overrides]))
     references = held(run)
     del run
     gc.collect()
@@ -58,7 +58,7 @@ def test_every_block_is_one_that_is_freed():
 
 
 class Stateful(LeafBlock):
-    """A block that forgot the rates of its state."""
+    """A block without the rates of its state."""
 
     def __init__(self):
         super().__init__()
@@ -71,7 +71,7 @@ def test_a_continuous_state_without_rates_is_an_error():
         block.EvalTimeDerivatives(block.CreateDefaultContext())
 
 
-def test_let_go_of_a_block_of_the_users_frees_the_rest():
+def test_release_frees_the_rest_beside_a_block_of_the_users():
     run = simulate(load_scenario("line", ["duration=0.02"]), load_disturbance=PlainWind)
     reference, blocks = weakref.ref(run.diagram), held(run)
     release(run.diagram)

@@ -80,7 +80,7 @@ def test_every_signal_is_exported_by_its_name_and_has_its_value():
         np.testing.assert_array_equal(diagram.GetOutputPort(name).Eval(context), [value, value])
 
 
-def test_misspelt_input_is_told_the_valid_names():
+def test_misspelt_input_is_reported_with_the_valid_names():
     blocks = figure() | {"plant": Box(["comand"], ["state"])}
     with pytest.raises(WiringError) as error:
         connect(blocks, name="loop")
@@ -106,7 +106,7 @@ def test_sizes_that_differ_are_both_given():
     )
 
 
-def test_all_inputs_that_cannot_be_wired_are_told_at_once():
+def test_all_inputs_that_cannot_be_wired_are_reported_at_once():
     blocks = figure() | {"plant": Box(["comand", "force", "torque"], ["state"])}
     with pytest.raises(WiringError) as error:
         connect(blocks, name="loop")
@@ -172,7 +172,7 @@ def test_outputs_are_compared_with_what_is_expected(outputs, said):
 
 @pytest.mark.parametrize(("required", "optional"), [({"force": 3}, {}), ({}, {"force": 3})])
 @pytest.mark.parametrize("block", [Box([], ["force"]), Abstract([], ["force"])])
-def test_outputs_of_another_size_are_told(block, required, optional):
+def test_outputs_of_another_size_are_reported(block, required, optional):
     with pytest.raises(WiringError, match=r"with outputs force \((2|abstract)\): .*force \(3\);"):
         check_outputs("source", block, required, optional)
 
@@ -206,7 +206,7 @@ def test_makers_of_replaced_signals_read_nothing_that_is_replaced():
     ]
 
 
-def test_replacement_that_nobody_makes_is_an_error():
+def test_replacement_that_no_block_makes_is_an_error():
     with pytest.raises(WiringError, match=r"^replacement of force = held_force: no block .* pose"):
         wires(figure(), {"force": "held_force"})
 

@@ -1,4 +1,4 @@
-"""The visualizer beside the loop: what it shows, and that nothing else notices it."""
+"""The visualizer beside the loop: what it shows, and that it changes nothing else."""
 
 import numpy as np
 import pytest

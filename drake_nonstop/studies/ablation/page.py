@@ -83,8 +83,11 @@ def _draw(folder: Path, rows: Sequence[Row], curves: Mapping[str, Curves]) -> No
     figures = (
         make_overlay_figure(
             "Load position error",
-            "position error (mm)",
-            {name: (c.sample_times, 1e3 * c.position_error) for name, c in drawn.items()},
+            f"position error ({POSITION_ERROR.unit})",
+            {
+                name: (c.sample_times, POSITION_ERROR.shown(c.position_error))
+                for name, c in drawn.items()
+            },
             framed=whole,
             is_logarithmic=True,
         ),
