@@ -19,7 +19,7 @@ from drake_nonstop.systems.traced_block import Equations, TracedBlock
 from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import require_non_negative, require_positive
 
-_OWNER = "carrier_controller"
+_BOX = "carrier_controller"
 
 
 class _PositionPid(DiagramBlock):
@@ -44,10 +44,11 @@ class _PositionPid(DiagramBlock):
         minus = builder.AddNamedSystem("minus", Gain(-1.0, 2 * size))
         error = builder.AddNamedSystem("error", Adder(2, 2 * size))
         pid = builder.AddNamedSystem("pid", _pid(size, gains))
+        reference_input, negated_state_input = map(error.get_input_port, range(2))
         self.equations = _equations(size, pid.equations, feedforward)
-        builder.Connect(minus.get_output_port(), error.get_input_port(1))
+        builder.Connect(minus.get_output_port(), negated_state_input)
         builder.Connect(error.get_output_port(), pid.get_input_port())
-        builder.ExportInput(error.get_input_port(0), "carrier_reference")
+        builder.ExportInput(reference_input, "carrier_reference")
         builder.ExportInput(minus.get_input_port(), "carrier_state")
         forces = pid.get_output_port()
         if feedforward is not None:
@@ -55,8 +56,8 @@ class _PositionPid(DiagramBlock):
             for name in input_names(feedforward):
                 builder.ExportInput(feedforward.GetInputPort(name), name)
             total = builder.AddNamedSystem("total", Adder(2, size))
-            builder.Connect(forces, total.get_input_port(0))
-            builder.Connect(feedforward.get_output_port(), total.get_input_port(1))
+            for i, addend in enumerate((forces, feedforward.get_output_port())):
+                builder.Connect(addend, total.get_input_port(i))
             forces = total.get_output_port()
         builder.ExportOutput(forces, "carrier_forces")
         builder.BuildInto(self)
@@ -132,7 +133,7 @@ class CarrierPid(_PositionPid):
 
     def __init__(self, model: Model, config: CarrierPidConfig | None = None):
         gains = asdict(config or CarrierPidConfig())
-        require_non_negative(_OWNER, **gains)
+        require_non_negative(_BOX, **gains)
         super().__init__(model, gains)
 
 
@@ -218,7 +219,7 @@ class FeedforwardCarrierPid(_FeedforwardPid):
 
     def __init__(self, model: Model, config: FeedforwardCarrierPidConfig | None = None):
         gains = asdict(config or FeedforwardCarrierPidConfig())
-        require_non_negative(_OWNER, **gains)
+        require_non_negative(_BOX, **gains)
         super().__init__(model, gains)
 
 
@@ -301,8 +302,8 @@ class TunedFeedforwardCarrierPid(_FeedforwardPid):
 
 
 def _tuned_gains(model: Model, config: TunedCarrierPidConfig) -> dict[str, float]:
-    require_non_negative(_OWNER, **asdict(config))
-    require_positive(_OWNER, frequency=config.frequency)
+    require_non_negative(_BOX, **asdict(config))
+    require_positive(_BOX, frequency=config.frequency)
     names = ("position_gain", "velocity_gain", "integral_gain")
     poles = pid_gains(config.frequency, config.damping, config.integral_rate)
     return {name: model.carrier_mass * gain for name, gain in zip(names, poles, strict=True)}
@@ -343,7 +344,7 @@ class LoadedCarrierPid(TracedBlock):
 
     def __init__(self, model: Model, config: LoadedCarrierPidConfig | None = None):
         config = config or LoadedCarrierPidConfig()
-        require_non_negative("carrier_controller", **asdict(config))
+        require_non_negative(_BOX, **asdict(config))
         n = model.n
         super().__init__(
             lambda reference, state, cables: loaded_pid_forces(

@@ -15,6 +15,8 @@ from drake_nonstop.validation import (
     require_seed,
 )
 
+_BOX = "load_disturbance"
+
 
 @dataclass(kw_only=True)
 class NoDisturbanceConfig:
@@ -86,12 +88,11 @@ class Wind(LeafBlock):
     def __init__(self, model: Model, config: WindConfig | None = None):
         super().__init__()
         config = config or WindConfig()
-        owner = "load_disturbance"
-        force = require_array(f"{owner}.force", config.force, [3], "in W")
-        torque = require_array(f"{owner}.torque", config.torque, [3], "in W")
-        require_non_negative(owner, gust_force=config.gust_force, start_time=config.start_time)
-        require_positive(owner, gust_time=config.gust_time)
-        require_seed(f"{owner}.seed", config.seed)
+        force = require_array(f"{_BOX}.force", config.force, [3], "in W")
+        torque = require_array(f"{_BOX}.torque", config.torque, [3], "in W")
+        require_non_negative(_BOX, gust_force=config.gust_force, start_time=config.start_time)
+        require_positive(_BOX, gust_time=config.gust_time)
+        require_seed(f"{_BOX}.seed", config.seed)
         self._constant = np.concatenate([torque, force])
         self._start_time = config.start_time
         random = np.random.default_rng(config.seed)

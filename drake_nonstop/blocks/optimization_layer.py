@@ -11,6 +11,13 @@ from pydrake.systems.framework import (
     NumericParameterIndex,
 )
 
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    PARAMETERS_SIZE,
+    PHASE_SIZE,
+    WRENCH_SIZE,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
@@ -124,15 +131,17 @@ class NonstopOptimizer(LeafBlock):
         config = config or NonstopOptimizerConfig()
         check_problem(_BOX, config, model)
         self.solver = UpdateSolver(model, config, self.get_name)
-        self._measured_load_state = self.DeclareVectorInputPort("measured_load_state", 13)
-        self._reference = self.DeclareVectorInputPort("reference", 22)
-        self._wrench = self.DeclareVectorInputPort("wrench", 6)
-        self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", 6)
-        self._phase = self.DeclareVectorInputPort("phase", 2)
+        self._measured_load_state = self.DeclareVectorInputPort(
+            "measured_load_state", LOAD_STATE_SIZE
+        )
+        self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
+        self._wrench = self.DeclareVectorInputPort("wrench", WRENCH_SIZE)
+        self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", WRENCH_SIZE)
+        self._phase = self.DeclareVectorInputPort("phase", PHASE_SIZE)
         self._parameters = self.DeclareDiscreteState([config.frequency, config.amplitude])
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
-        self._last_wrench_rate = self.DeclareDiscreteState(6)
+        self._last_wrench_rate = self.DeclareDiscreteState(WRENCH_SIZE)
         self._bound_in_force = self.DeclareDiscreteState([config.speed_bound])
         self._is_changing = self.DeclareDiscreteState(1)
         self._speed_bound = self.DeclareNumericParameter(BasicVector([config.speed_bound]))
@@ -273,7 +282,7 @@ class ConstantParameters(LeafBlock):
         require_non_negative(_BOX, speed_bound=config.speed_bound)
         self._parameters = np.array([config.frequency, config.amplitude])
         self.DeclareVectorOutputPort(
-            "parameters", 2, self._calc_parameters, {self.nothing_ticket()}
+            "parameters", PARAMETERS_SIZE, self._calc_parameters, {self.nothing_ticket()}
         )
         self._speed_bound = self.DeclareNumericParameter(BasicVector([config.speed_bound]))
         self.DeclareVectorOutputPort(

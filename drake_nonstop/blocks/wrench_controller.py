@@ -22,7 +22,7 @@ from drake_nonstop.systems.sampled_integrator import SampledIntegrator
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import require, require_non_negative, require_positive
 
-_OWNER = "wrench_controller"
+_BOX = "wrench_controller"
 _INTEGRALS_SIZE = 6  # of the errors of orientation and position
 
 
@@ -112,7 +112,7 @@ class WrenchController(_WrenchPid):
 
     def __init__(self, model: Model, config: WrenchControllerConfig | None = None):
         gains = asdict(config or WrenchControllerConfig())
-        require_non_negative(_OWNER, **gains)
+        require_non_negative(_BOX, **gains)
         super().__init__(model, gains)
 
 
@@ -155,7 +155,7 @@ class PaperWrenchController(_WrenchPid):
 
     def __init__(self, model: Model, config: PaperWrenchControllerConfig | None = None):
         gains = asdict(config or PaperWrenchControllerConfig())
-        require_non_negative(_OWNER, **gains)
+        require_non_negative(_BOX, **gains)
         super().__init__(model, gains | {"angular_velocity_gain": -gains["angular_velocity_gain"]})
 
 
@@ -195,7 +195,7 @@ class GeometricPd(_WrenchPid):
 
     def __init__(self, model: Model, config: GeometricPdConfig | None = None):
         gains = asdict(config or GeometricPdConfig())
-        require_non_negative(_OWNER, **gains)
+        require_non_negative(_BOX, **gains)
         none = dict.fromkeys(
             ("position_integral_gain", "orientation_integral_gain", "feedforward"), 0.0
         )
@@ -248,9 +248,9 @@ class TunedWrenchController(_WrenchPid):
 
     def __init__(self, model: Model, config: TunedWrenchControllerConfig | None = None):
         config = config or TunedWrenchControllerConfig()
-        require_non_negative(_OWNER, **asdict(config))
+        require_non_negative(_BOX, **asdict(config))
         require_positive(
-            _OWNER,
+            _BOX,
             position_frequency=config.position_frequency,
             orientation_frequency=config.orientation_frequency,
         )
@@ -264,7 +264,7 @@ class TunedWrenchController(_WrenchPid):
         gains["position_integral_gain"] = load.mass * integral
         require(
             gains["velocity_gain"] >= 0,
-            f"{_OWNER}.position_damping",
+            f"{_BOX}.position_damping",
             config.position_damping,
             "the load's drag alone damps more; give more damping or a higher frequency",
         )
@@ -278,7 +278,7 @@ class TunedWrenchController(_WrenchPid):
         gains["orientation_integral_gain"] = load.inertia * integral
         require(
             np.linalg.eigvalsh(gains["angular_velocity_gain"])[0] >= 0,
-            f"{_OWNER}.orientation_damping",
+            f"{_BOX}.orientation_damping",
             config.orientation_damping,
             "the load's drag alone damps more; give more damping or a higher frequency",
         )
