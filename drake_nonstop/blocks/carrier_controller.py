@@ -125,7 +125,10 @@ class CarrierPid(_PositionPid):
     `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
     state, where their gain is not zero.
 
-    Parameters: the fields of `CarrierPidConfig`.
+    Parameters, the fields of `CarrierPidConfig`:
+        position_gain: N/m
+        velocity_gain: N s/m; the paper's 1.5 is a damping ratio of 0.075
+        integral_gain: N/(m s)
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -211,7 +214,10 @@ class FeedforwardCarrierPid(_FeedforwardPid):
     `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
     state, where their gain is not zero.
 
-    Parameters: the fields of `FeedforwardCarrierPidConfig`.
+    Parameters, the fields of `FeedforwardCarrierPidConfig`:
+        position_gain: N/m
+        velocity_gain: N s/m; the paper's 1.5 is a damping ratio of 0.075
+        integral_gain: N/(m s)
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -250,7 +256,10 @@ class TunedCarrierPid(_PositionPid):
     `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
     state, where their gain is not zero.
 
-    Parameters: the fields of `TunedCarrierPidConfig`.
+    Parameters, the fields of `TunedCarrierPidConfig`:
+        frequency: rad/s, natural frequency of a carrier about its reference
+        damping: damping ratio
+        integral_rate: rad/s, of the pole that an integral adds; 0: no integral
 
     Raises:
         ScenarioError: the frequency is not positive, or another parameter is negative.
@@ -291,7 +300,10 @@ class TunedFeedforwardCarrierPid(_FeedforwardPid):
     `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
     state, where their gain is not zero.
 
-    Parameters: the fields of `TunedFeedforwardCarrierPidConfig`.
+    Parameters, the fields of `TunedFeedforwardCarrierPidConfig`:
+        frequency: rad/s, natural frequency of a carrier about its reference
+        damping: damping ratio
+        integral_rate: rad/s, of the pole that an integral adds; 0: no integral
 
     Raises:
         ScenarioError: the frequency is not positive, or another parameter is negative.
@@ -336,7 +348,9 @@ class LoadedCarrierPid(TracedBlock):
     `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)], in W;
     `desired_cable_forces` and `carrier_forces` (3n) in N, in W.
 
-    Parameters: the fields of `LoadedCarrierPidConfig`.
+    Parameters, the fields of `LoadedCarrierPidConfig`:
+        position_gain: N/m
+        velocity_gain: N s/m
 
     Raises:
         ScenarioError: a gain is negative or not finite.

@@ -119,7 +119,9 @@ class BoundedTensionDistribution(DiagramBlock):
     and its rate, in W; `internal_force` (2m) = [λ (N); λ̇ (N/s)]; `desired_cable_forces` (3n, N)
     and their rates (3n, N/s) on the load, in W.
 
-    Parameters: the fields of `BoundedTensionDistributionConfig`.
+    Parameters, the fields of `BoundedTensionDistributionConfig`:
+        min_tension: N
+        max_tension: N
 
     Raises:
         ScenarioError: a bound is negative, or the two are not in order.

@@ -77,7 +77,13 @@ class Wind(LeafBlock):
 
     `disturbance_wrench` (6) = [torque (N m); force (N)] at the centre of mass, in W.
 
-    Parameters: the fields of `WindConfig`.
+    Parameters, the fields of `WindConfig`:
+        force: N, in W
+        torque: N m, in W
+        start_time: s, no wind before it
+        gust_force: N, standard deviation on each axis
+        gust_time: s, correlation time of the gust
+        seed: of the gust
 
     Raises:
         ScenarioError: a field is out of range.

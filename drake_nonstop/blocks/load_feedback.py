@@ -49,6 +49,7 @@ class IdealFeedback(Selector, metaclass=BlockType):
     """
 
     def __init__(self, model: Model, config: IdealFeedbackConfig | None = None):
+        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
         super().__init__(stacking({"load_state": LOAD_STATE_SIZE}, "measured_load_state"))
 
 
@@ -119,7 +120,14 @@ class NoisyFeedback(LeafBlock):
     Both (13) = [quaternion w x y z, position (m), angular velocity
     (rad/s), velocity (m/s)], in W.
 
-    Parameters: the fields of `NoisyFeedbackConfig`.
+    Parameters, the fields of `NoisyFeedbackConfig`:
+        position_noise: m
+        orientation_noise: rad
+        velocity_noise: m/s
+        angular_velocity_noise: rad/s
+        delay: s, a multiple of the period
+        period: s, between samples of the noise and of the delayed state
+        seed: of the noise
 
     Raises:
         ScenarioError: a field is out of range, or the delay no multiple of the period.

@@ -185,7 +185,13 @@ class RestToRest(LoadTrajectory):
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
-    Parameters: the fields of `RestToRestConfig`.
+    Parameters, the fields of `RestToRestConfig`:
+        start_position: m
+        start_roll_pitch_yaw: rad
+        displacement: m
+        roll_pitch_yaw: rad, change
+        start_time: s
+        move_time: s
 
     Raises:
         ScenarioError: move_time is not above zero, start_time is negative, or a vector does not
@@ -233,7 +239,13 @@ class ConstantVelocityMove(LoadTrajectory):
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
-    Parameters: the fields of `ConstantVelocityMoveConfig`.
+    Parameters, the fields of `ConstantVelocityMoveConfig`:
+        start_position: m
+        start_roll_pitch_yaw: rad
+        velocity: m/s
+        start_time: s
+        move_time: s
+        blend_time: s, of each change of velocity, centred on it; 0: a step
 
     Raises:
         ScenarioError: move_time is not above zero, start_time or blend_time is negative,
@@ -307,7 +319,13 @@ class Waypoints(LoadTrajectory):
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
-    Parameters: the fields of `WaypointsConfig`.
+    Parameters, the fields of `WaypointsConfig`:
+        start_position: m
+        start_roll_pitch_yaw: rad
+        positions: m, in W, a row per waypoint
+        roll_pitch_yaw: rad, a row per waypoint; empty: the start's
+        move_times: s, of each leg
+        rest_times: s, before each leg; empty: none
 
     Raises:
         ScenarioError: the config's lists do not hold a finite row, and a time, per waypoint;
@@ -384,7 +402,15 @@ class Circle(LoadTrajectory):
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
-    Parameters: the fields of `CircleConfig`.
+    Parameters, the fields of `CircleConfig`:
+        start_position: m
+        start_roll_pitch_yaw: rad
+        radius: m
+        centre_direction: rad, of the centre seen from the start, x to y
+        turns: number of rounds, counter-clockwise from above; negative: clockwise
+        turns_with_path: whether the load's yaw rotates as much as its path
+        start_time: s
+        move_time: s
 
     Raises:
         ScenarioError: radius or move_time is not above zero, start_time is negative, or
@@ -471,7 +497,11 @@ class SampledTrajectory(LoadTrajectory):
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
-    Parameters: the fields of `SampledTrajectoryConfig`.
+    Parameters, the fields of `SampledTrajectoryConfig`:
+        file: A CSV file with the samples, read as a scenario is loaded; its first line names the
+            columns t, x, y, z or t, x, y, z, roll, pitch, yaw. Empty: the samples are given here.
+        samples: s, m, rad; Rows of t, x, y, z or of t, x, y, z, roll, pitch, yaw; omitted angles
+            are 0.
 
     Raises:
         ScenarioError: the file cannot be read, or the samples cannot be used: see

@@ -104,7 +104,14 @@ class WrenchController(_WrenchPid):
     of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
     discrete where the model has a control period.
 
-    Parameters: the fields of `WrenchControllerConfig`.
+    Parameters, the fields of `WrenchControllerConfig`:
+        position_gain: N/m, K_p
+        velocity_gain: N s/m, K_v
+        position_integral_gain: N/(m s), K_i
+        orientation_gain: N m, K_R
+        angular_velocity_gain: N m s, K_omega
+        orientation_integral_gain: N m/s, K_iR
+        feedforward: weight of the reference's own wrench; 0: as in the paper
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -147,7 +154,14 @@ class PaperWrenchController(_WrenchPid):
     of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
     discrete where the model has a control period.
 
-    Parameters: the fields of `PaperWrenchControllerConfig`.
+    Parameters, the fields of `PaperWrenchControllerConfig`:
+        position_gain: N/m, K_p
+        velocity_gain: N s/m, K_v
+        position_integral_gain: N/(m s), K_i
+        orientation_gain: N m, K_R
+        angular_velocity_gain: N m s, K_omega
+        orientation_integral_gain: N m/s, K_iR
+        feedforward: weight of the reference's own wrench; 0: as in the paper
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -187,7 +201,11 @@ class GeometricPd(_WrenchPid):
     force (N)] at the centre of mass and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
     (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W.
 
-    Parameters: the fields of `GeometricPdConfig`.
+    Parameters, the fields of `GeometricPdConfig`:
+        position_gain: N/m, K_p
+        velocity_gain: N s/m, K_v
+        orientation_gain: N m, K_R
+        angular_velocity_gain: N m s, K_omega
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -239,7 +257,14 @@ class TunedWrenchController(_WrenchPid):
     of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
     discrete where the model has a control period.
 
-    Parameters: the fields of `TunedWrenchControllerConfig`.
+    Parameters, the fields of `TunedWrenchControllerConfig`:
+        position_frequency: rad/s, natural frequency
+        position_damping: damping ratio
+        position_integral_rate: rad/s, of the pole that the integral adds
+        orientation_frequency: rad/s, natural frequency
+        orientation_damping: damping ratio
+        orientation_integral_rate: rad/s, of the pole that the integral adds
+        feedforward: weight of the reference's own wrench
 
     Raises:
         ScenarioError: a frequency is not positive, another parameter is negative, or the

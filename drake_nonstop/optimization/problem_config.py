@@ -24,14 +24,14 @@ class NonstopProblemConfig:
 
     speed_bound: float = 0.2  # m/s, ε
     tightening: float = 0.01  # the solver aims at (1 + tightening) ε
-    look_ahead_points: int = 2  # instants from now to the next update; 1: now, as printed
-    orbit_points: int = 16  # phases of the orbit ahead; 1: the present one only, as printed
+    look_ahead_points: int = 2  # instants from now to the next update; 1: now, as in the paper
+    orbit_points: int = 16  # phases of the orbit ahead; 1: the present one, as in the paper
     orbit_updates: int = 4  # successive updates that share these phases
-    load_motion: str = "desired"  # what the carriers move with; "measured": as printed
+    load_motion: str = "desired"  # of the carriers; "desired", or "measured" as in the paper
     frequency: float = 2.0  # rad/s, ξ at the start
     amplitude: float = 1.2  # N, A at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 20.0])  # rad/s
-    amplitude_bounds: list[float] = field(default_factory=list)  # N; none: see the block
+    amplitude_bounds: list[float] = field(default_factory=list)  # N; none: from the load's weight
     max_frequency_rate: float = math.inf  # rad/s²
     max_amplitude_rate: float = math.inf  # N/s
     max_speed: float = math.inf  # m/s, of a carrier
@@ -43,7 +43,7 @@ class NonstopProblemConfig:
     anchor_weight: float = 0.0  # of the distance from the initial ξ and A, at rest
     period: float = 0.01  # s, between updates
     change_time: float = 2.0  # s, in which a bound or a switch set during a run takes effect
-    solver: str = "search"  # or "grid", "snopt", "ipopt", "nlopt"
+    solver: str = "search"  # "search", "grid", "snopt", "ipopt" or "nlopt"
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
 
 
