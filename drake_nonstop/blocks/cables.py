@@ -117,7 +117,10 @@ class IndividualCables(_CableForces):
     `load_state` (13), SI, and `carrier_state` (6n) = [positions (m), velocities (m/s)] in W;
     `cable_forces` (3n) are those on the load, in N, in W; `tensions` (n) in N, 0 where slack.
 
-    Parameters: the fields of `IndividualCablesConfig`.
+    Parameters, the fields of `IndividualCablesConfig`:
+        stiffness: N/m
+        damping: N s/m
+        rest_length: m, unstretched
 
     Raises:
         ScenarioError: a list has another length than there are cables, or a number in it is

@@ -19,7 +19,7 @@ from drake_nonstop.systems.traced_block import Equations, TracedBlock
 from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import require_non_negative, require_positive
 
-_OWNER = "carrier_controller"
+_BOX = "carrier_controller"
 
 
 class _PositionPid(DiagramBlock):
@@ -44,10 +44,11 @@ class _PositionPid(DiagramBlock):
         minus = builder.AddNamedSystem("minus", Gain(-1.0, 2 * size))
         error = builder.AddNamedSystem("error", Adder(2, 2 * size))
         pid = builder.AddNamedSystem("pid", _pid(size, gains))
+        reference_input, negated_state_input = map(error.get_input_port, range(2))
         self.equations = _equations(size, pid.equations, feedforward)
-        builder.Connect(minus.get_output_port(), error.get_input_port(1))
+        builder.Connect(minus.get_output_port(), negated_state_input)
         builder.Connect(error.get_output_port(), pid.get_input_port())
-        builder.ExportInput(error.get_input_port(0), "carrier_reference")
+        builder.ExportInput(reference_input, "carrier_reference")
         builder.ExportInput(minus.get_input_port(), "carrier_state")
         forces = pid.get_output_port()
         if feedforward is not None:
@@ -55,8 +56,8 @@ class _PositionPid(DiagramBlock):
             for name in input_names(feedforward):
                 builder.ExportInput(feedforward.GetInputPort(name), name)
             total = builder.AddNamedSystem("total", Adder(2, size))
-            builder.Connect(forces, total.get_input_port(0))
-            builder.Connect(feedforward.get_output_port(), total.get_input_port(1))
+            for i, addend in enumerate((forces, feedforward.get_output_port())):
+                builder.Connect(addend, total.get_input_port(i))
             forces = total.get_output_port()
         builder.ExportOutput(forces, "carrier_forces")
         builder.BuildInto(self)
@@ -124,7 +125,10 @@ class CarrierPid(_PositionPid):
     `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
     state, where their gain is not zero.
 
-    Parameters: the fields of `CarrierPidConfig`.
+    Parameters, the fields of `CarrierPidConfig`:
+        position_gain: N/m
+        velocity_gain: N s/m; the paper's 1.5 is a damping ratio of 0.075
+        integral_gain: N/(m s)
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -132,7 +136,7 @@ class CarrierPid(_PositionPid):
 
     def __init__(self, model: Model, config: CarrierPidConfig | None = None):
         gains = asdict(config or CarrierPidConfig())
-        require_non_negative(_OWNER, **gains)
+        require_non_negative(_BOX, **gains)
         super().__init__(model, gains)
 
 
@@ -210,7 +214,10 @@ class FeedforwardCarrierPid(_FeedforwardPid):
     `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
     state, where their gain is not zero.
 
-    Parameters: the fields of `FeedforwardCarrierPidConfig`.
+    Parameters, the fields of `FeedforwardCarrierPidConfig`:
+        position_gain: N/m
+        velocity_gain: N s/m; the paper's 1.5 is a damping ratio of 0.075
+        integral_gain: N/(m s)
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -218,7 +225,7 @@ class FeedforwardCarrierPid(_FeedforwardPid):
 
     def __init__(self, model: Model, config: FeedforwardCarrierPidConfig | None = None):
         gains = asdict(config or FeedforwardCarrierPidConfig())
-        require_non_negative(_OWNER, **gains)
+        require_non_negative(_BOX, **gains)
         super().__init__(model, gains)
 
 
@@ -249,7 +256,10 @@ class TunedCarrierPid(_PositionPid):
     `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
     state, where their gain is not zero.
 
-    Parameters: the fields of `TunedCarrierPidConfig`.
+    Parameters, the fields of `TunedCarrierPidConfig`:
+        frequency: rad/s, natural frequency of a carrier about its reference
+        damping: damping ratio
+        integral_rate: rad/s, of the pole that an integral adds; 0: no integral
 
     Raises:
         ScenarioError: the frequency is not positive, or another parameter is negative.
@@ -290,7 +300,10 @@ class TunedFeedforwardCarrierPid(_FeedforwardPid):
     `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
     state, where their gain is not zero.
 
-    Parameters: the fields of `TunedFeedforwardCarrierPidConfig`.
+    Parameters, the fields of `TunedFeedforwardCarrierPidConfig`:
+        frequency: rad/s, natural frequency of a carrier about its reference
+        damping: damping ratio
+        integral_rate: rad/s, of the pole that an integral adds; 0: no integral
 
     Raises:
         ScenarioError: the frequency is not positive, or another parameter is negative.
@@ -301,8 +314,8 @@ class TunedFeedforwardCarrierPid(_FeedforwardPid):
 
 
 def _tuned_gains(model: Model, config: TunedCarrierPidConfig) -> dict[str, float]:
-    require_non_negative(_OWNER, **asdict(config))
-    require_positive(_OWNER, frequency=config.frequency)
+    require_non_negative(_BOX, **asdict(config))
+    require_positive(_BOX, frequency=config.frequency)
     names = ("position_gain", "velocity_gain", "integral_gain")
     poles = pid_gains(config.frequency, config.damping, config.integral_rate)
     return {name: model.carrier_mass * gain for name, gain in zip(names, poles, strict=True)}
@@ -335,7 +348,9 @@ class LoadedCarrierPid(TracedBlock):
     `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)], in W;
     `desired_cable_forces` and `carrier_forces` (3n) in N, in W.
 
-    Parameters: the fields of `LoadedCarrierPidConfig`.
+    Parameters, the fields of `LoadedCarrierPidConfig`:
+        position_gain: N/m
+        velocity_gain: N s/m
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -343,7 +358,7 @@ class LoadedCarrierPid(TracedBlock):
 
     def __init__(self, model: Model, config: LoadedCarrierPidConfig | None = None):
         config = config or LoadedCarrierPidConfig()
-        require_non_negative("carrier_controller", **asdict(config))
+        require_non_negative(_BOX, **asdict(config))
         n = model.n
         super().__init__(
             lambda reference, state, cables: loaded_pid_forces(

@@ -66,7 +66,8 @@ class LoadedCarrierDynamics(TracedBlock):
     `carrier_forces` (3n), each limited to `max_force`, and `cable_forces` (3n) on the load
     in N, in W; `carrier_state` (6n) = [positions (m), velocities (m/s)], in W, is the state.
 
-    Parameters: the fields of `LoadedCarrierDynamicsConfig`.
+    Parameters, the fields of `LoadedCarrierDynamicsConfig`:
+        max_force: N, of a carrier
 
     Raises:
         ScenarioError: `max_force` is not positive.
@@ -120,6 +121,7 @@ class IdealCarriers(Selector, metaclass=BlockType):
     """
 
     def __init__(self, model: Model, config: IdealCarriersConfig | None = None):
+        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
         super().__init__(stacking({"carrier_reference": 6 * model.n}, "carrier_state"))
 
 

@@ -33,6 +33,8 @@ _ACCURACY = 1e-12  # of the quadratic program's cost, in units of the largest vi
 _SLACK = 1.01  # of a tension over its bound: the program bounds the part along a direction
 _AT_BOUND = 1e-5  # from a bound to what counts as on it, in the same units
 
+_BOX = "force_distribution"
+
 
 @dataclass(kw_only=True)
 class CableForceDistributionConfig:
@@ -117,7 +119,9 @@ class BoundedTensionDistribution(DiagramBlock):
     and its rate, in W; `internal_force` (2m) = [λ (N); λ̇ (N/s)]; `desired_cable_forces` (3n, N)
     and their rates (3n, N/s) on the load, in W.
 
-    Parameters: the fields of `BoundedTensionDistributionConfig`.
+    Parameters, the fields of `BoundedTensionDistributionConfig`:
+        min_tension: N
+        max_tension: N
 
     Raises:
         ScenarioError: a bound is negative, or the two are not in order.
@@ -148,12 +152,11 @@ class _TensionBounds(InnerBlock):
     def __init__(self, model: Model, config: BoundedTensionDistributionConfig):
         super().__init__()
         self._config = config
-        owner = "force_distribution"
-        require_non_negative(owner, min_tension=config.min_tension)
+        require_non_negative(_BOX, min_tension=config.min_tension)
         limit = config.max_tension
         require(
             (is_number(limit) and limit > config.min_tension) or limit == math.inf,
-            f"{owner}.max_tension",
+            f"{_BOX}.max_tension",
             limit,
             f"give more than min_tension = {config.min_tension:g} N, or .inf for no limit",
         )

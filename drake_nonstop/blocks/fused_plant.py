@@ -1,6 +1,7 @@
 """Load, cables, carriers and their controller in one block, stepped from sample to sample."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from drake_nonstop.systems.tracing import TracedFunction
 
 _HELD = "disturbance_wrench"
 _MOVING = "carrier_reference"
+_TIME = -1  # the place of the time in a `_Memory`
 
 
 class FusedPlant(DiagramBlock):
@@ -38,6 +40,9 @@ class FusedPlant(DiagramBlock):
     that of `CarrierTrajectory`, and other inputs are assumed to be constant. If they are, the
     results at the samples are those of the parts to round-off, if the integrator's step
     divides the period and no event cuts a step short.
+
+    Blocks that hold their outputs between samples say so by `is_sampled`. Their subclasses inherit
+    it: one whose outputs change between samples has to set it to False.
 
     Args:
         parts: the equations of the blocks by their names, each after its sources.
@@ -120,11 +125,22 @@ class _CombinedEquations:
         return np.concatenate([rates[own] for own in self.states]), np.concatenate(outputs)
 
 
-class _Stepped(InnerBlock):
-    """Steps the parts; its state is theirs, the disturbance at the last sample, and its time.
+class _Memory(NamedTuple):
+    """The discrete state of a `_Stepped`."""
 
-    The time is infinite before the first sample.
-    """
+    states: NDArray  # of the parts at the last sample, stacked
+    held: NDArray  # (6,), N m and N, the disturbance since then, in W
+    time: NDArray  # (1,), s, of the last sample; infinite before the first
+
+    @classmethod
+    def view(cls, values: NDArray) -> "_Memory":
+        """The parts of a vector, of numbers or symbols: views, not copies."""
+        end = len(values) + _TIME - WRENCH_SIZE
+        return cls(values[:end], values[end:_TIME], values[_TIME:])
+
+
+class _Stepped(InnerBlock):
+    """Steps the parts; its state is a `_Memory`."""
 
     def __init__(self, together: _CombinedEquations, period: float, steps: int):
         super().__init__()
@@ -134,8 +150,8 @@ class _Stepped(InnerBlock):
         self._at = at = TracedFunction(together, [size, input_size, WRENCH_SIZE], name=self.box)
 
         def stepped(inputs: NDArray, memory: NDArray, time: NDArray) -> NDArray:
-            state, held = memory[:size], memory[size:-1]
-            elapsed = time - memory[-1:]
+            state, held, sample_time = _Memory.view(memory)
+            elapsed = time - sample_time
             step = elapsed / steps
 
             def rate(state: NDArray, since: NDArray) -> NDArray:
@@ -156,9 +172,9 @@ class _Stepped(InnerBlock):
         self._step = TracedFunction(stepped, [input_size, size + WRENCH_SIZE + 1, 1], name=self.box)
         self._inputs = self.DeclareVectorInputPort("inputs", input_size)
         self._held = self.DeclareVectorInputPort(_HELD, WRENCH_SIZE)
-        held, time = np.zeros(WRENCH_SIZE), np.array([np.inf])
-        initial = [*together.initial_states.values(), held, time]
-        self.DeclareDiscreteState(np.concatenate(initial))
+        initial_states = np.concatenate([*together.initial_states.values()])
+        memory = _Memory(initial_states, np.zeros(WRENCH_SIZE), np.array([np.inf]))
+        self.DeclareDiscreteState(np.concatenate(memory))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
         # With the sample-and-hold, which then sees the state that this step ends with.
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._sample)
@@ -175,32 +191,33 @@ class _Stepped(InnerBlock):
     def set_states(self, context: Context, states: Mapping[str, NDArray]) -> None:
         """As `FusedPlant.set_states`."""
         memory = context.get_discrete_state_vector().CopyToVector()
-        memory[: self._size] = np.concatenate([*(self.states(context) | dict(states)).values()])
+        _Memory.view(memory).states[:] = np.concatenate(
+            [*(self.states(context) | dict(states)).values()]
+        )
         context.SetDiscreteState(memory)
 
     def states(self, context: Context) -> dict[str, NDArray]:
         """As `FusedPlant.states`."""
         memory = context.get_discrete_state_vector().CopyToVector()
-        return _split(memory[: self._size], self._sizes)
+        return _split(_Memory.view(memory).states, self._sizes)
 
     def rates(self, context: Context) -> dict[str, NDArray]:
         """As `FusedPlant.rates`."""
         memory = context.get_discrete_state_vector().value()
-        rate, _ = self._at(
-            memory[: self._size], self._inputs.Eval(context), memory[self._size : -1]
-        )
+        states, held, _ = _Memory.view(memory)
+        rate, _ = self._at(states, self._inputs.Eval(context), held)
         return _split(rate.copy(), self._sizes)
 
     def _calc_results(self, context: Context, output: BasicVector) -> None:
         memory, time = context.get_discrete_state_vector().value(), context.get_time()
-        if not memory[-1] <= time:  # before the first sample
-            memory = np.append(memory[:-1], time)
+        if not memory[_TIME] <= time:  # before the first sample
+            memory = np.append(memory[:_TIME], time)
         (results,) = self._step(self._inputs.Eval(context), memory, np.array([time]))
         output.SetFromVector(results)
 
     def _calc_states(self, context: Context, output: BasicVector) -> None:
         values = context.get_discrete_state_vector().value()
-        if context.get_time() > values[-1]:  # neither at the sample nor before the first
+        if context.get_time() > values[_TIME]:  # neither at the sample nor before the first
             values = self._results.Eval(context)
         output.SetFromVector(values[: self._size])
 

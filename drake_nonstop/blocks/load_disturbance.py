@@ -15,6 +15,8 @@ from drake_nonstop.validation import (
     require_seed,
 )
 
+_BOX = "load_disturbance"
+
 
 @dataclass(kw_only=True)
 class NoDisturbanceConfig:
@@ -75,7 +77,13 @@ class Wind(LeafBlock):
 
     `disturbance_wrench` (6) = [torque (N m); force (N)] at the centre of mass, in W.
 
-    Parameters: the fields of `WindConfig`.
+    Parameters, the fields of `WindConfig`:
+        force: N, in W
+        torque: N m, in W
+        start_time: s, no wind before it
+        gust_force: N, standard deviation on each axis
+        gust_time: s, correlation time of the gust
+        seed: of the gust
 
     Raises:
         ScenarioError: a field is out of range.
@@ -86,12 +94,11 @@ class Wind(LeafBlock):
     def __init__(self, model: Model, config: WindConfig | None = None):
         super().__init__()
         config = config or WindConfig()
-        owner = "load_disturbance"
-        force = require_array(f"{owner}.force", config.force, [3], "in W")
-        torque = require_array(f"{owner}.torque", config.torque, [3], "in W")
-        require_non_negative(owner, gust_force=config.gust_force, start_time=config.start_time)
-        require_positive(owner, gust_time=config.gust_time)
-        require_seed(f"{owner}.seed", config.seed)
+        force = require_array(f"{_BOX}.force", config.force, [3], "in W")
+        torque = require_array(f"{_BOX}.torque", config.torque, [3], "in W")
+        require_non_negative(_BOX, gust_force=config.gust_force, start_time=config.start_time)
+        require_positive(_BOX, gust_time=config.gust_time)
+        require_seed(f"{_BOX}.seed", config.seed)
         self._constant = np.concatenate([torque, force])
         self._start_time = config.start_time
         random = np.random.default_rng(config.seed)

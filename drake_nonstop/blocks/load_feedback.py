@@ -8,7 +8,13 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 from pydrake.systems.primitives import Selector
 
 from drake_nonstop.mechanics.rotation import rotate_quaternion
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE, Pose
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    TRACKING_ERROR_SIZE,
+    LoadState,
+    TrackingError,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, LeafBlock
 from drake_nonstop.systems.traced_block import stacking
@@ -18,6 +24,8 @@ from drake_nonstop.validation import (
     require_positive,
     require_seed,
 )
+
+_BOX = "load_feedback"
 
 
 @dataclass(kw_only=True)
@@ -41,6 +49,7 @@ class IdealFeedback(Selector, metaclass=BlockType):
     """
 
     def __init__(self, model: Model, config: IdealFeedbackConfig | None = None):
+        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
         super().__init__(stacking({"load_state": LOAD_STATE_SIZE}, "measured_load_state"))
 
 
@@ -111,7 +120,14 @@ class NoisyFeedback(LeafBlock):
     Both (13) = [quaternion w x y z, position (m), angular velocity
     (rad/s), velocity (m/s)], in W.
 
-    Parameters: the fields of `NoisyFeedbackConfig`.
+    Parameters, the fields of `NoisyFeedbackConfig`:
+        position_noise: m
+        orientation_noise: rad
+        velocity_noise: m/s
+        angular_velocity_noise: rad/s
+        delay: s, a multiple of the period
+        period: s, between samples of the noise and of the delayed state
+        seed: of the noise
 
     Raises:
         ScenarioError: a field is out of range, or the delay no multiple of the period.
@@ -120,20 +136,19 @@ class NoisyFeedback(LeafBlock):
     def __init__(self, model: Model, config: NoisyFeedbackConfig | None = None):
         super().__init__()
         config = config or NoisyFeedbackConfig()
-        owner = "load_feedback"
         deviations = {
             "orientation_noise": config.orientation_noise,
             "position_noise": config.position_noise,
             "angular_velocity_noise": config.angular_velocity_noise,
             "velocity_noise": config.velocity_noise,
         }
-        require_non_negative(owner, delay=config.delay, **deviations)
-        require_positive(owner, period=config.period)
-        require_seed(f"{owner}.seed", config.seed)
+        require_non_negative(_BOX, delay=config.delay, **deviations)
+        require_positive(_BOX, period=config.period)
+        require_seed(f"{_BOX}.seed", config.seed)
         self._periods = round(config.delay / config.period)
         require(
             abs(self._periods * config.period - config.delay) < 1e-9 and self._periods <= 1000,
-            f"{owner}.delay",
+            f"{_BOX}.delay",
             config.delay,
             f"give a multiple of the period {config.period:g} s, at most 1000 of them",
         )
@@ -179,11 +194,18 @@ class NoisyFeedback(LeafBlock):
         if not self._deviations.any():
             return state
         number = int(np.floor(time / self._period + 1e-6))
-        noise = self._deviations * np.random.default_rng([self._seed, number]).standard_normal(12)
-        rotation, others = noise[:3], noise[3:]
-        quaternion = Pose.view(state).quaternion
+        generator = np.random.default_rng([self._seed, number])
+        noise = TrackingError.view(  # all of it in W
+            self._deviations * generator.standard_normal(TRACKING_ERROR_SIZE)
+        )
+        quaternion, position, angular_velocity, velocity = LoadState.view(state)
         return np.concatenate(
-            [rotate_quaternion(quaternion, rotation), state[len(quaternion) :] + others]
+            [
+                rotate_quaternion(quaternion, noise.orientation),
+                position + noise.position,
+                angular_velocity + noise.angular_velocity,
+                velocity + noise.velocity,
+            ]
         )
 
 

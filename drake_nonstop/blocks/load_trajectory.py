@@ -26,7 +26,7 @@ from drake_nonstop.validation import (
     require_positive,
 )
 
-_OWNER = "load_trajectory"  # what error messages call the box
+_BOX = "load_trajectory"
 
 
 class LoadTrajectory(LeafBlock):
@@ -138,7 +138,7 @@ def _joined(segments: list[NDArray], breaks: list[float]) -> PiecewisePolynomial
     """The segments one after the other, between the times at which they meet."""
     require(
         np.all(np.diff(breaks) >= np.finfo(float).eps),  # Drake would abort the process
-        f"{_OWNER} (instants in s)",
+        f"{_BOX} (instants in s)",
         breaks,
         "give times that are not lost in the rounding of others",
     )
@@ -157,8 +157,8 @@ class _StartPose:
         angles, position = self.start_roll_pitch_yaw, self.start_position
         return np.concatenate(
             [
-                require_array(f"{_OWNER}.start_roll_pitch_yaw", angles, [3], "angles in rad"),
-                require_array(f"{_OWNER}.start_position", position, [3], "metres"),
+                require_array(f"{_BOX}.start_roll_pitch_yaw", angles, [3], "angles in rad"),
+                require_array(f"{_BOX}.start_position", position, [3], "metres"),
             ]
         )
 
@@ -185,7 +185,13 @@ class RestToRest(LoadTrajectory):
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
-    Parameters: the fields of `RestToRestConfig`.
+    Parameters, the fields of `RestToRestConfig`:
+        start_position: m
+        start_roll_pitch_yaw: rad
+        displacement: m
+        roll_pitch_yaw: rad, change
+        start_time: s
+        move_time: s
 
     Raises:
         ScenarioError: move_time is not above zero, start_time is negative, or a vector does not
@@ -194,15 +200,15 @@ class RestToRest(LoadTrajectory):
 
     def __init__(self, model: Model, config: RestToRestConfig | None = None):
         config = config or RestToRestConfig()
-        require_non_negative(_OWNER, start_time=config.start_time)
-        require_positive(_OWNER, move_time=config.move_time)
+        require_non_negative(_BOX, start_time=config.start_time)
+        require_positive(_BOX, move_time=config.move_time)
         start = config.start_pose()
         change = np.concatenate(
             [
                 require_array(
-                    f"{_OWNER}.roll_pitch_yaw", config.roll_pitch_yaw, [3], "angles in rad"
+                    f"{_BOX}.roll_pitch_yaw", config.roll_pitch_yaw, [3], "angles in rad"
                 ),
-                require_array(f"{_OWNER}.displacement", config.displacement, [3], "metres"),
+                require_array(f"{_BOX}.displacement", config.displacement, [3], "metres"),
             ]
         )
         super().__init__(_rest_to_rest([start], [change], [config.start_time], [config.move_time]))
@@ -233,7 +239,13 @@ class ConstantVelocityMove(LoadTrajectory):
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
-    Parameters: the fields of `ConstantVelocityMoveConfig`.
+    Parameters, the fields of `ConstantVelocityMoveConfig`:
+        start_position: m
+        start_roll_pitch_yaw: rad
+        velocity: m/s
+        start_time: s
+        move_time: s
+        blend_time: s, of each change of velocity, centred on it; 0: a step
 
     Raises:
         ScenarioError: move_time is not above zero, start_time or blend_time is negative,
@@ -242,12 +254,12 @@ class ConstantVelocityMove(LoadTrajectory):
 
     def __init__(self, model: Model, config: ConstantVelocityMoveConfig | None = None):
         config = config or ConstantVelocityMoveConfig()
-        require_non_negative(_OWNER, start_time=config.start_time, blend_time=config.blend_time)
-        require_positive(_OWNER, move_time=config.move_time)
+        require_non_negative(_BOX, start_time=config.start_time, blend_time=config.blend_time)
+        require_positive(_BOX, move_time=config.move_time)
         half = config.blend_time / 2
         require(
             half <= config.start_time and config.blend_time <= config.move_time,
-            f"{_OWNER}.blend_time",
+            f"{_BOX}.blend_time",
             config.blend_time,
             "give at most twice start_time and at most move_time, since a blend is centred "
             "on the step in velocity that it replaces",
@@ -256,7 +268,7 @@ class ConstantVelocityMove(LoadTrajectory):
         velocity = np.concatenate(
             [
                 np.zeros(3),
-                require_array(f"{_OWNER}.velocity", config.velocity, [3], "m/s"),
+                require_array(f"{_BOX}.velocity", config.velocity, [3], "m/s"),
             ]
         )
         # The integral of the velocity's smooth step: from rest to one unit of velocity.
@@ -307,7 +319,13 @@ class Waypoints(LoadTrajectory):
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
-    Parameters: the fields of `WaypointsConfig`.
+    Parameters, the fields of `WaypointsConfig`:
+        start_position: m
+        start_roll_pitch_yaw: rad
+        positions: m, in W, a row per waypoint
+        roll_pitch_yaw: rad, a row per waypoint; empty: the start's
+        move_times: s, of each leg
+        rest_times: s, before each leg; empty: none
 
     Raises:
         ScenarioError: the config's lists do not hold a finite row, and a time, per waypoint;
@@ -318,37 +336,37 @@ class Waypoints(LoadTrajectory):
         config = config or WaypointsConfig()
         start = config.start_pose()
         positions = require_array(
-            f"{_OWNER}.positions", config.positions, [None, 3], "metres, a row per waypoint"
+            f"{_BOX}.positions", config.positions, [None, 3], "metres, a row per waypoint"
         )
         count = len(positions)
         start_angles, _ = np.split(start, 2)
         angles, rests = np.tile(start_angles, (count, 1)), np.zeros(count)
         if len(config.roll_pitch_yaw) > 0:
             angles = require_array(
-                f"{_OWNER}.roll_pitch_yaw",
+                f"{_BOX}.roll_pitch_yaw",
                 config.roll_pitch_yaw,
                 [count, 3],
                 "angles in rad, a row per waypoint, or none at all",
             )
         moves = require_array(
-            f"{_OWNER}.move_times", config.move_times, [count], "seconds, one per waypoint"
+            f"{_BOX}.move_times", config.move_times, [count], "seconds, one per waypoint"
         )
         if len(config.rest_times) > 0:
             rests = require_array(
-                f"{_OWNER}.rest_times",
+                f"{_BOX}.rest_times",
                 config.rest_times,
                 [count],
                 "seconds, one per waypoint, or none at all",
             )
         require(
             np.all(moves > 0),
-            f"{_OWNER}.move_times",
+            f"{_BOX}.move_times",
             config.move_times,
             "give times greater than zero",
         )
         require(
             np.all(rests >= 0),
-            f"{_OWNER}.rest_times",
+            f"{_BOX}.rest_times",
             config.rest_times,
             "give times that are not negative",
         )
@@ -384,7 +402,15 @@ class Circle(LoadTrajectory):
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
-    Parameters: the fields of `CircleConfig`.
+    Parameters, the fields of `CircleConfig`:
+        start_position: m
+        start_roll_pitch_yaw: rad
+        radius: m
+        centre_direction: rad, of the centre seen from the start, x to y
+        turns: number of rounds, counter-clockwise from above; negative: clockwise
+        turns_with_path: whether the load's yaw rotates as much as its path
+        start_time: s
+        move_time: s
 
     Raises:
         ScenarioError: radius or move_time is not above zero, start_time is negative, or
@@ -393,11 +419,11 @@ class Circle(LoadTrajectory):
 
     def __init__(self, model: Model, config: CircleConfig | None = None):
         config = config or CircleConfig()
-        require_positive(_OWNER, radius=config.radius, move_time=config.move_time)
-        require_non_negative(_OWNER, start_time=config.start_time)
+        require_positive(_BOX, radius=config.radius, move_time=config.move_time)
+        require_non_negative(_BOX, start_time=config.start_time)
         direction, turns = config.centre_direction, config.turns
         for name, value in (("centre_direction", direction), ("turns", turns)):
-            require(is_number(value), f"{_OWNER}.{name}", value, "give a finite number")
+            require(is_number(value), f"{_BOX}.{name}", value, "give a finite number")
         *roll_pitch_yaw, x, y, z = config.start_pose()
         radius = config.radius
         centre = np.array([x, y]) + radius * np.array([np.cos(direction), np.sin(direction)])
@@ -433,13 +459,13 @@ class SampledTrajectoryConfig:
         """The config with the file's rows as samples, and without the file."""
         if not self.file:
             return self
-        samples = read_samples(self.file, f"{_OWNER}.file")
+        samples = read_samples(self.file, f"{_BOX}.file")
         return dataclasses.replace(self, file="", samples=samples)
 
     def sample_array(self) -> NDArray:
         """The samples (n, 7), [t, x, y, z, roll, pitch, yaw], checked."""
         samples = self.resolved().samples
-        return sample_array(samples, f"{_OWNER}.samples", samples)
+        return sample_array(samples, f"{_BOX}.samples", samples)
 
     @property
     def start_position(self) -> list[float]:
@@ -471,7 +497,11 @@ class SampledTrajectory(LoadTrajectory):
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
 
-    Parameters: the fields of `SampledTrajectoryConfig`.
+    Parameters, the fields of `SampledTrajectoryConfig`:
+        file: A CSV file with the samples, read as a scenario is loaded; its first line names the
+            columns t, x, y, z or t, x, y, z, roll, pitch, yaw. Empty: the samples are given here.
+        samples: s, m, rad; Rows of t, x, y, z or of t, x, y, z, roll, pitch, yaw; omitted angles
+            are 0.
 
     Raises:
         ScenarioError: the file cannot be read, or the samples cannot be used: see

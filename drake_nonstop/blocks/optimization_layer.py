@@ -11,6 +11,13 @@ from pydrake.systems.framework import (
     NumericParameterIndex,
 )
 
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    PARAMETERS_SIZE,
+    PHASE_SIZE,
+    WRENCH_SIZE,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
@@ -44,51 +51,18 @@ class NonstopOptimizer(LeafBlock):
 
         min J(x)  such that  ‖v_i(x, τ)‖² ≥ ((1 + tightening) ε)²,  i = 1 … n,
 
-    at `look_ahead_points` instants τ spread over the interval to the next update, and at
-    `orbit_points` phases of the orbit ahead, which `orbit_updates` successive updates share. For
-    the prediction the phase continues at ξ⁻, the wrench at its rate and at the last change of the
-    rate, the load at the acceleration that the wrench gives it, and the reference at its own
-    acceleration. The paper constrains the instant of the update only, and the load's measured
-    motion; here it is the desired motion, which the carriers follow, unless `load_motion` is
-    "measured".
+    at instants τ up to the next update and at phases of the orbit ahead, optionally together with
+    limits of tensions, speeds, separations and of the rates of ξ and A. Without
+    `amplitude_bounds` A stays between 0.004 and 3 times a cable's share of the load's weight, or
+    half and twice the initial A where that is wider. `tightening` covers the
+    difference between predicted and simulated speeds. If x⁻ fulfils the constraints it is kept;
+    else `solver` looks for the cheapest x that does, and where none is found the least infeasible
+    one is taken. `diagnostics` tells how the update ended, see `Outcome`. The prediction, the
+    constraints and the solvers are described in diagrams/optimization_layer.md.
 
-    **Why the orbit ahead.** A carrier needs most when it next flies against the load's velocity.
-    With this foresight it is provided for in small steps as soon as the load sets off. Without
-    it the need appears at the last instant, and x moves to the nearer branch of solutions; on the
-    slower one (orbits slower than the load) it then follows the load as that comes to rest, in
-    steps so large that the carriers oscillate after each and fall below the bound.
-
-    **Other constraints**, off by default: `min_tension` and `max_tension` of the cables and
-    `max_speed` of the carriers, at the same instants and phases, `min_separation` of any two
-    carriers over a whole orbit, each tightened likewise, and limits of the rates of ξ and A.
-    With an `anchor_weight` w, J grows by w ‖x − x_start‖² while the reference is at rest: x
-    returns to its initial value, the faster the larger w, and as far as the constraints allow.
-
-    **The answer.** If x⁻ fulfils the constraints (and the anchor does not pull it back) it is the
-    optimum, J = 0, and is kept without a solve. Else `solver` looks for the optimum: "search"
-    over all of the bounds (`active_set_search`), exact in ξ; "grid" over both ξ and A
-    (`grid_search`), slower and coarser, and always used for a printed phase, which jumps with ξ;
-    or Drake's SNOPT, IPOPT or NLopt from x⁻ on, whose answer is compared with that of the search
-    unless `global_search` is false: the cheaper feasible one is taken. Where no feasible point is
-    found, the least infeasible one is taken if it is better than x⁻: that of the largest worst
-    speed or, where the speeds can be kept above ε but not the other constraints, the one among
-    these that violates them least. `Outcome` names the cases, and `diagnostics` counts them. No
-    solve depends on an earlier one.
-
-    Where `amplitude_bounds` are not given, A stays between 0.004 and 3 times a cable's share
-    of the load's weight, or half and twice the initial A where that is wider: amplitudes far above
-    its weight shake the load.
-
-    The simulated speed differs from the constrained one by about 0.2 % of ε, and after a step of A
-    by the carriers' oscillation. `tightening` covers both: see diagrams/speed_error_budget.md.
-
-    **During a run** `set_speed_bound` and `set_enabled` change two parameters of the context,
-    as a live view does. The carriers' commands follow without a jump. A raised bound rises
-    gradually, by its height per `change_time`, and so does one that comes back into force; until
-    all constraints are fulfilled again ξ and A change by no more than their initial values per
-    `change_time`, and an update that this limits counts as relaxed. A layer that is switched off
-    leads ξ and A back to their initial values, with a time constant of a quarter of
-    `change_time`, and counts no updates.
+    `set_speed_bound` and `set_enabled` change two parameters of the context during a run. The
+    bound rises gradually, and a layer that is switched off leads ξ and A back to their initial
+    values, both within about `change_time`.
 
     .. pydrake_system::
 
@@ -112,6 +86,31 @@ class NonstopOptimizer(LeafBlock):
     wall time in s that the last update took, from its inputs to its answer; `speed_bound` (1) is
     the ε that was set, in m/s. All outputs are state or parameters: nothing feeds through.
 
+    Parameters, the fields of `NonstopOptimizerConfig`:
+        speed_bound: m/s, ε
+        tightening: the solver aims at (1 + tightening) ε
+        look_ahead_points: instants from now to the next update; 1: now, as in the paper
+        orbit_points: phases of the orbit ahead; 1: the present one, as in the paper
+        orbit_updates: successive updates that share these phases
+        load_motion: of the carriers; "desired", or "measured" as in the paper
+        frequency: rad/s, ξ at the start
+        amplitude: N, A at the start
+        frequency_bounds: rad/s
+        amplitude_bounds: N; none: from the load's weight
+        max_frequency_rate: rad/s²
+        max_amplitude_rate: N/s
+        max_speed: m/s, of a carrier
+        min_tension: N; 0: any
+        max_tension: N
+        min_separation: m, of two carriers over a whole orbit; 0: any
+        internal_force_weight: w_pos of eq. 26
+        internal_force_rate_weight: w_vel of eq. 26
+        anchor_weight: of the distance from the initial ξ and A, at rest
+        period: s, between updates
+        change_time: s, in which a bound or a switch set during a run takes effect
+        solver: "search", "grid", "snopt", "ipopt" or "nlopt"
+        global_search: compare what snopt, ipopt or nlopt finds with the search
+
     Raises:
         ScenarioError: a parameter is out of range, or the period is no multiple of the
             control period.
@@ -124,15 +123,17 @@ class NonstopOptimizer(LeafBlock):
         config = config or NonstopOptimizerConfig()
         check_problem(_BOX, config, model)
         self.solver = UpdateSolver(model, config, self.get_name)
-        self._measured_load_state = self.DeclareVectorInputPort("measured_load_state", 13)
-        self._reference = self.DeclareVectorInputPort("reference", 22)
-        self._wrench = self.DeclareVectorInputPort("wrench", 6)
-        self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", 6)
-        self._phase = self.DeclareVectorInputPort("phase", 2)
+        self._measured_load_state = self.DeclareVectorInputPort(
+            "measured_load_state", LOAD_STATE_SIZE
+        )
+        self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
+        self._wrench = self.DeclareVectorInputPort("wrench", WRENCH_SIZE)
+        self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", WRENCH_SIZE)
+        self._phase = self.DeclareVectorInputPort("phase", PHASE_SIZE)
         self._parameters = self.DeclareDiscreteState([config.frequency, config.amplitude])
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
-        self._last_wrench_rate = self.DeclareDiscreteState(6)
+        self._last_wrench_rate = self.DeclareDiscreteState(WRENCH_SIZE)
         self._bound_in_force = self.DeclareDiscreteState([config.speed_bound])
         self._is_changing = self.DeclareDiscreteState(1)
         self._speed_bound = self.DeclareNumericParameter(BasicVector([config.speed_bound]))
@@ -260,6 +261,11 @@ class ConstantParameters(LeafBlock):
     `parameters` (2) = [ξ (rad/s), A (N)]; `speed_bound` (1) is ε in m/s, which nothing enforces
     and `set_speed_bound` changes during a run.
 
+    Parameters, the fields of `ConstantParametersConfig`:
+        frequency: rad/s, ξ
+        amplitude: N, A
+        speed_bound: m/s, ε; reported, not enforced
+
     Raises:
         ScenarioError: frequency or amplitude is not positive, or the bound negative.
     """
@@ -273,7 +279,7 @@ class ConstantParameters(LeafBlock):
         require_non_negative(_BOX, speed_bound=config.speed_bound)
         self._parameters = np.array([config.frequency, config.amplitude])
         self.DeclareVectorOutputPort(
-            "parameters", 2, self._calc_parameters, {self.nothing_ticket()}
+            "parameters", PARAMETERS_SIZE, self._calc_parameters, {self.nothing_ticket()}
         )
         self._speed_bound = self.DeclareNumericParameter(BasicVector([config.speed_bound]))
         self.DeclareVectorOutputPort(

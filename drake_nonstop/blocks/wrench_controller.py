@@ -22,7 +22,7 @@ from drake_nonstop.systems.sampled_integrator import SampledIntegrator
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import require, require_non_negative, require_positive
 
-_OWNER = "wrench_controller"
+_BOX = "wrench_controller"
 _INTEGRALS_SIZE = 6  # of the errors of orientation and position
 
 
@@ -104,7 +104,14 @@ class WrenchController(_WrenchPid):
     of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
     discrete where the model has a control period.
 
-    Parameters: the fields of `WrenchControllerConfig`.
+    Parameters, the fields of `WrenchControllerConfig`:
+        position_gain: N/m, K_p
+        velocity_gain: N s/m, K_v
+        position_integral_gain: N/(m s), K_i
+        orientation_gain: N m, K_R
+        angular_velocity_gain: N m s, K_omega
+        orientation_integral_gain: N m/s, K_iR
+        feedforward: weight of the reference's own wrench; 0: as in the paper
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -112,7 +119,7 @@ class WrenchController(_WrenchPid):
 
     def __init__(self, model: Model, config: WrenchControllerConfig | None = None):
         gains = asdict(config or WrenchControllerConfig())
-        require_non_negative(_OWNER, **gains)
+        require_non_negative(_BOX, **gains)
         super().__init__(model, gains)
 
 
@@ -147,7 +154,14 @@ class PaperWrenchController(_WrenchPid):
     of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
     discrete where the model has a control period.
 
-    Parameters: the fields of `PaperWrenchControllerConfig`.
+    Parameters, the fields of `PaperWrenchControllerConfig`:
+        position_gain: N/m, K_p
+        velocity_gain: N s/m, K_v
+        position_integral_gain: N/(m s), K_i
+        orientation_gain: N m, K_R
+        angular_velocity_gain: N m s, K_omega
+        orientation_integral_gain: N m/s, K_iR
+        feedforward: weight of the reference's own wrench; 0: as in the paper
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -155,7 +169,7 @@ class PaperWrenchController(_WrenchPid):
 
     def __init__(self, model: Model, config: PaperWrenchControllerConfig | None = None):
         gains = asdict(config or PaperWrenchControllerConfig())
-        require_non_negative(_OWNER, **gains)
+        require_non_negative(_BOX, **gains)
         super().__init__(model, gains | {"angular_velocity_gain": -gains["angular_velocity_gain"]})
 
 
@@ -187,7 +201,11 @@ class GeometricPd(_WrenchPid):
     force (N)] at the centre of mass and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
     (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W.
 
-    Parameters: the fields of `GeometricPdConfig`.
+    Parameters, the fields of `GeometricPdConfig`:
+        position_gain: N/m, K_p
+        velocity_gain: N s/m, K_v
+        orientation_gain: N m, K_R
+        angular_velocity_gain: N m s, K_omega
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -195,7 +213,7 @@ class GeometricPd(_WrenchPid):
 
     def __init__(self, model: Model, config: GeometricPdConfig | None = None):
         gains = asdict(config or GeometricPdConfig())
-        require_non_negative(_OWNER, **gains)
+        require_non_negative(_BOX, **gains)
         none = dict.fromkeys(
             ("position_integral_gain", "orientation_integral_gain", "feedforward"), 0.0
         )
@@ -239,7 +257,14 @@ class TunedWrenchController(_WrenchPid):
     of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
     discrete where the model has a control period.
 
-    Parameters: the fields of `TunedWrenchControllerConfig`.
+    Parameters, the fields of `TunedWrenchControllerConfig`:
+        position_frequency: rad/s, natural frequency
+        position_damping: damping ratio
+        position_integral_rate: rad/s, of the pole that the integral adds
+        orientation_frequency: rad/s, natural frequency
+        orientation_damping: damping ratio
+        orientation_integral_rate: rad/s, of the pole that the integral adds
+        feedforward: weight of the reference's own wrench
 
     Raises:
         ScenarioError: a frequency is not positive, another parameter is negative, or the
@@ -248,9 +273,9 @@ class TunedWrenchController(_WrenchPid):
 
     def __init__(self, model: Model, config: TunedWrenchControllerConfig | None = None):
         config = config or TunedWrenchControllerConfig()
-        require_non_negative(_OWNER, **asdict(config))
+        require_non_negative(_BOX, **asdict(config))
         require_positive(
-            _OWNER,
+            _BOX,
             position_frequency=config.position_frequency,
             orientation_frequency=config.orientation_frequency,
         )
@@ -264,7 +289,7 @@ class TunedWrenchController(_WrenchPid):
         gains["position_integral_gain"] = load.mass * integral
         require(
             gains["velocity_gain"] >= 0,
-            f"{_OWNER}.position_damping",
+            f"{_BOX}.position_damping",
             config.position_damping,
             "the load's drag alone damps more; give more damping or a higher frequency",
         )
@@ -278,7 +303,7 @@ class TunedWrenchController(_WrenchPid):
         gains["orientation_integral_gain"] = load.inertia * integral
         require(
             np.linalg.eigvalsh(gains["angular_velocity_gain"])[0] >= 0,
-            f"{_OWNER}.orientation_damping",
+            f"{_BOX}.orientation_damping",
             config.orientation_damping,
             "the load's drag alone damps more; give more damping or a higher frequency",
         )

@@ -181,6 +181,68 @@ def orbit_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
     return cosine_axes, -sine_axes
 
 
+class AxisProducts(NamedTuple):
+    """The products of vectors of n carriers with one vector of the orbit's plane: p, q or u.
+
+    The vectors are f₀, d, v_b and ω of `orbit_ahead`, e = d + ω × f₀, and cross products with ω.
+    """
+
+    f: NDArray  # (n,), of f₀, as all
+    e: NDArray
+    v: NDArray  # of v_b
+    d: NDArray
+    vw: NDArray  # of v_b × ω
+    ew: NDArray  # of e × ω
+    w: NDArray  # of ω
+
+
+class SpeedProducts(NamedTuple):
+    """The scalar products of `speed_products`, by the letters of their vectors; w is ω."""
+
+    ff: NDArray  # (n,), f₀·f₀, as all
+    fd: NDArray
+    fv: NDArray
+    ee: NDArray
+    ev: NDArray
+    vv: NDArray
+    pp: NDArray
+    pq: NDArray
+    qq: NDArray
+    w_pq: NDArray  # ω·(p × q)
+    ww: NDArray
+    with_p: AxisProducts
+    with_q: AxisProducts
+
+    @classmethod
+    def view(cls, values: NDArray) -> "SpeedProducts":
+        """The parts of an array (25, …)."""
+        size = len(AxisProducts._fields)
+        with_p, with_q = values[-2 * size : -size], values[-size:]
+        axes = AxisProducts(*with_p), AxisProducts(*with_q)
+        return cls._make([*values[: -2 * size], *axes])
+
+
+class OrbitProducts(NamedTuple):
+    """The scalar products that make the speeds, as polynomials in A.
+
+    They are named by their vectors: f, r = d + ω × f, v_b as v, and u' as "rate".
+    """
+
+    f_f: Any  # the squared tension
+    r_r: Any
+    rate_rate: Any
+    f_rate: Any
+    f_v: Any
+    f_r: Any
+    r_rate: Any
+    v_r: Any
+    v_rate: Any
+    v_v: Any
+
+
+POLYNOMIALS_SHAPE = (len(OrbitProducts._fields), 3, -1)  # of p flat `speed_polynomials`
+
+
 def speed_products(
     forces: NDArray,
     rates: NDArray,
@@ -189,12 +251,9 @@ def speed_products(
     cosine_axes: NDArray,
     sine_axes: NDArray,
 ) -> NDArray:
-    """The scalar products (25, n) from which `speed_polynomials` are built.
+    """The scalar products (25, n) from which `speed_polynomials` are built: a `SpeedProducts`.
 
-    Of f₀, d, v_b, ω (see `orbit_ahead`), p and q (see `orbit_axes`), in any one frame; with
-    e = d + ω × f₀ they are f₀·f₀, f₀·d, f₀·v_b, e·v_b, e·e, v_b·v_b, p·p, p·q, q·q,
-    ω·(p × q), ω·ω, and then the products with p, followed by those with q, of f₀, e, v_b, d,
-    v_b × ω, e × ω and ω.
+    Of f₀, d, v_b, ω (see `orbit_ahead`), p and q (see `orbit_axes`), in any one frame.
     """
 
     def dot(a: NDArray, b: NDArray) -> NDArray:
@@ -203,50 +262,58 @@ def speed_products(
     f, d, v, p, q = forces, rates, velocities, cosine_axes, sine_axes
     w = omega + 0 * f
     e = d + cross(omega, f)
-    with_axes = (f, e, v, d, cross(v, omega), cross(e, omega), w)
-    return np.stack(
-        [
-            *(dot(f, f), dot(f, d), dot(f, v), dot(e, v), dot(e, e), dot(v, v)),
-            *(dot(p, p), dot(p, q), dot(q, q), dot(w, cross(p, q)), dot(w, w)),
-            *(dot(vector, p) for vector in with_axes),
-            *(dot(vector, q) for vector in with_axes),
-        ]
+    with_axes = AxisProducts(f, e, v, d, cross(v, omega), cross(e, omega), w)
+    products = SpeedProducts(
+        ff=dot(f, f),
+        fd=dot(f, d),
+        fv=dot(f, v),
+        ee=dot(e, e),
+        ev=dot(e, v),
+        vv=dot(v, v),
+        pp=dot(p, p),
+        pq=dot(p, q),
+        qq=dot(q, q),
+        w_pq=dot(w, cross(p, q)),
+        ww=dot(w, w),
+        with_p=AxisProducts(*(dot(vector, p) for vector in with_axes)),
+        with_q=AxisProducts(*(dot(vector, q) for vector in with_axes)),
     )
+    return np.stack([*products[:-2], *products.with_p, *products.with_q])
 
 
 def speed_polynomials(cosine: NDArray, sine: NDArray, products: NDArray) -> NDArray:
     """The coefficients (10, 3, …) of the arguments of `speed_squares`, as polynomials in A.
 
     `products` (25, …) are those of `speed_products`, `cosine` and `sine` those of the
-    phase θ; they broadcast. The polynomials are f·f, r·r, u'·u', f·u', f·v_b, f·r, r·u', v_b·r,
-    v_b·u' and v_b·v_b, where r = d + ω × f; each has the coefficients of 1, A and A². Products
-    with ω × f are rewritten by f·(ω × f) = 0 and |ω × u|² = |ω|²|u|² − (ω·u)². Own derivation.
+    phase θ; they broadcast. The polynomials are those of `OrbitProducts`, in its order; each has
+    the coefficients of 1, A and A². Products with ω × f are rewritten by f·(ω × f) = 0 and
+    |ω × u|² = |ω|²|u|² − (ω·u)². Own derivation.
     """
-    ff, fd, fv, ev, ee, vv, pp, pq, qq, w_pq, ww = products[:11]
-    with_p, with_q = products[11:18], products[18:]
-    fu, _, vu, du, vwu, ewu, wu = cosine * with_p + sine * with_q
-    f_rate, e_rate, v_rate = cosine * with_q[:3] - sine * with_p[:3]  # with u'
-    mean, half = (pp + qq) / 2, (pp - qq) / 2
+    known = SpeedProducts.view(products)
+    with_p, with_q = known.with_p, known.with_q
+    with_u = AxisProducts(*(cosine * p + sine * q for p, q in zip(with_p, with_q, strict=True)))
+    f_rate = cosine * with_q.f - sine * with_p.f
+    e_rate = cosine * with_q.e - sine * with_p.e
+    v_rate = cosine * with_q.v - sine * with_p.v
+    mean, half = (known.pp + known.qq) / 2, (known.pp - known.qq) / 2
     cosine_twice, sine_twice = cosine * cosine - sine * sine, 2 * cosine * sine
-    swing = cosine_twice * half + sine_twice * pq
+    swing = cosine_twice * half + sine_twice * known.pq
     uu, rate_rate = mean + swing, mean - swing
     zero = np.zeros(uu.shape)
+    polynomials = OrbitProducts(
+        f_f=(known.ff, 2 * with_u.f, uu),
+        r_r=(known.ee, 2 * with_u.ew, known.ww * uu - with_u.w * with_u.w),
+        rate_rate=(rate_rate, zero, zero),
+        f_rate=(f_rate, cosine_twice * known.pq - sine_twice * half, zero),
+        f_v=(known.fv, with_u.v, zero),
+        f_r=(known.fd, with_u.d, zero),
+        r_rate=(e_rate, known.w_pq, zero),
+        v_r=(known.ev, with_u.vw, zero),
+        v_rate=(v_rate, zero, zero),
+        v_v=(known.vv, zero, zero),
+    )
     return np.stack(
-        [
-            np.stack([coefficient + zero for coefficient in polynomial])
-            for polynomial in (
-                (ff, 2 * fu, uu),
-                (ee, 2 * ewu, ww * uu - wu * wu),
-                (rate_rate, zero, zero),
-                (f_rate, cosine_twice * pq - sine_twice * half, zero),
-                (fv, vu, zero),
-                (fd, du, zero),
-                (e_rate, w_pq, zero),
-                (ev, vwu, zero),
-                (v_rate, zero, zero),
-                (vv, zero, zero),
-            )
-        ]
+        [np.stack([coefficient + zero for coefficient in polynomial]) for polynomial in polynomials]
     )
 
 
@@ -259,7 +326,8 @@ def polynomial_values(polynomials: NDArray, amplitude: NDArray) -> NDArray:
 def speed_squares(values: Any, *, rest_length: float, compliance: float) -> tuple[Any, ...]:
     """c, b and a with ‖v‖² = c + 2 b s + a s² for s = A ξ, and the squared tension T².
 
-    `values` (10, …) are those of the polynomials of `speed_polynomials` at A, and the results
+    `values` (10, …) are those of the polynomials of `speed_polynomials` at A, in the order of
+    `OrbitProducts` (unpacked, which is faster than by attributes), and the results
     are of the shape of one of them: arrays, or plain numbers, which for a single speed are ten
     times faster. With g = ℓ/T and h = (1/K_c − g)/T², the velocity of eq. 22 is
     v_b + g (r + s u') + h f fᵀ(r + s u'): affine in s. Own derivation.

@@ -1,7 +1,7 @@
 """How the updates of the optimization layer ended, and how often."""
 
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from numpy.typing import NDArray
 
@@ -19,13 +19,13 @@ class Outcome(IntEnum):
 class Diagnostics(NamedTuple):
     """The entries of the signal `diagnostics` (7), in their order: numbers, or logs (k,)."""
 
-    outcome: Any  # of the last update, an `Outcome`
-    updates: Any  # how many there were
-    kept: Any  # how many of them ended in this way, as the next three
-    solved: Any
-    relaxed: Any
-    held: Any
-    speed_margin: Any  # m/s, the smallest predicted speed minus the untightened bound
+    outcome: NDArray | float  # of the last update, an `Outcome`
+    updates: NDArray | float  # how many there were
+    kept: NDArray | float  # how many of them ended in this way, as the next three
+    solved: NDArray | float
+    relaxed: NDArray | float
+    held: NDArray | float
+    speed_margin: NDArray | float  # m/s, the smallest predicted speed minus the untightened bound
 
     @classmethod
     def view(cls, values: NDArray) -> "Diagnostics":
@@ -34,18 +34,17 @@ class Diagnostics(NamedTuple):
 
 
 DIAGNOSTICS_SIZE = len(Diagnostics._fields)
-_PLACES = Diagnostics(*range(DIAGNOSTICS_SIZE))
-_COUNT_PLACES = (0, _PLACES.kept, _PLACES.solved, _PLACES.relaxed, _PLACES.held)  # by `Outcome`
+_PLACES = {name: place for place, name in enumerate(Diagnostics._fields)}
 
 
 def count_update(diagnostics: NDArray, outcome: Outcome, speed_margin: float) -> None:
     """Adds an update to the vector `diagnostics` (7), in place."""
-    diagnostics[_PLACES.outcome] = outcome
-    diagnostics[_PLACES.updates] += 1
-    diagnostics[_COUNT_PLACES[outcome]] += 1
-    diagnostics[_PLACES.speed_margin] = speed_margin
+    diagnostics[_PLACES["outcome"]] = outcome
+    diagnostics[_PLACES["updates"]] += 1
+    diagnostics[_PLACES[outcome.name.lower()]] += 1
+    diagnostics[_PLACES["speed_margin"]] = speed_margin
 
 
 def update_count(diagnostics: NDArray) -> int:
     """How many updates the vector `diagnostics` (7) counts."""
-    return int(diagnostics[_PLACES.updates])
+    return int(diagnostics[_PLACES["updates"]])

@@ -24,14 +24,14 @@ class NonstopProblemConfig:
 
     speed_bound: float = 0.2  # m/s, ε
     tightening: float = 0.01  # the solver aims at (1 + tightening) ε
-    look_ahead_points: int = 2  # instants from now to the next update; 1: now, as printed
-    orbit_points: int = 16  # phases of the orbit ahead; 1: the present one only, as printed
+    look_ahead_points: int = 2  # instants from now to the next update; 1: now, as in the paper
+    orbit_points: int = 16  # phases of the orbit ahead; 1: the present one, as in the paper
     orbit_updates: int = 4  # successive updates that share these phases
-    load_motion: str = "desired"  # what the carriers move with; "measured": as printed
+    load_motion: str = "desired"  # of the carriers; "desired", or "measured" as in the paper
     frequency: float = 2.0  # rad/s, ξ at the start
     amplitude: float = 1.2  # N, A at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 20.0])  # rad/s
-    amplitude_bounds: list[float] = field(default_factory=list)  # N; none: see the block
+    amplitude_bounds: list[float] = field(default_factory=list)  # N; none: from the load's weight
     max_frequency_rate: float = math.inf  # rad/s²
     max_amplitude_rate: float = math.inf  # N/s
     max_speed: float = math.inf  # m/s, of a carrier
@@ -43,7 +43,7 @@ class NonstopProblemConfig:
     anchor_weight: float = 0.0  # of the distance from the initial ξ and A, at rest
     period: float = 0.01  # s, between updates
     change_time: float = 2.0  # s, in which a bound or a switch set during a run takes effect
-    solver: str = "search"  # or "grid", "snopt", "ipopt", "nlopt"
+    solver: str = "search"  # "search", "grid", "snopt", "ipopt" or "nlopt"
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
 
 
@@ -60,29 +60,29 @@ def highest_speed_bound(config: NonstopProblemConfig) -> float:
     return config.max_speed / _least_ratio(config)
 
 
-def check_speed_bound(owner: str, speed_bound: float) -> None:
-    """Raises ScenarioError for what is no speed bound (m/s), in the name of its `owner`."""
+def check_speed_bound(box: str, speed_bound: float) -> None:
+    """Raises ScenarioError for what is no speed bound (m/s), in the name of its `box`."""
     require(
         speed_bound == 0 or (is_number(speed_bound) and speed_bound >= LEAST_BOUND),
-        f"{owner}.speed_bound",
+        f"{box}.speed_bound",
         speed_bound,
         f"give 0 (no bound) or at least {LEAST_BOUND:g} m/s",
     )
 
 
-def check_problem(owner: str, config: NonstopProblemConfig, model: Model) -> None:
-    """Raises ScenarioError for the first field, of the config's `owner`, that cannot be used."""
-    _check_numbers(owner, config)
-    _check_limits(owner, config)
-    _check_choices(owner, config)
+def check_problem(box: str, config: NonstopProblemConfig, model: Model) -> None:
+    """Raises ScenarioError for the first field, of the config's `box`, that cannot be used."""
+    _check_numbers(box, config)
+    _check_limits(box, config)
+    _check_choices(box, config)
     for name, start, bounds in (
         ("frequency", config.frequency, config.frequency_bounds),
         ("amplitude", config.amplitude, amplitude_range(config, model)),
     ):
-        low, high = require_array(f"{owner}.{name}_bounds", bounds, [2], "lower, upper")
+        low, high = require_array(f"{box}.{name}_bounds", bounds, [2], "lower, upper")
         require(
             0 < low <= start <= high,
-            f"{owner}.{name}_bounds",
+            f"{box}.{name}_bounds",
             bounds,
             f"give bounds above zero that hold the initial {name} {start}",
         )
@@ -90,15 +90,15 @@ def check_problem(owner: str, config: NonstopProblemConfig, model: Model) -> Non
         ratio = config.period / model.control_period
         require(
             round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-9,
-            f"{owner}.period",
+            f"{box}.period",
             config.period,
             f"give a multiple of the control period {model.control_period}",
         )
 
 
-def _check_numbers(owner: str, config: NonstopProblemConfig) -> None:
+def _check_numbers(box: str, config: NonstopProblemConfig) -> None:
     require_non_negative(
-        owner,
+        box,
         tightening=config.tightening,
         internal_force_weight=config.internal_force_weight,
         internal_force_rate_weight=config.internal_force_rate_weight,
@@ -107,25 +107,25 @@ def _check_numbers(owner: str, config: NonstopProblemConfig) -> None:
         min_separation=config.min_separation,
     )
     require_positive(
-        owner,
+        box,
         frequency=config.frequency,
         amplitude=config.amplitude,
         period=config.period,
         change_time=config.change_time,
     )
-    check_speed_bound(owner, config.speed_bound)
+    check_speed_bound(box, config.speed_bound)
 
 
-def _check_limits(owner: str, config: NonstopProblemConfig) -> None:
+def _check_limits(box: str, config: NonstopProblemConfig) -> None:
     for name in ("min_tension", "max_tension", "max_speed", "min_separation", "speed_bound"):
         value = getattr(config, name)
         require(
             value <= LARGEST or value == math.inf,
-            f"{owner}.{name}",
+            f"{box}.{name}",
             value,
             f"give at most {LARGEST:g}, in SI units",
         )
-    require(config.tightening < 1, f"{owner}.tightening", config.tightening, "give less than 1")
+    require(config.tightening < 1, f"{box}.tightening", config.tightening, "give less than 1")
     least_ratio = _least_ratio(config)
     for name, least in (
         ("max_frequency_rate", 0.0),
@@ -136,22 +136,22 @@ def _check_limits(owner: str, config: NonstopProblemConfig) -> None:
         value = getattr(config, name)
         require(
             (is_number(value) and value > least) or value == math.inf,
-            f"{owner}.{name}",
+            f"{box}.{name}",
             value,
             f"give a number greater than {least:g}, or .inf for no limit",
         )
 
 
-def _check_choices(owner: str, config: NonstopProblemConfig) -> None:
+def _check_choices(box: str, config: NonstopProblemConfig) -> None:
     require(
         isinstance(config.look_ahead_points, int) and 1 <= config.look_ahead_points <= 50,
-        f"{owner}.look_ahead_points",
+        f"{box}.look_ahead_points",
         config.look_ahead_points,
         "give 1 (the instant of the update only) to 50",
     )
     require(
         isinstance(config.orbit_points, int) and 1 <= config.orbit_points <= 64,
-        f"{owner}.orbit_points",
+        f"{box}.orbit_points",
         config.orbit_points,
         "give 1 (the present phase only) to 64",
     )
@@ -159,19 +159,19 @@ def _check_choices(owner: str, config: NonstopProblemConfig) -> None:
         isinstance(config.orbit_updates, int)
         and config.orbit_updates >= 1
         and (config.orbit_points == 1 or config.orbit_points % config.orbit_updates == 0),
-        f"{owner}.orbit_updates",
+        f"{box}.orbit_updates",
         config.orbit_updates,
         f"give a whole number that divides orbit_points = {config.orbit_points}",
     )
     require(
         config.load_motion in ("desired", "measured"),
-        f"{owner}.load_motion",
+        f"{box}.load_motion",
         config.load_motion,
         'give "desired" or "measured"',
     )
     require(
         config.solver in _SOLVERS,
-        f"{owner}.solver",
+        f"{box}.solver",
         config.solver,
         f"give one of {', '.join(_SOLVERS)}",
     )

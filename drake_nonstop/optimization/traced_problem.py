@@ -8,7 +8,12 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import nonstop
 from drake_nonstop.mechanics.rigid_load import load_acceleration
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadReference
+from drake_nonstop.mechanics.signals import (
+    LOAD_STATE_SIZE,
+    PARAMETERS_SIZE,
+    LoadReference,
+    Parameters,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig, amplitude_range
@@ -30,7 +35,10 @@ class SpeedTerms(NamedTuple):
     ) -> "SpeedTerms":
         """The terms, each with its shape, from flat ones."""
         return cls(
-            polynomials.reshape(10, 3, -1), forces.reshape(-1, 3), levers.reshape(-1, 3), angles
+            polynomials.reshape(nonstop.POLYNOMIALS_SHAPE),
+            forces.reshape(-1, 3),
+            levers.reshape(-1, 3),
+            angles,
         )
 
 
@@ -87,7 +95,7 @@ class TracedProblem:
         # A solver may try the far ends of the bounds, where values are huge and sound.
         return TracedFunction(
             function,
-            [2, UPDATE_DATA_SIZE],
+            [PARAMETERS_SIZE, UPDATE_DATA_SIZE],
             name=self.name,
             largest=1e100,
             jacobian_of=jacobian_of,
@@ -128,7 +136,7 @@ class TracedProblem:
         data = UpdateData.view(vector)
         products, forces, levers = self._trace_orbits(data)
         angle = nonstop.phase_of(x, data.previous, data.phase)
-        ahead = angle + data.previous[:1] * self._instants
+        ahead = angle + Parameters.view(data.previous).frequency * self._instants
         cosine, sine = np.cos(ahead), np.sin(ahead)
         first = ahead[-1:] + data.orbit_turn
         turn_cosine, turn_sine = np.cos(self._turns), np.sin(self._turns)
@@ -142,15 +150,15 @@ class TracedProblem:
             products[:, self._instant_of_row],
         )
         angles = angle + self.model.pattern.phases
-        return SpeedTerms(polynomials.reshape(10, 3, -1), forces, levers, angles)
+        return SpeedTerms(polynomials.reshape(nonstop.POLYNOMIALS_SHAPE), forces, levers, angles)
 
     def _trace_margins(self, x: NDArray, vector: NDArray) -> NDArray:
         data = UpdateData.view(vector)
         terms = SpeedTerms.from_flat(*self.terms.traced(x, vector))
-        amplitude = x[1:]
+        frequency, amplitude = Parameters.view(x)
         values = nonstop.polynomial_values(terms.polynomials[:, :, None], amplitude[:, None])
         c, b, a, tension_squares = nonstop.speed_squares(values, **self.cables)
-        s = x[:1] * amplitude
+        s = frequency * amplitude
         squares = c + s * (2 * b + s * a)
         margins = [
             *self.constraints.of_speeds(squares, data.speed_bound, data.speed_unit),

@@ -5,6 +5,14 @@ from typing import NamedTuple
 
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    PARAMETERS_SIZE,
+    PHASE_SIZE,
+    WRENCH_SIZE,
+)
+
 
 class UpdateData(NamedTuple):
     """The parts of the data of one update, all in W.
@@ -22,7 +30,7 @@ class UpdateData(NamedTuple):
     wrench_second_rate: NDArray  # (6,)
     speed_bound: NDArray  # (1,), m/s, tightened
     speed_unit: NDArray  # (1,), m/s, scales the margins of the speed bound
-    orbit_turn: NDArray  # (1,), rad, by which the phases of the orbit ahead are turned on
+    orbit_turn: NDArray  # (1,), rad, added to the phases of the orbit ahead
     anchor_weight: NDArray  # (1,)
 
     @classmethod
@@ -31,7 +39,16 @@ class UpdateData(NamedTuple):
         return cls(*[vector[part] for part in _PARTS])
 
 
-_SIZES = (2, 2, 13, 22, 6, 6, 6, 1, 1, 1, 1)  # of the parts, in their order
+_SIZES = (  # of the parts, in their order
+    PARAMETERS_SIZE,
+    PHASE_SIZE,
+    LOAD_STATE_SIZE,
+    LOAD_REFERENCE_SIZE,
+    WRENCH_SIZE,
+    WRENCH_SIZE,
+    WRENCH_SIZE,
+    *(1 for _ in ("speed_bound", "speed_unit", "orbit_turn", "anchor_weight")),
+)
 _ENDS = list(accumulate(_SIZES))
 _PARTS = [slice(end - size, end) for size, end in zip(_SIZES, _ENDS, strict=True)]
 UPDATE_DATA_SIZE = _ENDS[-1]

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import nonstop
+from drake_nonstop.mechanics.signals import Parameters
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.traced_problem import SpeedTerms, TracedProblem
@@ -39,7 +40,7 @@ class UpdateProblem:
 
     @property
     def phase_jumps(self) -> bool:
-        """Whether the phase jumps with ξ, as a printed one does, rather than accumulate it."""
+        """Whether the phase jumps with ξ, as `PaperPhase` does, rather than accumulates it."""
         return bool(self.data.phase[1] != 0)
 
     def cost(self, x: NDArray) -> float:
@@ -128,7 +129,8 @@ class UpdateProblem:
         ):
             return self._traced.margins(x, self.vector)[0].copy()
         with np.errstate(divide="ignore", invalid="ignore"):
-            margins = self.search_problem.margins(x[1:], x[:1])[0][0, 0]
+            frequency, amplitude = Parameters.view(x)
+            margins = self.search_problem.margins(amplitude, frequency)[0][0, 0]
         if not np.isfinite(margins).all():
             raise NotFiniteError(self._traced.name())
         return margins

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.active_set_search import nearest_feasible
 from drake_nonstop.optimization.diagnostics import Outcome
@@ -78,12 +79,12 @@ class UpdateSolver:
             wrench_rate: (6,), per s.
             wrench_second_rate: (6,), per s².
             speed_bound: m/s, ε before it is tightened.
-            updates: how many there were before this one: it turns the phases of the orbit ahead on.
+            updates: how many there were before this one: selects the phases of the orbit ahead.
         """
         config = self._config
         anchor_weight = self._anchor_weight
         # A reference that moves switches the anchor off.
-        if config.anchor_weight > 0 and np.abs(reference[7:19]).max() > _REST_TOLERANCE:
+        if config.anchor_weight > 0 and _is_moving(reference):
             anchor_weight = self._no_anchor
         bound = np.array([(1 + config.tightening) * speed_bound])
         return UpdateData(
@@ -178,6 +179,20 @@ class UpdateSolver:
             search_problem, before, speed_margins, float(parameters[1])
         )
         return (nearer, lower_cost) if lower_cost < cost else (parameters, cost)
+
+
+def _is_moving(reference: NDArray) -> bool:
+    """Whether the load's reference (22,) has a velocity or an acceleration."""
+    motion = LoadReference.view(reference)
+    rates = np.concatenate(
+        [
+            motion.angular_velocity,
+            motion.velocity,
+            motion.angular_acceleration,
+            motion.acceleration,
+        ]
+    )
+    return bool(np.abs(rates).max() > _REST_TOLERANCE)
 
 
 def _answer(problem: UpdateProblem, parameters: NDArray, outcome: Outcome) -> Answer:

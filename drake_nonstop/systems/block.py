@@ -57,6 +57,10 @@ class DiagramBlock(Diagram, metaclass=BlockType):  # type: ignore[metaclass]
 
     is_sampled = False
 
+    def __init__(self) -> None:
+        """Makes the block; a box's takes a `model` and a `config` (None: the default values)."""
+        super().__init__()
+
 
 class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
     """A LeafSystem whose methods may be given to its Declare functions, and that is freed.
@@ -66,6 +70,10 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
     """
 
     is_sampled = False
+
+    def __init__(self) -> None:
+        """Makes the block; a box's takes a `model` and a `config` (None: the default values)."""
+        super().__init__()
 
     def box(self) -> str:
         """What error messages call the block: its name in the diagram."""

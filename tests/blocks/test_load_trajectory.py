@@ -265,9 +265,9 @@ def test_load_turns_with_its_circle_where_asked():
     straight, following = reference_of(Circle, CIRCLE), reference_of(Circle, FOLLOWING_CIRCLE)
     roll, pitch, yaw = START["start_roll_pitch_yaw"]
     for time, share in ((0.0, 0.0), (5.5, 0.5), (20.0, 1.0)):
-        turned = RollPitchYaw(roll, pitch, yaw + share * 0.7 * 2 * np.pi).ToRotationMatrix()
+        rotated = RollPitchYaw(roll, pitch, yaw + share * 0.7 * 2 * np.pi).ToRotationMatrix()
         R = rotation(following(time)[:4])
-        np.testing.assert_allclose(R, turned.matrix(), rtol=0, atol=1e-13)
+        np.testing.assert_allclose(R, rotated.matrix(), rtol=0, atol=1e-13)
         np.testing.assert_array_equal(straight(time)[:4], straight(0.0)[:4])
     now = following(4.0)
     np.testing.assert_allclose(now[7:9], 0, atol=1e-15)

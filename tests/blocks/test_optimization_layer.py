@@ -161,8 +161,8 @@ def test_predicted_margin_is_that_of_the_slowest_phase_of_the_orbit(seed):
     layer.update(inputs)
     slowest = []
     for turn in 2 * np.pi * np.arange(points) / points:
-        turned = {**inputs, "phase": inputs["phase"] + [turn, 0]}
-        slowest.append(np.min(carrier_speeds(START, turned)))
+        shifted = {**inputs, "phase": inputs["phase"] + [turn, 0]}
+        slowest.append(np.min(carrier_speeds(START, shifted)))
     assert layer.diagnostics.speed_margin == pytest.approx(min(slowest) - 0.01, abs=1e-9)
     assert min(slowest) < slowest[0] - 0.005
 
@@ -174,8 +174,8 @@ def test_updates_share_the_phases_of_the_orbit():
         layer.update(inputs)
         slowest = [np.min(carrier_speeds(START, inputs))]
         for turn in 2 * np.pi * np.arange(update % updates, points, updates) / points:
-            turned = {**inputs, "phase": inputs["phase"] + [turn, 0]}
-            slowest.append(np.min(carrier_speeds(START, turned)))
+            shifted = {**inputs, "phase": inputs["phase"] + [turn, 0]}
+            slowest.append(np.min(carrier_speeds(START, shifted)))
         assert layer.diagnostics.speed_margin == pytest.approx(min(slowest) - 0.01, abs=1e-9)
 
 
@@ -187,8 +187,8 @@ def test_solution_keeps_every_carrier_above_the_bound_all_along_the_orbit(seed):
     parameters = layer.update(inputs)
     assert layer.diagnostics.outcome == Outcome.SOLVED
     for turn in 2 * np.pi * np.arange(1, 16) / 16:
-        turned = {**inputs, "phase": inputs["phase"] + [turn, 0]}
-        speeds = carrier_speeds(parameters, turned, PERIOD)
+        shifted = {**inputs, "phase": inputs["phase"] + [turn, 0]}
+        speeds = carrier_speeds(parameters, shifted, PERIOD)
         assert np.min(speeds) >= bound * (1 + TIGHTENING) - 2e-4
 
 

@@ -12,7 +12,6 @@ import yaml
 from helpers import Motion, fix, model, output
 
 from drake_nonstop import blocks
-from drake_nonstop.blocks import optimization_layer
 from drake_nonstop.blocks.cables import Cables, IndividualCables
 from drake_nonstop.blocks.carrier_controller import (
     CarrierPid,
@@ -63,7 +62,9 @@ from drake_nonstop.blocks.wrench_controller import (
     TunedWrenchController,
     WrenchController,
 )
+from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.scenario.describe import parameters
 
 
 def moving_reference(model):
@@ -415,6 +416,7 @@ DOCUMENTED = [block for module in MODULES for block in getattr(module, "VARIANTS
 SOMETIMES = "(where the model has a control period)"
 
 
+PARAMETERS = re.compile(r"\nParameters, the fields of `\w+`:\n((?:    .*\n)+)")
 SECTION = re.compile(r"\.\. pydrake_system::\n\n((?:    .*\n)+)")
 
 
@@ -453,5 +455,20 @@ def test_docstring_has_the_size_of_each_port_and_names_the_config_that_has_field
     config = inspect.signature(block).parameters["config"].annotation
     if not isinstance(config, str):
         config = next(part for part in config.__args__ if part is not type(None))
-        if inspect.signature(config).parameters and block not in optimization_layer.VARIANTS:
+        if inspect.signature(config).parameters:
             assert f"`{config.__name__}`" in text
+
+
+@pytest.mark.parametrize("block", DOCUMENTED, ids=lambda block: block.__name__)
+def test_docstring_lists_exactly_the_fields_of_the_config_with_their_units(block):
+    found = PARAMETERS.search(docstring(block) + "\n")
+    listed = re.split(r"\n    (?! )", "\n" + found[1].rstrip())[1:] if found else []
+    fields = parameters(config_class(block))
+    assert all(field.meaning for field in fields)
+    expected = [f"{field.name}: {field.meaning}" for field in fields]
+    assert [" ".join(entry.split()) for entry in listed] == expected
+
+
+@pytest.mark.parametrize("block", DOCUMENTED, ids=lambda block: block.__name__)
+def test_the_constructor_is_documented_by_the_package_and_not_by_drake(block):
+    assert "`model` and a `config`" in inspect.getdoc(block.__init__)

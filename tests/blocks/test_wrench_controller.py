@@ -140,19 +140,19 @@ def test_tuned_gains_are_the_plain_ones_of_that_mass_and_inertia():
 
 
 def test_tuned_rotation_answers_alike_about_all_axes():
-    """An error of the orientation alone is turned back along itself, whatever the inertia."""
+    """An error of the orientation alone is corrected about its own axis, whatever the inertia."""
     config = TunedWrenchControllerConfig(orientation_frequency=4.0, orientation_integral_rate=0.0)
     body = model()
-    turned = np.array([1.0, 1e-4, -2e-4, 1.5e-4, *np.zeros(9)])
+    rotated = np.array([1.0, 1e-4, -2e-4, 1.5e-4, *np.zeros(9)])
     still = np.array([1.0, *np.zeros(21)])
     torque = outputs(
         TunedWrenchController(body, config),
         np.zeros(6),
-        measured_load_state=turned,
+        measured_load_state=rotated,
         reference=still,
     )["wrench"][:3]
     acceleration = np.linalg.solve(body.load.inertia, torque)
-    np.testing.assert_allclose(acceleration, -16.0 * 2 * turned[1:4], rtol=1e-3)
+    np.testing.assert_allclose(acceleration, -16.0 * 2 * rotated[1:4], rtol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def internal(theta):
     )
 
 
-def test_accumulated_phase_does_not_jump_and_the_printed_one_does():
+def test_accumulated_phase_does_not_jump_and_that_of_the_paper_does():
     assert phase_of(PARAMETERS, PREVIOUS, np.array([0.7, 0.0])) == pytest.approx(0.7, abs=0)
     # θ = ξ t: 2.0 · 3 s becomes 2.3 · 3 s
     assert phase_of(PARAMETERS, PREVIOUS, np.array([6.0, 3.0])) == pytest.approx(6.9, rel=1e-15)

@@ -42,7 +42,7 @@ def test_every_solver_finds_the_optimum_near_by(seed, solver):
 
 
 @pytest.mark.parametrize("solver", ["search", "snopt"])
-def test_solves_a_printed_phase(solver):
+def test_solves_the_phase_of_the_paper(solver):
     inputs = moving(1, 3.0)
     data = update_data(inputs, speed_bound_above(inputs, 0.1))
     found, outcome, slowest = update_solver(solver=solver).solve(data)
