@@ -15,9 +15,11 @@ CONSTANT = ["optimization_layer=!ConstantParameters {}"]
 
 
 @pytest.fixture(scope="module")
-def fine():
+def fine(shared_runs):
     """The quintic, slowly turning and moving, with its signals at every ms."""
-    return simulate(load_scenario("quintic", ["duration=6", "simulator.max_step_size=0.001"]))
+    return shared_runs.run(
+        load_scenario("quintic", ["duration=6", "simulator.max_step_size=0.001"])
+    )
 
 
 def parts(run):

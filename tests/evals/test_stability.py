@@ -20,12 +20,13 @@ def growth_per_turn(resting, turns):
     equilibrium; the linearization has no part in it.
     """
     period = 2 * np.pi / resting.optimization_layer.frequency
+    nonstop = make_nonstop(resting)
+    equilibrium = nonstop.CreateDefaultContext()
+    set_equilibrium(nonstop, equilibrium)
+    config = stable_config(resting.simulator, nonstop, equilibrium)
     runs = []
     for size in (0.0, 1e-8):
-        nonstop = make_nonstop(resting)
-        context = nonstop.CreateDefaultContext()
-        set_equilibrium(nonstop, context)
-        config = stable_config(resting.simulator, nonstop, context)
+        context = equilibrium.Clone()
         for name, seed in (("load_plant", 1), ("carrier_dynamics", 2)):
             own = nonstop.GetMutableSubsystemContext(nonstop.GetSubsystemByName(name), context)
             state = own.get_continuous_state_vector().CopyToVector()

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from functools import cache
 
 import numpy as np
 import pytest
@@ -31,9 +32,15 @@ def scenario():
     return load_scenario("quintic", ["duration=2", "optimization_layer=ConstantParameters"])
 
 
+@pytest.fixture(scope="module")
+def with_block(scenario):
+    """A function from a box and its block to the scenario with that block."""
+    return cache(lambda box, block: changed(scenario, [f"{box}={block}"]))
+
+
 @pytest.mark.parametrize(("box", "old", "new"), PAIRS)
-def test_swap_changes_nothing_but_the_box(scenario, box, old, new):
-    before = changed(scenario, [f"{box}={old}"])
+def test_swap_changes_nothing_but_the_box(scenario, with_block, box, old, new):
+    before = with_block(box, old)
     after = changed(before, [f"{box}={new}"])
     assert type(getattr(after, box)).__name__ == f"{new}Config"
     for field in dataclasses.fields(scenario):
@@ -45,8 +52,8 @@ def test_swap_changes_nothing_but_the_box(scenario, box, old, new):
 
 
 @pytest.mark.parametrize(("box", "block"), ALTERNATIVES)
-def test_swapped_loop_runs(scenario, box, block):
-    run = simulate(changed(scenario, [f"{box}={block}"]))
+def test_swapped_loop_runs(with_block, box, block):
+    run = simulate(with_block(box, block))
     assert run.time[-1] == pytest.approx(2)
     for name, values in run.signals.items():
         assert np.all(np.isfinite(values)), name
