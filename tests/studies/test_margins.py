@@ -4,7 +4,6 @@ import json
 
 from PIL import Image
 
-from drake_nonstop.cli import stability
 from drake_nonstop.cli.main import main
 from drake_nonstop.studies import margins
 
@@ -18,7 +17,6 @@ def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch)
         return [mass, delay]
 
     monkeypatch.setattr(margins, "_axes", few)
-    monkeypatch.setattr(stability, "_FINE_STEP", 0.0025)  # half of the scenario's
     overrides = ["load_feedback=!NoisyFeedback {}"]
     arguments = ["stability", "quintic", "--out", str(tmp_path), "--set", *overrides]
     assert main(arguments) == 0
