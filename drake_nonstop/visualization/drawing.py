@@ -7,6 +7,7 @@ Boxes and wires are on a grid, with spare lanes between the boxes. The wires are
 the lanes, and lanes without a wire are removed.
 """
 
+import functools
 import heapq
 import math
 import re
@@ -14,6 +15,7 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from xml.sax.saxutils import escape, quoteattr
 
@@ -72,6 +74,7 @@ ARROWHEADS = [
     for kind, colour in (("wire", WIRE_COLOUR), ("unread", UNREAD_COLOUR))
 ]
 
+Subsystem = tuple[str, str, tuple[str, ...]]  # its name, its class and its output ports
 Node = tuple[int, int]
 Step = tuple[int, int]
 State = tuple[int, Node, Step]  # cost of a path to a node, and its last step
@@ -89,7 +92,7 @@ class Signal:
     sinks: dict[str, Node] = field(default_factory=dict)
     paths: dict[str, list[Node]] = field(default_factory=dict)  # each from the trunk to its sink
 
-    @property
+    @cached_property
     def lines(self) -> list[str]:
         """The label, in lines of about the same length."""
         words = self.name.partition(".")[2].replace("_", " ")
@@ -133,7 +136,7 @@ class Box:
     left: int = 0
     top: int = 0
 
-    @property
+    @cached_property
     def texts(self) -> list[tuple[str, str, int]]:
         """The lines of text in the box: style, text, size in px."""
         names = _wrapped(self.name.split("_"), " ", BOLD_WIDTH * NAME_SIZE)
@@ -181,32 +184,37 @@ def draw_diagram(diagram: Diagram) -> str:
     Raises:
         RuntimeError: there is no room for all wires.
     """
-    boxes = _boxes(diagram)
+    subsystems = tuple(
+        (system.get_name(), type(system).__name__, tuple(wiring.output_names(system)))
+        for system in diagram.GetSystems()
+    )
+    return _drawn(diagram.get_name(), subsystems, tuple(sorted(wiring.connections(diagram))))
+
+
+@functools.lru_cache(maxsize=32)  # most runs of a process have the same diagram
+def _drawn(title: str, subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> str:
+    boxes = _boxes(subsystems, wires)
     for scale in range(1, WIDEST_GAPS + 1):
         _place(boxes, scale)
         if _route(boxes):
-            return _svg(diagram.get_name(), boxes)
-    raise RuntimeError(
-        f"{diagram.get_name()} cannot be drawn: its wires do not fit into the gaps between boxes"
-    )
+            return _svg(title, boxes)
+    raise RuntimeError(f"{title} cannot be drawn: its wires do not fit into the gaps between boxes")
 
 
-def _boxes(diagram: Diagram) -> list[Box]:
+def _boxes(subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> list[Box]:
     boxes: dict[str, Box] = {}
     signals: dict[str, Signal] = {}
     unknown_boxes = 0
-    for system in diagram.GetSystems():
-        name = system.get_name()
+    for name, class_name, output_names in subsystems:
         place = PLACES.get(name)
         if place is None:
             row, column = divmod(unknown_boxes, COLUMNS)
             place = Place(column, ROWS + row, 1, Kind.ADDITION)
             unknown_boxes += 1
-        ports = [system.get_output_port(i) for i in range(system.num_output_ports())]
-        outputs = [Signal(f"{name}.{port.get_name()}", place.flow) for port in ports]
+        outputs = [Signal(f"{name}.{port}", place.flow) for port in output_names]
         signals.update({signal.name: signal for signal in outputs})
-        boxes[name] = Box(name, type(system).__name__, place, outputs)
-    for wire in sorted(wiring.connections(diagram)):
+        boxes[name] = Box(name, class_name, place, outputs)
+    for wire in wires:
         source, target = wire.split(" -> ")
         boxes[target.partition(".")[0]].inputs[wire] = signals[source]
         signals[source].sinks[wire] = (0, 0)
