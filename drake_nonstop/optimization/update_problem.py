@@ -29,8 +29,8 @@ class UpdateProblem:
         self.data = data
         self.vector = np.concatenate(data)  # (61,), for the functions of `UpdateSolver.functions`
         self.previous = data.previous.copy()
-        # By the bytes of x. The margins of the answer were computed in the search already.
-        self._margins_at: dict[bytes, tuple[NDArray, float]] = {}
+        # The last x, its margins and the least of them: the search has computed the answer's.
+        self._last: tuple[NDArray | None, NDArray, float] = (None, self.previous, 0.0)
         self._search_problem: SearchProblem | None = None
 
     @property
@@ -112,12 +112,10 @@ class UpdateProblem:
         )
 
     def _margins_and_worst(self, x: NDArray) -> tuple[NDArray, float]:
-        key = x.tobytes()
-        found = self._margins_at.get(key)
-        if found is None:
+        if x is not self._last[0]:
             margins = self._computed_margins(x)
-            found = self._margins_at[key] = margins, float(margins.min())
-        return found
+            self._last = x, margins, float(margins.min())
+        return self._last[1], self._last[2]
 
     def _computed_margins(self, x: NDArray) -> NDArray:
         constraints = self._traced.constraints

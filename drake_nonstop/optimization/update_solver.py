@@ -135,7 +135,8 @@ class UpdateSolver:
 
     def _is_anchor_active(self, problem: UpdateProblem) -> bool:
         """Whether the anchor asks for something else than the previous parameters."""
-        return problem.data.anchor_weight[0] > 0 and not np.allclose(
+        has_anchor = self._config.anchor_weight > 0 and problem.data.anchor_weight[0] > 0
+        return has_anchor and not np.allclose(
             problem.previous, self._traced.nominal, rtol=1e-6, atol=0
         )
 

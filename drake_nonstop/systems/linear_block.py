@@ -1,8 +1,8 @@
 """Blocks that are one linear function, evaluated by Drake's own systems.
 
 A linear function of `drake_nonstop.mechanics` is a matrix, found at unit vectors. Drake's systems
-multiply by it in C++, in half the time of a callback into Python. Of the carriers' sparse matrices
-they multiply the entries that are not zero only: the costs grow with the number of carriers, and
+multiply by it in C++, in half the time of a callback into Python: a small matrix as it is, of a
+large one the entries that are not zero only, so that the costs grow with the number of carriers and
 not with its square.
 """
 
@@ -11,13 +11,21 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Adder, Gain, Integrator, Selector, SelectorParams
+from pydrake.systems.primitives import (
+    Adder,
+    Gain,
+    Integrator,
+    LinearSystem,
+    Selector,
+    SelectorParams,
+)
 
 from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.traced_block import Equations, splitting, stacking
 
 _STATE = "(state)"  # not the name of a port
 _RELATIVE_TOLERANCE = 1e-9  # of what counts as linear
+_LARGEST_DENSE = 1500  # entries of a matrix that is multiplied as it is
 
 
 class LinearBlock(DiagramBlock):
@@ -52,8 +60,15 @@ class LinearBlock(DiagramBlock):
         read, made = dict(inputs), dict(outputs or {})
         initial = np.zeros(state_size)
         self.equations = Equations(function, dict(inputs), dict(made), initial, state_port)
-        terms = _terms(_matrix(self.equations))
+        matrix = _matrix(self.equations)
         builder = DiagramBuilder()
+        shown = made or ([state_port] if state_port else [])
+        is_one_system = len(read) == len(shown) == 1 and not (made and state_port)
+        if is_one_system and matrix.size <= _LARGEST_DENSE:
+            _build_dense(builder, matrix, state_size, *read, *shown)
+            builder.BuildInto(self)
+            return
+        terms = _terms(matrix)
         if state_size > 0:
             read, made = read | {_STATE: state_size}, {_STATE: state_size} | made
         chosen = builder.AddNamedSystem("chosen", Selector(_choosing(read, terms)))
@@ -85,6 +100,22 @@ class LinearBlock(DiagramBlock):
             if state_port:
                 builder.ExportOutput(state.get_output_port(), state_port)
         builder.BuildInto(self)
+
+
+def _build_dense(
+    builder: DiagramBuilder, matrix: NDArray, states: int, input_name: str, output_name: str
+) -> None:
+    """One LinearSystem with one input, and one output: that of the matrix, or else the state."""
+    columns = matrix.shape[1] - states
+    rates, outputs = np.split(matrix, [states])
+    if not len(outputs):
+        outputs = np.eye(states, columns + states, columns)
+    system = LinearSystem(
+        A=rates[:, columns:], B=rates[:, :columns], C=outputs[:, columns:], D=outputs[:, :columns]
+    )
+    builder.AddNamedSystem("linear", system)
+    builder.ExportInput(system.get_input_port(), input_name)
+    builder.ExportOutput(system.get_output_port(), output_name)
 
 
 def _matrix(equations: Equations) -> NDArray:
