@@ -37,7 +37,7 @@ def main(
         name: np.array(values)
         for name, values in parquet.read_table(done.table).to_pydict().items()
     }
-    completed = table["outcome"] == "completed"
+    completed = table["ending"] == "completed"
     below = table["carriers.time_below_bound_s"] > 0
     succeeded = completed & ~below
     for bound in np.unique(table[BOUND]):

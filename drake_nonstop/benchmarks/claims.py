@@ -177,7 +177,7 @@ def _scenario(arguments: str) -> Scenario:
 def _values(arguments: str, quantities: list[str]) -> dict[str, float]:
     tried = attempt(lambda: _scenario(arguments))
     run = tried.run
-    if run is None or tried.outcome != COMPLETED:
+    if run is None or tried.ending != COMPLETED:
         raise ScenarioError(f"claim on {arguments} = {tried.message}") from tried.error
     metrics = compute_metrics(run)
     values = {name: QUANTITIES[name](run, metrics) for name in quantities}

@@ -6,6 +6,7 @@ from typing import TypeAlias
 
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.studies.results_folder import default_folder
 from drake_nonstop.validation import require
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -53,6 +54,28 @@ def add_scenario(
         action="store_true",
         help="let it import blocks of your own, such as phase=my_blocks.MyPhase",
     )
+
+
+def add_study(parser: argparse.ArgumentParser, folder: str) -> None:
+    """Adds the arguments of `add_scenario`, and --restart."""
+    add_scenario(parser, folder)
+    parser.set_defaults(default_folder=Path(folder).parent)
+    parser.add_argument(
+        "--restart",
+        action="store_true",
+        help="drop what the folder has of a call that was interrupted",
+    )
+
+
+def study_folder(options: argparse.Namespace, name: str, settings: str) -> Path:
+    """Where the results of a study go: --out, or the default folder of that name.
+
+    With --restart that folder is taken whatever it holds.
+    """
+    folder: Path = options.default_folder / name
+    if options.out or options.restart:
+        return options.out or folder
+    return default_folder(folder, settings)
 
 
 def require_repeats(options: argparse.Namespace) -> None:

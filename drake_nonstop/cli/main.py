@@ -49,8 +49,9 @@ def main(arguments: list[str] | None = None) -> int:
     except ScenarioError as error:
         print(f"drake-nonstop: {error}", file=sys.stderr)
         return BAD_INPUT
-    except KeyboardInterrupt:
-        print("drake-nonstop: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as interrupted:
+        rest = f": {interrupted}" if str(interrupted) else ""
+        print(f"drake-nonstop: interrupted{rest}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader of the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

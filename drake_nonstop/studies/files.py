@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, require
 
 
 def require_writable(folder: Path) -> None:
@@ -17,6 +17,7 @@ def require_writable(folder: Path) -> None:
     Raises:
         ScenarioError: no files can be written to it.
     """
+    folder = as_path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -25,6 +26,12 @@ def require_writable(folder: Path) -> None:
         raise ScenarioError(
             f"--out = {folder}: give a folder that can be written ({error.strerror})"
         ) from None
+
+
+def as_path(folder: Path | str) -> Path:
+    """The folder as a Path; raises ScenarioError for what names none."""
+    require(isinstance(folder, (str, os.PathLike)), "folder", folder, "give a path")
+    return Path(folder)
 
 
 @contextlib.contextmanager

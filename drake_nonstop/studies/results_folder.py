@@ -1,5 +1,6 @@
 """The folder with the results of one run."""
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -7,24 +8,52 @@ from typing import Any
 import numpy as np
 
 from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.studies.files import replacing_files, require_writable
+from drake_nonstop.studies.journal import journalled_settings
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import FIGURE_NAMES, make_figures
 
 _FIGURES = "figures"
+_SCENARIO = "scenario.yaml"
 
 # All files that may be written; those that a run does not write are removed.
 RUN_FILES = (
-    "scenario.yaml",
+    _SCENARIO,
     "metrics.json",
     "signals.npz",
     "diagram.svg",
     "replay.html",
     *(f"{_FIGURES}/{name}.png" for name in FIGURE_NAMES),
 )
+
+
+def default_folder(folder: Path, settings: str | Scenario) -> Path:
+    """Where results go unless the user names a folder: not over those of other settings.
+
+    It is the folder itself, or the first of FOLDER_2, FOLDER_3, ... that has no results yet, or
+    those of the same settings.
+
+    Args:
+        folder: the first to be tried.
+        settings: of a study, by `settings_of`; of a run, its scenario.
+    """
+    text = None if isinstance(settings, str) else dump_scenario(settings).encode()
+
+    def is_free(place: Path) -> bool:
+        found = journalled_settings(place)
+        if text is None:
+            return found in (None, settings)
+        try:
+            return found is None and (place / _SCENARIO).read_bytes() == text
+        except OSError:  # there is none; or it cannot be read, which is said as it is written
+            return found is None
+
+    numbered = (folder.with_name(f"{folder.name}_{k}") for k in itertools.count(2))
+    return next(place for place in itertools.chain([folder], numbered) if is_free(place))
 
 
 def write_results(
@@ -47,7 +76,7 @@ def write_results(
     require_writable(folder)
     metrics = compute_metrics(run)
     with replacing_files(folder, RUN_FILES) as new:
-        (new / "scenario.yaml").write_text(dump_scenario(run.scenario), encoding="utf-8")
+        (new / _SCENARIO).write_text(dump_scenario(run.scenario), encoding="utf-8")
         text = json.dumps(metrics, indent=2, allow_nan=False)
         (new / "metrics.json").write_text(text + "\n", encoding="utf-8")
         np.savez_compressed(new / "signals.npz", **{"time": run.time, **run.signals})  # type: ignore[arg-type]

@@ -152,7 +152,7 @@ class TestGrids:
             make_nonstop(variant)
 
 
-def a_row(name, error=None, below=0.0, outcome=COMPLETED, message=""):
+def a_row(name, error=None, below=0.0, ending=COMPLETED, message=""):
     metrics = None
     if error is not None:
         metrics = {
@@ -163,7 +163,7 @@ def a_row(name, error=None, below=0.0, outcome=COMPLETED, message=""):
         variant=name,
         folder=name,
         overrides=["a=1"],
-        outcome=outcome,
+        ending=ending,
         message=message,
         metrics=metrics,
     )
@@ -171,7 +171,7 @@ def a_row(name, error=None, below=0.0, outcome=COMPLETED, message=""):
 
 ROWS = [
     a_row("base", 2e-3, 0.5),
-    a_row("cannot", outcome=UNBUILDABLE, message="no"),
+    a_row("cannot", ending=UNBUILDABLE, message="no"),
     a_row("same", 2e-3, 0.5),
     a_row("worse", 3e-3, 0.7),
     a_row("much better", 1e-5, 0.25),
@@ -211,7 +211,7 @@ class TestTables:
         assert "No effect on it: same." in lines
         assert lines[-2:] == ["- crash (diverged): it diverged", "- cannot (unbuildable): no"]
 
-    def test_text_is_aligned_and_keeps_the_outcome_of_long_names(self):
+    def test_text_is_aligned_and_keeps_the_ending_of_long_names(self):
         rows = [*ROWS, a_row("a name that is much too long for it", 1.0, 0.1, DIVERGED, "why")]
         lines = as_text(rows).splitlines()[: len(rows) + 2]
         assert {len(line) for line in lines} == {len(lines[0])}
@@ -265,7 +265,7 @@ def test_the_csv_holds_every_metric_to_the_last_digit(compared):
     with (folder / "table.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["variant"] for row in rows] == ["as it is", "without optimization", "Nope"]
-    assert [row["outcome"] for row in rows] == [COMPLETED, COMPLETED, UNBUILDABLE]
+    assert [row["ending"] for row in rows] == [COMPLETED, COMPLETED, UNBUILDABLE]
     assert rows[1]["overrides"] == "optimization_layer=ConstantParameters"
     for row in rows[:2]:
         metrics = json.loads((folder / row["folder"] / "metrics.json").read_text())
@@ -322,7 +322,7 @@ def test_a_diverged_variant_is_a_result(tmp_path):
         replay=False,
         progress=lambda what, share: shares.append(share),
     )
-    assert [row.outcome for row in rows] == [COMPLETED, DIVERGED]
+    assert [row.ending for row in rows] == [COMPLETED, DIVERGED]
     assert shares == [0.5, 1.0]
     assert "diverged at t = " in rows[1].message
     metrics = json.loads((tmp_path / "bad" / "metrics.json").read_text())
@@ -337,7 +337,7 @@ def test_a_variant_that_ends_its_process_has_failed(tmp_path, faulty_blocks):
     scenario = load_scenario("line", ["duration=0.1", "optimization_layer=ConstantParameters"])
     fatal = {"fatal": ["load_disturbance=!faulty_blocks.FaultyWind {fault: dies}"]}
     rows = ablate(scenario, fatal, tmp_path, replay=False, trust=True)
-    assert [row.outcome for row in rows] == [COMPLETED, FAILED]
+    assert [row.ending for row in rows] == [COMPLETED, FAILED]
     assert "its process died" in rows[1].message
     assert "fatal (failed): its process died" in (tmp_path / "table.md").read_text()
 
