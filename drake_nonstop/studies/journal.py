@@ -237,10 +237,9 @@ def open_journal(
                     with contextlib.suppress(OSError):
                         folder.rmdir()
             if type(error) is KeyboardInterrupt:
-                raise StudyInterrupted(
-                    f"{len(journal)} of {len(keys)} {what} are in {folder}; the same call "
-                    "continues from there"
-                ) from None
+                done = f"{len(journal)} of {len(keys)} {what} are in {folder}"
+                message = f"{done}; the same call continues from there" if len(journal) else ""
+                raise StudyInterrupted(message) from None
             if isinstance(error, OSError) and not isinstance(error, ConnectionError):
                 raise ScenarioError(
                     f"--out = {folder}: give a folder with room to write to ({error.strerror})"

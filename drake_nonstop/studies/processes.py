@@ -14,7 +14,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from multiprocessing import Pipe, current_process, get_context, parent_process
+from multiprocessing import Pipe, current_process, get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -209,6 +209,8 @@ class _Calls:
                     for worker in self._workers:
                         worker.kill()
                     self._workers.clear()
+                    if is_interrupt:
+                        _stop_forkserver()
 
     def _start(self) -> None:
         """Starts one more worker."""
@@ -219,12 +221,13 @@ class _Calls:
         self._workers.append(worker)
         _workers.add(worker)
         try:
-            _ensure_forkserver()
-            worker.process.start()
-        except (OSError, EOFError):  # the process to fork from was killed
-            self._lose(worker)
+            with contextlib.suppress(OSError, EOFError):  # the process to fork from was killed
+                _ensure_forkserver()
+                worker.process.start()
         finally:
             there.close()
+        if worker.process.pid is None:
+            self._lose(worker)
 
     def _give(self, worker: _Worker, key: Any) -> None:
         """Has a worker make the call of a key."""
@@ -249,11 +252,11 @@ class _Calls:
 
     def _take(self, worker: _Worker) -> None:
         """Takes one message of a worker, or its end."""
-        try:
-            if not worker.connection.poll():
-                raise EOFError
-            message = worker.connection.recv_bytes()
-        except (OSError, EOFError):
+        message = b""
+        with contextlib.suppress(OSError, EOFError):
+            if worker.connection.poll():
+                message = worker.connection.recv_bytes()
+        if not message:
             self._lose(worker)
             return
         try:
@@ -331,11 +334,26 @@ class _Calls:
 
 def _ensure_forkserver() -> None:
     """Starts the process from which workers are forked, which Ctrl-C then does not reach."""
+    resource_tracker.ensure_running()  # at its end it lets SIGINT through again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _stop_forkserver() -> None:
+    """Kills the process from which workers are forked, which may still be importing.
+
+    It keeps the standard error open, and has to tell of the workers' ends before this process can
+    end.
+    """
+    server: Any = getattr(forkserver, "_forkserver", None)
+    pid = getattr(server, "_forkserver_pid", None)
+    if pid is not None and hasattr(server, "_stop"):
+        with contextlib.suppress(OSError):
+            os.kill(pid, signal.SIGKILL)
+            server._stop()
 
 
 def _work(connection: Connection) -> None:

@@ -252,7 +252,7 @@ def compared(tmp_path_factory):
 
 def test_all_results_are_there_and_nothing_of_the_users_is_lost(compared):
     folder, _, _ = compared
-    others = {"table.md", "table.csv", "index.html", *PLOTS}
+    others = {"table.md", "table.csv", "index.html", "journal.jsonl", *PLOTS}
     assert contents(folder) == {"as_it_is", "without_optimization", *others}
     assert contents(folder / "as_it_is") == RUN | {"notes.txt"}
     assert contents(folder / "without_optimization") == RUN
