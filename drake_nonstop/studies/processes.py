@@ -29,6 +29,7 @@ _PRELOADED = "drake_nonstop.studies.run_all"  # in the process from which worker
 _KEEPING_TIME = 2.0  # s, for which an interrupt waits for results that are being written
 _ENDING_TIME = 1.0  # s, for workers without a call to end by themselves
 _MAX_FAILED_STARTS = 3  # in a row
+_RESTART_PAUSE = 0.2  # s, in which a process that was killed ends
 _GUARD = '`if __name__ == "__main__":`'
 
 # What a worker sends, with a value or a text.
@@ -228,6 +229,7 @@ class _Calls:
             there.close()
         if worker.process.pid is None:
             self._lose(worker)
+            time.sleep(_RESTART_PAUSE)
 
     def _give(self, worker: _Worker, key: Any) -> None:
         """Has a worker make the call of a key."""

@@ -1,5 +1,6 @@
 """The folder with the results of one run."""
 
+import contextlib
 import itertools
 import json
 from pathlib import Path
@@ -41,17 +42,15 @@ def default_folder(folder: Path, settings: str | Scenario) -> Path:
         folder: the first to be tried.
         settings: of a study, by `settings_of`; of a run, its scenario.
     """
-    text = None if isinstance(settings, str) else dump_scenario(settings).encode()
 
     def is_free(place: Path) -> bool:
-        found = journalled_settings(place)
-        if text is None:
-            return found in (None, settings)
-        try:
-            return found is None and (place / _SCENARIO).read_bytes() == text
-        except OSError:  # there is none; or it cannot be read, which is said as it is written
-            return found is None
+        found: str | bytes | None = journalled_settings(place)
+        if found is None:
+            with contextlib.suppress(OSError):  # one that cannot be read cannot be written either
+                found = (place / _SCENARIO).read_bytes()
+        return found in (None, wanted)
 
+    wanted = settings if isinstance(settings, str) else dump_scenario(settings).encode()
     numbered = (folder.with_name(f"{folder.name}_{k}") for k in itertools.count(2))
     return next(place for place in itertools.chain([folder], numbered) if is_free(place))
 
