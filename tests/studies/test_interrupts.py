@@ -17,6 +17,7 @@ import pytest
 
 from drake_nonstop import SweepSpec, ablate, load_scenario, sweep
 from drake_nonstop.studies import margins, processes
+from drake_nonstop.studies import robustness as robustness_module
 from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
 from drake_nonstop.studies.margins import find_margins
 from drake_nonstop.studies.robustness import robustness
@@ -186,16 +187,13 @@ def scenario():
 
 
 def test_killed_workers_cost_no_run(tmp_path, scenario):
-    spec = SweepSpec(grid={"system.load_mass": [1 + k / 100 for k in range(24)]})
+    spec = SweepSpec(grid={"system.load_mass": [1 + k / 100 for k in range(12)]})
     whole = sweep(scenario, spec, tmp_path / "whole", executor=SerialExecutor())
-    kills = 0
-    for seed in range(2):
-        with Killer(seed) as killer:
-            done = sweep(scenario, spec, tmp_path / f"killed_{seed}")
-        kills += killer.kills
-        assert done.endings == {COMPLETED: 24}
-        assert done.table.read_bytes() == whole.table.read_bytes()
-    assert kills > 0
+    with Killer(SEED) as killer:
+        done = sweep(scenario, spec, tmp_path / "killed")
+    assert killer.kills > 0
+    assert done.endings == {COMPLETED: 12}
+    assert done.table.read_bytes() == whole.table.read_bytes()
 
 
 class After:
@@ -238,9 +236,6 @@ def test_ablate_keeps_variants_and_continues(tmp_path, scenario):
     assert sum(a == b for a, b in zip(before, kept, strict=True)) >= 1
     assert csv_without_clocks(folder) == csv_without_clocks(tmp_path / "whole")
     assert not (folder / ".curves").exists()
-    again = After()
-    ablate(scenario, variants, folder, replay=False, progress=again)  # it was complete
-    assert len(again.shares) == 4
 
 
 def test_a_variant_whose_files_are_gone_is_run_again(tmp_path, scenario):
@@ -256,7 +251,7 @@ def test_a_variant_whose_files_are_gone_is_run_again(tmp_path, scenario):
 
 
 def test_robustness_and_margins_continue(tmp_path, scenario, monkeypatch):
-    axes = margins._axes
+    axes, errors = margins._axes, robustness_module._errors
 
     def few(scenario):
         mass = axes(scenario)[0]
@@ -264,15 +259,15 @@ def test_robustness_and_margins_continue(tmp_path, scenario, monkeypatch):
         return [mass]
 
     monkeypatch.setattr(margins, "_axes", few)
+    monkeypatch.setattr(robustness_module, "_errors", lambda *given: [*errors(*given)][:4])
     for k, study in enumerate((robustness, find_margins)):
         folder = tmp_path / str(k)
-        with pytest.raises(StudyInterrupted, match=f"2 of {(33, 4)[k]} .* are in"):
+        with pytest.raises(StudyInterrupted, match=r"2 of 4 \w+ are in"):
             study(scenario, folder=folder, progress=After(2))
         progress = After()
         parts = study(scenario, folder=folder, progress=progress)
-        assert len(progress.shares) == (31, 2)[k]
-        if k == 1:
-            assert parts == study(scenario)
+        assert len(progress.shares) == 2
+        assert parts == study(scenario)
 
 
 @pytest.mark.parametrize(("fault", "words"), [("dies", "process died"), ("exits", "SystemExit")])
