@@ -4,7 +4,14 @@ import re
 
 import pytest
 
-from drake_nonstop.benchmarks.claims import QUANTITIES, Claim, measure, read_claims, wrong_shares
+from drake_nonstop.benchmarks.claims import (
+    LOOP_QUANTITIES,
+    QUANTITIES,
+    Claim,
+    measure,
+    read_claims,
+    wrong_shares,
+)
 from drake_nonstop.cli.main import main
 from drake_nonstop.simulation.metrics import METRICS
 from drake_nonstop.validation import ScenarioError
@@ -23,6 +30,11 @@ SHARES = "| search | 1.4 / 3.2 | 100.0% | {}% | 0.3 / 0.6 |"
         ("0.555", 0.5562, False),
         ("12", 12.4, True),
         ("12", 12.7, False),
+        ("0.92–0.93", 0.916, True),
+        ("0.92–0.93", 0.914, False),
+        ("0.92–0.93", 0.936, False),
+        ("≤ 1.1", -3.0, True),
+        ("≤ 1.1", 1.16, False),
     ],
 )
 def test_a_claim_holds_where_the_value_rounds_to_it(printed, value, holds):
@@ -39,6 +51,39 @@ def test_rows_that_cannot_be_read_are_no_silent_gap():
         read_claims(ROW.format("line", "tallest (m)", "0.2"))
     with pytest.raises(ScenarioError, match="a text without claims"):
         read_claims("nothing")
+
+
+PARAGRAPH = """
+- A first item of 0.7 m/s.
+- The carriers end at 0.92–0.93 m/s,
+  whatever the load does.
+<!-- measured
+{}
+-->
+- Another one of 0.5 m/s.
+"""
+
+
+def test_numbers_of_a_paragraph_are_claims_of_the_comment_below_it():
+    row = ROW.format("line", "slowest final speed (m/s)", "0.92–0.93")
+    (claim,) = read_claims(PARAGRAPH.format(row))
+    assert not claim.is_in_table
+    assert (claim.arguments, claim.printed) == ("line", "0.92–0.93")
+    for elsewhere in ("0.7", "0.5", "0.92–0.94", "≤ 0.9"):
+        row = ROW.format("line", "slowest final speed (m/s)", elsewhere)
+        with pytest.raises(ScenarioError, match="print in the paragraph above"):
+            read_claims(PARAGRAPH.format(row))
+
+
+def test_a_claim_on_the_linearized_loop_is_measured_by_linearizing_it():
+    arguments = "stability quintic control_period=0"
+    claims = [Claim(arguments=arguments, quantity=name, printed="≤ 0") for name in LOOP_QUANTITIES]
+    values = {claim.quantity: value for claim, value in measure(claims).items()}
+    assert values["stable (1: yes)"] == 1
+    assert values["growth rate (1/s)"] < 1e-3
+    assert values["growth in a turn"] < 1.001
+    with pytest.raises(ScenarioError, match=r"final A .N.: give one of stable"):
+        read_claims(ROW.format(arguments, "final A (N)", "1"))
 
 
 def test_every_metric_that_is_one_value_can_be_claimed():
