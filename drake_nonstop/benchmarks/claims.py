@@ -2,7 +2,8 @@
 
 A claim is a row of a table with four columns: the arguments of `drake-nonstop run` that
 measure it, the quantity, the paper's value, and ours: a number, a range "a–b" or a limit "≤ a".
-Where the arguments begin with `stability`, the loop is linearized as that command does.
+Where the arguments begin with `stability`, the loop is linearized as that command does; where they
+begin with `bench`, that benchmark measures it (`speed_claims`).
 
 The numbers of a paragraph are claims, too, by rows in a comment below it that begins with
 `<!-- measured`; each of these numbers has to stand in the paragraph.
@@ -19,6 +20,13 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.benchmarks.speed_claims import (
+    BENCH,
+    FACTOR,
+    is_exact,
+    measure_benchmark,
+    quantities_of,
+)
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -50,8 +58,15 @@ class Claim:
     printed: str
     is_in_table: bool = True  # or in a paragraph
 
+    @property
+    def is_of_speed(self) -> bool:
+        """Whether a benchmark measures it, alone on the machine."""
+        return self.arguments.split(" ")[0] == BENCH
+
     def holds(self, value: float) -> bool:
         """Whether the value rounds to what is printed; a bare 0 stands for exactly zero."""
+        if self.is_of_speed and not is_exact(self.quantity):
+            return 1 / FACTOR <= value / float(self.printed) <= FACTOR
         if self.printed == "0":
             return value == 0
         low, _, high = self.printed.removeprefix("≤ ").partition("–")
@@ -96,7 +111,11 @@ def read_claims(text: str) -> list[Claim]:
             paragraph = f"{paragraph} {line}" if is_same else line
     require(claims, "--readme", "a text without claims", "give the README of drake_nonstop")
     for claim in claims:
-        known = LOOP_QUANTITIES if _is_linearized(claim.arguments) else QUANTITIES
+        known: Any = QUANTITIES
+        if claim.is_of_speed:
+            known = quantities_of(claim.arguments)
+        elif _is_linearized(claim.arguments):
+            known = LOOP_QUANTITIES
         require(
             claim.quantity in known,
             f"claim on {claim.arguments}",
@@ -107,7 +126,7 @@ def read_claims(text: str) -> list[Claim]:
 
 
 def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[Claim, float]:
-    """The value of each claim, from a run per arguments, in a process per core.
+    """The value of each claim: from a run per arguments, in a process per core, or a benchmark.
 
     Raises:
         ScenarioError: a claim's arguments make no scenario, its run did not complete, or its
@@ -115,7 +134,8 @@ def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[C
     """
     quantities: dict[str, list[str]] = {}
     for claim in claims:
-        quantities.setdefault(claim.arguments, []).append(claim.quantity)
+        if not claim.is_of_speed:
+            quantities.setdefault(claim.arguments, []).append(claim.quantity)
     values: dict[str, dict[str, float]] = {}
 
     def failed(arguments: str, error: str) -> dict[str, float]:
@@ -129,6 +149,17 @@ def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[C
         failed,
         progress=progress,
     )
+    for arguments in dict.fromkeys(claim.arguments for claim in claims if claim.is_of_speed):
+        results = measure_benchmark(arguments, progress)
+        found = {name: value(results) for name, value in quantities_of(arguments).items()}
+        values[arguments] = _all_measured(
+            arguments,
+            {
+                claim.quantity: found[claim.quantity]
+                for claim in claims
+                if claim.arguments == arguments
+            },
+        )
     return {claim: values[claim.arguments][claim.quantity] for claim in claims}
 
 
@@ -216,15 +247,14 @@ def _values(arguments: str, quantities: list[str]) -> dict[str, float]:
     if run is None or tried.outcome != COMPLETED:
         raise ScenarioError(f"claim on {arguments} = {tried.message}") from tried.error
     metrics = compute_metrics(run)
-    values = {name: QUANTITIES[name](run, metrics) for name in quantities}
+    return _all_measured(arguments, {name: QUANTITIES[name](run, metrics) for name in quantities})
+
+
+def _all_measured(arguments: str, values: dict[str, float | None]) -> dict[str, float]:
     for name, value in values.items():
-        require(
-            value is not None,
-            f"claim on {arguments}",
-            name,
-            "give a quantity that this run measures",
-        )
-    return {name: float(value) for name, value in values.items()}
+        remedy = "give a quantity that this run measures"
+        require(value is not None, f"claim on {arguments}", name, remedy)
+    return {name: float(value) for name, value in values.items() if value is not None}
 
 
 def _first_near_the_bound(

@@ -1,5 +1,6 @@
 """The README's numbers, measured anew: what holds and what does not."""
 
+import dataclasses
 import re
 
 import pytest
@@ -12,6 +13,7 @@ from drake_nonstop.benchmarks.claims import (
     read_claims,
     wrong_shares,
 )
+from drake_nonstop.benchmarks.speed_claims import BENCHMARKS, _of_scenario
 from drake_nonstop.cli.main import main
 from drake_nonstop.simulation.metrics import METRICS
 from drake_nonstop.validation import ScenarioError
@@ -84,6 +86,35 @@ def test_a_claim_on_the_linearized_loop_is_measured_by_linearizing_it():
     assert values["growth in a turn"] < 1.001
     with pytest.raises(ScenarioError, match=r"final A .N.: give one of stable"):
         read_claims(ROW.format(arguments, "final A (N)", "1"))
+
+
+def test_a_claim_of_speed_holds_within_a_factor_and_its_errors_to_their_digits():
+    speed = Claim(arguments="bench accuracy quintic", quantity="times real time", printed="9.8")
+    assert speed.holds(5.0)
+    assert speed.holds(19.0)
+    assert not speed.holds(4.8)
+    assert not speed.holds(20.0)
+    error = dataclasses.replace(speed, quantity="error of the load (mm)", printed="0.0007")
+    assert error.holds(0.00066)
+    assert not error.holds(0.0009)
+
+
+def test_claims_of_speed_are_measured_by_their_benchmark(monkeypatch):
+    asked = []
+
+    def found(scenario, progress):
+        asked.append(scenario.duration)
+        return {"cost_of_real_time": 0.05}
+
+    viewer = dataclasses.replace(BENCHMARKS["viewer"], measure=_of_scenario(found))
+    monkeypatch.setitem(BENCHMARKS, "viewer", viewer)
+    row = ROW.format("bench viewer quintic duration=2", "share of real time (%)", "4")
+    (claim,) = read_claims(row)
+    assert measure([claim]) == {claim: 5.0}
+    assert asked == [2.0]
+    for arguments in ("bench viewer", "bench nothing quintic", "bench run quintic"):
+        with pytest.raises(ScenarioError, match="claim on bench"):
+            read_claims(ROW.format(arguments, "share of real time (%)", "4"))
 
 
 def test_every_metric_that_is_one_value_can_be_claimed():
