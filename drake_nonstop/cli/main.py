@@ -10,6 +10,7 @@ from drake_nonstop.cli import (
     bench,
     blocks,
     list_scenarios,
+    new,
     pictures,
     report,
     robustness,
@@ -26,6 +27,7 @@ from drake_nonstop.version import __version__
 _COMMANDS = (
     list_scenarios,
     blocks,
+    new,
     run,
     view,
     stability,

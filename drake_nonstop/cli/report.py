@@ -24,7 +24,7 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="the runs only: no pictures, no solvers' benchmark, no tests/evals",
+        help="the runs only: no benchmarks, no pictures, no tests/evals",
     )
 
 
@@ -37,7 +37,9 @@ def _report_claims(options: argparse.Namespace) -> int:
     except (OSError, UnicodeDecodeError) as error:
         remedy = f"run it in a checkout, or give the file ({error})"
         raise ScenarioError(f"--readme = {options.readme}: {remedy}") from None
-    claims = report.read_claims(text)
+    claims = [
+        claim for claim in report.read_claims(text) if not (options.quick and claim.is_of_speed)
+    ]
     require_writable(options.out)
     with TaskProgress() as progress:
         measured = report.measure(claims, progress=progress)

@@ -40,8 +40,11 @@ class _Common:
     fused_plant: bool = False  # load, cables, carriers and their controller in one fast block
     safe_carrier_distance: float = 0.1  # m; `run` warns where two carriers come closer
     safe_cable_distance: float = 0.1  # m; `run` warns where two cables come closer
+    # Of Drake's Simulator: max_step_size in s, and the rest as in SimulatorConfig.
     simulator: SimulatorConfig = field(default_factory=_default_simulator)
+    # What the controllers believe of load, cables and carriers.
     system: SystemParameters = field(default_factory=SystemParameters)
+    # Fields of system that differ in the simulated plant.
     simulated: SystemOverrides = field(default_factory=SystemOverrides)
     pattern: (
         HamiltonianCycleConfig | CarouselConfig | SpreadCarouselConfig | LinearPatternConfig

@@ -11,7 +11,9 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import box_of
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadState
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadReference, LoadState, Wrench
+from drake_nonstop.simulation.diagnosis import source_of_fault
+from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioError
 
 _STEP = 1e-6  # of the differences, in SI units
@@ -27,40 +29,86 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     cables, lower or higher where they do not. Newton's method on the built diagram, with its
     initialization events, finds the pose, whatever the blocks are. Inputs of the loop, where a
     box was left out, are held at their values at the start. A load whose reference moves at the
-    start has that motion. Further states of the carriers keep their defaults.
+    start has that velocity and that acceleration. Further states of the carriers keep their
+    defaults.
 
     Raises:
-        ScenarioError: the cables cannot hold the load.
+        ScenarioError: the cables cannot hold the load, or a block makes a value that is not
+            finite, or is far too large.
     """
-    plant = _plant(nonstop)
     trial = _copied(nonstop, context)
+    try:
+        settled = _settled(nonstop, trial)
+    except NotFiniteError as error:
+        source = source_of_fault(error, nonstop, trial)
+        raise ScenarioError(
+            f"start = {source}: it makes a value that is not finite, or beyond {LARGEST:.0e} in SI "
+            "units; give its parameters, and those of the blocks before it, values closer to the "
+            "defaults"
+        ) from None
+    _plant(nonstop).set_states(context, **settled)
+
+
+def _settled(nonstop: Diagram, trial: Context) -> dict[str, NDArray]:
+    """The load's and the carriers' states at the equilibrium; changes the context."""
+    plant = _plant(nonstop)
     start = trial.Clone()
     simulator = Simulator(nonstop, trial)
-    reference = nonstop.GetOutputPort("reference").Eval(trial)[:LOAD_STATE_SIZE].copy()
+    reference = nonstop.GetOutputPort("reference").Eval(trial).copy()
+    desired = LoadReference.view(reference)
+    desired_rate = np.concatenate([desired.angular_acceleration, desired.acceleration])
     settled: dict[str, NDArray] = {}
 
     def settle(offset: NDArray) -> NDArray:
-        """The load's acceleration (6,) at a rotation and shift (6,) from its reference."""
+        """The load's acceleration (6,), less the reference's, at a rotation and shift from it."""
         trial.SetTimeStateAndParametersFrom(start)
-        settled["load_state"] = _moved(reference, offset)
+        settled["load_state"] = _moved(reference[:LOAD_STATE_SIZE], offset)
         plant.set_states(trial, **settled)
         simulator.Initialize()  # whatever samples or holds takes its first value
         settled["carrier_state"] = nonstop.GetOutputPort("carrier_reference").Eval(trial)
         plant.set_states(trial, **settled)
         rate = LoadState.view(plant.load_rate(trial))
-        return np.concatenate([rate.angular_velocity, rate.velocity])
+        return np.concatenate([rate.angular_velocity, rate.velocity]) - desired_rate
 
     for drop in _DROPS:
         residual = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
         if np.max(np.abs(residual)) < _REST:
             break
     else:
+        cause = _cause_of_motion(nonstop, trial, plant.load_rate(trial))
         raise ScenarioError(
-            f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2: the cables do not "
-            "hold the load at rest near its reference; give system and simulated cables of about "
-            "the same length, stiff enough for the weight, and an amplitude that keeps them taut"
+            f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2 beside that of the "
+            f"reference: the cables do not hold the load near its reference; {cause}"
         )
-    plant.set_states(context, **settled)
+    return settled
+
+
+def _cause_of_motion(nonstop: Diagram, context: Context, load_rate: NDArray) -> str:
+    """Why no cables can hold the load at its reference, and what to change."""
+
+    def signal(name: str) -> NDArray:
+        return nonstop.GetOutputPort(name).Eval(context)
+
+    if not nonstop.HasOutputPort("tensions") or np.any(signal("tensions") > 0):
+        return (
+            "give system and simulated cables of about the same length, stiff enough for the "
+            "weight, and an amplitude that keeps them taut"
+        )
+    fall = -LoadReference.view(signal("reference")).acceleration[2]
+    if LoadState.view(load_rate).velocity[2] < -fall:
+        return (
+            "all of them are slack, so that it falls; give simulated.cable_length close to "
+            "system.cable_length"
+        )
+    causes = []
+    if nonstop.HasOutputPort("disturbance_wrench"):
+        lift = Wrench.view(signal("disturbance_wrench")).force[2]
+        causes += [f"load_disturbance lifts it with {lift:.3g} N"] if lift > 0 else []
+    causes += [f"load_trajectory accelerates downwards by {fall:.3g} m/s^2"] if fall > 0 else []
+    return (
+        "all of them are slack, and cannot push it down; reduce what asks for that at t = 0, or "
+        f"let it start later: {', '.join(causes) or 'the forces on the load'}"
+    )
 
 
 def fastest_mode(nonstop: Diagram, context: Context) -> float:

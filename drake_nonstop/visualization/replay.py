@@ -78,7 +78,7 @@ def legend(config: SceneConfig) -> str:
     """The legend of the scene's colours in HTML; a sample of a colour has the class `swatch`."""
     colours = (
         (config.mark_colours[::-1], f"carrier's speed, from {config.mark_range:g} ε down to ε"),
-        (config.cable_colours, f"tension, up to {config.tension_range:g} shares of the weight"),
+        (config.cable_colours, f"tension, up to {config.tension_range:g} × weight / carriers"),
         ([config.slack_colour] * 2, "slack cable"),
         ([config.load_colour] * 2, "load"),
         ([config.reference_colour] * 2, "where the load should be"),
