@@ -9,6 +9,7 @@ from drake_nonstop.mechanics.signals import WRENCH_SIZE, Wrench
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import (
+    StrictFields,
     require_array,
     require_non_negative,
     require_positive,
@@ -19,7 +20,7 @@ _BOX = "load_disturbance"
 
 
 @dataclass(kw_only=True)
-class NoDisturbanceConfig:
+class NoDisturbanceConfig(StrictFields):
     """No parameters."""
 
 
@@ -51,7 +52,7 @@ _WAVES = 32  # per axis, of a gust
 
 
 @dataclass(kw_only=True)
-class WindConfig:
+class WindConfig(StrictFields):
     """A constant force, and a gust on top of it."""
 
     force: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N, in W

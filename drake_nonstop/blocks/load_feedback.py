@@ -19,6 +19,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, LeafBlock
 from drake_nonstop.systems.traced_block import stacking
 from drake_nonstop.validation import (
+    StrictFields,
     require,
     require_non_negative,
     require_positive,
@@ -29,7 +30,7 @@ _BOX = "load_feedback"
 
 
 @dataclass(kw_only=True)
-class IdealFeedbackConfig:
+class IdealFeedbackConfig(StrictFields):
     """No parameters."""
 
 
@@ -54,7 +55,7 @@ class IdealFeedback(Selector, metaclass=BlockType):
 
 
 @dataclass(kw_only=True)
-class DesiredStateFeedbackConfig:
+class DesiredStateFeedbackConfig(StrictFields):
     """No parameters."""
 
 
@@ -88,7 +89,7 @@ class DesiredStateFeedback(LeafBlock):
 
 
 @dataclass(kw_only=True)
-class NoisyFeedbackConfig:
+class NoisyFeedbackConfig(StrictFields):
     """Standard deviations on each axis, and the delay."""
 
     position_noise: float = 0.0  # m

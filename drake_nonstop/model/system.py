@@ -12,6 +12,7 @@ from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.rigid_load import RigidLoad, gravity_wrench
 from drake_nonstop.model.pattern import InternalForcePattern, check_pattern
 from drake_nonstop.validation import (
+    StrictFields,
     is_number,
     require,
     require_array,
@@ -21,7 +22,7 @@ from drake_nonstop.validation import (
 
 
 @dataclass(kw_only=True)
-class SystemParameters:
+class SystemParameters(StrictFields):
     """Load, cables and carriers; the defaults are the paper's (Table I, figures)."""
 
     load_mass: float = 1.0  # kg
@@ -53,6 +54,7 @@ class SystemParameters:
 SystemOverrides: Any = dataclasses.make_dataclass(
     "SystemOverrides",
     [(f.name, Optional[f.type], None) for f in dataclasses.fields(SystemParameters)],  # noqa: UP045
+    bases=(StrictFields,),
     kw_only=True,
 )
 

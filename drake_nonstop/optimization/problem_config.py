@@ -7,6 +7,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import (
+    StrictFields,
     is_number,
     require,
     require_array,
@@ -19,7 +20,7 @@ _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
 @dataclass(kw_only=True)
-class NonstopProblemConfig:
+class NonstopProblemConfig(StrictFields):
     """The bound, the problem of eqs. 24-26 and how it is solved."""
 
     speed_bound: float = 0.2  # m/s, ε
