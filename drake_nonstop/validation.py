@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 _LARGEST = 1e9  # of a number in a scenario, in SI units
 _LEAST = 1e-12  # of a number that has to be above zero
+SHORTEST_PERIOD = 1e-4  # s, between samples
 _LARGEST_FILE = 16_000_000  # bytes
 _DEEPEST = 20  # lists within lists
 
@@ -61,6 +62,14 @@ def require_non_negative(owner: str, **values: float) -> None:
         is_natural = is_number(value) and value >= 0
         require(is_natural, field, value, "give a finite number that is not negative")
         require(value <= _LARGEST, field, value, f"give at most {_LARGEST:g}, in SI units")
+
+
+def require_period(field: str, value: float) -> None:
+    """Raises ScenarioError for a time between samples (s) that a run would not come to an end at.
+
+    Its type is checked already.
+    """
+    require(value >= SHORTEST_PERIOD, field, value, f"give at least {SHORTEST_PERIOD:g} s")
 
 
 def require_seed(field: str, value: Any) -> None:
@@ -110,6 +119,9 @@ def plain_value(value: Any, field: str, depth: int = 0) -> Any:
     if isinstance(value, (list, tuple)):
         require(depth < _DEEPEST, field, "lists within lists", f"give at most {_DEEPEST} levels")
         return [plain_value(item, field, depth + 1) for item in value]
+    if isinstance(value, dict):
+        require(depth < _DEEPEST, field, "dicts within dicts", f"give at most {_DEEPEST} levels")
+        return {key: plain_value(item, field, depth + 1) for key, item in value.items()}
     return value
 
 

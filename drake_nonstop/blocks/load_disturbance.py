@@ -12,6 +12,7 @@ from drake_nonstop.validation import (
     StrictFields,
     require_array,
     require_non_negative,
+    require_period,
     require_positive,
     require_seed,
 )
@@ -99,6 +100,7 @@ class Wind(LeafBlock):
         torque = require_array(f"{_BOX}.torque", config.torque, [3], "in W")
         require_non_negative(_BOX, gust_force=config.gust_force, start_time=config.start_time)
         require_positive(_BOX, gust_time=config.gust_time)
+        require_period(f"{_BOX}.gust_time", config.gust_time)
         require_seed(f"{_BOX}.seed", config.seed)
         self._constant = np.concatenate([torque, force])
         self._start_time = config.start_time

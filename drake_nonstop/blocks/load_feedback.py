@@ -22,6 +22,7 @@ from drake_nonstop.validation import (
     StrictFields,
     require,
     require_non_negative,
+    require_period,
     require_positive,
     require_seed,
 )
@@ -145,6 +146,7 @@ class NoisyFeedback(LeafBlock):
         }
         require_non_negative(_BOX, delay=config.delay, **deviations)
         require_positive(_BOX, period=config.period)
+        require_period(f"{_BOX}.period", config.period)
         require_seed(f"{_BOX}.seed", config.seed)
         self._periods = round(config.delay / config.period)
         require(

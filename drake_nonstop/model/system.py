@@ -20,6 +20,8 @@ from drake_nonstop.validation import (
     require_positive,
 )
 
+_MAX_CARRIERS = 100  # whose blocks take ten seconds to trace
+
 
 @dataclass(kw_only=True)
 class SystemParameters(StrictFields):
@@ -145,6 +147,7 @@ class Model:
         )
         self.n = len(self.attachments)
         require(self.n >= 3, name, system.attachments, "give 3 or more attachment points")
+        require(self.n <= _MAX_CARRIERS, name, f"{self.n} points", f"give at most {_MAX_CARRIERS}")
         grasp = grasp_matrix(self.attachments)
         size = np.max(np.abs(self.attachments))
         scaled = grasp / np.array([[size or 1.0]] * 3 + [[1.0]] * 3)

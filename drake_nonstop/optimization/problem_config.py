@@ -12,6 +12,7 @@ from drake_nonstop.validation import (
     require,
     require_array,
     require_non_negative,
+    require_period,
     require_positive,
 )
 
@@ -114,6 +115,7 @@ def _check_numbers(box: str, config: NonstopProblemConfig) -> None:
         period=config.period,
         change_time=config.change_time,
     )
+    require_period(f"{box}.period", config.period)
     check_speed_bound(box, config.speed_bound)
 
 

@@ -19,7 +19,7 @@ from drake_nonstop.scenario.tree import (
     to_tree,
 )
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
-from drake_nonstop.validation import read_text, require, require_known
+from drake_nonstop.validation import number_text, read_text, require, require_known
 
 
 def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False) -> Scenario:
@@ -30,6 +30,8 @@ def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False
     Raises:
         ScenarioError: a path or value cannot be used.
     """
+    is_list = isinstance(overrides, Iterable) and not isinstance(overrides, str)
+    require(is_list, "overrides", overrides, 'give a list of texts, such as ["duration=5"]')
     tree = to_tree(scenario)
     before = copy.deepcopy(tree)
     trusted = True if trust else own_tags(tree)
@@ -68,7 +70,10 @@ def require_override(override: Any, where: str) -> None:
 def require_choices(values: Any, where: str) -> None:
     """Raises ScenarioError for what is no list of different values."""
     require(isinstance(values, list) and values, where, values, "give a list of values in [ ]")
-    for text, count in Counter(dump_plain(value) for value in values).items():
+    for value in values:
+        is_quoted = isinstance(value, str) and number_text(value)
+        require(not is_quoted, where, f"'{value}'", "give the number without quotes")
+    for text, count in Counter(dump_plain(value, where) for value in values).items():
         require(count == 1, where, text, "give each value once")
 
 
@@ -80,7 +85,7 @@ def combinations(grid: Mapping[str, list[Any]]) -> Iterator[dict[str, Any]]:
 
 def as_override(path: str, value: Any) -> str:
     """The override that gives the path the value, which is as `parse_plain` makes it."""
-    return f"{path}={dump_plain(value)}"
+    return f"{path}={dump_plain(value, path)}"
 
 
 def _apply(tree: Tree, override: str, trusted: Trusted) -> None:

@@ -47,8 +47,10 @@ def parse_plain(text: str, source: str, path: str | None = None) -> Any:
         require(False, source, f"line {line}, {problem}", "give valid YAML")
 
 
-def dump_plain(value: Any) -> str:
+def dump_plain(value: Any, field: str = "value") -> str:
     """What `parse_plain` makes of YAML, as YAML in one line: the value of an override.
+
+    `field` is its name in error messages.
 
     Raises:
         ScenarioError: the value is not made of numbers, texts, lists and dicts.
@@ -59,7 +61,7 @@ def dump_plain(value: Any) -> str:
         )
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         remedy = f"give numbers, texts, lists and mappings ({one_line(error)[:100]})"
-        raise ScenarioError(f"value = <{type(value).__name__}>: {remedy}") from None
+        raise ScenarioError(f"{field} = <{type(value).__name__}>: {remedy}") from None
     return text.removesuffix("...\n").strip()
 
 
