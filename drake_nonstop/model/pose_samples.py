@@ -12,7 +12,7 @@ from drake_nonstop.validation import ScenarioError, read_text, require
 
 COLUMNS = ["t", "x", "y", "z", "roll", "pitch", "yaw"]  # s, m, rad; the angles are optional
 _MAX_VALUE = 1e6  # s, m, rad
-_MAX_ROWS = 50_000
+_MAX_ROWS = 20_000
 _MIN_INTERVAL = 1e-6  # s, between two samples
 
 

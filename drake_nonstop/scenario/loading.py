@@ -69,9 +69,14 @@ def parse_scenario(text: str, source: str = "scenario", *, trust: bool = False) 
 
 
 def dump_scenario(scenario: Scenario) -> str:
-    """The scenario as YAML with every field and tag written out; `parse_scenario` reads it."""
+    """The scenario as YAML with every field and tag written out; `parse_scenario` reads it.
+
+    Raises:
+        ScenarioError: a field cannot be used.
+    """
+    tree = to_tree(scenario)
     return yaml.dump(
-        {scenario.name: to_tree(scenario)},
+        {scenario.name: tree},
         Dumper=TreeDumper,
         sort_keys=False,  # the boxes stand in the figure's order
         default_flow_style=None,

@@ -5,6 +5,7 @@ A dict that is a box's entry has the name of the block under "_tag": "!PaperPhas
 
 import copy
 import dataclasses
+import types
 import typing
 from typing import Any
 
@@ -20,6 +21,7 @@ from drake_nonstop.validation import (
     ScenarioError,
     fields_of,
     one_line,
+    plain_value,
     require,
     require_known,
     require_type,
@@ -38,6 +40,8 @@ def to_tree(scenario: Scenario) -> Tree:
         ScenarioError: see `check`.
     """
     check(scenario)
+    scenario = copy.copy(scenario)
+    _resolve_configs(scenario)
     tree = _plain(scenario, Scenario)
     for name, choices in CHOICES.items():
         config = type(getattr(scenario, name))
@@ -98,11 +102,12 @@ def _plain(value: Any, kind: Any) -> Any:
     if dataclasses.is_dataclass(value) or isinstance(value, SimulatorConfig):
         fields = [(f, getattr(value, f.name)) for f in fields_of(type(value))]
         return {f.name: _plain(part, f.type) for f, part in fields if part is not None}
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        kind = typing.get_args(kind)[0]  # of a field that may be None
     if isinstance(value, list):
-        (item_kind,) = typing.get_args(kind) or (Any,)
+        item_kind = typing.get_args(kind)[0] if typing.get_args(kind) else Any
         return [_plain(item, item_kind) for item in value]
-    is_float = kind is float or float in typing.get_args(kind)
-    return float(value) if is_float and value is not None else value
+    return float(value) if kind is float else plain_value(value, "value")
 
 
 def block_name(config_class: type) -> str:
@@ -146,6 +151,11 @@ def _read_files(scenario: Scenario) -> None:
             fields = read_load(system.load_file, system.attachment_frames or [])
             fields |= {"load_file": "", "attachment_frames": []}
             setattr(scenario, owner, dataclasses.replace(system, **fields))
+    _resolve_configs(scenario)
+
+
+def _resolve_configs(scenario: Scenario) -> None:
+    """Puts what files say in the place of the files' names, in the boxes' configs."""
     for name in CHOICES:
         config = getattr(scenario, name)
         if hasattr(config, "resolved"):

@@ -15,7 +15,7 @@ import yaml
 from drake_nonstop.validation import ScenarioError, number_text, one_line, require
 
 _MAX_DEPTH = 20  # of lists and mappings in one another
-_MAX_VALUES = 500_000  # each repeated alias counted
+_MAX_VALUES = 200_000  # those of an alias each time that it stands there
 _SHORT = 10_000  # characters that the parser in Python reads in no time
 
 
