@@ -8,7 +8,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
 from drake_nonstop.systems.drake_log import drake_log_level
-from drake_nonstop.validation import ScenarioError, require, require_file
+from drake_nonstop.validation import ScenarioError, read_text, require
 
 
 def read_load(path: str | Path, attachment_frames: list[str]) -> dict[str, Any]:
@@ -27,7 +27,9 @@ def read_load(path: str | Path, attachment_frames: list[str]) -> dict[str, Any]:
     """
     remedy = "give an SDF or URDF file"
     require(str(path).endswith((".sdf", ".urdf")), "load_file", path, f"{remedy}: .sdf or .urdf")
-    require_file(path, "load_file", remedy)
+    text = read_text(path, "load_file", remedy)
+    # Drake ends the process on a file that includes itself.
+    require("<include" not in text, "load_file", path, f"{remedy} without <include>")
     plant = MultibodyPlant(time_step=0.0)
     try:
         with drake_log_level(logging.ERROR):
