@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass, field
 
 from drake_nonstop.validation import (
+    StrictFields,
     is_number,
     require,
     require_non_negative,
@@ -12,7 +13,7 @@ from drake_nonstop.validation import (
 
 
 @dataclass(kw_only=True)
-class SceneConfig:
+class SceneConfig(StrictFields):
     """Colours (#rrggbb) and sizes.
 
     The load's radius is that of its farthest attachment from the centre of mass; the reach is

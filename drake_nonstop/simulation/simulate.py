@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -24,9 +25,9 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
-from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.optimization.diagnostics import Diagnostics
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
@@ -34,7 +35,7 @@ from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, Run
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import output_names
-from drake_nonstop.validation import ScenarioError, one_line, require
+from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
 _WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
 
@@ -72,13 +73,15 @@ def simulate(
         after_step: called with the simulator and the loop's diagram after every step. It may
             change parameters of the context, such as the optimization layer's ε, or the
             simulator's real-time rate, and have the run wait or end.
-        replacements: blocks in place of the scenario's, see `make_nonstop`.
+        replacements: blocks in place of the scenario's, see `make_nonstop`. Those with a config
+            are in the run's scenario.
 
     Raises:
         ScenarioError: the scenario cannot be built.
         RunStopped: the run diverged or a block failed; carries the run up to there.
         RunInterrupted: Ctrl-C; carries the run up to there.
     """
+    check(scenario)
     schemes = GetIntegrationSchemes()
     require(
         scenario.simulator.integration_scheme in schemes,
@@ -90,6 +93,8 @@ def simulate(
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
     for viewer in viewers:
         require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
+    stated = scenario.speed_bound
+    scenario, replacements = replaced(scenario, replacements)
     nonstop = make_nonstop(scenario, **replacements)
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
         config = stable_config(scenario.simulator, nonstop, _at_equilibrium(nonstop))
@@ -138,6 +143,7 @@ def simulate(
     nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
     try:
         set_equilibrium(nonstop, nonstop_context)
+        _warn_of_other_bound(nonstop, nonstop_context, stated)
         ApplySimulatorConfig(stable_config(scenario.simulator, nonstop, nonstop_context), simulator)
         with monitor:
             simulator.set_monitor(monitor)
@@ -165,6 +171,18 @@ def simulate(
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished()) from error
     return finished()
+
+
+def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:
+    """Warns where a replacement brings a speed bound of its own, by which a run is judged."""
+    if nonstop.HasOutputPort("speed_bound"):
+        (own,) = nonstop.GetOutputPort("speed_bound").Eval(context)
+        if own != stated:
+            message = (
+                f"optimization_layer: the run is judged by the {own:g} m/s of the replacement, "
+                f"not by the scenario's speed bound of {stated:g} m/s"
+            )
+            warnings.warn(message, ScenarioWarning, stacklevel=3)
 
 
 def _at_equilibrium(nonstop: Diagram) -> Context:
