@@ -17,8 +17,9 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
+from drake_nonstop.scenario.run_limits import RunLimits, check_limits
 from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.validation import require, require_non_negative, require_positive
+from drake_nonstop.validation import require, require_positive
 
 PATTERN = "pattern"  # the field that is chosen like a box's block, and belongs to several
 
@@ -38,8 +39,7 @@ class _Common:
     duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
     fused_plant: bool = False  # load, cables, carriers and their controller in one fast block
-    safe_carrier_distance: float = 0.1  # m; `run` warns where two carriers come closer
-    safe_cable_distance: float = 0.1  # m; `run` warns where two cables come closer
+    limits: RunLimits = field(default_factory=RunLimits)
     simulator: SimulatorConfig = field(default_factory=_default_simulator)
     system: SystemParameters = field(default_factory=SystemParameters)
     simulated: SystemOverrides = field(default_factory=SystemOverrides)
@@ -91,11 +91,7 @@ def check(scenario: Scenario) -> None:
         ScenarioError: one is out of range.
     """
     require_positive(scenario.name, duration=scenario.duration)
-    require_non_negative(
-        scenario.name,
-        safe_carrier_distance=scenario.safe_carrier_distance,
-        safe_cable_distance=scenario.safe_cable_distance,
-    )
+    check_limits(scenario.limits)
     simulator = scenario.simulator
     require_positive(
         "simulator", max_step_size=simulator.max_step_size, accuracy=simulator.accuracy
