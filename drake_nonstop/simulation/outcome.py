@@ -59,8 +59,8 @@ class Limit:
         if stated is None or value is None:
             return None
         limit = stated * self.share_of(run)
-        margin = value - limit if self.is_least else limit - value
-        if margin >= -self.tolerance * abs(limit) or value == limit:  # inf - inf is no number
+        beyond = self.tolerance * abs(limit) if math.isfinite(limit) else 0.0
+        if value >= limit - beyond if self.is_least else value <= limit + beyond:
             return None
         shown, bound = _told_apart(value, limit)
         sentence = self.sentence.format(f"{shown} {self.unit}")

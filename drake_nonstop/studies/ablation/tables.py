@@ -178,10 +178,12 @@ def labelled(row: Row) -> str:
 
 
 def shown(metric: Metric, row: Row) -> str:
-    """A row's metric in three digits, or less where it is small."""
+    """A row's metric: a text, or a number in three digits, or less where it is small."""
     value = metric.shown(metric.value(row.metrics))
     if value is None:
         return _NO_VALUE
+    if isinstance(value, str):
+        return value
     if isinstance(value, int) or value == 0:
         return f"{value:.0f}"
     if abs(value) < 1e-4:
