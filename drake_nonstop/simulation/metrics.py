@@ -49,13 +49,18 @@ def compute_metrics(run: Run) -> dict[str, Any]:
 
 
 def flattened(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """The metrics that are one value, by their paths, such as "load.position_error_mean_m"."""
+    """The metrics that are one value, by their paths, such as "load.position_error_mean_m".
+
+    Sentences, such as the reasons of an outcome, are one text.
+    """
     flat: dict[str, Any] = {}
     for key, value in metrics.items():
         if isinstance(value, Mapping):
             flat |= {f"{key}.{path}": inner for path, inner in flattened(value).items()}
         elif not isinstance(value, list):
             flat[key] = value
+        elif all(isinstance(item, str) for item in value):
+            flat[key] = "; ".join(value)
     return flat
 
 
@@ -114,7 +119,7 @@ class Metric:
     scale: float = 1.0  # from the stored value to the one shown
     better: Better = Better.NEITHER
     is_wall_time: bool = False  # measured with a clock: it differs from run to run
-    is_list: bool = False  # several values, which no table that compares runs shows
+    is_list: bool = False  # of numbers or of sentences
     run_text: RunText | None = None
     column: TableColumn | None = None
 

@@ -125,7 +125,7 @@ def test_dangerous_metrics_are_warned_of(tmp_path, capsys):
     assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF[1:], *overrides]) == NOT_OK
     shown = capsys.readouterr()
     reasons = (
-        r"collision: two carriers came within 0\.\d+ m of each other "
+        r"collision: two carriers came within \S+ m of each other "
         r"\(limits\.carrier_distance: 3\.72 m\); a carrier was below the bound for 0\.\d+ s "
         r"\(limits\.time_below_bound: 0 s\)"
     )

@@ -212,12 +212,24 @@ class TestTables:
         assert "No effect on it: same." in lines
         assert lines[-2:] == ["- crash (diverged): it diverged", "- cannot (unbuildable): no"]
 
+    def test_what_runs_are_warned_about_is_said(self):
+        warned = a_row("warned", 2e-3)
+        warned.metrics["warnings"] = ["too | fast", "too taut"]
+        rows = [ROWS[0], warned, a_row("none", outcome=UNBUILDABLE, message="no")]
+        lines = [
+            "none (unbuildable): no",
+            "warned: warning: too | fast",
+            "warned: warning: too taut",
+        ]
+        assert as_text(rows).splitlines()[-3:] == lines
+        assert as_markdown(rows).splitlines()[-3:] == [f"- {line}" for line in lines]
+
     def test_text_is_aligned_and_keeps_the_outcome_of_long_names(self):
         rows = [*ROWS, a_row("a name that is much too long for it", 1.0, 0.1, DIVERGED, "why")]
         lines = as_text(rows).splitlines()[: len(rows) + 2]
         assert {len(line) for line in lines} == {len(lines[0])}
         assert max(map(len, lines)) <= 110
-        assert lines[-1].startswith("a name that is muc… (diverged) ")
+        assert lines[-1].startswith("a name that is… (diverged) ")
 
 
 def test_equal_names_and_folders_get_numbers(tmp_path):
