@@ -25,10 +25,12 @@ from drake_nonstop.scenario.loading import (
     parse_scenario,
     scenario_names,
 )
+from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.metrics import compute_metrics
+from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.ablation import ablate, read_grid
@@ -52,6 +54,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "parse_scenario",
     "dump_scenario",
     "scenario_names",
+    "RunLimits",
     "SystemParameters",
     "HamiltonianCycleConfig",
     "CarouselConfig",
@@ -73,6 +76,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "RunStopped",
     "RunInterrupted",
     "compute_metrics",
+    "RunOutcome",
     "write_results",
     "ablate",
     "read_grid",

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
-from drake_nonstop.cli.exit_codes import FAILED, INTERRUPTED
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import find_warnings, metrics_table
+from drake_nonstop.simulation.metrics import metrics_table
+from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.files import require_writable
@@ -20,10 +21,19 @@ from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.progress import RunProgress
 
+_EXIT_CODES = {RunOutcome.OK: 0, RunOutcome.STOPPED: FAILED}  # NOT_OK for all others
+
 
 def add_to(commands: Commands) -> None:
     """Adds the subcommand."""
-    parser = commands.add_parser("run", help="run a scenario and write its results")
+    others = [outcome.value for outcome in RunOutcome if outcome not in _EXIT_CODES]
+    parser = commands.add_parser(
+        "run",
+        help="run a scenario and write its results",
+        epilog=f"Exit codes: 0 where the outcome is ok, {NOT_OK} where it is "
+        f"{', '.join(others[:-1])} or {others[-1]}, {FAILED} where the run stopped before its "
+        f"time, {BAD_INPUT} for bad input, {INTERRUPTED} after Ctrl-C.",
+    )
     parser.set_defaults(action=_run)
     add_scenario(parser)
     parser.add_argument("--no-figures", action="store_true", help="write no figures/")
@@ -86,6 +96,7 @@ def run_into(
         ScenarioError: the scenario cannot be built, or the folder not be written.
     """
     is_new = not folder.exists()
+    code = 0
     progress = None if is_quiet else RunProgress(scenario.name, scenario.duration)
 
     def runs() -> Iterator[Run]:
@@ -105,14 +116,14 @@ def run_into(
             if progress is not None:
                 progress.close()
             metrics = write(run)
+            code = _EXIT_CODES.get(RunOutcome(metrics["outcome"]), NOT_OK)
             if not is_quiet:
-                _report(metrics, run.scenario, folder)
-                if is_live:
-                    print(
-                        "while a page is open: restart or stop there; Ctrl-C ends it",
-                        flush=True,
-                    )
-        return 0
+                _report(metrics, folder)
+            if code != 0:
+                _print_outcome(metrics)
+            if is_live and not is_quiet:
+                print("while a page is open: restart or stop there; Ctrl-C ends it", flush=True)
+        return code
     except ScenarioError:
         if is_new:
             with contextlib.suppress(OSError):
@@ -135,10 +146,15 @@ def run_into(
     return code
 
 
-def _report(metrics: dict[str, Any], scenario: Scenario, folder: Path) -> None:
+def _report(metrics: dict[str, Any], folder: Path) -> None:
     print(metrics_table(metrics))
     if metrics["is_steered"]:
         print("steered while it ran: scenario.yaml alone does not repeat it")
-    for warning in find_warnings(metrics, scenario):
+    for warning in metrics["warnings"]:
         print(f"warning: {warning}")
-    print(f"results: {folder}")
+    print(f"results: {folder}", flush=True)
+
+
+def _print_outcome(metrics: dict[str, Any]) -> None:
+    reasons = "; ".join(metrics["reasons"])
+    print(f"drake-nonstop: {metrics['outcome']}: {reasons}", file=sys.stderr)

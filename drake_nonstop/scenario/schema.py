@@ -19,6 +19,7 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
+from drake_nonstop.scenario.run_limits import RunLimits, check_limits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import (
     StrictFields,
@@ -48,8 +49,8 @@ class _Common(StrictFields):
     duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
     fused_plant: bool = False  # load, cables, carriers and their controller in one fast block
-    safe_carrier_distance: float = 0.1  # m; `run` warns where two carriers come closer
-    safe_cable_distance: float = 0.1  # m; `run` warns where two cables come closer
+    # What the run is held against: beyond which figures it is not ok, or not plausible.
+    limits: RunLimits = field(default_factory=RunLimits)
     # Of Drake's Simulator: max_step_size in s, and the rest as in SimulatorConfig.
     simulator: SimulatorConfig = field(default_factory=_default_simulator)
     # What the controllers believe of load, cables and carriers.
@@ -103,7 +104,7 @@ CHOICES: dict[str, tuple[type, ...]] = {
 _ALL_CONFIGS = {config for choices in CHOICES.values() for config in choices}
 
 # Parts of a scenario that are no boxes.
-_PARTS = (SystemParameters, SystemOverrides, SimulatorConfig)
+_PARTS = (RunLimits, SystemParameters, SystemOverrides, SimulatorConfig)
 
 _MAX_STEPS = 1e8  # of a run, which takes days
 _LONGEST_PERIOD = 10.0  # s, of the controllers
@@ -133,11 +134,7 @@ def check(scenario: Scenario) -> None:
     for owner in ("system", "simulated"):
         _check_is_read(owner, getattr(scenario, owner))
     require_positive(scenario.name, duration=scenario.duration)
-    require_non_negative(
-        scenario.name,
-        safe_carrier_distance=scenario.safe_carrier_distance,
-        safe_cable_distance=scenario.safe_cable_distance,
-    )
+    check_limits(scenario.limits)
     simulator = scenario.simulator
     require_positive(
         "simulator", max_step_size=simulator.max_step_size, accuracy=simulator.accuracy

@@ -22,7 +22,9 @@ class Run:
     value at an instant is that before the controllers' update at that instant. `solve_times`
     (updates,) are the wall times of the optimization layer's updates, `wall_time` that of the
     whole simulation but for pauses, in s.
-    A run that `is_steered` was changed from outside while it went on.
+    A run that `is_steered` was changed from outside while it went on. `stopped` says why a run
+    ended before its time, and is empty where it did not; `unresolved` has a sentence for each
+    result that the integrator's step does not resolve.
     """
 
     scenario: Scenario
@@ -33,6 +35,8 @@ class Run:
     solve_times: NDArray
     wall_time: float
     is_steered: bool = False
+    stopped: str = ""
+    unresolved: tuple[str, ...] = ()
 
     def signal(self, port: str) -> NDArray:
         """The signal of that port name, whichever block makes it: (samples, size)."""

@@ -13,7 +13,7 @@ from drake_nonstop.mechanics.rotation import (
     rotation_vector,
 )
 from drake_nonstop.mechanics.signals import CarrierStates, Parameters, Pose
-from drake_nonstop.model.system import overridden
+from drake_nonstop.model.system import SystemParameters, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.simulation.run import Run
 
@@ -76,6 +76,22 @@ class RunQuantities:
         return speed_bounds(self.run)
 
     @cached_property
+    def system(self) -> SystemParameters:
+        """The simulated load, cables and carriers."""
+        return overridden(self.run.scenario.system, self.run.scenario.simulated)
+
+    @property
+    def reach(self) -> float:
+        """The distance of a carrier from the load, as `RunLimits` has it, m."""
+        radii = np.linalg.norm(self.system.attachments, axis=1)
+        return float(np.max(radii)) + self.system.cable_length
+
+    @property
+    def load_weight(self) -> float:
+        """N."""
+        return self.system.load_mass * self.system.gravity
+
+    @cached_property
     def climb_angles(self) -> NDArray:
         """The angles (k, n) of the carriers' velocities to the horizontal, rad, none negative."""
         velocities = self.carrier_velocities
@@ -83,15 +99,29 @@ class RunQuantities:
         return np.arctan2(np.abs(velocities[..., 2]), level)
 
     @cached_property
-    def sharpest_turn(self) -> tuple[float | None, float | None]:
-        """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
+    def _carrier_motion(self) -> tuple[NDArray, NDArray] | None:
+        """Velocities (m/s) and accelerations (m/s²) of the carriers; None: too few steps."""
         # Where an update or a sample ends a step, another may be a rounding error away.
         apart = np.append(True, np.diff(self.time) > 1e-9)
         time, velocities = self.time[apart], self.carrier_velocities[apart]
-        speeds = np.linalg.norm(velocities, axis=2)
-        if len(time) < 3 or not np.any(speeds > 0):
+        return None if len(time) < 3 else (velocities, np.gradient(velocities, time, axis=0))
+
+    @cached_property
+    def largest_acceleration(self) -> float | None:
+        """The largest acceleration of a carrier, m/s²; None: unknown."""
+        if self._carrier_motion is None:
+            return None
+        return float(np.max(np.linalg.norm(self._carrier_motion[1], axis=2)))
+
+    @cached_property
+    def sharpest_turn(self) -> tuple[float | None, float | None]:
+        """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
+        if self._carrier_motion is None:
             return None, None
-        accelerations = np.gradient(velocities, time, axis=0)
+        velocities, accelerations = self._carrier_motion
+        speeds = np.linalg.norm(velocities, axis=2)
+        if not np.any(speeds > 0):
+            return None, None
         # v × a is speed × normal acceleration, and stays defined where a carrier stops.
         crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
         moving = speeds > 0
@@ -102,9 +132,54 @@ class RunQuantities:
         )
 
     @cached_property
+    def largest_carrier_force(self) -> float | None:
+        """The largest force asked for of a carrier at 100 Hz, N; None: unknown."""
+        try:
+            forces = self.run.signal("carrier_forces")
+        except KeyError:  # nothing in the loop makes it
+            return None
+        return float(np.max(np.linalg.norm(forces.reshape(len(forces), -1, 3), axis=2)))
+
+    @cached_property
+    def time_below_bound(self) -> float:
+        """For how long a carrier was below ε, s."""
+        return self.duration_of(np.any(self.speeds < self.speed_bounds[:, None], axis=1))
+
+    @cached_property
+    def carrier_separation(self) -> float:
+        """The least distance of two carriers, m."""
+        return float(np.min(closest_carriers(self.carrier_positions)))
+
+    @cached_property
     def tensions(self) -> NDArray:
         """(k, n), N."""
         return self.run.steps["tensions"]
+
+    @cached_property
+    def slack_time(self) -> float:
+        """For how long a cable was slack, s."""
+        return self.duration_of(np.any(self.tensions <= 0, axis=1))
+
+    @cached_property
+    def cable_separations(self) -> NDArray:
+        """The least distance of each two cables (pairs,), m."""
+        distances = cable_distances(self.attachment_positions, self.carrier_positions)
+        return distances.min(axis=1)
+
+    @cached_property
+    def closest_cables_for_attachments(self) -> tuple[float, float]:
+        """The two cables that come closest for where they are attached, m.
+
+        Their least distance and the distance of their attachments, beyond which no two cables
+        can be apart. Cables that are attached at one point are left out.
+        """
+        attachments = np.array(self.system.attachments)
+        apart = np.array([np.linalg.norm(a - b) for a, b in combinations(attachments, 2)])
+        shares = np.divide(
+            self.cable_separations, apart, out=np.full(len(apart), np.inf), where=apart > 0
+        )
+        closest = np.argmin(shares)
+        return float(self.cable_separations[closest]), float(apart[closest])
 
     @cached_property
     def attachment_positions(self) -> NDArray:
@@ -175,12 +250,19 @@ def closest_cables(ends: NDArray, carriers: NDArray) -> NDArray:
 
     Both (k, n, 3).
     """
-    return np.min(
+    return cable_distances(ends, carriers).min(axis=0)
+
+
+def cable_distances(ends: NDArray, carriers: NDArray) -> NDArray:
+    """The distances (pairs, k) of each two straight cables from `ends` to `carriers`, m.
+
+    Both (k, n, 3); the pairs are in the order of `itertools.combinations`.
+    """
+    return np.array(
         [
             segment_distances(ends[:, i], carriers[:, i], ends[:, j], carriers[:, j])
             for i, j in combinations(range(ends.shape[1]), 2)
-        ],
-        axis=0,
+        ]
     )
 
 

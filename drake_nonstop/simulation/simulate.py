@@ -123,13 +123,14 @@ def simulate(
     context = simulator.get_mutable_context()
     start = time.perf_counter()
 
-    def finished() -> Run:
+    def finished(stopped: str = "") -> Run:
         return _collect(
             scenario,
             nonstop,
             _split(sample_sink.FindLog(context), sampled),
             _split(step_sink.FindLog(context), stepped),
             wall_time=time.perf_counter() - start - monitor.waited,
+            stopped=stopped,
         )
 
     sample_context = sample_sink.GetMyContextFromRoot(context)
@@ -157,19 +158,22 @@ def simulate(
     except ScenarioError:
         raise
     except KeyboardInterrupt:
-        raise RunInterrupted(finished()) from None
+        message = f"the run was interrupted at t = {context.get_time():.4f} s"
+        raise RunInterrupted(finished(message)) from None
     except NotFiniteError as error:
-        raise RunStopped(
+        message = (
             f"the run diverged at t = {context.get_time():.4f} s: "
             f"{source_of_fault(error, nonstop, nonstop_context)} made a value that is not "
             f"finite, or beyond {LARGEST:.0e} in SI units; the loop may be unstable, or "
-            "simulator.max_step_size too large",
-            finished(),
-        ) from None
+            "simulator.max_step_size too large"
+        )
+        raise RunStopped(message, finished(message)) from None
     except Exception as error:
         cause = f"{raising_block(error)}{one_line(error)}"
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
-        raise RunStopped(message, finished()) from error
+        raise RunStopped(message, finished(message)) from error
+    if context.get_time() < scenario.duration:
+        return finished(f"the run was ended at t = {context.get_time():.4f} s")
     return finished()
 
 
@@ -214,6 +218,7 @@ def _collect(
     steps: tuple[NDArray, dict[str, NDArray]],
     *,
     wall_time: float,
+    stopped: str,
 ) -> Run:
     (times, signals), (step_times, step_signals) = samples, steps
     solve_times = np.zeros(0)
@@ -235,4 +240,5 @@ def _collect(
         steps={"time": step_times} | step_signals,
         solve_times=solve_times,
         wall_time=wall_time,
+        stopped=stopped,
     )

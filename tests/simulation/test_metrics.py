@@ -11,6 +11,9 @@ from drake_nonstop.simulation.run_quantities import load_errors, segment_distanc
 KEYS = {
     "": {
         "scenario",
+        "outcome",
+        "reasons",
+        "warnings",
         "simulated_s",
         "is_steered",
         "wall_s",
@@ -37,6 +40,7 @@ KEYS = {
         "time_below_bound_s",
         "separation_min_m",
         "normal_acceleration_max_m_s2",
+        "acceleration_max_m_s2",
         "climb_angle_max_rad",
         "turn_radius_min_m",
     },
@@ -106,6 +110,7 @@ def test_the_keys_are_those_that_others_read():
 def test_the_table_has_a_row_for_each_metric():
     metrics = compute_metrics(circling_run())
     single = [metric.path for metric in METRICS if not metric.is_list]
+    single += ["reasons", "warnings"]  # whose sentences are one text
     others = {"scenario", "is_steered", *(f"versions.{key}" for key in KEYS["versions"])}
     assert set(flattened(metrics)) == {*single, *others}
     assert len({metric.path for metric in METRICS}) == len(METRICS)
@@ -120,6 +125,7 @@ def test_the_table_has_a_row_for_each_metric():
 def test_the_table_of_a_run():
     run = circling_run(radius=0.5, rate=2.0)
     assert metrics_table(compute_metrics(run)).splitlines() == [
+        "outcome                 ok",
         "simulated               4 s in 0.50 s (8.0 x real time)",
         "load position error     mean 3 mm, max 3 mm",
         "load orientation error  mean 0 mrad, max 0 mrad",
@@ -140,6 +146,7 @@ def test_level_circles_have_known_figures():
     assert carriers["speed_max_m_s"] == pytest.approx(1.0, abs=1e-12)
     assert carriers["separation_min_m"] == pytest.approx(1.5, abs=1e-12)
     assert carriers["normal_acceleration_max_m_s2"] == pytest.approx(2.0, rel=2e-3)
+    assert carriers["acceleration_max_m_s2"] == pytest.approx(2.0, rel=2e-3)
     assert carriers["turn_radius_min_m"] == pytest.approx(0.5, rel=2e-3)
     assert carriers["climb_angle_max_rad"] == 0
     assert carriers["time_below_bound_s"] == 0

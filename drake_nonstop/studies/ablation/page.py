@@ -15,6 +15,7 @@ from drake_nonstop.simulation.metrics import value_at
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.studies.ablation.rows import (
+    OUTCOME,
     POSITION_ERROR,
     SLOWEST_SPEED,
     TIME_BELOW_BOUND,
@@ -154,8 +155,8 @@ def _table_row(row: Row, base: Row) -> str:
 def _card(row: Row) -> str:
     """The place of a replay, with some metrics."""
     figures = (
-        f"error {shown(POSITION_ERROR, row)} mm · slowest {shown(SLOWEST_SPEED, row)} m/s · "
-        f"below ε for {shown(TIME_BELOW_BOUND, row)} s"
+        f"{shown(OUTCOME, row)} · error {shown(POSITION_ERROR, row)} mm · "
+        f"slowest {shown(SLOWEST_SPEED, row)} m/s · below ε for {shown(TIME_BELOW_BOUND, row)} s"
     )
     page = f"{quote(row.folder)}/replay.html"
     return (
