@@ -15,11 +15,7 @@ import numpy as np
 
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import (
-    RunQuantities,
-    closest_cables,
-    closest_carriers,
-)
+from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.version import __version__
 
 _NAME_WIDTH = 24  # characters, of a line's name in the table of a run
@@ -253,7 +249,7 @@ METRICS = (
     ),
     Metric(
         path="carriers.separation_min_m",
-        measure=lambda run: float(np.min(closest_carriers(run.carrier_positions))),
+        measure=lambda run: float(np.min(run.carrier_distances)),
         label="closest carriers",
         unit="m",
         better=Better.HIGHER,
@@ -305,9 +301,7 @@ METRICS = (
     ),
     Metric(
         path="cables.separation_min_m",
-        measure=lambda run: float(
-            np.min(closest_cables(run.attachment_positions, run.carrier_positions))
-        ),
+        measure=lambda run: float(np.min(run.cable_distances)),
         label="closest cables",
         unit="m",
         better=Better.HIGHER,

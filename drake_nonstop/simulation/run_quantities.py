@@ -1,5 +1,6 @@
 """The quantities of a run that metrics and figures are made from."""
 
+from collections.abc import Callable
 from functools import cached_property
 from itertools import combinations
 
@@ -19,6 +20,7 @@ from drake_nonstop.simulation.run import Run
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
+_CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are small
 _SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
@@ -78,28 +80,31 @@ class RunQuantities:
     @cached_property
     def climb_angles(self) -> NDArray:
         """The angles (k, n) of the carriers' velocities to the horizontal, rad, none negative."""
-        velocities = self.carrier_velocities
-        level = np.linalg.norm(velocities[..., :2], axis=2)
-        return np.arctan2(np.abs(velocities[..., 2]), level)
+        return in_chunks(_climb_angles, self.carrier_velocities)
 
     @cached_property
     def sharpest_turn(self) -> tuple[float | None, float | None]:
         """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
         # Where an update or a sample ends a step, another may be a rounding error away.
-        apart = np.append(True, np.diff(self.time) > 1e-9)
-        time, velocities = self.time[apart], self.carrier_velocities[apart]
-        speeds = np.linalg.norm(velocities, axis=2)
-        if len(time) < 3 or not np.any(speeds > 0):
+        apart = np.flatnonzero(np.append(True, np.diff(self.time) > 1e-9))
+        count = len(apart)
+        if count < 3 or not np.any(self.speeds[apart] > 0):
             return None, None
-        accelerations = np.gradient(velocities, time, axis=0)
-        # v × a is speed × normal acceleration, and stays defined where a carrier stops.
-        crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
-        moving = speeds > 0
-        curvature = float(np.max(crossed[moving] / speeds[moving] ** 3))
-        return (
-            float(np.max(crossed[moving] / speeds[moving])),
-            1 / curvature if curvature > 0 else None,
-        )
+        acceleration = curvature = 0.0
+        for start in range(0, count, _CHUNK):
+            before = max(start - 1, 0)  # a row more on either side, for the differences
+            rows = apart[before : start + _CHUNK + 1]
+            inner = slice(start - before, min(start + _CHUNK, count) - before)
+            velocities = self.carrier_velocities[rows]
+            accelerations = np.gradient(velocities, self.time[rows], axis=0)[inner]
+            # v × a is speed × normal acceleration, and stays defined where a carrier stops.
+            crossed = np.linalg.norm(np.cross(velocities[inner], accelerations), axis=2)
+            speeds = self.speeds[rows][inner]
+            moving = speeds > 0
+            crossed, speeds = crossed[moving], speeds[moving]
+            acceleration = max(acceleration, float(np.max(crossed / speeds, initial=0.0)))
+            curvature = max(curvature, float(np.max(crossed / speeds**3, initial=0.0)))
+        return acceleration, 1 / curvature if curvature > 0 else None
 
     @cached_property
     def tensions(self) -> NDArray:
@@ -107,9 +112,18 @@ class RunQuantities:
         return self.run.steps["tensions"]
 
     @cached_property
-    def attachment_positions(self) -> NDArray:
-        """Where the cables are attached to the load, (k, n, 3), in W, m."""
-        return attachment_positions(self.run, self.run.steps["load_state"])
+    def carrier_distances(self) -> NDArray:
+        """The distance (k,) of the closest two carriers, m."""
+        return in_chunks(closest_carriers, self.carrier_positions)
+
+    @cached_property
+    def cable_distances(self) -> NDArray:
+        """The distance (k,) of the closest two cables, m."""
+
+        def closest(load_states: NDArray, carriers: NDArray) -> NDArray:
+            return closest_cables(attachment_positions(self.run, load_states), carriers)
+
+        return in_chunks(closest, self.run.steps["load_state"], self.carrier_positions)
 
     @cached_property
     def update_counts(self) -> dict[str, int]:
@@ -148,15 +162,36 @@ def load_errors(run: Run) -> tuple[NDArray, NDArray]:
     The orientation error is the rotation vector from the reference to the load, in L; its
     norm is the angle between the two.
     """
-    state, reference = (Pose.view(run.signal(name)) for name in ("load_state", "reference"))
+    errors = in_chunks(_load_errors, run.signal("load_state"), run.signal("reference"))
+    return errors[:, :3], errors[:, 3:]
+
+
+def _load_errors(load_states: NDArray, references: NDArray) -> NDArray:
+    """[position error, orientation error] (k, 6)."""
+    state, reference = Pose.view(load_states), Pose.view(references)
     inverse = quaternion_conjugate(reference.quaternion)
     rotation = rotation_vector(quaternion_product(inverse, state.quaternion))
-    return state.position - reference.position, rotation
+    return np.hstack([state.position - reference.position, rotation])
 
 
 def carrier_speeds(carrier_state: NDArray) -> NDArray:
     """Speeds (k, n) in m/s of carrier states (k, 6n)."""
-    return np.linalg.norm(CarrierStates.view(carrier_state).velocities, axis=2)
+    return in_chunks(_norms, CarrierStates.view(carrier_state).velocities)
+
+
+def _norms(vectors: NDArray) -> NDArray:
+    return np.linalg.norm(vectors, axis=-1)
+
+
+def _climb_angles(velocities: NDArray) -> NDArray:
+    return np.arctan2(np.abs(velocities[..., 2]), _norms(velocities[..., :2]))
+
+
+def in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:
+    """`function(*arrays)`, a few rows at a time; its rows depend on those of the arrays only."""
+    starts = range(0, max(len(arrays[0]), 1), _CHUNK)
+    parts = [function(*(array[i : i + _CHUNK] for array in arrays)) for i in starts]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def closest_carriers(positions: NDArray) -> NDArray:
