@@ -1,6 +1,7 @@
 """The page of a replay; test_replay_page.py plays it in a browser."""
 
 import base64
+import gzip
 import logging
 import re
 
@@ -30,7 +31,9 @@ def shortened(run, samples):
 
 def commands(html):
     """What the page tells the viewer, each in msgpack."""
-    return map(base64.b64decode, re.findall(r"octet-binary;base64,([\w+/=]+)", html))
+    for kind, text in re.findall(r"application/(octet-binary|gzip);base64,([\w+/=]+)", html):
+        content = base64.b64decode(text)
+        yield gzip.decompress(content) if kind == "gzip" else content
 
 
 def paths(html):
