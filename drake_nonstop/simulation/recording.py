@@ -212,12 +212,14 @@ class _Log:
         """Appends the rows in memory to the files in a folder, or none of them at an error."""
         folder.mkdir(exist_ok=True)
         columns = self._columns()
+        rows = len(columns[self.TIMES])
         for i, (name, values) in enumerate(columns.items()):
             self._files[name] = folder / str(i)
             with self._files[name].open("ab") as file:
-                file.truncate(self._stored * values[:1].nbytes)  # an earlier try may have failed
+                # An earlier try may have failed half-way.
+                file.truncate(self._stored * _DOUBLE * math.prod(values.shape[1:]))
                 file.write(values.data)
-        self._stored += len(columns[self.TIMES])
+        self._stored += rows
         self._log.Clear()
 
     def signals(
@@ -313,7 +315,7 @@ def require_room(nonstop: Diagram, scenario: Scenario) -> None:
     """
     size = expected_size(nonstop, scenario)
     room = shutil.disk_usage(tempfile.gettempdir()).free
-    longest = 0.9 * scenario.duration * max(room, MEMORY_LIMIT) / size  # s; 0.9: it is rounded
+    longest = 0.9 * max(room, MEMORY_LIMIT) / (size / scenario.duration)  # s; 0.9: it is rounded
     require(
         size <= max(room, MEMORY_LIMIT),
         "duration",

@@ -25,7 +25,7 @@ from drake_nonstop.visualization.scene import Scene
 from drake_nonstop.visualization.snapshot import Snapshot
 
 _FRAME_RATE = 25.0  # 1/s
-_MOST_POSES = 50_000  # of carriers and loads in all frames: below 20 MB
+_MOST_POSES = 45_000  # of carriers and loads in all frames: below 20 MB
 # How Meshcat writes what the page tells the viewer.
 _COMMAND = re.compile(
     r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)'
@@ -49,7 +49,7 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> str:
         ScenarioError: a field of the scenario's scene is out of range.
     """
     system = overridden(run.scenario.system, run.scenario.simulated)
-    scene = Scene(system, run.scenario.scene, trail_opacities=1)
+    scene = Scene(system, run.scenario.scene)
     if frame_rate is None:
         frame_rate = _affordable_rate(len(run.time), len(system.attachments))
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)

@@ -18,7 +18,7 @@ from drake_nonstop.visualization.snapshot import Snapshot
 
 _REFERENCE_BAR_RATIO = 1.7  # to the load's bars, which the reference's enclose: both are seen
 _MARK_RADIUS = 0.42  # of the wing span
-TRAIL_OPACITIES = 8  # different ones, of a trail's pieces
+_TRAIL_OPACITIES = 8  # different ones, of a trail's pieces
 
 
 class Scene:
@@ -34,20 +34,12 @@ class Scene:
     Args:
         system: attachments, cable length, load mass and gravity of what is shown.
         config: colours and sizes.
-        trail_opacities: how many opacities a trail's piece goes through as it fades; one is
-            enough on a canvas that has it fade gradually.
 
     Raises:
         ScenarioError: a field of the config is out of range.
     """
 
-    def __init__(
-        self,
-        system: SystemParameters | Model,
-        config: SceneConfig | None = None,
-        *,
-        trail_opacities: int = TRAIL_OPACITIES,
-    ):
+    def __init__(self, system: SystemParameters | Model, config: SceneConfig | None = None):
         self.config = config or SceneConfig()
         check_scene(self.config)
         self._attachments = np.array(system.attachments)
@@ -63,8 +55,9 @@ class Scene:
         palette = itertools.cycle(self.config.carrier_colours)
         self._carrier_colours = [rgb(next(palette)) for _ in range(self._n)]
         self._trail_colours = [rgb(self.config.load_colour), *self._carrier_colours]
-        pieces = self.config.trail_pieces
-        opacities = [_trail_opacity(age, pieces, trail_opacities) for age in range(pieces)]
+        opacities = [
+            _trail_opacity(age, self.config.trail_pieces) for age in range(self.config.trail_pieces)
+        ]
         self._trail_opacities = {  # by the number of newer pieces, where it changes
             age: opacity
             for age, opacity in enumerate(opacities)
@@ -210,8 +203,8 @@ def _draw_carrier(meshcat: Meshcat, path: str, span: float, rgba: Rgba) -> None:
         meshcat.SetTransform(f"{path}/{part}", RigidTransform(span * np.array(position)))
 
 
-def _trail_opacity(age: int, pieces: int, count: int) -> float:
+def _trail_opacity(age: int, pieces: int) -> float:
     """The opacity of a piece with `age` newer ones; the oldest is invisible, and used again."""
     if age >= pieces - 1:
         return 0.0
-    return float(np.ceil(count * (1 - age / (pieces - 1))) / count)
+    return float(np.ceil(_TRAIL_OPACITIES * (1 - age / (pieces - 1))) / _TRAIL_OPACITIES)
