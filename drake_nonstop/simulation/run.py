@@ -1,5 +1,6 @@
 """What a simulation produces, and how it may end."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -22,6 +23,9 @@ class Run:
     value at an instant is that before the controllers' update at that instant. `solve_times`
     (updates,) are the wall times of the optimization layer's updates, `wall_time` that of the
     whole simulation but for pauses, in s.
+    Beyond 32 MB, some 100 s of flight, `signals` and `steps` are in temporary files, which are
+    removed with the run: each array is mapped to memory when it is asked for, and cannot be
+    written to.
     A run that `is_steered` was changed from outside while it went on. `stopped` says why a run
     ended before its time, and is empty where it did not; `unresolved` has a sentence for each
     result that the integrator's step does not resolve.
@@ -30,8 +34,8 @@ class Run:
     scenario: Scenario
     diagram: Diagram
     time: NDArray
-    signals: dict[str, NDArray]
-    steps: dict[str, NDArray]
+    signals: Mapping[str, NDArray]
+    steps: Mapping[str, NDArray]
     solve_times: NDArray
     wall_time: float
     is_steered: bool = False
@@ -40,9 +44,9 @@ class Run:
 
     def signal(self, port: str) -> NDArray:
         """The signal of that port name, whichever block makes it: (samples, size)."""
-        for name, values in self.signals.items():
+        for name in self.signals:
             if name.split(".")[1] == port:
-                return values
+                return self.signals[name]
         raise KeyError(port)
 
 

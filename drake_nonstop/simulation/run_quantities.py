@@ -1,5 +1,6 @@
 """The quantities of a run that metrics and figures are made from."""
 
+from collections.abc import Callable
 from functools import cached_property
 from itertools import combinations
 
@@ -19,6 +20,7 @@ from drake_nonstop.simulation.run import Run
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
+_CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are small
 _SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
@@ -94,9 +96,7 @@ class RunQuantities:
     @cached_property
     def climb_angles(self) -> NDArray:
         """The angles (k, n) of the carriers' velocities to the horizontal, rad, none negative."""
-        velocities = self.carrier_velocities
-        level = np.linalg.norm(velocities[..., :2], axis=2)
-        return np.arctan2(np.abs(velocities[..., 2]), level)
+        return in_chunks(_climb_angles, self.carrier_velocities)
 
     @cached_property
     def _carrier_motion(self) -> tuple[NDArray, NDArray] | None:
@@ -223,15 +223,36 @@ def load_errors(run: Run) -> tuple[NDArray, NDArray]:
     The orientation error is the rotation vector from the reference to the load, in L; its
     norm is the angle between the two.
     """
-    state, reference = (Pose.view(run.signal(name)) for name in ("load_state", "reference"))
+    errors = in_chunks(_load_errors, run.signal("load_state"), run.signal("reference"))
+    return errors[:, :3], errors[:, 3:]
+
+
+def _load_errors(load_states: NDArray, references: NDArray) -> NDArray:
+    """[position error, orientation error] (k, 6)."""
+    state, reference = Pose.view(load_states), Pose.view(references)
     inverse = quaternion_conjugate(reference.quaternion)
     rotation = rotation_vector(quaternion_product(inverse, state.quaternion))
-    return state.position - reference.position, rotation
+    return np.hstack([state.position - reference.position, rotation])
 
 
 def carrier_speeds(carrier_state: NDArray) -> NDArray:
     """Speeds (k, n) in m/s of carrier states (k, 6n)."""
-    return np.linalg.norm(CarrierStates.view(carrier_state).velocities, axis=2)
+    return in_chunks(_norms, CarrierStates.view(carrier_state).velocities)
+
+
+def _norms(vectors: NDArray) -> NDArray:
+    return np.linalg.norm(vectors, axis=-1)
+
+
+def _climb_angles(velocities: NDArray) -> NDArray:
+    return np.arctan2(np.abs(velocities[..., 2]), _norms(velocities[..., :2]))
+
+
+def in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:
+    """`function(*arrays)`, a few rows at a time; its rows depend on those of the arrays only."""
+    starts = range(0, max(len(arrays[0]), 1), _CHUNK)
+    parts = [function(*(array[i : i + _CHUNK] for array in arrays)) for i in starts]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def closest_carriers(positions: NDArray) -> NDArray:

@@ -7,22 +7,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
     Simulator,
 )
-from pydrake.systems.framework import (
-    Context,
-    Diagram,
-    DiagramBuilder,
-    LeafSystem,
-    OutputPort,
-    PortDataType,
-    TriggerType,
-)
-from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
@@ -31,24 +21,11 @@ from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped, StepAction
+from drake_nonstop.simulation.recording import WALL_TIME, Recording, RecordingError, require_room
+from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
-from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
-
-_WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
-
-# What the metrics judge by the step, and where the optimization layer's updates show.
-_EVERY_STEP = (
-    "load_state",
-    "carrier_state",
-    "tensions",
-    "diagnostics",
-    "speed_bound",
-    _WALL_TIME,
-)
-
 
 # Adds a system beside the loop's diagram, which the builder has already, and returns it.
 Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
@@ -77,8 +54,9 @@ def simulate(
             are in the run's scenario.
 
     Raises:
-        ScenarioError: the scenario cannot be built.
-        RunStopped: the run diverged or a block failed; carries the run up to there.
+        ScenarioError: the scenario cannot be built, or there is no room for its signals.
+        RunStopped: the run diverged, a block failed, or the disk is full; carries the run up to
+            there.
         RunInterrupted: Ctrl-C; carries the run up to there.
     """
     check(scenario)
@@ -101,43 +79,26 @@ def simulate(
         if config is not scenario.simulator:  # the steps are the block's own
             shorter = dataclasses.replace(scenario, simulator=config)
             nonstop = make_nonstop(shorter, **replacements)
+    if after_step is None:  # which may end a run of any duration
+        require_room(nonstop, scenario)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
-    outputs = [nonstop.get_output_port(i) for i in range(nonstop.num_output_ports())]
-    ports = {
-        port.get_name(): port
-        for port in outputs
-        if port.get_data_type() == PortDataType.kVectorValued
-    }
-    stepped = {name: port for name, port in ports.items() if name in _EVERY_STEP}
-    sampled = {name: port for name, port in ports.items() if name != _WALL_TIME}
-    step_sink = LogVectorOutput(
-        _stacked(builder, stepped), builder, {TriggerType.kPerStep}, publish_period=0.0
-    )
-    sample_sink = LogVectorOutput(
-        _stacked(builder, sampled), builder, {TriggerType.kForced}, publish_period=0.0
-    )
+    recording = Recording(builder, nonstop)
     builder.AddNamedSystem("sample_instants", SampleInstants())
     visualizers = [viewer(builder, nonstop, scenario) for viewer in viewers]
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
+    recording.start(context)
     start = time.perf_counter()
 
     def finished(stopped: str = "") -> Run:
-        return _collect(
-            scenario,
-            nonstop,
-            _split(sample_sink.FindLog(context), sampled),
-            _split(step_sink.FindLog(context), stepped),
-            wall_time=time.perf_counter() - start - monitor.waited,
-            stopped=stopped,
-        )
+        wall_time = time.perf_counter() - start - monitor.waited
+        return _collect(scenario, nonstop, recording, wall_time=wall_time, stopped=stopped)
 
-    sample_context = sample_sink.GetMyContextFromRoot(context)
     monitor = Monitor(
         simulator,
         nonstop,
-        sample=lambda: sample_sink.ForcedPublish(sample_context),
+        sample=recording.take_sample,
         progress=progress,
         after_step=after_step,
     )
@@ -168,6 +129,9 @@ def simulate(
             "simulator.max_step_size too large"
         )
         raise RunStopped(message, finished(message)) from None
+    except RecordingError as error:
+        message = f"the run stopped at t = {context.get_time():.4f} s: {error}"
+        raise RunStopped(message, finished(message)) from None
     except Exception as error:
         cause = f"{raising_block(error)}{one_line(error)}"
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
@@ -195,49 +159,27 @@ def _at_equilibrium(nonstop: Diagram) -> Context:
     return context
 
 
-def _stacked(builder: DiagramBuilder, ports: dict[str, OutputPort]) -> OutputPort:
-    """One port for all: a sink per signal would slow every step of the diagram down."""
-    multiplexer = builder.AddSystem(Multiplexer([port.size() for port in ports.values()]))
-    for i, port in enumerate(ports.values()):
-        builder.Connect(port, multiplexer.get_input_port(i))
-    return multiplexer.get_output_port()
-
-
-def _split(log: VectorLog, ports: dict[str, OutputPort]) -> tuple[NDArray, dict[str, NDArray]]:
-    """The times of a log, and its stacked signals by name, (samples, size) each."""
-    ends = np.cumsum([port.size() for port in ports.values()])
-    pieces = np.split(log.data(), ends[:-1])
-    signals = {name: piece.T.copy() for name, piece in zip(ports, pieces, strict=True)}
-    return log.sample_times().copy(), signals
-
-
 def _collect(
     scenario: Scenario,
     nonstop: Diagram,
-    samples: tuple[NDArray, dict[str, NDArray]],
-    steps: tuple[NDArray, dict[str, NDArray]],
+    recording: Recording,
     *,
     wall_time: float,
     stopped: str,
 ) -> Run:
-    (times, signals), (step_times, step_signals) = samples, steps
+    times, signals, steps = recording.collect()
     solve_times = np.zeros(0)
-    if "diagnostics" in step_signals and _WALL_TIME in step_signals:
+    if "diagnostics" in steps and WALL_TIME in steps:
         updates = np.flatnonzero(
-            np.diff(Diagnostics.view(step_signals["diagnostics"]).updates, prepend=0.0)
+            np.diff(Diagnostics.view(steps["diagnostics"]).updates, prepend=0.0)
         )
-        solve_times = step_signals[_WALL_TIME][updates, 0]
+        solve_times = steps[WALL_TIME][updates, 0]
     return Run(
         scenario=scenario,
         diagram=nonstop,
-        time=SIGNAL_PERIOD * np.arange(len(times)),  # without the rounding of the events' times
-        signals={
-            f"{block.get_name()}.{name}": signals[name]
-            for block in nonstop.GetSystems()
-            for name in output_names(block)
-            if name in signals
-        },
-        steps={"time": step_times} | step_signals,
+        time=times,
+        signals=signals,
+        steps=steps,
         solve_times=solve_times,
         wall_time=wall_time,
         stopped=stopped,

@@ -1,6 +1,7 @@
 """The folder with the results of one run."""
 
 import json
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,7 @@ def write_results(
         (new / "scenario.yaml").write_text(dump_scenario(run.scenario), encoding="utf-8")
         text = json.dumps(metrics, indent=2, allow_nan=False)
         (new / "metrics.json").write_text(text + "\n", encoding="utf-8")
-        np.savez_compressed(new / "signals.npz", **{"time": run.time, **run.signals})  # type: ignore[arg-type]
+        _write_signals(new / "signals.npz", run)
         (new / "diagram.svg").write_text(draw_diagram(run.diagram), encoding="utf-8")
         if replay:
             (new / "replay.html").write_text(record_replay(run), encoding="utf-8")
@@ -59,3 +60,12 @@ def write_results(
             for name, figure in make_figures(run).items():
                 figure.savefig(new / _FIGURES / f"{name}.png", dpi=150)
     return metrics
+
+
+def _write_signals(path: Path, run: Run) -> None:
+    """Writes what `np.savez_compressed` would, a signal at a time: not all are in memory."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("time", *run.signals):
+            values = run.time if name == "time" else run.signals[name]
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, values, allow_pickle=False)

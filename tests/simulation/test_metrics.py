@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop import load_scenario
+from drake_nonstop.simulation import run_quantities
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import load_errors, segment_distances
@@ -204,3 +205,20 @@ def test_crossing_and_touching_segments_have_no_distance():
     assert segment_distances(a, b, np.array([[1.0, -1, 0]]), np.array([[1.0, 1, 0]]))[0] == 0
     assert segment_distances(a, b, b, np.array([[3.0, 4, 0]]))[0] == 0
     assert segment_distances(a, b, np.array([[3.0, 0, 0]]), np.array([[5.0, 0, 0]]))[0] == 1
+
+
+@pytest.mark.parametrize("chunk", [3, 50, 1000])
+def test_metrics_do_not_depend_on_how_many_steps_are_computed_at_a_time(chunk, monkeypatch):
+    run = circling_run()
+    rng = np.random.default_rng(chunk)
+    for signals in (run.signals, run.steps):
+        for name, values in signals.items():
+            if name != "time" and "diagnostics" not in name:
+                values += 0.1 * rng.normal(size=values.shape)
+    whole = flattened(compute_metrics(run))
+    monkeypatch.setattr(run_quantities, "_CHUNK", chunk)
+    parts = flattened(compute_metrics(run))
+    assert parts.keys() == whole.keys()
+    for name, value in whole.items():
+        expected = pytest.approx(value, rel=1e-12) if isinstance(value, float) else value
+        assert parts[name] == expected, name

@@ -8,6 +8,7 @@ from pathlib import Path
 from string import Template
 from urllib.parse import quote
 
+import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.scenario.schema import Scenario
@@ -30,6 +31,7 @@ from drake_nonstop.studies.ablation.tables import (
 )
 from drake_nonstop.studies.figures import make_overlay_figure
 from drake_nonstop.studies.run_all import COMPLETED
+from drake_nonstop.visualization.decimation import extreme_samples
 from drake_nonstop.visualization.replay import legend
 
 PAGE = "index.html"
@@ -38,7 +40,10 @@ PLOTS = ("position_error.png", "slowest_speed.png", "tension_min.png")
 
 @dataclass(kw_only=True)
 class Curves:
-    """The curves of a run in the plots: samples at 100 Hz, and steps of the integrator."""
+    """The curves of a run in the plots: samples at 100 Hz, and steps of the integrator.
+
+    Of a long run they have its extreme values only: those of all runs are in memory at once.
+    """
 
     sample_times: NDArray  # (samples,), s
     position_error: NDArray  # (samples,), m
@@ -51,13 +56,23 @@ class Curves:
     def of(cls, run: Run) -> "Curves":
         """The curves of a run."""
         quantities = RunQuantities(run)
+        errors = quantities.position_error
+        steps = np.column_stack(
+            [
+                quantities.speeds.min(axis=1),
+                quantities.speed_bounds,
+                quantities.tensions.min(axis=1),
+            ]
+        )
+        sampled, stepped = extreme_samples(errors), extreme_samples(steps)
+        slowest_speed, speed_bound, least_tension = steps[stepped].T
         return cls(
-            sample_times=run.time,
-            position_error=quantities.position_error,
-            step_times=quantities.time,
-            slowest_speed=quantities.speeds.min(axis=1),
-            speed_bound=quantities.speed_bounds,
-            least_tension=quantities.tensions.min(axis=1),
+            sample_times=run.time[sampled],
+            position_error=errors[sampled],
+            step_times=quantities.time[stepped],
+            slowest_speed=slowest_speed,
+            speed_bound=speed_bound,
+            least_tension=least_tension,
         )
 
 
