@@ -14,8 +14,12 @@ from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 _PHASES = 36  # of a whole turn, at which carriers are kept apart
 _HALF_STEP = np.pi / _PHASES  # rad
 _MOST_LEARNED = 64  # encounters at a time
+_NEAR = 1.05  # times the least separation: close enough to know of
 _MOST_DISTANCES = 2**20  # at a time: bounds the memory
 _ROUND_OFF = 1e-12  # relative, of squared distances from scalar products
+# |a − b|² of two vectors [a, 1, |a|²], as a bilinear form.
+_SQUARE_OF_DIFFERENCE = np.diag([-2.0, -2.0, -2.0, 0.0, 0.0])
+_SQUARE_OF_DIFFERENCE[3, 4] = _SQUARE_OF_DIFFERENCE[4, 3] = 1.0
 
 
 class SeparationConstraint:
@@ -63,7 +67,7 @@ class Separation:
         self._last: tuple[NDArray | None, NDArray] = None, np.zeros(0)
 
     def worst_margin(self, amplitude: float) -> float:
-        """The margin of the closest encounter at an amplitude (N)."""
+        """The margin of the closest encounter at an amplitude (N); inf where none is violated."""
         return self._scan(amplitude)[0]
 
     @property
@@ -78,14 +82,21 @@ class Separation:
         return self._last[1]
 
     def learns_from(self, amplitude: float) -> bool:
-        """Whether an encounter that was not known is violated most at an amplitude (N).
+        """Whether carriers are too close at an amplitude (N) in an encounter that was not known.
 
         From now on it is known, as are others that are about as close.
         """
-        worst, closest = self._scan(amplitude)
-        if not worst < -FEASIBILITY_TOLERANCE:
-            return False
-        if (self._known == closest[:, :1]).all(axis=0).any():
+        is_kept = self.worst_margin(amplitude) >= -FEASIBILITY_TOLERANCE
+        return not is_kept and self.learn_near(amplitude)
+
+    def learn_near(self, amplitude: float) -> bool:
+        """Learns of the closest encounters at an amplitude (N); whether any of them is new.
+
+        Those that are far from being violated do not count.
+        """
+        closest = self._scan(amplitude)[1]
+        is_known = (self._known[:, :, None] == closest[:, None]).all(axis=0).any(axis=0)
+        if is_known.all():
             return False
         self._known = np.unique(np.concatenate([self._known, closest], axis=1), axis=1)
         phases, first, second = self._known
@@ -114,7 +125,7 @@ class Separation:
         return squares / self._constraint.min_separation**2 - 1
 
     def _scan(self, amplitude: float) -> tuple[float, NDArray]:
-        """The worst margin of all encounters at an amplitude, and the closest ones (3, m)."""
+        """The worst margin at an amplitude, and the closest encounters (3, m); see above."""
         if amplitude not in self._scans:
             constraint = self._constraint
             positions, rates = orbit_positions(
@@ -125,41 +136,46 @@ class Separation:
                 constraint.direction_rates,
                 **constraint.cables,
             )  # (3, phases, n)
-            close = _close_encounters(positions, rates)
-            phases, first, second = close
+            phases, first, second = close = _close_encounters(
+                positions, rates, _NEAR * constraint.min_separation
+            )
             margins = self._margins(
                 positions[:, phases, first] - positions[:, phases, second],
                 rates[:, phases, first] - rates[:, phases, second],
             )
             closest = np.argsort(margins, kind="stable")[:_MOST_LEARNED]
-            worst = float(margins[closest[0]]) if len(closest) > 0 else np.nan
-            self._scans[amplitude] = worst, close[:, closest]
+            worst = margins.min(initial=np.inf) if np.isfinite(positions.sum()) else np.nan
+            self._scans[amplitude] = np.inf if worst >= 0 else float(worst), close[:, closest]
         return self._scans[amplitude]
 
 
-def _close_encounters(positions: NDArray, rates: NDArray) -> NDArray:
-    """Encounters (3, m) among which the closest is, of carriers (3, phases, n).
+def _close_encounters(positions: NDArray, rates: NDArray, distance: float) -> NDArray:
+    """Encounters (3, m) of carriers (3, phases, n); the closest is among them if below `distance`.
 
     Squared distances of all pairs at a phase are a product of matrices. The orbits' tangents
     shorten a distance by no more than the lengths of both within half a step.
     """
-    count = positions.shape[2]
-    away = positions - positions.mean(axis=(1, 2), keepdims=True)
-    squares = (away * away).sum(axis=0)
+    phase_count, count = positions.shape[1:]
+    squares = (positions * positions).sum(axis=0)
     slack = _ROUND_OFF * squares.max()
-    ones = np.ones(squares.shape)
-    left = np.stack([*(-2 * away), squares, ones], axis=2)  # (phases, n, 5)
-    right = np.stack([*away, ones, squares], axis=1)
-    diagonal = np.arange(count)
     reach = 2 * _HALF_STEP * np.sqrt((rates * rates).sum(axis=0).max())
+    factors = np.empty((phase_count, 5, count))
+    factors[:, :3] = positions.transpose(1, 0, 2)
+    factors[:, 3] = 1
+    factors[:, 4] = squares
     step = max(1, _MOST_DISTANCES // count**2)
     found = []
-    for start in range(0, len(left), step):
-        distance_squares = left[start : start + step] @ right[start : start + step]
-        distance_squares[:, diagonal, diagonal] = np.inf
+    for start in range(0, phase_count, step):
+        some = factors[start : start + step]
+        distance_squares = ((some.swapaxes(1, 2) @ _SQUARE_OF_DIFFERENCE) @ some).reshape(
+            len(some), -1
+        )
+        distance_squares[:, :: count + 1] = np.inf
         nearest = np.sqrt(max(distance_squares.min(), 0.0) + slack)
-        close = np.flatnonzero(distance_squares <= (nearest + reach) ** 2 + slack)
-        phases, pairs = np.divmod(close, count * count)
-        first, second = np.divmod(pairs, count)
-        found.append(np.stack([phases + start, first, second])[:, first < second])
-    return np.concatenate(found, axis=1)
+        limit = (min(nearest, distance) + reach) ** 2 + slack
+        if nearest**2 <= limit + slack:
+            close = np.flatnonzero(distance_squares <= limit)
+            phases, pairs = np.divmod(close, count * count)
+            first, second = np.divmod(pairs, count)
+            found.append(np.stack([phases + start, first, second])[:, first < second])
+    return np.concatenate(found, axis=1) if found else np.zeros((3, 0), int)

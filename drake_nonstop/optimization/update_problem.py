@@ -106,6 +106,11 @@ class UpdateProblem:
         self._search_problem = None
         return True
 
+    def learn_previous(self) -> None:
+        """Lets the search know of the closest encounters at A⁻, which are likely to stay so."""
+        if self._separation is not None and self._separation.learn_near(float(self.previous[1])):
+            self._search_problem = None
+
     def slowest_speed(self, x: NDArray) -> float:
         """The slowest predicted speed (m/s) at x."""
         margins, worst = self._margins_and_worst(x)
@@ -145,7 +150,7 @@ class UpdateProblem:
         if self._separation is None:
             return math.inf
         margin = self._separation.worst_margin(float(x[1]))
-        if not math.isfinite(margin):
+        if math.isnan(margin):
             raise NotFiniteError(self._traced.name())
         return margin
 

@@ -121,6 +121,7 @@ class UpdateSolver:
         was_feasible = problem.is_feasible(previous)
         if was_feasible and not self._is_anchor_active(problem):
             return _answer(problem, previous, Outcome.KEPT)
+        problem.learn_previous()
         parameters = self._best(problem)
         is_feasible = problem.is_feasible(parameters)
         if was_feasible and (not is_feasible or problem.cost(parameters) >= problem.cost(previous)):
