@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _AMPLITUDES = 32  # over the bounds
+_AMPLITUDES_ABOUT_EXTREMUM = 8
+_ZOOMS = 2  # about an extremum behind which a narrow interval may hide
 _MOST_STEPS = 40  # towards the end of an interval
 _WIDTH_TOLERANCE = 1e-9  # relative, of an amplitude
 _MARGIN_TOLERANCE = 1e-9
@@ -16,7 +18,8 @@ def allowed_intervals(
 ) -> list[tuple[float, float]]:
     """The intervals (N) between `low` and `high` in which the margins are not negative.
 
-    Those that hold one of some amplitudes over the bounds, or `start`.
+    Those that hold one of some amplitudes over the bounds, or `start`, and narrow ones about
+    extrema of the margins between these.
 
     Args:
         margins: the worst one (k,) at amplitudes (k,).
@@ -27,6 +30,13 @@ def allowed_intervals(
     amplitudes = np.geomspace(low, high, _AMPLITUDES).clip(low, high)
     amplitudes = np.sort(np.append(amplitudes, start))
     values = margins(amplitudes)
+    for _ in range(_ZOOMS):
+        between = _between_neighbours(amplitudes, _hidden_extrema(values))
+        if len(between) == 0:
+            break
+        order = np.argsort(np.concatenate([amplitudes, between]), kind="stable")
+        values = np.concatenate([values, margins(between)])[order]
+        amplitudes = np.concatenate([amplitudes, between])[order]
     is_allowed = values >= 0
     i = np.flatnonzero(is_allowed[1:] != is_allowed[:-1])
     inner, outer = np.where(is_allowed[i], (i, i + 1), (i + 1, i))
@@ -36,6 +46,21 @@ def allowed_intervals(
     if is_allowed[-1]:
         ends.append(high)
     return list(zip(ends[::2], ends[1::2], strict=True))
+
+
+def _hidden_extrema(values: NDArray) -> NDArray:
+    """The indices of the values that are the closest to zero among neighbours of their own sign."""
+    size, is_allowed = np.abs(values), values >= 0
+    is_closest = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:])
+    is_alike = (is_allowed[1:-1] == is_allowed[:-2]) & (is_allowed[1:-1] == is_allowed[2:])
+    return 1 + np.flatnonzero(is_closest & is_alike)
+
+
+def _between_neighbours(amplitudes: NDArray, indices: NDArray) -> NDArray:
+    """Some amplitudes between the one before and the one behind each of those with the indices."""
+    shares = np.arange(1, _AMPLITUDES_ABOUT_EXTREMUM + 1) / (_AMPLITUDES_ABOUT_EXTREMUM + 1)
+    low, high = amplitudes[indices - 1], amplitudes[indices + 1]
+    return np.sort((low[:, None] + (high - low)[:, None] * shares).ravel())
 
 
 def _ends(

@@ -113,12 +113,13 @@ class Separation:
     def _known_margins(self, amplitudes: NDArray) -> NDArray:
         if not self._known_terms:
             return np.full(len(amplitudes), np.inf)
+        forces, levers, directions, direction_rates = self._known_terms
         positions, rates = orbit_positions(
-            amplitudes, *self._known_terms, **self._constraint.cables
+            amplitudes, forces, levers, directions, direction_rates, **self._constraint.cables
         )  # (3, 2, encounters, k)
-        return self._margins(
-            positions[:, 0] - positions[:, 1], rates[:, 0] - rates[:, 1]
-        ).min(axis=0)
+        return self._margins(positions[:, 0] - positions[:, 1], rates[:, 0] - rates[:, 1]).min(
+            axis=0
+        )
 
     def _margins(self, gaps: NDArray, gap_rates: NDArray) -> NDArray:
         squares = nearest_squares(gaps, gap_rates, _HALF_STEP)

@@ -22,6 +22,8 @@ from drake_nonstop.optimization.separation import SeparationConstraint
 from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE, UpdateData
 from drake_nonstop.systems.tracing import TracedFunction
 
+MIN_SPEEDS_FOR_ARRAYS = 90  # from this number on arrays are faster than a trace
+
 
 class SpeedTerms(NamedTuple):
     """What the speeds of p carriers, at all instants and phases, depend on besides ξ and A."""
@@ -79,11 +81,27 @@ class TracedProblem:
         )
         self.terms = self._compiled(self._trace_terms)
         self.cost = self._compiled(self._trace_cost)
+        if self.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS:
+            self.margins = self._compiled(self._trace_margins)
 
     @cached_property
     def margins(self) -> TracedFunction:
         """The margins but for that of the separation."""
         return self._compiled(self._trace_margins)
+
+    def margins_of(
+        self, terms: SpeedTerms, frequency: NDArray, amplitude: NDArray, data: UpdateData
+    ) -> NDArray:
+        """`margins` at ξ (1,) and A (1,), of numbers or symbols."""
+        values = nonstop.polynomial_values(terms.polynomials[:, :, None], amplitude[:, None])
+        c, b, a, tension_squares = nonstop.speed_squares(values, **self.cables)
+        s = frequency * amplitude
+        squares = c + s * (2 * b + s * a)
+        margins = [
+            *self.constraints.of_speeds(squares, data.speed_bound, data.speed_unit),
+            *self.constraints.of_tensions(tension_squares),
+        ]
+        return np.concatenate(margins, axis=1)[0]
 
     def with_gradients(self) -> tuple[TracedFunction, TracedFunction]:
         """`cost` and `margins`, each with one more output: its exact Jacobian by x."""
@@ -163,16 +181,7 @@ class TracedProblem:
     def _trace_margins(self, x: NDArray, vector: NDArray) -> NDArray:
         data = UpdateData.view(vector)
         terms = SpeedTerms.from_flat(*self.terms.traced(x, vector))
-        frequency, amplitude = Parameters.view(x)
-        values = nonstop.polynomial_values(terms.polynomials[:, :, None], amplitude[:, None])
-        c, b, a, tension_squares = nonstop.speed_squares(values, **self.cables)
-        s = frequency * amplitude
-        squares = c + s * (2 * b + s * a)
-        margins = [
-            *self.constraints.of_speeds(squares, data.speed_bound, data.speed_unit),
-            *self.constraints.of_tensions(tension_squares),
-        ]
-        return np.concatenate(margins, axis=1)[0]
+        return self.margins_of(terms, *Parameters.view(x), data)
 
     def _trace_cost(self, x: NDArray, vector: NDArray) -> NDArray:
         data = UpdateData.view(vector)

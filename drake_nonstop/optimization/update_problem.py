@@ -13,11 +13,13 @@ from drake_nonstop.optimization.amplitude_intervals import allowed_intervals
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.separation import Separation
-from drake_nonstop.optimization.traced_problem import SpeedTerms, TracedProblem
+from drake_nonstop.optimization.traced_problem import (
+    MIN_SPEEDS_FOR_ARRAYS,
+    SpeedTerms,
+    TracedProblem,
+)
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.systems.tracing import NotFiniteError
-
-_MIN_SPEEDS_FOR_ARRAYS = 90  # from this number on arrays are faster than a trace
 
 
 class UpdateProblem:
@@ -177,8 +179,9 @@ class UpdateProblem:
     def _amplitude_margins(self, polynomials: NDArray) -> Callable[[NDArray], NDArray] | None:
         """The worst margin (k,) at amplitudes (k,) in the known constraints that ξ is not in."""
         constraints, separation = self._traced.constraints, self._separation
-        has_known = separation is not None and separation.has_known
-        if not constraints.limit_tensions and not has_known:
+        if separation is not None and not separation.has_known:
+            separation = None
+        if not constraints.limit_tensions and separation is None:
             return None
 
         def worst_margins(amplitudes: NDArray) -> NDArray:
@@ -188,7 +191,7 @@ class UpdateProblem:
                 A = amplitudes
                 for margins in constraints.of_tensions(p0 + A * (p1 + A * p2)):
                     worst = np.minimum(worst, margins.min(axis=0))
-            if has_known:
+            if separation is not None:
                 worst = np.minimum(worst, separation.known_margins(amplitudes))
             return worst
 
@@ -201,17 +204,12 @@ class UpdateProblem:
         return self._last[1], self._last[2]
 
     def _computed_margins(self, x: NDArray) -> NDArray:
-        constraints = self._traced.constraints
-        if (
-            constraints.speed_count < _MIN_SPEEDS_FOR_ARRAYS
-            or constraints.limit_tensions
-            or constraints.limit_high_speeds
-            or self.phase_jumps
-        ):
+        if self._traced.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS:
             return self._traced.margins(x, self.vector)[0].copy()
+        frequency, amplitude = Parameters.view(x)
+        terms = self._terms_at(float(frequency[0])) if self.phase_jumps else self._terms
         with np.errstate(divide="ignore", invalid="ignore"):
-            frequency, amplitude = Parameters.view(x)
-            margins = self.search_problem.margins(amplitude, frequency)[0][0, 0]
+            margins = self._traced.margins_of(terms, frequency, amplitude, self.data)
         if not np.isfinite(margins).all():
             raise NotFiniteError(self._traced.name())
         return margins
