@@ -183,7 +183,7 @@ def _closed_loop() -> tuple[list[UpdateData], float, Model, Any]:
         models.append(model)
         return block
 
-    simulate(scenario, optimization_layer=recording)
+    simulate(scenario, optimization_layer=recording, check_step=False)
     shares = []
     for _ in range(3):
         run = simulate(scenario)

@@ -15,11 +15,7 @@ import numpy as np
 
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import (
-    RunQuantities,
-    closest_cables,
-    closest_carriers,
-)
+from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.version import __version__
 
 _NAME_WIDTH = 24  # characters, of a line's name in the table of a run
@@ -43,6 +39,8 @@ def compute_metrics(run: Run) -> dict[str, Any]:
         for key in groups:
             group = group.setdefault(key, {})
         group[name] = metric.measure(quantities)
+    if run.half_step is not None:
+        values["half_step"] = run.half_step
     values["versions"] = {
         "drake_nonstop": __version__,
         "drake": version("drake"),
@@ -142,6 +140,13 @@ METRICS = (
         label="simulated time",
         unit="s",
         run_text=RunText(line="simulated", text="{:g} {unit}"),
+    ),
+    Metric(
+        path="simulator.step_s",
+        measure=lambda run: run.run.step or run.run.scenario.simulator.max_step_size,
+        label="longest step",
+        unit="ms",
+        scale=1e3,
     ),
     Metric(
         path="wall_s",
@@ -253,7 +258,7 @@ METRICS = (
     ),
     Metric(
         path="carriers.separation_min_m",
-        measure=lambda run: float(np.min(closest_carriers(run.carrier_positions))),
+        measure=lambda run: run.least_carrier_distance,
         label="closest carriers",
         unit="m",
         better=Better.HIGHER,
@@ -305,9 +310,7 @@ METRICS = (
     ),
     Metric(
         path="cables.separation_min_m",
-        measure=lambda run: float(
-            np.min(closest_cables(run.attachment_positions, run.carrier_positions))
-        ),
+        measure=lambda run: run.least_cable_distance,
         label="closest cables",
         unit="m",
         better=Better.HIGHER,

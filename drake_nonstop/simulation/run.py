@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 from numpy.typing import NDArray
 from pydrake.systems.framework import Diagram
@@ -33,6 +34,9 @@ class Run:
     solve_times: NDArray
     wall_time: float
     is_steered: bool = False
+    step: float = 0.0
+    unresolved: tuple[str, ...] = ()
+    half_step: dict[str, Any] | None = None
 
     def signal(self, port: str) -> NDArray:
         """The signal of that port name, whichever block makes it: (samples, size)."""

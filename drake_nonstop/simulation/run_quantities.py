@@ -19,6 +19,7 @@ from drake_nonstop.simulation.run import Run
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
+_PARTS, _REFINEMENTS = 8, 4  # of an interval between two steps, in search of a least distance
 _SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
@@ -85,9 +86,8 @@ class RunQuantities:
     @cached_property
     def sharpest_turn(self) -> tuple[float | None, float | None]:
         """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
-        # Where an update or a sample ends a step, another may be a rounding error away.
-        apart = np.append(True, np.diff(self.time) > 1e-9)
-        time, velocities = self.time[apart], self.carrier_velocities[apart]
+        time = self.run.time
+        velocities = CarrierStates.view(self.run.signal("carrier_state")).velocities
         speeds = np.linalg.norm(velocities, axis=2)
         if len(time) < 3 or not np.any(speeds > 0):
             return None, None
@@ -110,6 +110,23 @@ class RunQuantities:
     def attachment_positions(self) -> NDArray:
         """Where the cables are attached to the load, (k, n, 3), in W, m."""
         return attachment_positions(self.run, self.run.steps["load_state"])
+
+    @property
+    def least_carrier_distance(self) -> float:
+        """That of any two carriers, m, which move along straight lines between the steps."""
+        return min(
+            _least_length(self.carrier_positions[:, i] - self.carrier_positions[:, j])
+            for i, j in combinations(range(self.carrier_positions.shape[1]), 2)
+        )
+
+    @property
+    def least_cable_distance(self) -> float:
+        """That of any two straight cables, m, whose ends move likewise."""
+        ends, carriers = self.attachment_positions, self.carrier_positions
+        return min(
+            _least_segment_distance(np.stack([ends[:, i], carriers[:, i], ends[:, j], carriers[:, j]]))
+            for i, j in combinations(range(carriers.shape[1]), 2)
+        )
 
     @cached_property
     def update_counts(self) -> dict[str, int]:
@@ -202,6 +219,35 @@ def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray
     on_first = ((uv * on_second - uw) / (uu + tiny)).clip(0, 1)
     gap = w + on_first[:, None] * u - on_second[:, None] * v
     return np.linalg.norm(gap, axis=1)
+
+
+def _least_length(vectors: NDArray) -> float:
+    """The least length of vectors (k, 3), each of which changes linearly to the next."""
+    starts, changes = vectors[:-1], np.diff(vectors, axis=0)
+    squares = (changes * changes).sum(axis=1)
+    shares = -(starts * changes).sum(axis=1) / np.where(squares > 0, squares, 1.0)
+    nearest = starts + shares.clip(0, 1)[:, None] * changes
+    return float(np.min(np.linalg.norm(np.concatenate([vectors, nearest]), axis=1)))
+
+
+def _least_segment_distance(ends: NDArray) -> float:
+    """The least distance of two segments with the ends (4, k, 3), each changing likewise."""
+    distances = segment_distances(*ends)
+    least = float(np.min(distances))
+    travel = np.linalg.norm(np.diff(ends, axis=1), axis=2).reshape(2, 2, -1).max(axis=1).sum(axis=0)
+    may_be_less = (distances[:-1] + distances[1:] - travel) / 2 < least
+    if not np.any(may_be_less):
+        return least
+    starts, changes = ends[:, :-1][:, may_be_less], np.diff(ends, axis=1)[:, may_be_less]
+    low, width = np.zeros(starts.shape[1]), 1.0
+    for _ in range(_REFINEMENTS):  # about the nearest of some instants in each interval
+        shares = (low + width * np.linspace(0, 1, _PARTS + 1)[:, None]).clip(0, 1)
+        between = starts[:, None] + shares[..., None] * changes[:, None]
+        distances = segment_distances(*between.reshape(4, -1, 3)).reshape(shares.shape)
+        least = min(least, float(np.min(distances)))
+        nearest = np.take_along_axis(shares, np.argmin(distances, axis=0)[None], axis=0)[0]
+        low, width = nearest - width / _PARTS, 2 * width / _PARTS
+    return least
 
 
 def speed_bounds(run: Run) -> NDArray:

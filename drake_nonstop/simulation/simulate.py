@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
     Simulator,
+    SimulatorConfig,
 )
 from pydrake.systems.framework import (
     Context,
@@ -31,10 +33,11 @@ from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped, StepAction
-from drake_nonstop.simulation.step_size import stable_config
+from drake_nonstop.simulation.step_check import SavedStates, compared, in_doubt, is_in_doubt
+from drake_nonstop.simulation.step_size import resolving_config, stable_config, with_half_the_step
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import output_names
-from drake_nonstop.validation import ScenarioError, one_line, require
+from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
 _WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
 
@@ -59,9 +62,15 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     viewers: Sequence[Viewer] = (),
     after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
+    check_step: bool = True,
     **replacements: Any,
 ) -> Run:
     """Simulates a scenario from its equilibrium and returns all signals.
+
+    The step is the scenario's, or a shorter one where the loop's fastest mode or the commanded
+    motion needs it; a ScenarioWarning says so. Parts of the run are flown again with half the
+    step. Where that makes a difference the whole run is, and `Run.unresolved` says which metrics
+    move.
 
     Args:
         scenario: what to run.
@@ -71,7 +80,9 @@ def simulate(
             forced publish of the system shows the end of the run.
         after_step: called with the simulator and the loop's diagram after every step. It may
             change parameters of the context, such as the optimization layer's ε, or the
-            simulator's real-time rate, and have the run wait or end.
+            simulator's real-time rate, and have the run wait or end. A run with it is not flown
+            again as a whole: what is in doubt is said to be unresolved.
+        check_step: whether to fly again what may not be resolved.
         replacements: blocks in place of the scenario's, see `make_nonstop`.
 
     Raises:
@@ -91,8 +102,9 @@ def simulate(
     for viewer in viewers:
         require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
     nonstop = make_nonstop(scenario, **replacements)
+    config = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
-        config = stable_config(scenario.simulator, nonstop, _at_equilibrium(nonstop))
+        config = _config(scenario, nonstop, _at_equilibrium(nonstop))
         if config is not scenario.simulator:  # the steps are the block's own
             shorter = dataclasses.replace(scenario, simulator=config)
             nonstop = make_nonstop(shorter, **replacements)
@@ -124,21 +136,29 @@ def simulate(
             nonstop,
             _split(sample_sink.FindLog(context), sampled),
             _split(step_sink.FindLog(context), stepped),
+            step=simulator.get_integrator().get_maximum_step_size(),
             wall_time=time.perf_counter() - start - monitor.waited,
         )
+
+    saved = SavedStates()
+
+    def sample() -> None:
+        sample_sink.ForcedPublish(sample_context)
+        saved.save(nonstop_context)
 
     sample_context = sample_sink.GetMyContextFromRoot(context)
     monitor = Monitor(
         simulator,
         nonstop,
-        sample=lambda: sample_sink.ForcedPublish(sample_context),
+        sample=sample,
         progress=progress,
         after_step=after_step,
     )
     nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
     try:
         set_equilibrium(nonstop, nonstop_context)
-        ApplySimulatorConfig(stable_config(scenario.simulator, nonstop, nonstop_context), simulator)
+        config = config or _config(scenario, nonstop, nonstop_context)
+        ApplySimulatorConfig(config, simulator)
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
@@ -164,7 +184,67 @@ def simulate(
         cause = f"{raising_block(error)}{one_line(error)}"
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished()) from error
-    return finished()
+    run = finished()
+    if not check_step or not is_in_doubt(run, saved.states, nonstop_context):
+        return run
+    if after_step is not None:
+        return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
+    return verify_step(run, progress=progress, **replacements)
+
+
+def verify_step(
+    run: Run, *, progress: Callable[[float], None] | None = None, **replacements: Any
+) -> Run:
+    """Flies a run's scenario again with half its steps; the run with what that shows.
+
+    `unresolved` has a sentence for each metric that moves, see `moved_metrics`; `half_step` has the
+    shorter step in s and both values of each of these metrics by its path.
+
+    Args:
+        run: what is verified; one that came to its end and was not steered.
+        progress: as of `simulate`.
+        replacements: those that the run was simulated with.
+
+    Raises:
+        RunInterrupted: Ctrl-C; carries the run.
+    """
+    finer = with_half_the_step(run.scenario.simulator, run.step)
+    scenario = dataclasses.replace(run.scenario, simulator=finer)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ScenarioWarning)
+            half = simulate(scenario, progress=progress, check_step=False, **replacements)
+    except RunInterrupted:
+        raise RunInterrupted(run) from None
+    except (RunStopped, ScenarioError) as error:
+        unresolved = (f"with half of the steps of {1e3 * run.step:.3g} ms {error}",)
+        return dataclasses.replace(run, unresolved=unresolved)
+    return compared(run, half)
+
+
+def _config(scenario: Scenario, nonstop: Diagram, context: Context) -> SimulatorConfig:
+    """The scenario's configuration, or one with a shorter step, which a warning tells."""
+    config = stable_config(scenario.simulator, nonstop, context)
+    reason = "the fastest mode of the loop"
+    stable = config.max_step_size
+    config = resolving_config(
+        config,
+        nonstop,
+        context,
+        control_period=scenario.control_period,
+        duration=scenario.duration,
+        length=scenario.system.cable_length,
+    )
+    if config.max_step_size < stable:
+        reason = "the commanded motion between the controllers' samples"
+    if config is not scenario.simulator:
+        warnings.warn(
+            f"simulator.max_step_size = {scenario.simulator.max_step_size:g}: steps of "
+            f"{config.max_step_size:.3g} s are taken instead, which {reason} needs",
+            ScenarioWarning,
+            stacklevel=3,
+        )
+    return config
 
 
 def _at_equilibrium(nonstop: Diagram) -> Context:
@@ -195,6 +275,7 @@ def _collect(
     samples: tuple[NDArray, dict[str, NDArray]],
     steps: tuple[NDArray, dict[str, NDArray]],
     *,
+    step: float,
     wall_time: float,
 ) -> Run:
     (times, signals), (step_times, step_signals) = samples, steps
@@ -217,4 +298,5 @@ def _collect(
         steps={"time": step_times} | step_signals,
         solve_times=solve_times,
         wall_time=wall_time,
+        step=step,
     )
