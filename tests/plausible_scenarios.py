@@ -18,7 +18,7 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.moved_metrics import moved_metrics
-from drake_nonstop.simulation.run import RunStopped
+from drake_nonstop.simulation.run import RunStopped, StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
@@ -188,7 +188,8 @@ def fly(seed: int) -> Flight:
             scenario = changed(loaded(name), overrides)
             run = simulate(scenario)
         flight.said += [
-            str(w.message) for w in caught
+            str(w.message)
+            for w in caught
             if issubclass(w.category, ScenarioWarning) and "fused_plant" not in str(w.message)
         ]
         flight.said += run.unresolved
@@ -204,7 +205,7 @@ def fly(seed: int) -> Flight:
             finer = [f"simulator.max_step_size={max(run.step / 5, 1e-5)!r}"]
             if scenario.simulator.use_error_control:
                 finer.append(f"simulator.accuracy={scenario.simulator.accuracy / 100!r}")
-            fine = compute_metrics(simulate(changed(scenario, finer), check_step=False))
+            fine = compute_metrics(simulate(changed(scenario, finer), check_step=StepCheck.NOTHING))
     except (ScenarioError, RunStopped) as error:
         flight.moves = [f"with a fifth of the step: {error}"]
     else:

@@ -22,6 +22,7 @@ _GRAINS = {
     "s": 0.02,
 }
 _COUNT = 2  # updates
+TOLERANCES = f"lengths by {1e3 * _LENGTH:g} mm, others by {_SHARE:.0%}"
 _STEP = "simulator.step_s"  # what differs between the two
 
 

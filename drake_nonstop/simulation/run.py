@@ -54,6 +54,14 @@ class StepAction(Enum):
     END = 3
 
 
+class StepCheck(Enum):
+    """What `simulate` flies again, with half the step."""
+
+    NOTHING = 1
+    PARTS = 2
+    WHOLE = 3  # where parts leave a doubt
+
+
 class RunStopped(RuntimeError):  # noqa: N818 - the end of a run; its message has the cause
     """A run ended before its time; `run` holds the signals up to there."""
 

@@ -124,7 +124,9 @@ class RunQuantities:
         """That of any two straight cables, m, whose ends move likewise."""
         ends, carriers = self.attachment_positions, self.carrier_positions
         return min(
-            _least_segment_distance(np.stack([ends[:, i], carriers[:, i], ends[:, j], carriers[:, j]]))
+            _least_segment_distance(
+                np.stack([ends[:, i], carriers[:, i], ends[:, j], carriers[:, j]])
+            )
             for i, j in combinations(range(carriers.shape[1]), 2)
         )
 

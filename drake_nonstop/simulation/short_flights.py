@@ -66,6 +66,15 @@ class Flight:
     speeds: NDArray  # (k, n), m/s, of the carriers
     load_velocity: NDArray  # (k, 3), m/s
 
+    def at(self, samples: NDArray) -> "Flight":
+        """The flight at some of its instants."""
+        return Flight(
+            time=self.time[samples],
+            tensions=self.tensions[samples],
+            speeds=self.speeds[samples],
+            load_velocity=self.load_velocity[samples],
+        )
+
 
 class ShortFlights:
     """Flies the loop for a short time, and again.
@@ -130,14 +139,24 @@ class ShortFlights:
 
 
 def difference(flight: Flight, finer: Flight) -> float:
-    """How far two flights are apart; 1: by 2 % of a tension or speed, or of what matters."""
+    """How far two flights are apart; 1: by 2 % of a tension or speed, or by what matters."""
     tensions = np.abs(flight.tensions - finer.tensions)
     speeds = np.abs(flight.speeds - finer.speeds)
     velocities = np.abs(flight.load_velocity - finer.load_velocity)
     return float(
         max(
-            np.max(tensions / (_SHARE * finer.tensions + _LEAST_TENSION)),
-            np.max(speeds / (_SHARE * finer.speeds + _LEAST_SPEED)),
+            np.max(tensions / tolerated_tensions(finer)),
+            np.max(speeds / tolerated_speeds(finer)),
             np.max(velocities / _LEAST_LOAD_SPEED),
         )
     )
+
+
+def tolerated_tensions(flight: Flight) -> NDArray:
+    """By how much a tension may differ, (k, n), N."""
+    return _SHARE * flight.tensions + _LEAST_TENSION
+
+
+def tolerated_speeds(flight: Flight) -> NDArray:
+    """By how much a carrier's speed may differ, (k, n), m/s."""
+    return _SHARE * flight.speeds + _LEAST_SPEED

@@ -32,7 +32,14 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped, StepAction
+from drake_nonstop.simulation.run import (
+    SIGNAL_PERIOD,
+    Run,
+    RunInterrupted,
+    RunStopped,
+    StepAction,
+    StepCheck,
+)
 from drake_nonstop.simulation.step_check import SavedStates, compared, in_doubt, is_in_doubt
 from drake_nonstop.simulation.step_size import resolving_config, stable_config, with_half_the_step
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
@@ -62,7 +69,7 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     viewers: Sequence[Viewer] = (),
     after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
-    check_step: bool = True,
+    check_step: StepCheck = StepCheck.WHOLE,
     **replacements: Any,
 ) -> Run:
     """Simulates a scenario from its equilibrium and returns all signals.
@@ -80,9 +87,9 @@ def simulate(
             forced publish of the system shows the end of the run.
         after_step: called with the simulator and the loop's diagram after every step. It may
             change parameters of the context, such as the optimization layer's ε, or the
-            simulator's real-time rate, and have the run wait or end. A run with it is not flown
-            again as a whole: what is in doubt is said to be unresolved.
-        check_step: whether to fly again what may not be resolved.
+            simulator's real-time rate, and have the run wait or end.
+        check_step: what is flown again with half the step. A run that is changed from outside
+            does not repeat: of that, give PARTS; what is in doubt then is said to be unresolved.
         replacements: blocks in place of the scenario's, see `make_nonstop`.
 
     Raises:
@@ -185,15 +192,19 @@ def simulate(
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished()) from error
     run = finished()
-    if not check_step or not is_in_doubt(run, saved.states, nonstop_context):
+    if check_step is StepCheck.NOTHING or not is_in_doubt(run, saved.states, nonstop_context):
         return run
-    if after_step is not None:
+    if check_step is StepCheck.PARTS:
         return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
-    return verify_step(run, progress=progress, **replacements)
+    return verify_step(run, progress=progress, after_step=after_step, **replacements)
 
 
 def verify_step(
-    run: Run, *, progress: Callable[[float], None] | None = None, **replacements: Any
+    run: Run,
+    *,
+    progress: Callable[[float], None] | None = None,
+    after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
+    **replacements: Any,
 ) -> Run:
     """Flies a run's scenario again with half its steps; the run with what that shows.
 
@@ -201,24 +212,34 @@ def verify_step(
     shorter step in s and both values of each of these metrics by its path.
 
     Args:
-        run: what is verified; one that came to its end and was not steered.
+        run: what is verified; one that was not steered.
         progress: as of `simulate`.
+        after_step: as of `simulate`; it may end the flight.
         replacements: those that the run was simulated with.
 
     Raises:
         RunInterrupted: Ctrl-C; carries the run.
     """
     finer = with_half_the_step(run.scenario.simulator, run.step)
-    scenario = dataclasses.replace(run.scenario, simulator=finer)
+    duration = float(run.steps["time"][-1])
+    scenario = dataclasses.replace(run.scenario, simulator=finer, duration=duration)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ScenarioWarning)
-            half = simulate(scenario, progress=progress, check_step=False, **replacements)
+            half = simulate(
+                scenario,
+                progress=progress,
+                after_step=after_step,
+                check_step=StepCheck.NOTHING,
+                **replacements,
+            )
     except RunInterrupted:
         raise RunInterrupted(run) from None
     except (RunStopped, ScenarioError) as error:
         unresolved = (f"with half of the steps of {1e3 * run.step:.3g} ms {error}",)
         return dataclasses.replace(run, unresolved=unresolved)
+    if half.steps["time"][-1] < duration - SIGNAL_PERIOD / 2:
+        return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
     return compared(run, half)
 
 

@@ -1,23 +1,33 @@
-"""Whether a run's steps resolve its results, judged from short flights and, in doubt, a long one."""
+"""Whether a run's steps resolve its results."""
 
 import dataclasses
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
-from drake_nonstop.mechanics.signals import CarrierStates
+from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.moved_metrics import moved_metrics
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
-from drake_nonstop.simulation.short_flights import Flight, SavedState, ShortFlights, difference
-from drake_nonstop.simulation.step_size import with_step
+from drake_nonstop.simulation.short_flights import (
+    Flight,
+    SavedState,
+    ShortFlights,
+    difference,
+    tolerated_speeds,
+    tolerated_tensions,
+)
+from drake_nonstop.simulation.step_size import has_chosen_steps, with_step
 from drake_nonstop.systems.tracing import NotFiniteError
 
 _SAVING_PERIOD = 0.25  # s; longer where there would be more states than the largest number
 _MOST_STATES = 256
 _FLIGHT = 0.04  # s, or longer: two samples of the controllers
-_IN_DOUBT = 0.25  # the largest `difference` of a short flight that is not in doubt
+_FAR = 0.25  # a `difference` of a short flight that is in doubt
+_ORDER = 4  # of the differences
+_ROUGH = 0.13  # a `difference` in a step that is in doubt; the next steps add to it
 
 
 class SavedStates:
@@ -40,52 +50,78 @@ class SavedStates:
 
 
 def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
-    """Whether a run's hardest parts, flown again with half the step, differ from it.
+    """Whether something in a run tells that half its step may change the metrics.
 
-    A run whose cables go slack is in doubt anyway: an instant at which a force ends is resolved by
-    no step.
+    That is a slack cable, since an instant at which a force ends is resolved by no step; fourth
+    differences of velocities or tensions, the measure of a third-order scheme's error, that are
+    large; or the hardest parts of the run, flown again with half the step, that differ from it.
 
     Args:
         run: what is judged.
         states: of the run, saved on its way.
         context: of the run's diagram, with its parameters.
     """
-    tensions, carriers = run.signal("tensions"), CarrierStates.view(run.signal("carrier_state"))
-    speeds = np.linalg.norm(carriers.velocities, axis=2)
+    if len(run.time) <= _ORDER + 1 or not _has_all_signals(run):
+        return False
     if np.min(run.steps["tensions"]) <= 0:
+        return True
+    flown = _flown(run)
+    roughness = _roughness(run, flown)
+    if np.max(roughness) > _ROUGH:
         return True
     config = with_step(run.scenario.simulator, run.step)
     period = run.scenario.control_period
     flights = ShortFlights(run.diagram, context, config, period)
     time = max(_FLIGHT, 2 * period)
-    last = run.time[-1] - time - SIGNAL_PERIOD
-    starts = {_before(instant, states) for instant in _hardest_instants(run.time, tensions, speeds)}
-    for state in (states[i] for i in sorted(starts)):
-        if state.time > last:
+    hardest = (
+        np.argmin(np.min(flown.tensions, axis=1)),
+        np.argmin(np.min(flown.speeds, axis=1)),
+        np.argmax(roughness),
+    )
+    for i in sorted({_before(float(run.time[instant]), states) for instant in hardest}):
+        if states[i].time + time > run.time[-1] - SIGNAL_PERIOD:
             continue
         try:
-            finer = flights.fly(state, time, 2)
+            finer = flights.fly(states[i], time, 2)
         except NotFiniteError:
             return True
-        samples = np.round(finer.time / SIGNAL_PERIOD).astype(int)
-        flown = Flight(
-            time=finer.time,
-            tensions=tensions[samples],
-            speeds=speeds[samples],
-            load_velocity=run.signal("load_state")[samples, -3:],
-        )
-        if difference(flown, finer) > _IN_DOUBT:
+        if difference(flown.at(np.round(finer.time / SIGNAL_PERIOD).astype(int)), finer) > _FAR:
             return True
     return False
 
 
-def _hardest_instants(time: NDArray, tensions: NDArray, speeds: NDArray) -> list[float]:
-    """Where a tension and a speed are least, and where the tensions change most in a sample."""
-    if len(time) < 2:
-        return []
-    changes = np.max(np.abs(np.diff(tensions, axis=0)), axis=1)
-    hardest = [np.argmin(np.min(tensions, axis=1)), np.argmin(np.min(speeds, axis=1))]
-    return [float(time[i]) for i in (*hardest, np.argmax(changes))]
+def _has_all_signals(run: Run) -> bool:
+    made = {name.split(".")[1] for name in run.signals}
+    return made >= {"tensions", "carrier_state", "load_state"}
+
+
+def _flown(run: Run) -> Flight:
+    """The run as a flight."""
+    velocities = CarrierStates.view(run.signal("carrier_state")).velocities
+    return Flight(
+        time=run.time,
+        tensions=run.signal("tensions"),
+        speeds=np.linalg.norm(velocities, axis=2),
+        load_velocity=LoadState.view(run.signal("load_state")).velocity,
+    )
+
+
+def _roughness(run: Run, flown: Flight) -> NDArray:
+    """The error (samples - 4,) of a step that fourth differences tell, as `difference` counts it.
+
+    A step h of a third-order scheme is wrong by about h⁴ v⁗ / 24.
+    """
+    velocities = CarrierStates.view(run.signal("carrier_state")).velocities
+    speeds = np.linalg.norm(np.diff(velocities, _ORDER, axis=0), axis=2)
+    tensions = np.abs(np.diff(flown.tensions, _ORDER, axis=0))
+    middle = flown.at(np.arange(2, len(run.time) - 2))
+    largest = np.maximum(
+        np.max(speeds / tolerated_speeds(middle), axis=1),
+        np.max(tensions / tolerated_tensions(middle), axis=1),
+    )
+    config = run.scenario.simulator
+    share = min(1.0, run.step / SIGNAL_PERIOD) if has_chosen_steps(config) else 0.5
+    return largest * share**_ORDER / math.factorial(_ORDER)
 
 
 def _before(instant: float, states: list[SavedState]) -> int:
@@ -102,8 +138,8 @@ def compared(run: Run, half: Run) -> Run:
         "moved": {move.metric.path: [move.value, move.finer] for move in moves},
     }
     unresolved = [
-        f"the {move.metric.label} is not resolved by steps of {1e3 * run.step:.3g} ms: {move.shown} "
-        "with half of them"
+        f"the {move.metric.label} is not resolved by steps of {1e3 * run.step:.3g} ms: "
+        f"{move.shown} with half of them"
         for move in moves
     ]
     if unresolved:
@@ -114,6 +150,6 @@ def compared(run: Run, half: Run) -> Run:
 def in_doubt(step: float) -> str:
     """What `Run.unresolved` says of a run in doubt that cannot be flown again."""
     return (
-        f"parts of the run, flown again, differ with half of the steps of {1e3 * step:.3g} ms; give "
-        f"a shorter simulator.max_step_size, such as {step / 4:.2g}"
+        f"parts of the run, flown again, differ with half of the steps of {1e3 * step:.3g} ms; "
+        f"give a shorter simulator.max_step_size, such as {step / 4:.2g}"
     )
