@@ -11,7 +11,6 @@ from drake_nonstop.mechanics.signals import CarrierStates, LoadReference, LoadSt
 from drake_nonstop.simulation.equilibrium import fastest_mode, on_reference
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.simulation.short_flights import SavedState, ShortFlights, difference
-from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
 
 SHORTEST_STEP = 1e-5  # s; with a shorter one a run would not come to an end
@@ -92,7 +91,7 @@ def resolving_config(
             if difference(flown, finer) <= _RESOLVED:
                 break
             flown = finer
-    except NotFiniteError:  # the motion is none that carriers follow, whatever the step
+    except Exception:  # whatever blocks may raise there: the run itself will tell
         return config
     return with_step(config, config.max_step_size / 2**halvings) if halvings else config
 

@@ -13,6 +13,7 @@ KEYS = {
         "scenario",
         "simulated_s",
         "is_steered",
+        "simulator",
         "wall_s",
         "real_time_factor",
         "load",
@@ -21,6 +22,7 @@ KEYS = {
         "optimizer",
         "versions",
     },
+    "simulator": {"step_s"},
     "load": {
         "position_error_mean_m",
         "position_error_max_m",
@@ -82,6 +84,7 @@ def circling_run(*, radius=0.5, rate=2.0, tensions=None):
         signals={
             "load_plant.load_state": load,
             "load_trajectory.reference": reference,
+            "carrier_dynamics.carrier_state": carriers,
             "optimization_layer.parameters": np.tile([2.0, 1.3], (len(time), 1)),
         },
         steps={
@@ -99,7 +102,7 @@ def circling_run(*, radius=0.5, rate=2.0, tensions=None):
 def test_the_keys_are_those_that_others_read():
     metrics = compute_metrics(circling_run())
     assert set(metrics) == KEYS[""]
-    for part in ("load", "carriers", "cables", "optimizer", "versions"):
+    for part in ("simulator", "load", "carriers", "cables", "optimizer", "versions"):
         assert set(metrics[part]) == KEYS[part]
 
 
