@@ -43,7 +43,7 @@ def draw(seed: int) -> tuple[str, list[str]]:
 
     is_large = chance(0.15)
     n = int(rng.integers(3, 9))
-    duration = uniform(4.0, 6.0)
+    duration = uniform(4.0, 5.0)
     angles = 2 * np.pi * (np.arange(n) + rng.uniform(-0.15, 0.15, n)) / n
     radius = 1.5 if is_large else uniform(0.4, 1.0)
     heights = rng.uniform(-0.1, 0.1, n) * radius * chance(0.3)
@@ -80,7 +80,7 @@ def draw(seed: int) -> tuple[str, list[str]]:
             layer["frequency_bounds"] = [0.1, 2.0]
     settings["optimization_layer"] = _tagged(name, layer)
     settings["control_period"] = control_period
-    settings["simulator.max_step_size"] = choice(0.001, 0.002, 0.005, 0.005, 0.005, 0.01)
+    settings["simulator.max_step_size"] = choice(0.0025, 0.005, 0.005, 0.005, 0.01)
     if is_large:
         settings["carrier_controller.frequency"] = uniform(8.0, 30.0)
         settings["carrier_controller.damping"] = uniform(0.3, 1.0)

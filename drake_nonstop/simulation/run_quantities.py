@@ -77,11 +77,41 @@ class RunQuantities:
         return speed_bounds(self.run)
 
     @cached_property
-    def climb_angles(self) -> NDArray:
-        """The angles (k, n) of the carriers' velocities to the horizontal, rad, none negative."""
+    def slowest_speed(self) -> float:
+        """Of any carrier, m/s, also between two steps: of a parabola through three squares."""
+        # Where an update or a sample ends a step, another may be a rounding error away.
+        apart = np.append(True, np.diff(self.time) > 1e-9)
+        squares, intervals = self.speeds[apart] ** 2, np.diff(self.time[apart])[:, None]
+        least = np.min(self.speeds)
+        if len(squares) < 3:
+            return float(least)
+        slopes = np.diff(squares, axis=0) / intervals
+        before, after = intervals[:-1], intervals[1:]
+        curvature = np.diff(slopes, axis=0) / (before + after)
+        slope = (slopes[:-1] * after + slopes[1:] * before) / (before + after)
+        place = -slope / (2 * np.where(curvature > 0, curvature, np.inf))
+        is_between = (-before < place) & (place < after)
+        lowest = squares[1:-1] + np.where(is_between, slope * place / 2, 0.0)
+        return float(min(least, np.sqrt(max(0.0, np.min(lowest)))))
+
+    @cached_property
+    def steepest_angle(self) -> float:
+        """The largest angle of a carrier's velocity to the horizontal, rad, with the same.
+
+        It is where the velocity is, or where the derivative of its slope is zero in between.
+        """
         velocities = self.carrier_velocities
-        level = np.linalg.norm(velocities[..., :2], axis=2)
-        return np.arctan2(np.abs(velocities[..., 2]), level)
+        starts, changes = velocities[:-1], np.diff(velocities, axis=0)
+        level, level_change = starts[..., :2], changes[..., :2]
+        rise, rise_change = starts[..., 2], changes[..., 2]
+        mixed = (level * level_change).sum(axis=-1)
+        numerator = rise * mixed - rise_change * (level * level).sum(axis=-1)
+        denominator = rise_change * mixed - rise * (level_change * level_change).sum(axis=-1)
+        shares = (numerator / np.where(denominator == 0, np.inf, denominator)).clip(0, 1)
+        between = starts + shares[..., None] * changes
+        candidates = np.concatenate([velocities, between])
+        level_speeds = np.linalg.norm(candidates[..., :2], axis=-1)
+        return float(np.max(np.arctan2(np.abs(candidates[..., 2]), level_speeds)))
 
     @cached_property
     def sharpest_turn(self) -> tuple[float | None, float | None]:
@@ -224,12 +254,12 @@ def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray
 
 
 def _least_length(vectors: NDArray) -> float:
-    """The least length of vectors (k, 3), each of which changes linearly to the next."""
+    """The least length of vectors (k, ..., 3), each of which changes linearly to the next."""
     starts, changes = vectors[:-1], np.diff(vectors, axis=0)
-    squares = (changes * changes).sum(axis=1)
-    shares = -(starts * changes).sum(axis=1) / np.where(squares > 0, squares, 1.0)
-    nearest = starts + shares.clip(0, 1)[:, None] * changes
-    return float(np.min(np.linalg.norm(np.concatenate([vectors, nearest]), axis=1)))
+    squares = (changes * changes).sum(axis=-1)
+    shares = -(starts * changes).sum(axis=-1) / np.where(squares > 0, squares, 1.0)
+    nearest = starts + shares.clip(0, 1)[..., None] * changes
+    return float(np.min(np.linalg.norm(np.concatenate([vectors, nearest]), axis=-1)))
 
 
 def _least_segment_distance(ends: NDArray) -> float:
