@@ -11,9 +11,10 @@ from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import metrics_table
+from drake_nonstop.simulation.moved_metrics import TOLERANCES
 from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.files import require_writable
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.validation import ScenarioError, require
@@ -48,6 +49,11 @@ def add_to(commands: Commands) -> None:
         help="simulated s per s of a live run (1; 0: free)",
     )
     parser.add_argument("--port", type=int, help="of the live page (any from 7000 that is free)")
+    parser.add_argument(
+        "--verify-step",
+        action="store_true",
+        help="fly again with half the step and say which metrics move",
+    )
     parser.add_argument("--quiet", action="store_true", help="print errors only")
 
 
@@ -56,6 +62,12 @@ def _run(options: argparse.Namespace) -> int:
     for name in ("realtime", "port"):
         value = getattr(options, name)
         require(options.live or value is None, f"--{name}", value, "give --live with it")
+    require(
+        not (options.live and options.verify_step),
+        "--verify-step",
+        "--live",
+        "give one of them: a live run may be changed while it goes on",
+    )
     return run_into(
         options.out or Path("out") / scenario.name,
         scenario,
@@ -65,6 +77,7 @@ def _run(options: argparse.Namespace) -> int:
         figures=not options.no_figures,
         replay=not options.no_replay,
         is_quiet=options.quiet,
+        verifies_step=options.verify_step,
     )
 
 
@@ -78,6 +91,7 @@ def run_into(
     figures: bool = True,
     replay: bool = True,
     is_quiet: bool = False,
+    verifies_step: bool = False,
 ) -> int:
     """Runs a scenario, writes its results and prints its table; returns the exit code.
 
@@ -91,6 +105,7 @@ def run_into(
         figures: whether to write figures/.
         replay: whether to write replay.html.
         is_quiet: whether to print errors only.
+        verifies_step: whether to fly again with half the step in any case.
 
     Raises:
         ScenarioError: the scenario cannot be built, or the folder not be written.
@@ -101,7 +116,10 @@ def run_into(
 
     def runs() -> Iterator[Run]:
         if not is_live:
-            yield simulate(scenario, progress=progress)
+            run = simulate(scenario, progress=progress)
+            if verifies_step and run.half_step is None:
+                run = verify_step(run, progress=progress)
+            yield run
             return
         meshcat = start_meshcat(port)
         print(f"watch and steer it at {meshcat.web_url()}", flush=True)
@@ -118,7 +136,7 @@ def run_into(
             metrics = write(run)
             code = _EXIT_CODES.get(RunOutcome(metrics["outcome"]), NOT_OK)
             if not is_quiet:
-                _report(metrics, folder)
+                _report(metrics, run, folder)
             if code != 0:
                 _print_outcome(metrics)
             if is_live and not is_quiet:
@@ -146,12 +164,16 @@ def run_into(
     return code
 
 
-def _report(metrics: dict[str, Any], folder: Path) -> None:
+def _report(metrics: dict[str, Any], run: Run, folder: Path) -> None:
     print(metrics_table(metrics))
     if metrics["is_steered"]:
         print("steered while it ran: scenario.yaml alone does not repeat it")
     for warning in metrics["warnings"]:
         print(f"warning: {warning}")
+    if run.half_step is not None and not run.unresolved:
+        print(
+            f"with steps of {1e3 * run.half_step['step_s']:.3g} ms no metric moves ({TOLERANCES})"
+        )
     print(f"results: {folder}", flush=True)
 
 

@@ -26,9 +26,10 @@ def compute_metrics(run: Run) -> dict[str, Any]:
 
     Keys end in their units. Speeds, separations, tensions and loads on the aircraft are those
     of the simulated carriers and cables at every step from t = 0 on; errors are those of the
-    load's true pose at 100 Hz. A time "below" or "slack" weighs each step's state with half of
-    the two intervals beside it. The climb angle is that of the steepest climb or descent; it
-    and the turn radius are not meaningful where a carrier nearly stops. What was not measured,
+    load's true pose at 100 Hz. The slowest speed, the steepest climb and the least distances are
+    also looked for between two steps. A time "below" or "slack" weighs each step's state with
+    half of the two intervals beside it. The climb angle is that of the steepest climb or descent;
+    it and the turn radius are not meaningful where a carrier nearly stops. What was not measured,
     such as the solve times of a layer that solves nothing, is None. `outcome` is a `RunOutcome`,
     `reasons` and `warnings` are sentences.
     """
@@ -40,6 +41,8 @@ def compute_metrics(run: Run) -> dict[str, Any]:
         for key in groups:
             group = group.setdefault(key, {})
         group[name] = metric.measure(quantities)
+    if run.half_step is not None:
+        values["half_step"] = run.half_step
     values["versions"] = {
         "drake_nonstop": __version__,
         "drake": version("drake"),
@@ -166,6 +169,13 @@ METRICS = (
         run_text=RunText(line="simulated", text="{:g} {unit}"),
     ),
     Metric(
+        path="simulator.step_s",
+        measure=lambda run: run.run.step or run.run.scenario.simulator.max_step_size,
+        label="longest step",
+        unit="ms",
+        scale=1e3,
+    ),
+    Metric(
         path="wall_s",
         measure=lambda run: run.run.wall_time,
         label="wall time",
@@ -236,7 +246,7 @@ METRICS = (
     ),
     Metric(
         path="carriers.speed_min_m_s",
-        measure=lambda run: float(np.min(run.speeds)),
+        measure=lambda run: run.slowest_speed,
         label="slowest speed",
         unit="m/s",
         better=Better.HIGHER,
@@ -296,7 +306,7 @@ METRICS = (
     ),
     Metric(
         path="carriers.climb_angle_max_rad",
-        measure=lambda run: float(np.max(run.climb_angles)),
+        measure=lambda run: run.steepest_angle,
         label="steepest climb or descent",
         unit="rad",
     ),

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 from numpy.typing import NDArray
 from pydrake.systems.framework import Diagram
@@ -40,7 +41,9 @@ class Run:
     wall_time: float
     is_steered: bool = False
     stopped: str = ""
+    step: float = 0.0
     unresolved: tuple[str, ...] = ()
+    half_step: dict[str, Any] | None = None
 
     def signal(self, port: str) -> NDArray:
         """The signal of that port name, whichever block makes it: (samples, size)."""
@@ -56,6 +59,14 @@ class StepAction(Enum):
     CONTINUE = 1
     WAIT = 2  # and ask again
     END = 3
+
+
+class StepCheck(Enum):
+    """What `simulate` flies again, with half the step."""
+
+    NOTHING = 1
+    PARTS = 2
+    WHOLE = 3  # where parts leave a doubt
 
 
 class RunStopped(RuntimeError):  # noqa: N818 - the end of a run; its message has the cause

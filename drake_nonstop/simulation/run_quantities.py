@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,11 @@ from drake_nonstop.mechanics.signals import CarrierStates, Parameters, Pose
 from drake_nonstop.model.system import SystemParameters, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.separations import least_cable_distances, least_carrier_distance
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
 _CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are small
-_MOST_DISTANCES = 2**13  # between two of many, at once
 _SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
@@ -94,42 +95,78 @@ class RunQuantities:
         return self.system.load_mass * self.system.gravity
 
     @cached_property
-    def climb_angles(self) -> NDArray:
-        """The angles (k, n) of the carriers' velocities to the horizontal, rad, none negative."""
-        return in_chunks(_climb_angles, self.carrier_velocities)
-
-    @cached_property
-    def _carrier_motion(self) -> tuple[NDArray, NDArray] | None:
-        """Velocities (m/s) and accelerations (m/s²) of the carriers; None: too few steps."""
+    def slowest_speed(self) -> float:
+        """Of any carrier, m/s, also between two steps: of a parabola through three squares."""
         # Where an update or a sample ends a step, another may be a rounding error away.
         apart = np.append(True, np.diff(self.time) > 1e-9)
-        time, velocities = self.time[apart], self.carrier_velocities[apart]
-        return None if len(time) < 3 else (velocities, np.gradient(velocities, time, axis=0))
+        squares, intervals = self.speeds[apart] ** 2, np.diff(self.time[apart])[:, None]
+        least = np.min(self.speeds)
+        if len(squares) < 3:
+            return float(least)
+        slopes = np.diff(squares, axis=0) / intervals
+        before, after = intervals[:-1], intervals[1:]
+        curvature = np.diff(slopes, axis=0) / (before + after)
+        slope = (slopes[:-1] * after + slopes[1:] * before) / (before + after)
+        place = -slope / (2 * np.where(curvature > 0, curvature, np.inf))
+        is_between = (-before < place) & (place < after)
+        lowest = squares[1:-1] + np.where(is_between, slope * place / 2, 0.0)
+        return float(min(least, np.sqrt(max(0.0, np.min(lowest)))))
 
     @cached_property
+    def steepest_angle(self) -> float:
+        """The largest angle of a carrier's velocity to the horizontal, rad.
+
+        It is where the velocity is, or where the derivative of its slope is zero in between.
+        """
+        velocities = self.carrier_velocities
+        return max(
+            _steepest_angle(velocities[i : i + _CHUNK + 1])
+            for i in range(0, max(1, len(velocities) - 1), _CHUNK)
+        )
+
+    @cached_property
+    def _carrier_turns(self) -> tuple[float, float, float] | None:
+        """The largest acceleration and normal acceleration (m/s²) and curvature (1/m) at 100 Hz.
+
+        None where there are too few samples, or no carrier moves.
+        """
+        time, states = self.run.time, self.run.signal("carrier_state")
+        largest = np.zeros(3)
+        is_moving = False
+        for start in range(0, len(time) if len(time) > 2 else 0, _CHUNK):
+            before = max(start - 1, 0)  # a sample more on either side, for the differences
+            inner = slice(start - before, min(start + _CHUNK, len(time)) - before)
+            rows = slice(before, start + _CHUNK + 1)
+            velocities = CarrierStates.view(states[rows]).velocities
+            if len(velocities) < 2:  # a last sample alone
+                continue
+            accelerations = np.gradient(velocities, time[rows], axis=0)[inner]
+            # v × a is speed × normal acceleration, and stays defined where a carrier stops.
+            crossed, speeds = _norms(np.cross(velocities[inner], accelerations)), _norms(velocities)
+            speeds = speeds[inner]
+            moving = speeds > 0
+            is_moving |= bool(np.any(moving))
+            found = (
+                _norms(accelerations),
+                crossed[moving] / speeds[moving],
+                crossed[moving] / speeds[moving] ** 3,
+            )
+            largest = np.maximum(largest, [np.max(values, initial=0.0) for values in found])
+        acceleration, normal, curvature = largest.tolist()
+        return (acceleration, normal, curvature) if is_moving else None
+
+    @property
     def largest_acceleration(self) -> float | None:
         """The largest acceleration of a carrier, m/s²; None: unknown."""
-        if self._carrier_motion is None:
-            return None
-        return float(np.max(np.linalg.norm(self._carrier_motion[1], axis=2)))
+        return None if self._carrier_turns is None else self._carrier_turns[0]
 
-    @cached_property
+    @property
     def sharpest_turn(self) -> tuple[float | None, float | None]:
         """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
-        if self._carrier_motion is None:
+        if self._carrier_turns is None:
             return None, None
-        velocities, accelerations = self._carrier_motion
-        speeds = np.linalg.norm(velocities, axis=2)
-        if not np.any(speeds > 0):
-            return None, None
-        # v × a is speed × normal acceleration, and stays defined where a carrier stops.
-        crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
-        moving = speeds > 0
-        curvature = float(np.max(crossed[moving] / speeds[moving] ** 3))
-        return (
-            float(np.max(crossed[moving] / speeds[moving])),
-            1 / curvature if curvature > 0 else None,
-        )
+        _, acceleration, curvature = self._carrier_turns
+        return acceleration, 1 / curvature if curvature > 0 else None
 
     @cached_property
     def largest_carrier_force(self) -> float | None:
@@ -147,8 +184,8 @@ class RunQuantities:
 
     @cached_property
     def carrier_separation(self) -> float:
-        """The least distance of two carriers, m."""
-        return float(np.min(closest_carriers(self.carrier_positions)))
+        """The least distance of two carriers, m, also between two steps."""
+        return least_carrier_distance(self.carrier_positions)
 
     @cached_property
     def tensions(self) -> NDArray:
@@ -162,9 +199,8 @@ class RunQuantities:
 
     @cached_property
     def cable_separations(self) -> NDArray:
-        """The least distance of each two cables (pairs,), m."""
-        distances = cable_distances(self.attachment_positions, self.carrier_positions)
-        return distances.min(axis=1)
+        """The least distance of each two cables (pairs,), m, also between two steps."""
+        return least_cable_distances(self.attachment_positions, self.carrier_positions)
 
     @cached_property
     def closest_cables_for_attachments(self) -> tuple[float, float]:
@@ -184,7 +220,8 @@ class RunQuantities:
     @cached_property
     def attachment_positions(self) -> NDArray:
         """Where the cables are attached to the load, (k, n, 3), in W, m."""
-        return attachment_positions(self.run, self.run.steps["load_state"])
+        load_states = self.run.steps["load_state"]
+        return in_chunks(lambda states: attachment_positions(self.run, states), load_states)
 
     @cached_property
     def update_counts(self) -> dict[str, int]:
@@ -244,8 +281,19 @@ def _norms(vectors: NDArray) -> NDArray:
     return np.linalg.norm(vectors, axis=-1)
 
 
-def _climb_angles(velocities: NDArray) -> NDArray:
-    return np.arctan2(np.abs(velocities[..., 2]), _norms(velocities[..., :2]))
+def _steepest_angle(velocities: NDArray) -> float:
+    """The largest angle of velocities (k, n, 3) to the horizontal, rad, also between two steps."""
+    starts, changes = velocities[:-1], np.diff(velocities, axis=0)
+    level, level_change = starts[..., :2], changes[..., :2]
+    rise, rise_change = starts[..., 2], changes[..., 2]
+    mixed = (level * level_change).sum(axis=-1)
+    numerator = rise * mixed - rise_change * (level * level).sum(axis=-1)
+    denominator = rise_change * mixed - rise * (level_change * level_change).sum(axis=-1)
+    shares = (numerator / np.where(denominator == 0, np.inf, denominator)).clip(0, 1)
+    between = starts + shares[..., None] * changes
+    candidates = np.concatenate([velocities, between])
+    level_speeds = np.linalg.norm(candidates[..., :2], axis=-1)
+    return float(np.max(np.arctan2(np.abs(candidates[..., 2]), level_speeds)))
 
 
 def in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:
@@ -253,67 +301,6 @@ def in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:
     starts = range(0, max(len(arrays[0]), 1), _CHUNK)
     parts = [function(*(array[i : i + _CHUNK] for array in arrays)) for i in starts]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-def closest_carriers(positions: NDArray) -> NDArray:
-    """The distance (k,) of the closest two of carriers at `positions` (k, n, 3), m."""
-
-    def distances(a: NDArray, b: NDArray) -> NDArray:
-        return np.linalg.norm(a - b, axis=-1)
-
-    return _least_of_pairs(distances, positions)
-
-
-def closest_cables(ends: NDArray, carriers: NDArray) -> NDArray:
-    """The distance (k,) of the closest two straight cables from `ends` to `carriers`, m.
-
-    Both (k, n, 3).
-    """
-    return _least_of_pairs(segment_distances, ends, carriers)
-
-
-def _least_of_pairs(distances: Callable[..., NDArray], *points: NDArray) -> NDArray:
-    """The least distance (k,) of any two of n, each with some `points` (k, n, 3).
-
-    A few steps and the pairs of one with all that follow at a time: this bounds the memory. The
-    components are laid out apart, which is several times faster.
-    """
-    steps, count = points[0].shape[:2]
-    at_once = max(1, _MOST_DISTANCES // count)
-    least = np.empty(steps)
-    for start in range(0, steps, at_once):
-        some = slice(start, start + at_once)
-        parts = [np.moveaxis(np.moveaxis(part[some], 2, 0).copy(), 0, 2) for part in points]
-        least[some] = np.min(
-            [
-                distances(
-                    *(part[:, i : i + 1] for part in parts), *(part[:, i + 1 :] for part in parts)
-                ).min(axis=1)
-                for i in range(count - 1)
-            ],
-            axis=0,
-        )
-    return least
-
-
-def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray:
-    """Distances (…) between the segments from a to b and from c to d, (…, 3) each.
-
-    The nearest points of the two lines are clamped to the segments, one after the other
-    (C. Ericson, Real-Time Collision Detection, section 5.1.9).
-    """
-    u, v, w = b - a, d - c, a - c
-    uu, vv, uv = (u * u).sum(axis=-1), (v * v).sum(axis=-1), (u * v).sum(axis=-1)
-    uw, vw = (u * w).sum(axis=-1), (v * w).sum(axis=-1)
-    tiny = np.finfo(float).tiny
-    determinant = uu * vv - uv * uv
-    parallel = determinant <= 1e-12 * uu * vv
-    on_first = np.where(parallel, 0.0, uv * vw - vv * uw) / np.where(parallel, 1.0, determinant)
-    on_first = on_first.clip(0, 1)
-    on_second = ((uv * on_first + vw) / (vv + tiny)).clip(0, 1)
-    on_first = ((uv * on_second - uw) / (uu + tiny)).clip(0, 1)
-    gap = w + on_first[..., None] * u - on_second[..., None] * v
-    return np.linalg.norm(gap, axis=-1)
 
 
 def speed_bounds(run: Run) -> NDArray:

@@ -11,6 +11,7 @@ from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
     Simulator,
+    SimulatorConfig,
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
@@ -22,8 +23,16 @@ from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.recording import WALL_TIME, Recording, RecordingError, require_room
-from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
-from drake_nonstop.simulation.step_size import stable_config
+from drake_nonstop.simulation.run import (
+    SIGNAL_PERIOD,
+    Run,
+    RunInterrupted,
+    RunStopped,
+    StepAction,
+    StepCheck,
+)
+from drake_nonstop.simulation.step_check import SavedStates, compared, in_doubt, is_in_doubt
+from drake_nonstop.simulation.step_size import resolving_config, stable_config, with_half_the_step
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
@@ -37,9 +46,15 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     viewers: Sequence[Viewer] = (),
     after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
+    check_step: StepCheck = StepCheck.WHOLE,
     **replacements: Any,
 ) -> Run:
     """Simulates a scenario from its equilibrium and returns all signals.
+
+    The step is the scenario's, or a shorter one where the loop's fastest mode or the commanded
+    motion needs it; a ScenarioWarning says so. Parts of the run are flown again with half the
+    step. Where that makes a difference the whole run is, and `Run.unresolved` says which metrics
+    move.
 
     Args:
         scenario: what to run.
@@ -50,6 +65,8 @@ def simulate(
         after_step: called with the simulator and the loop's diagram after every step. It may
             change parameters of the context, such as the optimization layer's ε, or the
             simulator's real-time rate, and have the run wait or end.
+        check_step: what is flown again with half the step. A run that is changed from outside
+            does not repeat: of that, give PARTS; what is in doubt then is said to be unresolved.
         replacements: blocks in place of the scenario's, see `make_nonstop`. Those with a config
             are in the run's scenario.
 
@@ -74,8 +91,9 @@ def simulate(
     stated = scenario.speed_bound
     scenario, replacements = replaced(scenario, replacements)
     nonstop = make_nonstop(scenario, **replacements)
+    config = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
-        config = stable_config(scenario.simulator, nonstop, _at_equilibrium(nonstop))
+        config = _config(scenario, nonstop, _at_equilibrium(nonstop))
         if config is not scenario.simulator:  # the steps are the block's own
             shorter = dataclasses.replace(scenario, simulator=config)
             nonstop = make_nonstop(shorter, **replacements)
@@ -92,13 +110,25 @@ def simulate(
     start = time.perf_counter()
 
     def finished(stopped: str = "") -> Run:
-        wall_time = time.perf_counter() - start - monitor.waited
-        return _collect(scenario, nonstop, recording, wall_time=wall_time, stopped=stopped)
+        return _collect(
+            scenario,
+            nonstop,
+            recording,
+            step=simulator.get_integrator().get_maximum_step_size(),
+            wall_time=time.perf_counter() - start - monitor.waited,
+            stopped=stopped,
+        )
+
+    saved = SavedStates()
+
+    def sample() -> None:
+        recording.take_sample()
+        saved.save(nonstop_context)
 
     monitor = Monitor(
         simulator,
         nonstop,
-        sample=recording.take_sample,
+        sample=sample,
         progress=progress,
         after_step=after_step,
     )
@@ -106,7 +136,8 @@ def simulate(
     try:
         set_equilibrium(nonstop, nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
-        ApplySimulatorConfig(stable_config(scenario.simulator, nonstop, nonstop_context), simulator)
+        config = config or _config(scenario, nonstop, nonstop_context)
+        ApplySimulatorConfig(config, simulator)
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
@@ -138,7 +169,81 @@ def simulate(
         raise RunStopped(message, finished(message)) from error
     if context.get_time() < scenario.duration:
         return finished(f"the run was ended at t = {context.get_time():.4f} s")
-    return finished()
+    run = finished()
+    if check_step is StepCheck.NOTHING or not is_in_doubt(run, saved.states, nonstop_context):
+        return run
+    if check_step is StepCheck.PARTS:
+        return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
+    return verify_step(run, progress=progress, after_step=after_step, **replacements)
+
+
+def verify_step(
+    run: Run,
+    *,
+    progress: Callable[[float], None] | None = None,
+    after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
+    **replacements: Any,
+) -> Run:
+    """Flies a run's scenario again with half its steps; the run with what that shows.
+
+    `unresolved` has a sentence for each metric that moves, see `moved_metrics`; `half_step` has the
+    shorter step in s and both values of each of these metrics by its path.
+
+    Args:
+        run: what is verified; one that was not steered.
+        progress: as of `simulate`.
+        after_step: as of `simulate`; it may end the flight.
+        replacements: those that the run was simulated with.
+
+    Raises:
+        RunInterrupted: Ctrl-C; carries the run.
+    """
+    finer = with_half_the_step(run.scenario.simulator, run.step)
+    duration = float(run.steps["time"][-1])
+    scenario = dataclasses.replace(run.scenario, simulator=finer, duration=duration)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ScenarioWarning)
+            half = simulate(
+                scenario,
+                progress=progress,
+                after_step=after_step,
+                check_step=StepCheck.NOTHING,
+                **replacements,
+            )
+    except RunInterrupted:
+        raise RunInterrupted(run) from None
+    except (RunStopped, ScenarioError) as error:
+        unresolved = (f"with half of the steps of {1e3 * run.step:.3g} ms {error}",)
+        return dataclasses.replace(run, unresolved=unresolved)
+    if half.steps["time"][-1] < duration - SIGNAL_PERIOD / 2:
+        return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
+    return compared(run, half)
+
+
+def _config(scenario: Scenario, nonstop: Diagram, context: Context) -> SimulatorConfig:
+    """The scenario's configuration, or one with a shorter step, which a warning tells."""
+    config = stable_config(scenario.simulator, nonstop, context)
+    reason = "the fastest mode of the loop"
+    stable = config.max_step_size
+    config = resolving_config(
+        config,
+        nonstop,
+        context,
+        control_period=scenario.control_period,
+        duration=scenario.duration,
+        length=scenario.system.cable_length,
+    )
+    if config.max_step_size < stable:
+        reason = "the commanded motion between the controllers' samples"
+    if config is not scenario.simulator:
+        warnings.warn(
+            f"simulator.max_step_size = {scenario.simulator.max_step_size:g}: steps of "
+            f"{config.max_step_size:.3g} s are taken instead, which {reason} needs",
+            ScenarioWarning,
+            stacklevel=3,
+        )
+    return config
 
 
 def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:
@@ -164,6 +269,7 @@ def _collect(
     nonstop: Diagram,
     recording: Recording,
     *,
+    step: float,
     wall_time: float,
     stopped: str,
 ) -> Run:
@@ -183,4 +289,5 @@ def _collect(
         solve_times=solve_times,
         wall_time=wall_time,
         stopped=stopped,
+        step=step,
     )

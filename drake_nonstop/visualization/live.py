@@ -11,7 +11,13 @@ from pydrake.systems.framework import Diagram
 
 from drake_nonstop.optimization.problem_config import LEAST_BOUND
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
+from drake_nonstop.simulation.run import (
+    Run,
+    RunInterrupted,
+    RunStopped,
+    StepAction,
+    StepCheck,
+)
 from drake_nonstop.simulation.run_quantities import carrier_speeds
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import is_number, require
@@ -75,6 +81,7 @@ def run_live(
                 progress=progress,
                 viewers=[show_in(meshcat)],
                 after_step=controls.after_step,
+                check_step=StepCheck.PARTS,
                 **replacements,
             )
             if controls.is_stopped or not controls.is_restarted:

@@ -7,7 +7,8 @@ from drake_nonstop import load_scenario
 from drake_nonstop.simulation import run_quantities
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import load_errors, segment_distances
+from drake_nonstop.simulation.run_quantities import load_errors
+from drake_nonstop.simulation.separations import least_cable_distances, segment_distances
 
 KEYS = {
     "": {
@@ -17,6 +18,7 @@ KEYS = {
         "warnings",
         "simulated_s",
         "is_steered",
+        "simulator",
         "wall_s",
         "real_time_factor",
         "load",
@@ -25,6 +27,7 @@ KEYS = {
         "optimizer",
         "versions",
     },
+    "simulator": {"step_s"},
     "load": {
         "position_error_mean_m",
         "position_error_max_m",
@@ -87,6 +90,7 @@ def circling_run(*, radius=0.5, rate=2.0, tensions=None):
         signals={
             "load_plant.load_state": load,
             "load_trajectory.reference": reference,
+            "carrier_dynamics.carrier_state": carriers,
             "optimization_layer.parameters": np.tile([2.0, 1.3], (len(time), 1)),
         },
         steps={
@@ -104,7 +108,7 @@ def circling_run(*, radius=0.5, rate=2.0, tensions=None):
 def test_the_keys_are_those_that_others_read():
     metrics = compute_metrics(circling_run())
     assert set(metrics) == KEYS[""]
-    for part in ("load", "carriers", "cables", "optimizer", "versions"):
+    for part in ("simulator", "load", "carriers", "cables", "optimizer", "versions"):
         assert set(metrics[part]) == KEYS[part]
 
 
@@ -222,3 +226,49 @@ def test_metrics_do_not_depend_on_how_many_steps_are_computed_at_a_time(chunk, m
     for name, value in whole.items():
         expected = pytest.approx(value, rel=1e-12) if isinstance(value, float) else value
         assert parts[name] == expected, name
+
+
+@pytest.mark.parametrize("step", [0.004, 0.01, 0.03])
+def test_extremes_between_two_steps_are_found(step):
+    """Carriers that stop, and meet, at instants that no step ends at; known in closed form."""
+    rng = np.random.default_rng(3)
+    run = circling_run()
+    time = np.sort(np.concatenate([np.arange(0, 1, step), rng.uniform(0, 1, 20), [0.5]]))
+    t = time - 0.5004  # no step's end
+    start, acceleration = np.array([0.02, 0.0, 0.01]), np.array([0.0, 3.0, 1.0])
+    velocities = start + t[:, None] * acceleration
+    positions = [0.3 * i + t[:, None] * [1.0, 2.0, 0.0] * (-1) ** i for i in range(3)]
+    positions = [position + 5.0 * (i == 2) for i, position in enumerate(positions)]
+    positions[1] = positions[1] - 0.3 + np.array([0, 0, 0.004])  # passes the first 4 mm above it
+    carriers = np.concatenate([*positions, positions[2] + 1, *[velocities] * 4], axis=1)
+    run.steps |= {
+        "time": time,
+        "carrier_state": carriers,
+        "load_state": np.eye(13)[[0] * len(time)],
+    }
+    run.steps["tensions"] = np.full((len(time), 4), 2.5)
+    run.steps["diagnostics"] = np.zeros((len(time), 7))
+    carriers = compute_metrics(run)["carriers"]
+    place = -start @ acceleration / (acceleration @ acceleration)
+    slowest = np.linalg.norm(start + place * acceleration)
+    assert carriers["speed_min_m_s"] == pytest.approx(slowest, rel=1e-6)
+    fine = start + np.linspace(-0.01, 0.01, 100001)[:, None] * acceleration
+    steepest = np.max(np.arctan2(np.abs(fine[:, 2]), np.hypot(fine[:, 0], fine[:, 1])))
+    assert carriers["climb_angle_max_rad"] == pytest.approx(steepest, abs=1e-6)
+    assert carriers["separation_min_m"] == pytest.approx(0.004, rel=1e-9)
+
+
+def test_moving_cables_are_closest_where_they_cross():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        ends = rng.uniform(-1, 1, (4, 1, 3)) + np.linspace(-1, 1, 7)[:, None] * rng.uniform(
+            -2, 2, (4, 1, 3)
+        )
+        dense = (
+            ends[:, :-1, None]
+            + np.linspace(0, 1, 2001)[:, None] * np.diff(ends, axis=1)[:, :, None]
+        )
+        distances = segment_distances(*dense.reshape(4, -1, 3))
+        assert least_cable_distances(
+            ends[::2].swapaxes(0, 1), ends[1::2].swapaxes(0, 1)
+        ) == pytest.approx([np.min(distances)], abs=2e-3)
