@@ -4,7 +4,7 @@ The public names are those of `drake_nonstop.public`. They are imported once one
 for: a command can answer Ctrl-C before pydrake is imported, which takes a second.
 """
 
-import importlib
+import importlib.util
 from typing import TYPE_CHECKING, Any
 
 from drake_nonstop.version import __version__ as __version__
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, `__all__`, or a subpackage that these have imported."""
+    """A subpackage, a public name, or `__all__`."""
     if not name.startswith("__") or name == "__all__":
-        public = importlib.import_module("drake_nonstop.public")
+        if importlib.util.find_spec(f"{__name__}.{name}") is not None:
+            return importlib.import_module(f"{__name__}.{name}")
+        public = importlib.import_module(f"{__name__}.public")
         if name in public.__all__ or name == "__all__":
-            return getattr(public, name)
-        if name in globals():
-            return globals()[name]
+            return globals().setdefault(name, getattr(public, name))
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

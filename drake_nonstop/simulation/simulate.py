@@ -26,9 +26,11 @@ from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.optimization.diagnostics import Diagnostics
+from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped, StepAction
 from drake_nonstop.simulation.step_size import stable_config
@@ -79,6 +81,21 @@ def simulate(
         RunStopped: the run diverged or a block failed; carries the run up to there.
         RunInterrupted: Ctrl-C; carries the run up to there.
     """
+    with current_interruption() as interruption, interruption.patient(1):
+        run = _simulate(scenario, interruption, progress, viewers, after_step, replacements)
+    if interruption.number:
+        raise RunInterrupted(run)
+    return run
+
+
+def _simulate(
+    scenario: Scenario,
+    interruption: Interruption,
+    progress: Callable[[float], None] | None,
+    viewers: Sequence[Viewer],
+    after_step: Callable[[Simulator, Diagram], StepAction] | None,
+    replacements: dict[str, Any],
+) -> Run:
     schemes = GetIntegrationSchemes()
     require(
         scenario.simulator.integration_scheme in schemes,
@@ -90,6 +107,7 @@ def simulate(
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
     for viewer in viewers:
         require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
+    check_scene(scenario.scene)
     nonstop = make_nonstop(scenario, **replacements)
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
         config = stable_config(scenario.simulator, nonstop, _at_equilibrium(nonstop))
@@ -119,6 +137,7 @@ def simulate(
     start = time.perf_counter()
 
     def finished() -> Run:
+        interruption.patience = ALL  # nothing may come between a run and who keeps it
         return _collect(
             scenario,
             nonstop,
@@ -131,6 +150,7 @@ def simulate(
     monitor = Monitor(
         simulator,
         nonstop,
+        interruption,
         sample=lambda: sample_sink.ForcedPublish(sample_context),
         progress=progress,
         after_step=after_step,
@@ -142,14 +162,11 @@ def simulate(
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
+            interruption.collect = finished
             simulator.Initialize()
             simulator.AdvanceTo(scenario.duration)
             for visualizer in visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
-            if monitor.is_interrupted:
-                raise KeyboardInterrupt
-    except ScenarioError:
-        raise
     except KeyboardInterrupt:
         raise RunInterrupted(finished()) from None
     except NotFiniteError as error:
@@ -160,10 +177,16 @@ def simulate(
             "simulator.max_step_size too large",
             finished(),
         ) from None
-    except Exception as error:
+    except BaseException as error:  # such as the SystemExit of a block
+        if interruption.number:  # a KeyboardInterrupt that went through C++
+            raise RunInterrupted(finished()) from None
+        if isinstance(error, ScenarioError) and context.get_time() == 0:
+            raise
         cause = f"{raising_block(error)}{one_line(error)}"
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished()) from error
+    finally:
+        interruption.collect = None
     return finished()
 
 
