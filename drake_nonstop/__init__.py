@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from drake_nonstop.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from drake_nonstop.public import *
+    from drake_nonstop.public import *  # noqa: F403
 
 
 def __getattr__(name: str) -> Any:

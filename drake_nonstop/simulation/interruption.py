@@ -21,9 +21,11 @@ class Interruption:
     Attributes:
         number: of the first signal, such as signal.SIGINT; 0: none has come.
         count: of signals.
-        patience: the number of signals that are only noted. The one after them raises
-            KeyboardInterrupt; with a patience of 0 any does, otherwise no second one will.
+        patience: the number of signals that are only noted; later ones raise KeyboardInterrupt.
         collect: while a run goes on: returns what it has flown so far, from any thread.
+        keep: writes that, and returns where it is.
+        is_writing: whether it is being written, which only SIGKILL breaks off.
+        is_said: whether the user has been told that it is the end.
     """
 
     def __init__(self) -> None:
@@ -31,15 +33,20 @@ class Interruption:
         self.count = 0
         self.patience = 0.0
         self.collect: Callable[[], Any] | None = None
-        self._has_raised = False
+        self.keep: Callable[[Any], str] | None = None
+        self.is_writing = False
+        self.is_said = False
 
     def handle(self, number: int, frame: object) -> None:
         """The handler of the signals."""
         self.number = self.number or number
         self.count += 1
-        if self.count > self.patience and (self.patience == 0 or not self._has_raised):
-            self._has_raised = True
-            raise KeyboardInterrupt
+        if self.count > self.patience:
+            self.interrupt()
+
+    def interrupt(self) -> None:
+        """What becomes of a signal that is not only noted."""
+        raise KeyboardInterrupt
 
     @contextlib.contextmanager
     def patient(self, patience: float) -> Iterator[None]:
