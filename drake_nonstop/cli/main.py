@@ -4,6 +4,8 @@ The other modules are imported only once signals are handled: pydrake takes a se
 """
 
 import atexit
+import codecs
+import locale
 import os
 import sys
 
@@ -47,6 +49,13 @@ def _finished(code: int, interruption: CommandInterruption, out: GuardedStream) 
 def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int:
     import warnings
 
+    if codecs.lookup(locale.getpreferredencoding(False)).name == "ascii":
+        remedy = "set PYTHONUTF8=1, or a locale of UTF-8"
+        print(
+            f"drake-nonstop: pydrake cannot be imported in an ASCII locale: {remedy}",
+            file=sys.stderr,
+        )
+        return FAILED
     from drake_nonstop.cli.parser import STUDIES, make_parser
     from drake_nonstop.simulation.interruption import ALL
     from drake_nonstop.simulation.run import RunStopped

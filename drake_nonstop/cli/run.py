@@ -3,7 +3,9 @@
 import argparse
 import contextlib
 import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -103,7 +105,7 @@ def run_into(
     def write(run: Run) -> tuple[dict[str, Any], str]:
         """Writes the results; returns the metrics, and why pictures are missing ("": none is)."""
         interruption.is_writing = True
-        metrics = write_data(run, folder)
+        metrics = _write_somewhere(run, folder)
         interruption.is_writing = False
         if interruption.count > 1:
             return metrics, "without pictures"
@@ -162,6 +164,24 @@ def run_into(
             interruption.keep = None
             if progress is not None:
                 progress.close()
+
+
+def _write_somewhere(run: Run, folder: Path) -> dict[str, Any]:
+    """Writes a run's data to the folder and returns the metrics.
+
+    Raises:
+        ScenarioError: the folder cannot be written; says in what other folder the data are.
+    """
+    try:
+        return write_data(run, folder)
+    except ScenarioError as error:
+        other = Path(tempfile.mkdtemp(prefix="drake-nonstop-"))
+        try:
+            write_data(run, other)
+        except ScenarioError:
+            shutil.rmtree(other, ignore_errors=True)
+            raise error from None
+        raise ScenarioError(f"{error}; the results are in {other}") from None
 
 
 def _least_size(scenario: Scenario) -> float:

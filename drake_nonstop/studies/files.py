@@ -38,9 +38,11 @@ def require_writable(
         for item in contents:
             _require_replaceable(folder, Path(item))
         free = shutil.disk_usage(folder).free
-    except (OSError, ValueError) as error:
+    except ScenarioError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: a path with a null character
         remedy = f"give a folder that can be written ({_cause(error)})"
-        raise ScenarioError(f"--out = {folder}: {remedy}") from None
+        require(False, "--out", folder, remedy)
     needed = f"give a folder with room for {room / 1e6:.0f} MB, {free / 1e6:.0f} MB are free"
     require(free > room, "--out", folder, f"{needed}; or a shorter duration")
 

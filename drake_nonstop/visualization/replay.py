@@ -11,7 +11,7 @@ from pydrake.geometry import MeshcatAnimation
 
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, UnknownSignalError
 from drake_nonstop.visualization.canvas import RecordingCanvas
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.scene import Scene
@@ -57,7 +57,7 @@ def record_replay(run: Run, *, frame_rate: float = 25.0) -> str:
 def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     """The run at the instants of the frames, up to the first that cannot be shown."""
     speed_bounds = np.full(len(run.time), run.scenario.speed_bound)
-    with contextlib.suppress(KeyError):
+    with contextlib.suppress(UnknownSignalError):
         speed_bounds = run.signal("speed_bound")[:, 0]
     frames = np.floor(run.time * frame_rate + 1e-6)
     snapshots = (
