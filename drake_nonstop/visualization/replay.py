@@ -13,7 +13,7 @@ from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, UnknownSignalError
 from drake_nonstop.visualization.canvas import RecordingCanvas
-from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.meshcat_server import start_hidden_meshcat
 from drake_nonstop.visualization.scene import Scene
 from drake_nonstop.visualization.snapshot import Snapshot
 
@@ -31,7 +31,7 @@ def record_replay(run: Run, *, frame_rate: float = 25.0) -> str:
     Raises:
         ScenarioError: a field of the scenario's scene is out of range.
     """
-    meshcat = start_meshcat(port=0)
+    meshcat, _ = start_hidden_meshcat()
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)
     scene = Scene(overridden(run.scenario.system, run.scenario.simulated), run.scenario.scene)
     snapshots = _snapshots(run, frame_rate)
