@@ -18,6 +18,7 @@ def port():
     meshcat = start_meshcat(0)
     assert meshcat.GetNumActiveConnections() == 0
     yield int(meshcat.web_url().rsplit(":", 1)[1])
+    meshcat.Delete()
 
 
 def answer(port, host, origin, *, family=socket.AF_INET):
