@@ -10,7 +10,9 @@ import os
 import sys
 
 from drake_nonstop.cli.ending import CommandInterruption, exit_code, handling_signals, say_end
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.cli.exit_codes import BAD_INPUT as BAD_INPUT
+from drake_nonstop.cli.exit_codes import FAILED as FAILED
+from drake_nonstop.cli.exit_codes import INTERRUPTED as INTERRUPTED
 from drake_nonstop.cli.output import GuardedStream, guarded_output, open_closed_streams
 
 
