@@ -82,7 +82,11 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
         message, code = "", exit_code(interruption.number)
     except (OSError, MemoryError, SystemExit) as error:
         message, code = one_line(error), FAILED
-    if interruption.number or not message:  # a KeyboardInterrupt may become another error
+    except Exception:
+        if interruption.number == 0:
+            raise
+        message = ""  # a KeyboardInterrupt may become another error on its way through C++
+    if interruption.number or not message:
         return say_end(interruption)
     print(f"drake-nonstop: {message}", file=sys.stderr)
     return code

@@ -82,7 +82,14 @@ def simulate(
         RunInterrupted: Ctrl-C; carries the run up to there.
     """
     with current_interruption() as interruption, interruption.patient(1):
-        run = _simulate(scenario, interruption, progress, viewers, after_step, replacements)
+        try:
+            run = _simulate(scenario, interruption, progress, viewers, after_step, replacements)
+        except RunStopped:
+            raise
+        except Exception:
+            if interruption.count > 1:  # a KeyboardInterrupt that went through C++
+                raise KeyboardInterrupt from None
+            raise
     if interruption.number:
         raise RunInterrupted(run)
     return run

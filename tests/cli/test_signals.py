@@ -16,6 +16,9 @@ import time
 import numpy as np
 import pytest
 
+from drake_nonstop.cli import list_scenarios
+from drake_nonstop.cli.main import main
+
 TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
 _DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
 _GRACE = 2.0  # s, from the second signal to the end
@@ -229,3 +232,21 @@ def test_an_ignored_signal_stays_ignored(start, tmp_path, monkeypatch):
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
     )  # fmt: skip
     assert process.stdout.split() == ["0", "SIG_IGN"]
+
+
+def test_a_keyboard_interrupt_that_became_another_error_is_one(monkeypatch, capsys):
+    """As pybind11 makes of it where it comes while arguments are converted."""
+
+    def convert():
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1)
+        except KeyboardInterrupt:
+            raise TypeError("incompatible constructor arguments") from None
+
+    monkeypatch.setattr(list_scenarios, "scenario_names", convert)
+    assert main(["list"]) == 130
+    assert capsys.readouterr().err == "drake-nonstop: interrupted\n"
+    monkeypatch.setattr(list_scenarios, "scenario_names", lambda: int("a"))
+    with pytest.raises(ValueError, match="invalid literal"):  # an error of ours is shown whole
+        main(["list"])
