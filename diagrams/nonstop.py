@@ -370,7 +370,7 @@ def _constructor(name: str, config: Any) -> Callable[[Model], System]:
             return block(model, config)
         except ScenarioError:
             raise
-        except Exception as error:  # whatever a user's constructor may raise
+        except (Exception, SystemExit) as error:  # whatever a user's constructor may raise
             raise ScenarioError(
                 f"{name} = !{import_path(type(config))}: correct its constructor, which takes "
                 f"the model and the config ({one_line(error)})"

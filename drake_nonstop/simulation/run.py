@@ -1,5 +1,6 @@
 """What a simulation produces, and how it may end."""
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Diagram
 
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.validation import ScenarioError
 
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
 
@@ -46,11 +48,25 @@ class Run:
     half_step: dict[str, Any] | None = None
 
     def signal(self, port: str) -> NDArray:
-        """The signal of that port name, whichever block makes it: (samples, size)."""
+        """The signal of that port name, or of "block.port": (samples, size).
+
+        Raises:
+            UnknownSignalError: there is none.
+        """
         for name in self.signals:
-            if name.split(".")[1] == port:
+            if port in (name, name.split(".")[1]):
                 return self.signals[name]
-        raise KeyError(port)
+        close = difflib.get_close_matches(str(port), list(self.signals), n=3, cutoff=0.4)
+        raise UnknownSignalError(
+            f"signal = {port}: give a port of the run, "
+            f"such as {' or '.join(close or list(self.signals)[:3])}"
+        )
+
+
+class UnknownSignalError(ScenarioError, KeyError):
+    """A run has no signal of that name."""
+
+    __str__ = Exception.__str__  # a KeyError's is in quotation marks
 
 
 class StepAction(Enum):

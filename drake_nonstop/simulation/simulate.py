@@ -18,9 +18,11 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.optimization.diagnostics import Diagnostics
+from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.recording import WALL_TIME, Recording, RecordingError, require_room
 from drake_nonstop.simulation.run import (
@@ -76,6 +78,31 @@ def simulate(
             there.
         RunInterrupted: Ctrl-C; carries the run up to there.
     """
+    with current_interruption() as interruption, interruption.patient(1):
+        try:
+            run = _simulate(
+                scenario, interruption, progress, viewers, after_step, check_step, replacements
+            )
+        except RunStopped:
+            raise
+        except Exception:
+            if interruption.count > 1:  # a KeyboardInterrupt that went through C++
+                raise KeyboardInterrupt from None
+            raise
+    if interruption.number:
+        raise RunInterrupted(run)
+    return run
+
+
+def _simulate(
+    scenario: Scenario,
+    interruption: Interruption,
+    progress: Callable[[float], None] | None,
+    viewers: Sequence[Viewer],
+    after_step: Callable[[Simulator, Diagram], StepAction] | None,
+    check_step: StepCheck,
+    replacements: dict[str, Any],
+) -> Run:
     check(scenario)
     schemes = GetIntegrationSchemes()
     require(
@@ -90,6 +117,7 @@ def simulate(
         require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
     stated = scenario.speed_bound
     scenario, replacements = replaced(scenario, replacements)
+    check_scene(scenario.scene)
     nonstop = make_nonstop(scenario, **replacements)
     config = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
@@ -109,7 +137,11 @@ def simulate(
     recording.start(context)
     start = time.perf_counter()
 
+    def interrupted() -> str:
+        return f"the run was interrupted at t = {context.get_time():.4f} s"
+
     def finished(stopped: str = "") -> Run:
+        interruption.patience = ALL  # nothing may come between a run and who keeps it
         return _collect(
             scenario,
             nonstop,
@@ -128,6 +160,7 @@ def simulate(
     monitor = Monitor(
         simulator,
         nonstop,
+        interruption,
         sample=sample,
         progress=progress,
         after_step=after_step,
@@ -141,17 +174,13 @@ def simulate(
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
+            interruption.collect = lambda: finished(interrupted())
             simulator.Initialize()
             simulator.AdvanceTo(scenario.duration)
             for visualizer in visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
-            if monitor.is_interrupted:
-                raise KeyboardInterrupt
-    except ScenarioError:
-        raise
     except KeyboardInterrupt:
-        message = f"the run was interrupted at t = {context.get_time():.4f} s"
-        raise RunInterrupted(finished(message)) from None
+        raise RunInterrupted(finished(interrupted())) from None
     except NotFiniteError as error:
         message = (
             f"the run diverged at t = {context.get_time():.4f} s: "
@@ -163,10 +192,18 @@ def simulate(
     except RecordingError as error:
         message = f"the run stopped at t = {context.get_time():.4f} s: {error}"
         raise RunStopped(message, finished(message)) from None
-    except Exception as error:
+    except BaseException as error:  # such as the SystemExit of a block
+        if interruption.number:  # a KeyboardInterrupt that went through C++
+            raise RunInterrupted(finished(interrupted())) from None
+        if isinstance(error, ScenarioError) and context.get_time() == 0:
+            raise
         cause = f"{raising_block(error)}{one_line(error)}"
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished(message)) from error
+    finally:
+        interruption.collect = None
+    if interruption.number:
+        return finished(interrupted())
     if context.get_time() < scenario.duration:
         return finished(f"the run was ended at t = {context.get_time():.4f} s")
     run = finished()

@@ -196,7 +196,7 @@ def _processes(count: int | None = None) -> Iterator[ProcessPoolExecutor]:
     imports are paid for once.
     """
     context = get_context("forkserver")
-    context.set_forkserver_preload([__name__])
+    context.set_forkserver_preload([__name__, "drake_nonstop.public"])
     cancelled = context.Event()
     executor = ProcessPoolExecutor(
         count, mp_context=context, initializer=_start_worker, initargs=(cancelled,)

@@ -11,6 +11,7 @@ from pydrake.systems.framework import Diagram
 
 from drake_nonstop.optimization.problem_config import LEAST_BOUND
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.interruption import current_interruption
 from drake_nonstop.simulation.run import (
     Run,
     RunInterrupted,
@@ -192,7 +193,10 @@ class _Controls:
 
     def wait_after_run(self) -> None:
         """Waits for "restart" or "stop", or until no page is connected."""
-        while not (self.is_stopped or self.is_restarted):
-            if self._meshcat.GetNumActiveConnections() == 0:
-                return
-            time.sleep(_POLLING_PERIOD)
+        with current_interruption() as interruption, interruption.patient(1):
+            while not (self.is_stopped or self.is_restarted):
+                if interruption.number:
+                    raise KeyboardInterrupt
+                if self._meshcat.GetNumActiveConnections() == 0:
+                    return
+                time.sleep(_POLLING_PERIOD)

@@ -16,11 +16,11 @@ from pydrake.geometry import Meshcat, MeshcatAnimation
 
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, UnknownSignalError
 from drake_nonstop.simulation.run_quantities import carrier_speeds
 from drake_nonstop.visualization.canvas import RecordingCanvas
 from drake_nonstop.visualization.decimation import MOST_POINTS, extreme_samples
-from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.meshcat_server import start_hidden_meshcat
 from drake_nonstop.visualization.scene import Scene
 from drake_nonstop.visualization.snapshot import Snapshot
 
@@ -64,7 +64,7 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> str:
 
 def _recorded(scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str:
     """Meshcat's page of the recording."""
-    meshcat = start_meshcat(port=0)
+    meshcat, _ = start_hidden_meshcat()
     if snapshots:
         path = np.array([snapshot.reference_position for snapshot in snapshots])
         scene.set_stage(meshcat, path, np.array([snapshot.carriers for snapshot in snapshots]))
@@ -105,7 +105,7 @@ def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     """The run at the instants of the frames, up to the first that cannot be shown."""
     frames = np.unique(np.floor(run.time * frame_rate + 1e-6), return_index=True)[1]
     speed_bounds = np.full(len(frames), run.scenario.speed_bound)
-    with contextlib.suppress(KeyError):
+    with contextlib.suppress(UnknownSignalError):
         speed_bounds = run.signal("speed_bound")[frames, 0]
     names = ("load_state", "reference", "carrier_state", "tensions")
     signals = {name: run.signal(name)[frames] for name in names}

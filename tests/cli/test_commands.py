@@ -221,7 +221,7 @@ def test_view_serves_the_replay_until_it_is_interrupted(tmp_path):
         with urllib.request.urlopen(address, timeout=60) as page:
             assert page.read() == b"<p>hello</p>"
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=60) == 0
+        assert process.wait(timeout=60) == 130
     finally:
         process.kill()
         process.communicate()
