@@ -13,7 +13,7 @@ from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 
 _PHASES = 36  # of a whole turn, at which carriers are kept apart
 _HALF_STEP = np.pi / _PHASES  # rad
-_MOST_LEARNED = 64  # encounters at a time
+_MOST_LEARNED = 16  # encounters at a time
 _NEAR = 1.05  # times the least separation: close enough to know of
 _MOST_DISTANCES = 2**20  # at a time: bounds the memory
 _ROUND_OFF = 1e-12  # relative, of squared distances from scalar products
