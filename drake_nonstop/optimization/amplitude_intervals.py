@@ -40,7 +40,8 @@ def allowed_intervals(
     is_allowed = values >= 0
     i = np.flatnonzero(is_allowed[1:] != is_allowed[:-1])
     inner, outer = np.where(is_allowed[i], (i, i + 1), (i + 1, i))
-    ends = _ends(margins, amplitudes[inner], amplitudes[outer], values[inner], values[outer])
+    points = np.stack([amplitudes, values], axis=1).tolist()
+    ends = [_end(margins, points[j], points[k]) for j, k in zip(inner, outer, strict=True)]
     if is_allowed[0]:
         ends.insert(0, low)
     if is_allowed[-1]:
@@ -63,38 +64,25 @@ def _between_neighbours(amplitudes: NDArray, indices: NDArray) -> NDArray:
     return np.sort((low[:, None] + (high - low)[:, None] * shares).ravel())
 
 
-def _ends(
-    margins: Callable[[NDArray], NDArray],
-    inside: NDArray,
-    outside: NDArray,
-    inside_margins: NDArray,
-    outside_margins: NDArray,
-) -> list[float]:
-    """The last allowed amplitudes (k,) from `inside` to `outside`, all at once.
+def _end(margins: Callable[[NDArray], NDArray], inside: list[float], outside: list[float]) -> float:
+    """The last allowed amplitude from one to another; each comes with its margin.
 
     Regula falsi with the weights of Illinois (M. Dowell and P. Jarratt, BIT 11, 1971, 168-174).
     """
-    inside_weights, outside_weights = inside_margins, outside_margins
-    was_allowed = np.zeros(len(inside), bool)
-    for step in range(_MOST_STEPS if len(inside) > 0 else 0):
-        is_done = (np.abs(outside - inside) <= _WIDTH_TOLERANCE * inside) | (
-            inside_margins <= _MARGIN_TOLERANCE
-        )
-        if is_done.all():
+    (low, low_margin), (high, high_weight) = inside, outside
+    low_weight, was_allowed = low_margin, None
+    for _ in range(_MOST_STEPS):
+        if abs(high - low) <= _WIDTH_TOLERANCE * low or low_margin <= _MARGIN_TOLERANCE:
             break
-        share = inside_weights / (inside_weights - outside_weights)
-        share = np.where(np.isfinite(share), share, 0.5).clip(0, 1)
-        middle = np.where(is_done, inside, inside + share * (outside - inside))
-        values = margins(middle)
-        is_allowed = values >= 0
-        is_repeated = (is_allowed == was_allowed) & (step > 0)
-        # The end that stays twice counts half.
-        kept_inside = np.where(is_repeated, inside_weights / 2, inside_weights)
-        kept_outside = np.where(is_repeated, outside_weights / 2, outside_weights)
-        inside_weights = np.where(is_allowed, values, kept_inside)
-        outside_weights = np.where(is_allowed, kept_outside, values)
-        inside = np.where(is_allowed, middle, inside)
-        outside = np.where(is_allowed, outside, middle)
-        inside_margins = np.where(is_allowed, values, inside_margins)
+        share = low_weight / (low_weight - high_weight)
+        middle = low + (share if 0 < share < 1 else 0.5) * (high - low)
+        value = float(margins(np.array([middle]))[0])
+        is_allowed = value >= 0
+        # An end that stays twice counts half.
+        factor = 0.5 if is_allowed == was_allowed else 1.0
+        if is_allowed:
+            low, low_margin, low_weight, high_weight = middle, value, value, factor * high_weight
+        else:
+            high, high_weight, low_weight = middle, value, factor * low_weight
         was_allowed = is_allowed
-    return inside.tolist()
+    return low

@@ -13,7 +13,7 @@ from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 
 _PHASES = 36  # of a whole turn, at which carriers are kept apart
 _HALF_STEP = np.pi / _PHASES  # rad
-_MOST_LEARNED = 64  # encounters at a time
+_MOST_LEARNED = 16  # encounters at a time
 _NEAR = 1.05  # times the least separation: close enough to know of
 _MOST_DISTANCES = 2**20  # at a time: bounds the memory
 _ROUND_OFF = 1e-12  # relative, of squared distances from scalar products
@@ -82,7 +82,7 @@ class Separation:
         return self._last[1]
 
     def learns_from(self, amplitude: float) -> bool:
-        """Whether carriers are too close at an amplitude (N) in an encounter that was not known.
+        """Whether the closest encounter at an amplitude (N) is violated and was not known.
 
         From now on it is known, as are others that are about as close.
         """
@@ -90,13 +90,12 @@ class Separation:
         return not is_kept and self.learn_near(amplitude)
 
     def learn_near(self, amplitude: float) -> bool:
-        """Learns of the closest encounters at an amplitude (N); whether any of them is new.
+        """Learns of the closest encounters at an amplitude (N); whether the first of them is new.
 
         Those that are far from being violated do not count.
         """
         closest = self._scan(amplitude)[1]
-        is_known = (self._known[:, :, None] == closest[:, None]).all(axis=0).any(axis=0)
-        if is_known.all():
+        if closest.shape[1] == 0 or (self._known == closest[:, :1]).all(axis=0).any():
             return False
         self._known = np.unique(np.concatenate([self._known, closest], axis=1), axis=1)
         phases, first, second = self._known
@@ -129,14 +128,15 @@ class Separation:
         """The worst margin at an amplitude, and the closest encounters (3, m); see above."""
         if amplitude not in self._scans:
             constraint = self._constraint
-            positions, rates = orbit_positions(
-                amplitude,
-                self._forces[:, None],
-                self._levers[:, None],
-                constraint.directions,
-                constraint.direction_rates,
-                **constraint.cables,
-            )  # (3, phases, n)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                positions, rates = orbit_positions(
+                    amplitude,
+                    self._forces[:, None],
+                    self._levers[:, None],
+                    constraint.directions,
+                    constraint.direction_rates,
+                    **constraint.cables,
+                )  # (3, phases, n)
             phases, first, second = close = _close_encounters(
                 positions, rates, _NEAR * constraint.min_separation
             )

@@ -99,7 +99,7 @@ class UpdateProblem:
         return self.cost(x) if self.is_feasible(x) else np.inf
 
     def learns_from(self, x: NDArray) -> bool:
-        """Whether carriers are too close at x in an encounter that the search did not know of.
+        """Whether the closest encounter of carriers at x is too close, and not known.
 
         `search_problem` and `known_bounds` know of it from now on.
         """

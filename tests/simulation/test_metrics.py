@@ -1,5 +1,8 @@
 """The metrics, on runs made up so that each figure is known."""
 
+import tracemalloc
+from itertools import combinations
+
 import numpy as np
 import pytest
 
@@ -8,7 +11,12 @@ from drake_nonstop.simulation import run_quantities
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import load_errors
-from drake_nonstop.simulation.separations import least_cable_distances, segment_distances
+from drake_nonstop.simulation.separations import (
+    closest_cables,
+    closest_carriers,
+    least_cable_distances,
+    segment_distances,
+)
 
 KEYS = {
     "": {
@@ -272,3 +280,25 @@ def test_moving_cables_are_closest_where_they_cross():
         assert least_cable_distances(
             ends[::2].swapaxes(0, 1), ends[1::2].swapaxes(0, 1)
         ) == pytest.approx([np.min(distances)], abs=2e-3)
+
+
+@pytest.mark.parametrize(("steps", "n"), [(1, 3), (3000, 3), (500, 7), (300, 40)])
+def test_closest_two_are_those_of_all_pairs(steps, n):
+    ends, carriers = np.random.default_rng(n).normal(size=(2, steps, n, 3))
+    pairs = list(combinations(range(n), 2))
+    apart = [np.linalg.norm(carriers[:, i] - carriers[:, j], axis=1) for i, j in pairs]
+    np.testing.assert_array_equal(closest_carriers(carriers), np.min(apart, axis=0))
+    apart = [
+        segment_distances(ends[:, i], carriers[:, i], ends[:, j], carriers[:, j]) for i, j in pairs
+    ]
+    np.testing.assert_array_equal(closest_cables(ends, carriers), np.min(apart, axis=0))
+
+
+def test_closest_two_take_little_memory():
+    ends, carriers = np.random.default_rng(0).normal(size=(2, 2000, 40, 3))
+    tracemalloc.start()
+    closest_carriers(carriers)
+    closest_cables(ends, carriers)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 3e6  # the distances of all pairs take 12 MB
