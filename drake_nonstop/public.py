@@ -34,6 +34,7 @@ from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
 from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.ablation import ablate, read_grid
+from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
@@ -88,6 +89,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "PlannedRun",
     "Sweep",
     "SweepInterrupted",
+    "StudyInterrupted",
     "draw_diagram",
     # watched
     "NonstopVisualizer",

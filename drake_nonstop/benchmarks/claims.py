@@ -244,7 +244,7 @@ def _values(arguments: str, quantities: list[str]) -> dict[str, float]:
         return {name: float(LOOP_QUANTITIES[name](found)) for name in quantities}
     tried = attempt(lambda: _scenario(arguments))
     run = tried.run
-    if run is None or tried.outcome != COMPLETED:
+    if run is None or tried.ending != COMPLETED:
         raise ScenarioError(f"claim on {arguments} = {tried.message}") from tried.error
     metrics = compute_metrics(run)
     return _all_measured(arguments, {name: QUANTITIES[name](run, metrics) for name in quantities})

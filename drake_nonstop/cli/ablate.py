@@ -1,11 +1,17 @@
 """`drake-nonstop ablate`: variants of a scenario, compared."""
 
 import argparse
-from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, study_folder
 from drake_nonstop.cli.exit_codes import FAILED
-from drake_nonstop.studies.ablation import ablate, as_text, grid_names, name_overrides, read_grid
+from drake_nonstop.studies.ablation import (
+    ablate,
+    ablation_settings,
+    as_text,
+    grid_names,
+    name_overrides,
+    read_grid,
+)
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED
 from drake_nonstop.validation import require
 from drake_nonstop.visualization.progress import TaskProgress
@@ -20,7 +26,7 @@ def add_to(commands: Commands) -> None:
         "cannot be built or one of its blocks fails; one that diverges is a result like others.",
     )
     parser.set_defaults(action=_ablate)
-    add_scenario(parser, "out/ablate/NAME[_GRID]")
+    add_study(parser, "out/ablate/NAME[_GRID]")
     parser.add_argument(
         "--grid", metavar="NAME|FILE.yaml", help=f"variants: {', '.join(grid_names())}, or a file"
     )
@@ -50,17 +56,19 @@ def _ablate(options: argparse.Namespace) -> int:
             remedy = "give BOX=BLOCK, such as phase=PaperPhase"
             require("=" in override[1:], "--swap", override, remedy)
         variants.append((name_overrides(overrides), overrides))
-    folder: Path = options.out or Path("out/ablate") / name
+    replay = not options.no_replay
+    folder = study_folder(options, name, ablation_settings(scenario, variants, replay=replay))
     with TaskProgress() as progress:
         rows = ablate(
             scenario,
             variants,
             folder,
             title=title,
-            replay=not options.no_replay,
+            replay=replay,
             trust=options.trust,
+            restart=options.restart,
             progress=progress,
         )
     print(as_text(rows))
     print(f"results: {folder / 'index.html'}")
-    return 0 if all(row.outcome in (COMPLETED, DIVERGED) for row in rows) else FAILED
+    return 0 if all(row.ending in (COMPLETED, DIVERGED) for row in rows) else FAILED

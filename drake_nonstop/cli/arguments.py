@@ -7,6 +7,7 @@ from typing import TypeAlias
 
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.studies.results_folder import default_folder
 from drake_nonstop.validation import require
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -61,6 +62,28 @@ def require_installed(what: str, **packages: str) -> None:
     for module, package in packages.items():
         is_installed = importlib.util.find_spec(module) is not None
         require(is_installed, what, f"no {package}", f"install it, `pip install {package}`")
+
+
+def add_study(parser: argparse.ArgumentParser, folder: str) -> None:
+    """Adds the arguments of `add_scenario`, and --restart."""
+    add_scenario(parser, folder)
+    parser.set_defaults(default_folder=Path(folder).parent)
+    parser.add_argument(
+        "--restart",
+        action="store_true",
+        help="drop what the folder has of a call that was interrupted",
+    )
+
+
+def study_folder(options: argparse.Namespace, name: str, settings: str) -> Path:
+    """Where the results of a study go: --out, or the default folder of that name.
+
+    With --restart that folder is taken whatever it holds.
+    """
+    folder: Path = options.default_folder / name
+    if options.out or options.restart:
+        return options.out or folder
+    return default_folder(folder, settings)
 
 
 def require_repeats(options: argparse.Namespace) -> None:

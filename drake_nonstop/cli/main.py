@@ -78,8 +78,8 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
         message, code = str(error), BAD_INPUT
     except RunStopped as stopped:
         message, code = str(stopped), FAILED
-    except KeyboardInterrupt:
-        message, code = "", exit_code(interruption.number)
+    except KeyboardInterrupt as interrupted:
+        return say_end(interruption, str(interrupted))
     except (OSError, MemoryError, SystemExit) as error:
         message, code = one_line(error), FAILED
     except Exception:

@@ -2,12 +2,11 @@
 
 import argparse
 import dataclasses
-from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, study_folder
 from drake_nonstop.studies.figures import make_robustness_figure
-from drake_nonstop.studies.files import replacing_file, require_writable, write_json
-from drake_nonstop.studies.robustness import robustness, robustness_table
+from drake_nonstop.studies.files import replacing_file, write_json
+from drake_nonstop.studies.robustness import robustness, robustness_settings, robustness_table
 from drake_nonstop.validation import require_seed
 from drake_nonstop.visualization.progress import TaskProgress
 
@@ -18,17 +17,23 @@ def add_to(commands: Commands) -> None:
         "robustness", help="errors that the controllers do not know of, one by one"
     )
     parser.set_defaults(action=_robustness)
-    add_scenario(parser)
+    add_study(parser, "out/robustness/NAME")
     parser.add_argument("--seed", type=int, default=0, help="of what is random (0)")
 
 
 def _robustness(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
     require_seed("--seed", options.seed)
-    folder: Path = options.out or Path("out") / scenario.name
-    require_writable(folder)
+    settings = robustness_settings(scenario, options.seed)
+    folder = study_folder(options, scenario.name, settings)
     with TaskProgress() as progress:
-        cases = robustness(scenario, seed=options.seed, progress=progress)
+        cases = robustness(
+            scenario,
+            seed=options.seed,
+            folder=folder,
+            restart=options.restart,
+            progress=progress,
+        )
     write_json(
         folder / "robustness.json",
         {"scenario": scenario.name, "cases": [dataclasses.asdict(case) for case in cases]},

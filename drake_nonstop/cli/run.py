@@ -21,7 +21,12 @@ from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped
 from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.files import require_writable
-from drake_nonstop.studies.results_folder import RUN_FILES, write_data, write_pictures
+from drake_nonstop.studies.results_folder import (
+    RUN_FILES,
+    default_folder,
+    write_data,
+    write_pictures,
+)
 from drake_nonstop.studies.run_all import no_progress
 from drake_nonstop.validation import ScenarioError, one_line, require
 from drake_nonstop.visualization.live import run_live
@@ -75,7 +80,7 @@ def _run(options: argparse.Namespace) -> int:
         "give one of them: a live run may be changed while it goes on",
     )
     return run_into(
-        options.out or Path("out") / scenario.name,
+        options.out or default_folder(Path("out") / scenario.name, scenario),
         scenario,
         is_live=options.live,
         realtime_rate=1.0 if options.realtime is None else options.realtime,

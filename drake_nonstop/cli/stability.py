@@ -2,14 +2,12 @@
 
 import argparse
 import dataclasses
-from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, study_folder
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.figures import make_margins_figure
 from drake_nonstop.studies.files import replacing_file, require_writable, write_json
-from drake_nonstop.studies.margins import find_margins
-from drake_nonstop.studies.stability import linearize
+from drake_nonstop.studies.margins import find_margins, find_stability, margins_settings
 from drake_nonstop.visualization.progress import TaskProgress
 
 _FINE_STEP = 0.001  # s, at which integrators damp nothing that matters here
@@ -21,18 +19,18 @@ def add_to(commands: Commands) -> None:
         "stability", help="Floquet multipliers of the loop around a resting load, and margins"
     )
     parser.set_defaults(action=_stability)
-    add_scenario(parser)
+    add_study(parser, "out/stability/NAME")
 
 
 def _stability(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
-    folder: Path = options.out or Path("out") / scenario.name
+    folder = study_folder(options, scenario.name, margins_settings(scenario))
     require_writable(folder)
     fine_step = min(_FINE_STEP, scenario.simulator.max_step_size)
     fine = changed(scenario, [f"simulator.max_step_size={fine_step}"], trust=options.trust)
     with TaskProgress() as progress:
-        found, found_finely = linearize(scenario), linearize(fine)
-        margins = find_margins(scenario, progress=progress)
+        found, found_finely = find_stability(scenario, fine, progress=progress)
+        margins = find_margins(scenario, progress, folder=folder, restart=options.restart)
     write_json(
         folder / "stability.json",
         {

@@ -1,7 +1,9 @@
 """How far single parameters may change before the loop becomes unstable."""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -10,8 +12,10 @@ from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.studies.journal import open_journal, settings_of
+from drake_nonstop.studies.processes import require_main
 from drake_nonstop.studies.run_all import Progress, no_progress, run_all
-from drake_nonstop.studies.stability import NEUTRAL, at_rest, linearize
+from drake_nonstop.studies.stability import NEUTRAL, Stability, at_rest, linearize
 from drake_nonstop.validation import ScenarioError
 
 _BISECTIONS = 5
@@ -31,7 +35,44 @@ class Margin:
     high: float | None  # and up to here; both are the nominal value where it is unstable there
 
 
-def find_margins(scenario: Scenario, progress: Progress = no_progress) -> list[Margin]:
+def find_stability(
+    scenario: Scenario, *others: Scenario, progress: Progress = no_progress
+) -> list[Stability]:
+    """What `linearize` finds of each scenario, in a process per core.
+
+    Args:
+        scenario: the first one.
+        others: further ones.
+        progress: called with a description and the share that is done.
+
+    Raises:
+        ScenarioError: a scenario cannot be built, or a process died.
+    """
+    texts = [dump_scenario(each) for each in (scenario, *others)]
+    found: dict[int, Stability] = {}
+
+    def failed(key: int, error: str) -> Stability:
+        raise ScenarioError(f"stability: {error}")
+
+    run_all(
+        _linearized,
+        range(len(texts)),
+        lambda key: (texts[key],),
+        found.__setitem__,
+        failed,
+        what="linearizing",
+        progress=progress,
+    )
+    return [found[key] for key in range(len(texts))]
+
+
+def find_margins(
+    scenario: Scenario,
+    progress: Progress = no_progress,
+    *,
+    folder: str | Path | None = None,
+    restart: bool = False,
+) -> list[Margin]:
     """The margins of carrier mass, the carriers' gains, delay and control period.
 
     One of them at a time is changed, in a process per core.
@@ -39,47 +80,70 @@ def find_margins(scenario: Scenario, progress: Progress = no_progress) -> list[M
     Args:
         scenario: what is changed.
         progress: called with a description and the share that is done.
+        folder: for a journal of what is found: interrupted, the same call continues from there;
+            complete, it begins again. None: for no journal.
+        restart: whether to drop what the folder has of an interrupted call.
 
     Raises:
-        ScenarioError: the scenario cannot be built, or a process died.
+        ScenarioError: the scenario cannot be built, a process died, processes end as they start,
+            or the folder cannot be written, or has unfinished runs of other settings.
+        StudyInterrupted: Ctrl-C; what is found stays in the folder.
     """
+    require_main()
     axes = {axis.name: axis for axis in _axes(scenario)}
     resting = dump_scenario(at_rest(scenario))  # as text, which can be sent to a process
-    found: dict[str, dict[float, tuple[float, float]]] = {name: {} for name in axes}
-    edges: dict[tuple[str, int], float | None] = {}
+    measured = {
+        f"{name} = {value!r}": (name, value)
+        for name, axis in axes.items()
+        for value in sorted({*axis.values, axis.nominal})
+    }
+    edges = {
+        f"{name}, {'upper' if side > 0 else 'lower'} boundary": (name, side)
+        for name in axes
+        for side in (-1, 1)
+    }
+    keys = [*measured, *edges]
+    settings = margins_settings(scenario)
+    with open_journal(
+        folder, settings, keys, {"found": list}, restart=restart, what="linearizations"
+    ) as journal:
 
-    def record(key: tuple[str, float], result: tuple[float, float]) -> None:
-        name, value = key
-        found[name][value] = result
+        def failed(key: str, error: str) -> list[float | None]:
+            raise ScenarioError(f"stability, {key}: {error}")
 
-    def failed(key: tuple[str, float], error: str) -> tuple[float, float]:
-        raise ScenarioError(f"stability, {key[0]} = {key[1]:g}: {error}")
+        def run(
+            function: Callable[..., list[float | None]],
+            wanted: Sequence[str],
+            arguments: Callable[[str], tuple],
+            what: str,
+        ) -> None:
+            missing = [key for key in wanted if key not in journal]
+            run_all(
+                function,
+                missing,
+                arguments,
+                lambda key, result: journal.record(key, {"found": result}),
+                failed,
+                what=what,
+                progress=progress,
+                already_done=len(wanted) - len(missing),
+            )
 
-    def failed_edge(key: tuple[str, int], error: str) -> float | None:
-        raise ScenarioError(f"stability, {key[0]}: {error}")
+        def measure_arguments(key: str) -> tuple:
+            name, value = measured[key]
+            return resting, axes[name].override, value
 
-    run_all(
-        _measure,
-        [
-            (name, value)
-            for name, axis in axes.items()
-            for value in sorted({*axis.values, axis.nominal})
-        ],
-        lambda key: (resting, axes[key[0]], key[1]),
-        record,
-        failed,
-        what="linearizing",
-        progress=progress,
-    )
-    run_all(
-        _edge,
-        [(name, side) for name in axes for side in (-1, 1)],
-        lambda key: (resting, axes[key[0]], found[key[0]], key[1]),
-        edges.__setitem__,
-        failed_edge,
-        what="searching the boundaries",
-        progress=progress,
-    )
+        def edge_arguments(key: str) -> tuple:
+            name, side = edges[key]
+            return resting, axes[name], found[name], side
+
+        run(_measure, [*measured], measure_arguments, "linearizing")
+        found: dict[str, dict[float, list[float]]] = {name: {} for name in axes}
+        for key, (name, value) in measured.items():
+            found[name][value] = journal.result(key)["found"]
+        run(_edge, [*edges], edge_arguments, "searching the boundaries")
+        ends = {edges[key]: journal.result(key)["found"][0] for key in edges}
+        journal.finish()
     return [
         Margin(
             name=name,
@@ -88,11 +152,16 @@ def find_margins(scenario: Scenario, progress: Progress = no_progress) -> list[M
             values=sorted(found[name]),
             largest=[found[name][value][0] for value in sorted(found[name])],
             rates=[found[name][value][1] for value in sorted(found[name])],
-            low=edges[name, -1],
-            high=edges[name, 1],
+            low=ends[name, -1],
+            high=ends[name, 1],
         )
         for name, axis in axes.items()
     ]
+
+
+def margins_settings(scenario: Scenario) -> str:
+    """A name of all that the margins depend on; see `settings_of`."""
+    return settings_of("stability", dump_scenario(scenario))
 
 
 @dataclass(kw_only=True)
@@ -166,21 +235,30 @@ def _axes(scenario: Scenario) -> list[_Axis]:
     ]
 
 
-def _measure(resting: str, axis: _Axis, value: float) -> tuple[float, float]:
+def _linearized(text: str) -> Stability:
+    # A copy of a scenario that was trusted when it was loaded.
+    return linearize(parse_scenario(text, trust=True))
+
+
+def _measure(resting: str, override: str, value: float) -> list[float | None]:
     """The largest multiplier's magnitude, and the rate (1/s), at a parameter's value."""
+    found = _linearized_at(resting, override, value)
+    return [found.largest, found.rate]
+
+
+def _linearized_at(resting: str, override: str, value: float) -> Stability:
     # A copy of a scenario that was trusted when it was loaded.
     scenario = parse_scenario(resting, trust=True)
-    found = linearize(changed(scenario, [axis.override.format(value)]))
-    return found.largest, found.rate
+    return linearize(changed(scenario, [override.format(value)]))
 
 
 def _edge(
-    resting: str, axis: _Axis, found: dict[float, tuple[float, float]], side: int
-) -> float | None:
+    resting: str, axis: _Axis, found: dict[float, list[float]], side: int
+) -> list[float | None]:
     """The value at which the loop becomes unstable, below (-1) or above (1) the nominal one."""
     inside = axis.nominal
     if found[inside][0] >= NEUTRAL:
-        return inside
+        return [inside]
     for value in sorted(found)[::side]:
         if side * (value - inside) <= 0:
             continue
@@ -190,9 +268,9 @@ def _edge(
         outside = value
         for _ in range(_BISECTIONS if axis.is_continuous and inside > 0 else 0):
             middle = math.sqrt(inside * outside)
-            if _measure(resting, axis, middle)[0] < NEUTRAL:
+            if _linearized_at(resting, axis.override, middle).largest < NEUTRAL:
                 inside = middle
             else:
                 outside = middle
-        return inside
-    return None
+        return [inside]
+    return [None]

@@ -1,5 +1,7 @@
 """The folder with the results of one run."""
 
+import contextlib
+import itertools
 import json
 import zipfile
 from collections.abc import Callable
@@ -10,25 +12,51 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.studies.files import as_path, replacing_files, require_writable
+from drake_nonstop.studies.journal import journalled_settings
 from drake_nonstop.validation import require
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import FIGURE_NAMES, make_figure
 
 _FIGURES = "figures"
+_SCENARIO = "scenario.yaml"
 
 # All files that may be written; those that a run does not write are removed.
 RUN_FILES = (
-    "scenario.yaml",
+    _SCENARIO,
     "metrics.json",
     "signals.npz",
     "diagram.svg",
     "replay.html",
     *(f"{_FIGURES}/{name}.png" for name in FIGURE_NAMES),
 )
+
+
+def default_folder(folder: Path, settings: str | Scenario) -> Path:
+    """Where results go unless the user names a folder: not over those of other settings.
+
+    It is the folder itself, or the first of FOLDER_2, FOLDER_3, ... that has no results yet, or
+    those of the same settings.
+
+    Args:
+        folder: the first to be tried.
+        settings: of a study, by `settings_of`; of a run, its scenario.
+    """
+
+    def is_free(place: Path) -> bool:
+        found: str | bytes | None = journalled_settings(place)
+        if found is None:
+            with contextlib.suppress(OSError):  # one that cannot be read cannot be written either
+                found = (place / _SCENARIO).read_bytes()
+        return found in (None, wanted)
+
+    wanted = settings if isinstance(settings, str) else dump_scenario(settings).encode()
+    numbered = (folder.with_name(f"{folder.name}_{k}") for k in itertools.count(2))
+    return next(place for place in itertools.chain([folder], numbered) if is_free(place))
 
 
 def write_results(
@@ -60,7 +88,7 @@ def write_data(run: Run, folder: Path | str) -> dict[str, Any]:
     require_writable(folder, RUN_FILES)
     metrics = compute_metrics(run)
     with replacing_files(folder, RUN_FILES) as new:
-        (new / "scenario.yaml").write_text(dump_scenario(run.scenario), encoding="utf-8")
+        (new / _SCENARIO).write_text(dump_scenario(run.scenario), encoding="utf-8")
         text = json.dumps(metrics, indent=2, allow_nan=False)
         (new / "metrics.json").write_text(text + "\n", encoding="utf-8")
         _write_signals(new / "signals.npz", run)

@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics, metric_at
+from drake_nonstop.studies.journal import open_journal, settings_of
+from drake_nonstop.studies.processes import require_main
 from drake_nonstop.studies.run_all import (
     COMPLETED,
     FAILED,
@@ -22,7 +25,9 @@ from drake_nonstop.studies.run_all import (
     no_progress,
     run_all,
 )
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, require_seed
+
+_RESULT = {"ending": str, "message": str, "metrics": dict}
 
 # Which metrics the table and the figure show.
 POSITION_ERROR_MEAN = metric_at("load.position_error_mean_m")
@@ -45,7 +50,7 @@ class Case:
     level: float  # by how much
     unit: str  # of the level
     overrides: list[str]  # "path=value"
-    outcome: str = COMPLETED  # or "diverged", or "failed": a block raised an error
+    ending: str = COMPLETED  # or "diverged", or "failed": a block raised an error
     message: str = ""  # why it did not complete
     metrics: dict[str, Any] = field(default_factory=dict)  # by path, no wall times among them
 
@@ -61,7 +66,12 @@ class Case:
 
 
 def robustness(
-    scenario: Scenario, *, seed: int = 0, progress: Progress = no_progress
+    scenario: Scenario,
+    *,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    restart: bool = False,
+    progress: Progress = no_progress,
 ) -> list[Case]:
     """Runs a scenario without error and with each error at some levels, in a process per core.
 
@@ -72,32 +82,46 @@ def robustness(
     Args:
         scenario: what the errors are added to.
         seed: of the attachment points' directions, of the noise and of the gusts.
+        folder: for a journal of the cases as they come: interrupted, the same call continues from
+            there; complete, it begins again. None: for no journal.
+        restart: whether to drop what the folder has of an interrupted call.
         progress: called with a description and the share that is done.
 
     Returns:
         The case without error first.
 
     Raises:
-        ScenarioError: the scenario, or one with such an error, cannot be built.
+        ScenarioError: the scenario, or one with such an error, cannot be built, processes end as
+            they start, or the folder cannot be written, or has unfinished runs of other settings.
+        StudyInterrupted: Ctrl-C; the cases that are done stay in the folder.
     """
+    require_main()
+    require_seed("seed", seed)
+    text = dump_scenario(scenario)  # which can be sent to a process
     cases = [
         Case(error=error, level=level, unit=unit, overrides=overrides)
         for error, level, unit, overrides in _errors(scenario, seed)
     ]
-    text = dump_scenario(scenario)  # which can be sent to a process
+    settings = robustness_settings(scenario, seed)
+    keys = range(len(cases))
+    with open_journal(folder, settings, keys, _RESULT, restart=restart, what="cases") as journal:
+        missing = [key for key in keys if key not in journal]
+        run_all(
+            _measured,
+            missing,
+            lambda key: (text, cases[key].overrides),
+            journal.record,
+            lambda key, error: {"ending": FAILED, "message": error, "metrics": {}},
+            progress=progress,
+            already_done=len(cases) - len(missing),
+        )
+        journal.finish()
+        return [dataclasses.replace(case, **journal.result(k)) for k, case in enumerate(cases)]
 
-    def failed(key: int, error: str) -> Case:
-        return dataclasses.replace(cases[key], outcome=FAILED, message=error)
 
-    run_all(
-        _measured,
-        range(len(cases)),
-        lambda key: (text, cases[key]),
-        cases.__setitem__,
-        failed,
-        progress=progress,
-    )
-    return cases
+def robustness_settings(scenario: Scenario, seed: int) -> str:
+    """A name of all that the results depend on; see `settings_of`."""
+    return settings_of("robustness", dump_scenario(scenario), str(seed))
 
 
 def robustness_table(cases: Sequence[Case]) -> str:
@@ -120,7 +144,7 @@ def robustness_table(cases: Sequence[Case]) -> str:
         lines.append(
             f"{name:42} {errors:>20} {case.speed_margin:+12.3f} {_SLOWEST_SPEED.unit} "
             f"{below:6.3g} {_TIME_BELOW_BOUND.unit} {slack:6.3g} {_SLACK_TIME.unit}"
-            f"{'' if case.outcome == COMPLETED else f'  {case.outcome}'}"
+            f"{'' if case.ending == COMPLETED else f'  {case.ending}'}"
         )
     return "\n".join(lines)
 
@@ -168,17 +192,15 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
         yield "gusty wind", percent, "% of weight (standard deviation)", [block]
 
 
-def _measured(text: str, case: Case) -> Case:
-    """The case with its outcome and metrics."""
+def _measured(text: str, overrides: Sequence[str]) -> dict[str, Any]:
+    """How the run of a case ended, and its metrics."""
     # A copy of a scenario that was trusted when it was loaded.
-    tried = attempt(lambda: changed(parse_scenario(text, trust=True), case.overrides))
-    if tried.outcome == UNBUILDABLE:
+    tried = attempt(lambda: changed(parse_scenario(text, trust=True), overrides))
+    if tried.ending == UNBUILDABLE:
         raise ScenarioError(tried.message) from tried.error
-    ended = dataclasses.replace(case, outcome=tried.outcome, message=tried.message)
-    if tried.run is None:
-        return ended
-    metrics = compute_metrics(tried.run)
-    kept = (metric for metric in METRICS if not metric.is_list and not metric.is_wall_time)
-    return dataclasses.replace(
-        ended, metrics={metric.path: metric.value(metrics) for metric in kept}
-    )
+    values = {}
+    if tried.run is not None:
+        metrics = compute_metrics(tried.run)
+        kept = (metric for metric in METRICS if not metric.is_list and not metric.is_wall_time)
+        values = {metric.path: metric.value(metrics) for metric in kept}
+    return {"ending": tried.ending, "message": tried.message, "metrics": values}

@@ -1,49 +1,63 @@
 """Many runs of one scenario, a row each in one table."""
 
-import contextlib
-import fcntl
 import gc
-import hashlib
-import json
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
+
+import numpy as np
 
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened
-from drake_nonstop.studies.files import replacing_file, require_writable
-from drake_nonstop.studies.run_all import FAILED, Progress, attempt, no_progress, run_all
-from drake_nonstop.studies.sweep_spec import SweepSpec, dump_spec
+from drake_nonstop.studies.files import as_path, replacing_file
+from drake_nonstop.studies.journal import JOURNAL as JOURNAL
+from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
+from drake_nonstop.studies.processes import require_main
+from drake_nonstop.studies.run_all import (
+    COMPLETED,
+    FAILED,
+    UNBUILDABLE,
+    Progress,
+    attempt,
+    no_progress,
+    run_all,
+)
+from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, dump_spec
 from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, require
 
 TABLE = "runs.parquet"
 WALL_TIMES = "wall_times.parquet"
-JOURNAL = "journal.jsonl"
 
 _CHECKED_RUNS = 20  # one of them has to make a scenario before any run is simulated
-_JSON_SEPARATORS = (",", ":")
+_ROW_GROUP = 10_000  # rows of a table that are held in memory at a time
+_MAX_MESSAGES = 1000  # that are counted
 _WALL_TIME_PATHS = {metric.path for metric in METRICS if metric.is_wall_time}
+_RESULT = {"ending": str, "error": str, "metrics": dict, "wall_times": dict}
 
-Result = dict[str, Any]  # of a run, as in the journal: outcome, error, metrics, wall_times
+Result = dict[str, Any]  # of a run, with the fields of _RESULT
+Row = dict[str, Any]  # values by their columns
+
+SweepInterrupted = StudyInterrupted  # what `sweep` raises
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """A completed sweep: its table, and how many runs had each outcome."""
+    """A completed sweep: its table, and how many runs had each ending.
+
+    `errors` counts the runs that did not complete by their endings and messages; there are no
+    more than 1000 of them.
+    """
 
     table: Path
-    outcomes: dict[str, int]
-
-
-class SweepInterrupted(KeyboardInterrupt):
-    """A sweep was interrupted from the keyboard; the message says how many runs are done."""
+    endings: dict[str, int]
+    errors: dict[tuple[str, str], int] = field(default_factory=dict)
 
 
 def sweep(
@@ -59,7 +73,7 @@ def sweep(
     """Simulates all runs of a sweep and writes a table with a row for each.
 
     The folder gets runs.parquet: per run its number, the seed of its draws, the values that were
-    swept, the outcome ("completed", "diverged", "failed" where a block raised an error or the
+    swept, its ending ("completed", "diverged", "failed" where a block raised an error or the
     process died, or "unbuildable"), the error, and every metric that is one value, by its path
     in metrics.json. Rows are in the order of the runs and, to the bit, the same with any
     executor; metrics measured with a clock are therefore in wall_times.parquet.
@@ -78,59 +92,52 @@ def sweep(
         progress: called with a description and the share that is done.
 
     Returns:
-        The path of the table and the number of runs with each outcome.
+        The path of the table and the number of runs with each ending.
 
     Raises:
         ScenarioError: the spec does not fit the scenario, the folder cannot be written, or has
-            another sweep, or pyarrow is not installed.
+            another sweep, processes end as they start, or pyarrow is not installed.
         SweepInterrupted: Ctrl-C; the results that there are stay in the journal.
     """
-    folder = Path(folder)
+    require(isinstance(spec, SweepSpec), "spec", spec, "give a SweepSpec, such as of read_sweep")
+    folder = as_path(folder)
     _pyarrow()
+    require_main()
+    settings = sweep_settings(scenario, spec)
     _require_runnable(scenario, spec, trust)
     text = dump_scenario(scenario)  # which can be sent to a process
-    is_new = not folder.exists()
-    require_writable(folder)
     total = len(spec)
-    results: dict[int, Result] = {}
-    try:
-        with _journal(folder, _identity(text, spec), results, restart=restart) as file:
-            (folder / "scenario.yaml").write_text(text, encoding="utf-8")
-            (folder / "spec.yaml").write_text(f"{dump_spec(spec)}\n", encoding="utf-8")
+    with open_journal(folder, settings, range(total), _RESULT, restart=restart) as journal:
 
-            def record(number: int, result: Result) -> None:
-                results[number] = result
-                line = json.dumps({"run": number, **result}, separators=_JSON_SEPARATORS)
-                file.write(f"{line}\n".encode())
-                file.flush()
+        def record(number: int, result: tuple[bool, Result]) -> None:
+            has_scenario, fields = result
+            if not has_scenario:
+                _require_unusable(scenario, spec.run(number), trust, fields["error"])
+            if len(journal) == 0:
+                for name in (TABLE, WALL_TIMES):
+                    (folder / name).unlink(missing_ok=True)
+                (folder / "scenario.yaml").write_text(text, encoding="utf-8")
+                (folder / "spec.yaml").write_text(f"{dump_spec(spec)}\n", encoding="utf-8")
+            journal.record(number, fields)
 
-            missing = [number for number in range(total) if number not in results]
-            try:
-                run_all(
-                    _simulated,
-                    missing,
-                    lambda number: (text, spec.run(number).overrides, trust),
-                    record,
-                    lambda number, error: _failed(error),
-                    executor=executor,
-                    what=f"simulating {total} runs",
-                    progress=progress,
-                    already_done=total - len(missing),
-                )
-            except KeyboardInterrupt:
-                raise SweepInterrupted(
-                    f"{len(results)} of {total} runs are in {folder}; the same call continues from "
-                    "there"
-                ) from None
-            ordered = {number: results[number] for number in range(total)}
-            _write_tables(folder, spec, ordered)
-    except ScenarioError:
-        if is_new:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-        raise
-    outcomes = Counter(result["outcome"] for result in ordered.values())
-    return Sweep(table=folder / TABLE, outcomes=dict(outcomes))
+        missing = [number for number in range(total) if number not in journal]
+        run_all(
+            _simulated,
+            missing,
+            lambda number: (text, spec.run(number).overrides, trust),
+            record,
+            lambda number, error: (True, _without_run(FAILED, error)),
+            executor=executor,
+            what=f"simulating {total} runs",
+            progress=progress,
+            already_done=total - len(missing),
+        )
+        return _write_tables(folder, spec, journal)
+
+
+def sweep_settings(scenario: Scenario, spec: SweepSpec) -> str:
+    """A name of all that the results of a sweep depend on; see `settings_of`."""
+    return settings_of("sweep", dump_scenario(scenario), dump_spec(spec))
 
 
 def _require_runnable(scenario: Scenario, spec: SweepSpec, trust: bool) -> None:
@@ -148,81 +155,34 @@ def _require_runnable(scenario: Scenario, spec: SweepSpec, trust: bool) -> None:
     raise first_error
 
 
-def _identity(text: str, spec: SweepSpec) -> str:
-    """A hash that differs between sweeps whose results may differ."""
-    return hashlib.sha256(f"{text}\n{dump_spec(spec)}".encode()).hexdigest()
-
-
-@contextlib.contextmanager
-def _journal(
-    folder: Path, identity: str, results: dict[int, Result], *, restart: bool
-) -> Iterator[BinaryIO]:
-    """The journal to append to, whose results are put into `results`.
-
-    Its first line is the sweep's identity, and each other one a run's number and result.
-    """
-    path = folder / JOURNAL
-    with path.open("a+b") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise ScenarioError(
-                f"--out = {folder}: another sweep is running in it; wait for it or give another "
-                "folder"
-            ) from None
-        if restart:
-            file.truncate(0)
-            for name in (TABLE, WALL_TIMES):
-                (folder / name).unlink(missing_ok=True)
-        file.seek(0)
-        content = file.read()
-        whole = content[: content.rfind(b"\n") + 1]  # without an incomplete last line
-        if whole:
-            results |= _read_journal(whole, identity, folder)
-            file.truncate(len(whole))
-        else:
-            file.truncate(0)
-            file.write(f"{json.dumps({'sweep': identity})}\n".encode())
-            file.flush()
-        yield file
-
-
-def _read_journal(content: bytes, identity: str, folder: Path) -> dict[int, Result]:
-    """The results in a journal by the runs' numbers."""
+def _require_unusable(scenario: Scenario, planned: PlannedRun, trust: bool, error: str) -> None:
+    """Raises ScenarioError where the scenario of a run cannot be made in other processes only."""
     try:
-        first, *lines = map(json.loads, content.splitlines())
-        found = first["sweep"]
-        results = {line.pop("run"): line for line in lines}
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise ScenarioError(
-            f"--out = {folder}: its {JOURNAL} cannot be read; give another folder, or --restart "
-            "(restart=True) to start again"
-        ) from None
-    require(
-        found == identity,
-        "--out",
-        folder,
-        "it has the runs of another scenario or spec; give another folder, or --restart "
-        "(restart=True) to drop them",
+        changed(scenario, planned.overrides, trust=trust)
+    except ScenarioError:
+        return
+    raise ScenarioError(
+        f"run {planned.number} = {', '.join(planned.overrides)}: processes cannot make its "
+        f"scenario, which this one can ({error}); put its modules where they find them, such "
+        "as the current folder or PYTHONPATH"
     )
-    return results
 
 
-def _failed(error: str) -> Result:
-    return {"outcome": FAILED, "error": error, "metrics": {}, "wall_times": {}}
+def _without_run(ending: str, error: str) -> Result:
+    return {"ending": ending, "error": error, "metrics": {}, "wall_times": {}}
 
 
-def _simulated(text: str, overrides: Sequence[str], trust: bool) -> Result:
-    """The result of a run."""
-
-    def scenario() -> Scenario:
-        # A copy of a scenario that was trusted when it was loaded.
-        return changed(parse_scenario(text, trust=True), overrides, trust=trust)
-
-    tried = attempt(scenario)
+def _simulated(text: str, overrides: Sequence[str], trust: bool) -> tuple[bool, Result]:
+    """Whether the run has a scenario, and its result."""
+    base = parse_scenario(text, trust=True)  # a copy of one that was trusted when it was loaded
+    try:
+        scenario = changed(base, overrides, trust=trust)
+    except ScenarioError as error:
+        return False, _without_run(UNBUILDABLE, str(error))
+    tried = attempt(lambda: scenario)
     metrics = {} if tried.run is None else flattened(compute_metrics(tried.run))
     result = {
-        "outcome": tried.outcome,
+        "ending": tried.ending,
         "error": tried.message,
         "metrics": {path: value for path, value in metrics.items() if path not in _WALL_TIME_PATHS},
         "wall_times": {path: value for path, value in metrics.items() if path in _WALL_TIME_PATHS},
@@ -233,41 +193,77 @@ def _simulated(text: str, overrides: Sequence[str], trust: bool) -> Result:
         release(tried.run.diagram)
     del tried
     gc.collect()
-    return result
+    return True, result
 
 
-def _write_tables(folder: Path, spec: SweepSpec, results: dict[int, Result]) -> None:
+def _write_tables(folder: Path, spec: SweepSpec, journal: Journal) -> Sweep:
     """Writes both tables, with a row per result."""
-    rows, wall_times = [], []
-    for number, result in results.items():
-        planned = spec.run(number)
+    endings: Counter[str] = Counter()
+    errors: Counter[tuple[str, str]] = Counter()
+
+    def row(number: int) -> Row:
+        planned, result = spec.run(number), journal.result(number)
         about = {"run": number, "seed": planned.seed}
-        ending = {"outcome": result["outcome"], "error": result["error"]}
-        rows.append({**about, **planned.values, **ending, **result["metrics"]})
-        wall_times.append({"run": number, **result["wall_times"]})
-    _write_table(folder / WALL_TIMES, wall_times)
-    _write_table(folder / TABLE, rows)
+        ending = {"ending": result["ending"], "error": result["error"]}
+        return {**about, **planned.values, **ending, **result["metrics"]}
+
+    def counted_row(number: int) -> Row:
+        counted = row(number)
+        endings[counted["ending"]] += 1
+        error = counted["ending"], counted["error"]
+        if counted["ending"] != COMPLETED and (error in errors or len(errors) < _MAX_MESSAGES):
+            errors[error] += 1
+        return counted
+
+    def wall_times(number: int) -> Row:
+        return {"run": number, **journal.result(number)["wall_times"]}
+
+    _write_table(folder / WALL_TIMES, len(spec), wall_times, _types(len(spec), wall_times))
+    _write_table(folder / TABLE, len(spec), row, _types(len(spec), counted_row))
+    return Sweep(table=folder / TABLE, endings=dict(endings), errors=dict(errors.most_common()))
 
 
-def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def _types(total: int, row: Callable[[int], Row]) -> dict[str, type]:
+    """The columns in the order in which they appear, and their types: str for texts and YAML."""
+    found: dict[str, set[type]] = {}
+    for number in range(total):
+        for name, value in row(number).items():
+            found.setdefault(name, set())
+            if value is not None:
+                found[name].add(_type_of(value))
+    return {name: _common(types) for name, types in found.items()}
+
+
+def _type_of(value: Any) -> type:
+    kind = type(value.item() if isinstance(value, np.generic) else value)
+    return object if kind is int and not -(2**63) <= value < 2**63 else kind
+
+
+def _common(types: set[type]) -> type:
+    """The type of a column that has values of these types; object for YAML texts of them."""
+    if len(types) == 1 and types <= {bool, int, str}:
+        return next(iter(types))
+    return float if types <= {int, float} else object
+
+
+def _write_table(path: Path, total: int, row: Callable[[int], Row], types: dict[str, type]) -> None:
+    """Writes a table of a number of rows, some of which are held in memory at a time."""
     arrow, parquet = _pyarrow()
-    names = dict.fromkeys(name for row in rows for name in row)
-    columns = {name: _column(arrow, [row.get(name) for row in rows]) for name in names}
-    with replacing_file(path) as file:
-        parquet.write_table(arrow.table(columns), file)
-
-
-def _column(arrow: Any, values: list[Any]) -> Any:
-    """The values as an array of one type: as YAML texts where they have none in common."""
-    given = [value for value in values if value is not None]
-    for kinds, kind in ((bool, arrow.bool_()), (int, arrow.int64()), (str, arrow.string())):
-        if given and all(type(value) is kinds for value in given):
-            return arrow.array(values, kind)
-    if all(type(value) in (int, float) for value in given):
-        numbers = [value if value is None else float(value) for value in values]
-        return arrow.array(numbers, arrow.float64())
-    texts = [value if value is None else dump_plain(value) for value in values]
-    return arrow.array(texts, arrow.string())
+    kinds = {bool: arrow.bool_(), int: arrow.int64(), float: arrow.float64()}
+    schema = arrow.schema((name, kinds.get(kind, arrow.string())) for name, kind in types.items())
+    make: dict[type, Callable[[Any], Any]] = {float: float, object: dump_plain}
+    with replacing_file(path) as file, parquet.ParquetWriter(file, schema) as writer:
+        for start in range(0, total, _ROW_GROUP):
+            rows = [row(number) for number in range(start, min(start + _ROW_GROUP, total))]
+            columns = [
+                [
+                    None if (value := row.get(name)) is None else make.get(kind, kind)(value)
+                    for row in rows
+                ]
+                for name, kind in types.items()
+            ]
+            arrays = [arrow.array(c, f.type) for c, f in zip(columns, schema, strict=True)]
+            writer.write_table(arrow.Table.from_arrays(arrays, schema=schema))
 
 
 def _pyarrow() -> tuple[Any, Any]:

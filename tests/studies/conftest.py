@@ -7,6 +7,7 @@ import pytest
 # A wind with the faults that a block can have.
 FAULTY = """
 import os
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,10 @@ class FaultyWind(LeafSystem):
             raise ValueError("the wind broke")
         if late and self.config.fault == "dies":
             os._exit(9)
+        if late and self.config.fault == "exits":
+            sys.exit(0)
+        while late and self.config.fault == "hangs":
+            pass
         value = np.nan if late and self.config.fault == "diverges" else self.config.force
         output.SetFromVector([0, 0, 0, 0, value, 0])
 """

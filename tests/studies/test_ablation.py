@@ -152,11 +152,11 @@ class TestGrids:
             make_nonstop(variant)
 
 
-def a_row(name, error=None, below=0.0, outcome=COMPLETED, message=""):
+def a_row(name, error=None, below=0.0, ending=COMPLETED, message=""):
     metrics = None
     if error is not None:
         metrics = {
-            "outcome": "ok" if outcome == COMPLETED else "stopped",
+            "outcome": "ok" if ending == COMPLETED else "stopped",
             "load": {"position_error_mean_m": error},
             "carriers": {"time_below_bound_s": below, "speed_min_m_s": 0.25},
         }
@@ -164,7 +164,7 @@ def a_row(name, error=None, below=0.0, outcome=COMPLETED, message=""):
         variant=name,
         folder=name,
         overrides=["a=1"],
-        outcome=outcome,
+        ending=ending,
         message=message,
         metrics=metrics,
     )
@@ -172,7 +172,7 @@ def a_row(name, error=None, below=0.0, outcome=COMPLETED, message=""):
 
 ROWS = [
     a_row("base", 2e-3, 0.5),
-    a_row("cannot", outcome=UNBUILDABLE, message="no"),
+    a_row("cannot", ending=UNBUILDABLE, message="no"),
     a_row("same", 2e-3, 0.5),
     a_row("worse", 3e-3, 0.7),
     a_row("much better", 1e-5, 0.25),
@@ -215,7 +215,7 @@ class TestTables:
     def test_what_runs_are_warned_about_is_said(self):
         warned = a_row("warned", 2e-3)
         warned.metrics["warnings"] = ["too | fast", "too taut"]
-        rows = [ROWS[0], warned, a_row("none", outcome=UNBUILDABLE, message="no")]
+        rows = [ROWS[0], warned, a_row("none", ending=UNBUILDABLE, message="no")]
         lines = [
             "none (unbuildable): no",
             "warned: warning: too | fast",
@@ -224,7 +224,7 @@ class TestTables:
         assert as_text(rows).splitlines()[-3:] == lines
         assert as_markdown(rows).splitlines()[-3:] == [f"- {line}" for line in lines]
 
-    def test_text_is_aligned_and_keeps_the_outcome_of_long_names(self):
+    def test_text_is_aligned_and_keeps_the_ending_of_long_names(self):
         rows = [*ROWS, a_row("a name that is much too long for it", 1.0, 0.1, DIVERGED, "why")]
         lines = as_text(rows).splitlines()[: len(rows) + 2]
         assert {len(line) for line in lines} == {len(lines[0])}
@@ -265,7 +265,7 @@ def compared(tmp_path_factory):
 
 def test_all_results_are_there_and_nothing_of_the_users_is_lost(compared):
     folder, _, _ = compared
-    others = {"table.md", "table.csv", "index.html", *PLOTS}
+    others = {"table.md", "table.csv", "index.html", "journal.jsonl", *PLOTS}
     assert contents(folder) == {"as_it_is", "without_optimization", *others}
     assert contents(folder / "as_it_is") == RUN | {"notes.txt"}
     assert contents(folder / "without_optimization") == RUN
@@ -278,7 +278,7 @@ def test_the_csv_holds_every_metric_to_the_last_digit(compared):
     with (folder / "table.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["variant"] for row in rows] == ["as it is", "without optimization", "Nope"]
-    assert [row["outcome"] for row in rows] == [COMPLETED, COMPLETED, UNBUILDABLE]
+    assert [row["ending"] for row in rows] == [COMPLETED, COMPLETED, UNBUILDABLE]
     assert rows[1]["overrides"] == "optimization_layer=ConstantParameters"
     for row in rows[:2]:
         metrics = json.loads((folder / row["folder"] / "metrics.json").read_text())
@@ -335,7 +335,7 @@ def test_a_diverged_variant_is_a_result(tmp_path):
         replay=False,
         progress=lambda what, share: shares.append(share),
     )
-    assert [row.outcome for row in rows] == [COMPLETED, DIVERGED]
+    assert [row.ending for row in rows] == [COMPLETED, DIVERGED]
     assert shares == [0.5, 1.0]
     assert "diverged at t = " in rows[1].message
     metrics = json.loads((tmp_path / "bad" / "metrics.json").read_text())
@@ -350,7 +350,7 @@ def test_a_variant_that_ends_its_process_has_failed(tmp_path, faulty_blocks):
     scenario = load_scenario("line", ["duration=0.1", "optimization_layer=ConstantParameters"])
     fatal = {"fatal": ["load_disturbance=!faulty_blocks.FaultyWind {fault: dies}"]}
     rows = ablate(scenario, fatal, tmp_path, replay=False, trust=True)
-    assert [row.outcome for row in rows] == [COMPLETED, FAILED]
+    assert [row.ending for row in rows] == [COMPLETED, FAILED]
     assert "its process died" in rows[1].message
     assert "fatal (failed): its process died" in (tmp_path / "table.md").read_text()
 

@@ -24,7 +24,7 @@ def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     assert len([line for line in lines if line.startswith(wanted)]) == 9
     cases = json.loads((tmp_path / "robustness.json").read_text())["cases"]
     assert [case["error"] for case in cases] == ["none"] + ["load mass"] * 4 + ["gusty wind"] * 4
-    assert all(case["outcome"] == "completed" for case in cases)
+    assert all(case["ending"] == "completed" for case in cases)
     none, *others = (case["metrics"]["load.position_error_mean_m"] for case in cases)
     assert all(error > 1.5 * none for error in others)
     assert Image.open(tmp_path / "robustness.png").width > 300
@@ -43,7 +43,7 @@ def test_each_error_of_the_report_makes_a_scenario():
 
 
 @pytest.mark.parametrize(
-    ("fault", "outcome", "words"),
+    ("fault", "ending", "words"),
     [
         ("raises", "failed", "the wind broke"),
         ("diverges", "diverged", "diverged at t = 0.05"),
@@ -51,7 +51,7 @@ def test_each_error_of_the_report_makes_a_scenario():
     ],
 )
 def test_a_run_that_does_not_complete_says_how_it_ended(
-    tmp_path, capsys, monkeypatch, faulty_blocks, fault, outcome, words
+    tmp_path, capsys, monkeypatch, faulty_blocks, fault, ending, words
 ):
     errors = robustness._errors
     monkeypatch.setattr(
@@ -65,14 +65,14 @@ def test_a_run_that_does_not_complete_says_how_it_ended(
     lines = capsys.readouterr().out.splitlines()
     none = next(line for line in lines if line.startswith("none"))
     wind = [line for line in lines if line.startswith("constant wind")]
-    assert none.endswith(f"  {outcome}")
+    assert none.endswith(f"  {ending}")
     assert len(wind) == 4
     assert not any(line.endswith(("failed", "diverged")) for line in wind)
     first, *others = json.loads((tmp_path / "robustness.json").read_text())["cases"]
-    assert first["outcome"] == outcome
+    assert first["ending"] == ending
     assert words in first["message"]
     assert ("load.position_error_mean_m" not in first["metrics"]) == (fault == "dies")
-    assert {case["outcome"] for case in others} == {"completed"}
+    assert {case["ending"] for case in others} == {"completed"}
 
 
 @pytest.mark.parametrize("seed", ["-1"])

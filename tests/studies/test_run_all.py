@@ -90,16 +90,16 @@ def test_no_keys_are_no_work():
     assert results([]) == {}
 
 
-def test_the_outcome_of_an_attempt(faulty_blocks):
-    outcomes = {}
+def test_the_ending_of_an_attempt(faulty_blocks):
+    endings = {}
     for fault in ("none", "raises", "diverges", "constructor"):
         block = f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}"
         overrides = ["duration=0.1", "optimization_layer=ConstantParameters", block]
         tried = attempt(lambda given=overrides: load_scenario("line", given, trust=True))
-        outcomes[fault] = tried.outcome
-        assert (tried.run is None) == (tried.outcome == UNBUILDABLE)
-        assert (tried.message == "") == (tried.outcome == COMPLETED)
-    assert outcomes == {
+        endings[fault] = tried.ending
+        assert (tried.run is None) == (tried.ending == UNBUILDABLE)
+        assert (tried.message == "") == (tried.ending == COMPLETED)
+    assert endings == {
         "none": COMPLETED,
         "raises": FAILED,
         "diverges": DIVERGED,

@@ -185,8 +185,8 @@ class TestTable:
             planned = SPEC.run(row["run"])
             assert row["seed"] == planned.seed
             assert {path: row[path] for path in planned.values} == planned.values
-        outcomes = [COMPLETED, BLOCK_FAILED, DIVERGED, UNBUILDABLE]
-        assert [row["outcome"] for row in table] == [o for o in outcomes for _ in range(2)]
+        endings = [COMPLETED, BLOCK_FAILED, DIVERGED, UNBUILDABLE]
+        assert [row["ending"] for row in table] == [o for o in endings for _ in range(2)]
         errors = [row["error"] for row in table]
         assert errors[0] == ""
         assert "the wind broke" in errors[2]
@@ -226,7 +226,7 @@ class TestTable:
         shares = []
         done = sweep(scenario, SPEC, tmp_path, progress=lambda what, share: shares.append(share))
         assert done.table.read_bytes() == (serial / TABLE).read_bytes()
-        assert done.outcomes == dict.fromkeys([COMPLETED, BLOCK_FAILED, DIVERGED, UNBUILDABLE], 2)
+        assert done.endings == dict.fromkeys([COMPLETED, BLOCK_FAILED, DIVERGED, UNBUILDABLE], 2)
         assert shares == [(k + 1) / 8 for k in range(8)]
 
     def test_dask_makes_the_same_table_even_where_a_worker_is_killed(
@@ -256,9 +256,9 @@ class TestTable:
 
     def test_a_run_that_ends_its_process_has_failed(self, scenario, tmp_path):
         done = sweep(scenario, faulty("dies", "none", runs=1), tmp_path)
-        assert [row["outcome"] for row in rows(tmp_path)] == [BLOCK_FAILED, COMPLETED]
+        assert [row["ending"] for row in rows(tmp_path)] == [BLOCK_FAILED, COMPLETED]
         assert "its process died" in rows(tmp_path)[0]["error"]
-        assert done.outcomes == {BLOCK_FAILED: 1, COMPLETED: 1}
+        assert done.endings == {BLOCK_FAILED: 1, COMPLETED: 1}
 
 
 class Recording(SerialExecutor):
@@ -280,7 +280,7 @@ class TestResume:
             sweep(scenario, SPEC, tmp_path, executor=Recording(3))
         assert not (tmp_path / TABLE).exists()
         with (tmp_path / JOURNAL).open("ab") as file:
-            file.write(b'{"run":3,"outcome":"comp')  # cut short by an end of the process
+            file.write(b'{"run":3,"ending":"comp')  # cut short by an end of the process
         rest, nothing = Recording(), Recording()
         sweep(scenario, SPEC, tmp_path, executor=rest)
         assert rest.overrides == [SPEC.run(k).overrides for k in range(3, 8)]
@@ -308,7 +308,7 @@ class TestResume:
         spec, other = faulty("none", runs=1), faulty("constructor", runs=1)
         sweep(scenario, spec, tmp_path, executor=SerialExecutor())
         sweep(scenario, other, tmp_path, executor=SerialExecutor(), restart=True)
-        assert [row["outcome"] for row in rows(tmp_path)] == [UNBUILDABLE]
+        assert [row["ending"] for row in rows(tmp_path)] == [UNBUILDABLE]
         assert len((tmp_path / JOURNAL).read_text().splitlines()) == 2
 
     def test_a_journal_that_is_none_is_refused(self, scenario, tmp_path):
@@ -347,7 +347,7 @@ class TestCommand:
         assert metrics["load"]["position_error_max_m"] == row["load.position_error_max_m"]
         assert metrics["simulated_s"] == row["simulated_s"]
 
-    def test_table_and_outcomes(self, tmp_path, capsys, monkeypatch):
+    def test_table_and_endings(self, tmp_path, capsys, monkeypatch):
         monkeypatch.chdir(tmp_path)
         spec = self.spec(tmp_path, "grid: {system.load_mass: [1.0, -1.0]}")
         assert main(["sweep", "line", spec, "--serial", "--set", *SHORT]) == FAILED

@@ -2,11 +2,12 @@
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib import resources
 from pathlib import Path
 from string import Template
 from urllib.parse import quote
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from drake_nonstop.studies.ablation.tables import (
     shown,
 )
 from drake_nonstop.studies.figures import make_overlay_figure
+from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.studies.run_all import COMPLETED
 from drake_nonstop.visualization.decimation import extreme_samples
 from drake_nonstop.visualization.replay import legend
@@ -75,6 +77,21 @@ class Curves:
             least_tension=least_tension,
         )
 
+    def save(self, path: Path) -> None:
+        """Writes the curves to a file."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing_file(path) as file:
+            np.savez(file, **vars(self))
+
+    @classmethod
+    def load(cls, path: Path) -> "Curves":
+        """The curves in a file; raises OSError, ValueError or KeyError where it has none."""
+        try:
+            with np.load(path) as arrays:
+                return cls(**{field.name: arrays[field.name] for field in fields(cls)})
+        except (BadZipFile, EOFError) as error:
+            raise ValueError(error) from None
+
 
 def write_page(
     folder: Path,
@@ -94,7 +111,7 @@ def write_page(
 def _draw(folder: Path, rows: Sequence[Row], curves: Mapping[str, Curves]) -> None:
     """Writes the plots, whose axes are scaled to the completed runs."""
     drawn = {row.variant: curves[row.folder] for row in rows if row.folder in curves}
-    whole = {row.variant for row in rows if row.outcome == COMPLETED} or set(drawn)
+    whole = {row.variant for row in rows if row.ending == COMPLETED} or set(drawn)
     longest = max(drawn.values(), key=lambda c: c.step_times[-1])
     figures = (
         make_overlay_figure(

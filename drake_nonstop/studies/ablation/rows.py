@@ -27,7 +27,7 @@ class Row:
     variant: str
     folder: str  # of its results, in the folder of all
     overrides: list[str]  # "path=value"
-    outcome: str = COMPLETED
+    ending: str = COMPLETED
     message: str = ""
     metrics: dict[str, Any] | None = None
 
@@ -52,6 +52,6 @@ def ordered(rows: Sequence[Row], metric: Metric = POSITION_ERROR) -> list[Row]:
 def change_of(row: Row, base: Row, metric: Metric) -> float | None:
     """A metric's difference from the first row's; None unless both runs completed."""
     values = [metric.value(r.metrics) for r in (row, base)]
-    if not all(r.outcome == COMPLETED for r in (row, base)) or None in values:
+    if not all(r.ending == COMPLETED for r in (row, base)) or None in values:
         return None
     return values[0] - values[1]

@@ -1,20 +1,22 @@
 """The runs of a comparison: a scenario and its variants, in a process per core."""
 
-import contextlib
 import itertools
 import json
 import re
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
-from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.scenario.overrides import changed, require_override
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.ablation.page import PAGE, PLOTS, Curves, write_page
 from drake_nonstop.studies.ablation.rows import BASE, Row, ordered
 from drake_nonstop.studies.ablation.tables import as_csv, as_markdown
-from drake_nonstop.studies.files import replacing_files, require_writable
+from drake_nonstop.studies.files import as_path, replacing_files
+from drake_nonstop.studies.journal import Journal, open_journal, settings_of
+from drake_nonstop.studies.processes import keep_what_is_done, require_main
 from drake_nonstop.studies.results_folder import RUN_FILES, write_results
 from drake_nonstop.studies.run_all import (
     FAILED,
@@ -24,27 +26,36 @@ from drake_nonstop.studies.run_all import (
     no_progress,
     run_all,
 )
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, require
+
+Variants = Mapping[str, Sequence[str]] | Iterable[tuple[str, Sequence[str]]]
 
 _FILES = ("table.md", "table.csv", PAGE, *PLOTS)
+_CURVES = ".curves"  # a folder, until the page is written
+_RESULT = {"ending": str, "message": str, "has_run": bool}
 
 
 def ablate(
     scenario: Scenario,
-    variants: Mapping[str, Sequence[str]] | Iterable[tuple[str, Sequence[str]]],
+    variants: Variants,
     folder: str | Path,
     *,
     title: str = "",
     replay: bool = True,
     trust: bool = False,
+    restart: bool = False,
     progress: Progress = no_progress,
 ) -> list[Row]:
     """Runs a scenario and each of its variants, in a process per core, and compares them.
 
     The folder gets table.md, table.csv (every metric), plots, and index.html with all replays
-    side by side; the results of each variant are in a folder of their own in it. They replace
-    earlier ones once all runs are done; folders of other variants of earlier calls stay. A
-    variant that cannot be built, or whose run does not complete, has a row with the reason.
+    side by side. The results of each variant are in a folder of their own in it, from the end of
+    its run on; tables, plots and page are written once all runs are done, and earlier ones are
+    removed with the first result. Folders of other variants of earlier calls stay. A variant that
+    cannot be built, or whose run does not complete, has a row with the reason.
+
+    An interrupted comparison continues from the variants that are done when it is called again
+    with the same scenario, variants and folder; a complete one is run again.
 
     Args:
         scenario: what the variants change, and the first row.
@@ -53,6 +64,7 @@ def ablate(
         title: of the page.
         replay: whether to write replays.
         trust: whether the variants may import the user's own blocks, which runs their code.
+        restart: whether to drop what the folder has of an interrupted comparison.
         progress: called with a description and the share that is done.
 
     Returns:
@@ -62,88 +74,135 @@ def ablate(
 
     Raises:
         ScenarioError: the scenario itself cannot be built or run, the overrides of no variant
-            can be used, or the folder cannot be written.
+            can be used, processes end as they start, or the folder cannot be written, or has
+            variants of another, interrupted comparison.
+        StudyInterrupted: Ctrl-C; the variants that are done stay.
     """
-    folder = Path(folder)
-    pairs = variants.items() if isinstance(variants, Mapping) else variants
+    folder = as_path(folder)
+    require_main()
+    pairs = _checked(variants)
     rows = _named([(BASE, ()), *pairs])
     texts, first_error = {}, None
     for k, row in enumerate(rows):
         try:
             texts[k] = dump_scenario(changed(scenario, row.overrides, trust=trust))
         except ScenarioError as error:
+            if k == 0:
+                raise
             first_error = first_error or error
-            row.outcome, row.message = UNBUILDABLE, str(error)
+            row.ending, row.message = UNBUILDABLE, str(error)
     if first_error is not None and len(texts) <= 1:
         raise first_error
-    is_new = not folder.exists()
-    require_writable(folder)
-    try:
-        return _ablate(scenario, rows, texts, folder, title, replay, progress)
-    except BaseException:
-        if is_new:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-        raise
-
-
-def _ablate(
-    scenario: Scenario,
-    rows: list[Row],
-    texts: dict[int, str],
-    folder: Path,
-    title: str,
-    replay: bool,
-    progress: Progress,
-) -> list[Row]:
-    """Runs the rows that have a scenario, of these texts, and writes all results; see `ablate`."""
     curves: dict[str, Curves] = {}
-    contents = [f"{row.folder}/{item}" for row in rows for item in RUN_FILES] + [*_FILES]
-    with replacing_files(folder, contents) as new:
 
-        def record(key: int, result: _Result) -> None:
-            row = rows[key]
-            row.outcome, row.message = result.outcome, result.message
-            if key == 0 and result.curves is None:
-                raise ScenarioError(row.message)
-            if result.curves is not None:
-                curves[row.folder] = result.curves
-                text = (new / row.folder / "metrics.json").read_text(encoding="utf-8")
-                row.metrics = json.loads(text)
+    def add(row: Row, result: dict[str, Any]) -> None:
+        row.ending, row.message = result["ending"], result["message"]
+        if result["has_run"]:
+            text = (folder / row.folder / "metrics.json").read_text(encoding="utf-8")
+            row.metrics = json.loads(text)
+            curves[row.folder] = Curves.load(_curves_file(folder, row))
+
+    settings = ablation_settings(scenario, pairs, replay=replay)
+    with open_journal(
+        folder, settings, list(texts), _RESULT, restart=restart, what="variants"
+    ) as journal:
+        missing = []
+        for key, text in texts.items():
+            if _is_there(folder, rows[key], text, journal, key):
+                add(rows[key], journal.result(key))
+            else:
+                missing.append(key)
+
+        def record(key: int, result: dict[str, Any]) -> None:
+            if key == 0 and not result["has_run"]:
+                raise ScenarioError(result["message"])
+            if len(journal) == 0:
+                for name in _FILES:
+                    (folder / name).unlink(missing_ok=True)
+            add(rows[key], result)
+            journal.record(key, result)
 
         run_all(
             _run,
-            list(texts),
-            lambda key: (texts[key], new / rows[key].folder, replay),
+            missing,
+            lambda key: (texts[key], folder, rows[key], replay),
             record,
-            lambda key, error: _Result(outcome=FAILED, message=error),
+            lambda key, error: {"ending": FAILED, "message": error, "has_run": False},
             progress=progress,
+            already_done=len(texts) - len(missing),
         )
         rows = ordered(rows)
-        (new / "table.csv").write_text(as_csv(rows), encoding="utf-8", newline="")
-        (new / "table.md").write_text(as_markdown(rows), encoding="utf-8")
-        write_page(new, title or scenario.name, scenario, rows, curves, has_replays=replay)
+        without_run = [row.folder for row in rows if row.metrics is None]
+        old = [f"{place}/{item}" for place in without_run for item in RUN_FILES]
+        with replacing_files(folder, [*_FILES, *old]) as new:
+            (new / "table.csv").write_text(as_csv(rows), encoding="utf-8", newline="")
+            (new / "table.md").write_text(as_markdown(rows), encoding="utf-8")
+            write_page(new, title or scenario.name, scenario, rows, curves, has_replays=replay)
+        journal.finish()
+        shutil.rmtree(folder / _CURVES, ignore_errors=True)
     return rows
 
 
-@dataclass(kw_only=True)
-class _Result:
-    """How the run of a variant ended, and its curves where there are any samples."""
-
-    outcome: str
-    message: str = ""
-    curves: Curves | None = None
+def ablation_settings(scenario: Scenario, variants: Variants, *, replay: bool) -> str:
+    """A name of all that the results of a comparison depend on; see `settings_of`."""
+    texts = dump_scenario(scenario), json.dumps(_checked(variants)), str(replay)
+    return settings_of("ablation", *texts)
 
 
-def _run(text: str, folder: Path, replay: bool) -> _Result:
+def _checked(variants: Variants) -> list[tuple[str, list[str]]]:
+    """The variants as pairs of a name and overrides.
+
+    Raises:
+        ScenarioError: they are anything else.
+    """
+    remedy = 'give a mapping from names to lists of overrides, {"name": ["path=value"]}'
+    pairs: list[Any] = []
+    if isinstance(variants, Mapping):
+        pairs = [*variants.items()]
+    else:
+        require(isinstance(variants, Iterable), "variants", variants, remedy)
+        pairs = [*variants]
+    checked = []
+    for pair in pairs:
+        is_pair = isinstance(pair, (tuple, list)) and len(pair) == 2
+        require(is_pair and isinstance(pair[0], str), "variants", pair, remedy)
+        name, overrides = pair
+        is_list = isinstance(overrides, Sequence) and not isinstance(overrides, str)
+        require(is_list, f"variant {name}", overrides, "give a list of path=value")
+        for override in overrides:
+            require_override(override, f"variant {name}")
+        checked.append((name, list(overrides)))
+    return checked
+
+
+def _curves_file(folder: Path, row: Row) -> Path:
+    return folder / _CURVES / f"{row.folder}.npz"
+
+
+def _is_there(folder: Path, row: Row, text: str, journal: Journal, key: int) -> bool:
+    """Whether a variant has a result, with the files that belong to it."""
+    if key not in journal:
+        return False
+    if not journal.result(key)["has_run"]:
+        return True
+    try:
+        Curves.load(_curves_file(folder, row))
+        json.loads((folder / row.folder / "metrics.json").read_text(encoding="utf-8"))
+        return (folder / row.folder / "scenario.yaml").read_text(encoding="utf-8") == text
+    except (OSError, ValueError, KeyError):
+        return False
+
+
+def _run(text: str, folder: Path, row: Row, replay: bool) -> dict[str, Any]:
     """Runs a variant and writes its results."""
-    # A copy of a scenario that was trusted when it was loaded.
-    tried = attempt(lambda: parse_scenario(text, trust=True))
-    result = _Result(outcome=tried.outcome, message=tried.message)
+    scenario = parse_scenario(text, trust=True)  # a copy of one that was trusted when it was loaded
+    tried = attempt(lambda: scenario)
     if tried.run is not None:
-        write_results(tried.run, folder, figures=False, replay=replay)
-        result.curves = Curves.of(tried.run)
-    return result
+        keep_what_is_done()
+        Curves.of(tried.run).save(_curves_file(folder, row))
+        write_results(tried.run, folder / row.folder, figures=False, replay=replay)
+    has_run = tried.run is not None
+    return {"ending": tried.ending, "message": tried.message, "has_run": has_run}
 
 
 def _named(variants: Iterable[tuple[str, Sequence[str]]]) -> list[Row]:

@@ -75,9 +75,9 @@ def as_csv(rows: Sequence[Row]) -> str:
     paths = list(dict.fromkeys(itertools.chain.from_iterable(flat)))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["variant", "folder", "overrides", "outcome", "message", *paths])
+    writer.writerow(["variant", "folder", "overrides", "ending", "message", *paths])
     for row, metrics in zip(rows, flat, strict=True):
-        about = row.variant, row.folder, "; ".join(row.overrides), row.outcome, row.message
+        about = row.variant, row.folder, "; ".join(row.overrides), row.ending, row.message
         writer.writerow([*about, *(metrics.get(path, "") for path in paths)])
     return text.getvalue()
 
@@ -144,10 +144,10 @@ def _upper_headings(widths: list[int]) -> str:
 
 
 def _shortened(row: Row) -> str:
-    ending = labelled(row).removeprefix(row.variant)
-    room = _NAME_WIDTH - len(ending)
+    label = labelled(row).removeprefix(row.variant)
+    room = _NAME_WIDTH - len(label)
     name = row.variant if len(row.variant) <= room else f"{row.variant[: room - 1]}…"
-    return f"{name}{ending}"
+    return f"{name}{label}"
 
 
 def _cells(row: Row, base: Row) -> list[str]:
@@ -169,7 +169,7 @@ def effects_on_bound(rows: Sequence[Row]) -> tuple[list[tuple[Row, str]], list[s
 
 def problems_of(rows: Sequence[Row]) -> list[str]:
     """A line for each variant that did not complete, and for each warning about a run."""
-    problems = [f"{labelled(row)}: {row.message}" for row in rows if row.outcome != COMPLETED]
+    problems = [f"{labelled(row)}: {row.message}" for row in rows if row.ending != COMPLETED]
     for row in rows:
         warnings = (row.metrics or {}).get("warnings", ())
         problems += [f"{labelled(row)}: warning: {warning}" for warning in warnings]
@@ -177,8 +177,8 @@ def problems_of(rows: Sequence[Row]) -> list[str]:
 
 
 def labelled(row: Row) -> str:
-    """The variant's name, with the outcome where it did not complete."""
-    return row.variant if row.outcome == COMPLETED else f"{row.variant} ({row.outcome})"
+    """The variant's name, with the ending where it did not complete."""
+    return row.variant if row.ending == COMPLETED else f"{row.variant} ({row.ending})"
 
 
 def shown(metric: Metric, row: Row) -> str:
