@@ -296,7 +296,8 @@ def judge(command: Command, *, codes: Sequence[int] = (), has_own_code: bool = F
     if has_traceback or "Exception ignored" in error or "Fatal Python error" in error:
         verdict.add(TRACEBACK, last_frame(error + out))
     elif strange := [line for line in lines if line not in sentences]:
-        verdict.add(SENTENCE, f"stray line: {strange[0]}")
+        if command.stdout != "closed":  # a help goes to the standard error then
+            verdict.add(SENTENCE, f"stray line: {strange[0]}")
     if code in COMPLETED_CODES:
         verdict.ending = ACCEPTED
         if code == 0 and sentences:
@@ -305,7 +306,7 @@ def judge(command: Command, *, codes: Sequence[int] = (), has_own_code: bool = F
         verdict.ending = REFUSED
         if len(sentences) != 1:
             verdict.add(SENTENCE, f"{len(sentences)} sentences: {' / '.join(lines)[:300]}")
-        elif not sentences[0].startswith("drake-nonstop:"):
+        elif re.match(r"drake-nonstop( [\w-]+)*: error: ", sentences[0]):
             pass  # argparse's
         else:
             judge_sentence(
@@ -313,11 +314,11 @@ def judge(command: Command, *, codes: Sequence[int] = (), has_own_code: bool = F
             )
     elif code == FAILED_CODE:
         verdict.ending = STOPPED
-        if not sentences and not out.strip():
+        if not sentences and not out.strip() and not verdict.faults:
             verdict.add(SENTENCE, "exit code 1 without a word")
     elif code in codes:
         verdict.ending = STOPPED
-    elif not has_traceback or code != 1:
+    elif not verdict.faults:
         verdict.add(EXIT_CODE, f"{code}: {(lines or ['no word'])[-1]}")
     return verdict
 

@@ -17,7 +17,7 @@ from adversary.values import (
 from adversary.verdicts import ACCEPTED, LOST_WORK, MISREAD, REFUSED, Case, Verdict
 
 _LENGTHY = "duration", "simulator.target_realtime_rate"  # whose values say how long it takes
-_LONGEST = 5.0  # s
+_EVERY_BLOCK = [block for blocks in BLOCKS.values() for block in blocks]
 
 
 def draw(rng: np.random.Generator) -> Case:
@@ -52,7 +52,7 @@ def _override(rng: np.random.Generator, name: str) -> tuple[str, str]:
         return f"{path}={drawn_value(rng)}", ""
     if form < 0.88:
         box = str(rng.choice(list(BLOCKS)))
-        block = str(rng.choice(BLOCKS[box] if rng.random() < 0.6 else sum(BLOCKS.values(), [])))
+        block = str(rng.choice(BLOCKS[box] if rng.random() < 0.6 else _EVERY_BLOCK))
         quoted = str(rng.choice(["{}", "!{} {{}}", "!{}", "'!{} {{}}'", "{}Config", "{} ", '"{}"']))
         return f"{box}={quoted.format(block)}", ""
     slip = [

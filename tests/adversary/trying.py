@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from adversary import earlier
 from adversary.processes import become_subreaper, end_all_below, slowness
 from adversary.verdicts import HANG, STOPPED, TRACEBACK, Case, Verdict
 
@@ -99,6 +100,7 @@ def warm_up() -> None:
         warnings.simplefilter("ignore")
         for name in ("quintic", "three_carriers"):
             simulate(load_scenario(name, ["duration=0.02"]))
+        earlier.finished()
 
 
 def try_all(
