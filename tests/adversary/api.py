@@ -33,7 +33,7 @@ def attempt_call(
             warnings.simplefilter("ignore")
             return call(), verdict
     except ScenarioError as error:
-        verdict.ending = REFUSED
+        verdict.ending, verdict.message = REFUSED, str(error)
         judge_sentence(verdict, str(error), has_own_code=has_own_code)
     except (RunStopped, RunInterrupted, SweepInterrupted):
         verdict.ending = STOPPED

@@ -29,6 +29,7 @@ class Verdict:
     """How a case ended, and its faults: kind and detail."""
 
     ending: str = ACCEPTED
+    message: str = ""  # of what refused it
     faults: list[tuple[str, str]] = field(default_factory=list)
 
     def add(self, kind: str, detail: str) -> None:
