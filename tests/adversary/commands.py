@@ -295,9 +295,9 @@ def judge(command: Command, *, codes: Sequence[int] = (), has_own_code: bool = F
     has_traceback = "Traceback (most recent call last)" in error + out
     if has_traceback or "Exception ignored" in error or "Fatal Python error" in error:
         verdict.add(TRACEBACK, last_frame(error + out))
-    elif strange := [line for line in lines if line not in sentences]:
-        if command.stdout != "closed":  # a help goes to the standard error then
-            verdict.add(SENTENCE, f"stray line: {strange[0]}")
+    elif (strange := set(lines) - set(sentences)) and command.stdout != "closed":
+        # A help goes to the standard error where there is no output.
+        verdict.add(SENTENCE, f"stray line: {min(strange)}")
     if code in COMPLETED_CODES:
         verdict.ending = ACCEPTED
         if code == 0 and sentences:

@@ -141,7 +141,7 @@ def _attempt(
     if command.wait(first * min(3.0, slowness())):
         return judge(command)  # it was faster
     flown = command.flown
-    rows = _finished_rows(out)
+    rows = journal_rows(out)
     command.send(number, to_group=to_group)
     sent = time.monotonic()
     for gap in gaps:
@@ -189,7 +189,7 @@ def _judge_code(verdict: Verdict, command: Command, name: str, number: int) -> N
         )
 
 
-def _finished_rows(out: Path) -> list[str]:
+def journal_rows(out: Path) -> list[str]:
     """The whole lines of a sweep's journal."""
     journal = out / "journal.jsonl"
     if not journal.is_file():
@@ -213,7 +213,7 @@ def _judge_work(
         elif flown > 0 and times == 1:
             verdict.add(LOST_WORK, f"{flown:.3g} s were flown, but there is no folder")
     elif name.startswith("sweep"):
-        if _finished_rows(out)[: len(rows)] != rows:
+        if journal_rows(out)[: len(rows)] != rows:
             verdict.add(LOST_WORK, "rows of the journal are gone")
     elif name in ("ablate", "robustness", "stability") and 0 < flown < 1:
         new = [
@@ -239,7 +239,7 @@ def _judge_continued(
     verdict: Verdict, folder: Path, arguments: list[str], out: Path, name: str
 ) -> None:
     """The same call comes to its end, and has not done again what was finished."""
-    kept = _finished_rows(out)
+    kept = journal_rows(out)
     variants = {path: path.stat().st_mtime_ns for path in out.glob("*/signals.npz")}
     again = Command(arguments=arguments, folder=folder)
     second = ended(again, 60)
@@ -247,10 +247,10 @@ def _judge_continued(
         word = (again.error.strip().splitlines() or ["no word"])[-1]
         second.add(EXIT_CODE, f"{name} again: {again.code}: {word}")
     verdict.merge(second)
-    if kept and _finished_rows(out)[: len(kept)] != kept:
+    if kept and journal_rows(out)[: len(kept)] != kept:
         verdict.add(LOST_WORK, f"{name} again: finished runs were run again")
     if name.startswith("sweep"):
-        numbers = [json.loads(line).get("run") for line in _finished_rows(out)[1:]]
+        numbers = [json.loads(line).get("run") for line in journal_rows(out)[1:]]
         if sorted(numbers) != list(range(30)):
             verdict.add(LOST_WORK, f"{name} again: runs {numbers}")
     repeated = [path.parent.name for path, t in variants.items() if path.stat().st_mtime_ns != t]

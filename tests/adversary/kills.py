@@ -14,7 +14,7 @@ import numpy as np
 
 from adversary import earlier
 from adversary.commands import Command, ended
-from adversary.interrupts import CALLS, _finished_rows, _judge_continued, prepare
+from adversary.interrupts import CALLS, _judge_continued, journal_rows, prepare
 from adversary.processes import slowness
 from adversary.verdicts import EXIT_CODE, LEFTOVER, LOST_WORK, STOPPED, Case, Verdict
 
@@ -48,7 +48,7 @@ def _attempt(
     command.await_start()
     if target == "the command":
         command.wait(after * min(3.0, slowness()))
-        flown, rows = command.flown, _finished_rows(out)
+        flown, rows = command.flown, journal_rows(out)
         is_over = command.code is not None
         command.kill()
         verdict = Verdict(ending=STOPPED)
@@ -58,7 +58,7 @@ def _attempt(
             return verdict
         if name == "run to its end" and out.exists():
             earlier.judge_results(verdict, out, 0.0)
-        if _finished_rows(out)[: len(rows)] != rows:
+        if journal_rows(out)[: len(rows)] != rows:
             verdict.add(LOST_WORK, f"{name}: rows of the journal are gone")
         if name == "ablate" and 0.2 < flown < 1 and not [*out.glob("*/metrics.json")]:
             verdict.add(LOST_WORK, f"{name}: {flown:.0%} were done, and nothing of it is there")
@@ -79,6 +79,6 @@ def _attempt(
         word = (command.error.strip().splitlines() or ["no word"])[-1]
         verdict.add(EXIT_CODE, f"{name}: {command.code} after a worker's end: {word}")
     earlier.judge_tidiness(verdict, out)
-    if name.startswith("sweep") and len(_finished_rows(out)) != 31:
-        verdict.add(LOST_WORK, f"{name}: {len(_finished_rows(out)) - 1} rows of 30")
+    if name.startswith("sweep") and len(journal_rows(out)) != 31:
+        verdict.add(LOST_WORK, f"{name}: {len(journal_rows(out)) - 1} rows of 30")
     return verdict

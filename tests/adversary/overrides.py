@@ -29,7 +29,9 @@ def draw(rng: np.random.Generator) -> Case:
     if count > 1:
         expected = ""
     is_lengthy = any(override.startswith(_LENGTHY) for override in overrides[1:])
-    arguments = ["run", name, "--no-figures", "--no-replay", "--out", "out", "--set", *overrides]
+    is_seen = any(override.startswith("scene") for override in overrides)
+    brief = ["--no-figures"] if is_seen else ["--no-figures", "--no-replay"]
+    arguments = ["run", name, *brief, "--out", "out", "--set", *overrides]
     shown = [a if len(a) < 400 else a[:200] + "…" for a in arguments]
     return Case(
         text=" ".join(shown),
@@ -66,7 +68,7 @@ def _override(rng: np.random.Generator, name: str) -> tuple[str, str]:
 
 def _attempt(folder: Path, arguments: list[str], expected: str) -> Verdict:
     command = Command(arguments=arguments, folder=folder)
-    verdict = ended(command, 30)
+    verdict = ended(command, 20)
     if expected and verdict.ending != REFUSED:
         verdict.add(MISREAD, verdict.ending)
     has_results = (folder / "out" / "metrics.json").exists()

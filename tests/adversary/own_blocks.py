@@ -148,6 +148,7 @@ _FAULTS: dict[str, str] = {
     "sys.excepthook = None": "flies",
     "sys.settrace(lambda *a: None)": "flies",
 }
+_AT_RUN = "if self.count == 1: fault()", "value = fault(value)"  # once, or at every call
 _STAGES = "at import", "in the constructor", "during the run", "during the run", "during the run"
 
 
@@ -180,9 +181,7 @@ def _module(fault: str, stage: str, box: str) -> str:
         signal=port,
         size=size,
         value=value,
-        at_run="value = fault(value) if self.count == 1 or value is None else fault(value)"
-        if stage == "during the run"
-        else "",
+        at_run="" if stage != "during the run" else _AT_RUN[_FAULTS[fault] == "fails late"],
     )
 
 
@@ -229,9 +228,9 @@ def _attempt(folder: Path, fault: str, stage: str, box: str, how: str, expected:
             earlier.judge_results(verdict, out, 0.04)
     if how == "ablate" and verdict.ending == ACCEPTED and not (out / "index.html").is_file():
         verdict.add(LOST_WORK, f"{said}: no page")
-    if how.startswith("sweep") and code in (0, 1) and stage == "during the run":
-        if not (out / "runs.parquet").is_file():
-            verdict.add(LOST_WORK, f"{said}: no table")
+    has_table = (out / "runs.parquet").is_file()
+    if how.startswith("sweep") and code in (0, 1) and stage == "during the run" and not has_table:
+        verdict.add(LOST_WORK, f"{said}: no table")
     if out.exists():
         earlier.judge_tidiness(verdict, out)
     return verdict

@@ -60,4 +60,4 @@ def reap() -> None:
 
 def slowness() -> float:
     """How much longer than on an idle machine things may take now."""
-    return max(1.0, 1.5 * os.getloadavg()[0] / (os.cpu_count() or 1))
+    return min(max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), 4.0)
