@@ -1,7 +1,6 @@
 """Calls of the package's functions, and what they may raise."""
 
 import io
-import sys
 import traceback
 import warnings
 from collections.abc import Callable
@@ -41,7 +40,7 @@ def attempt_call(
         verdict.ending = REFUSED
     except BaseException as error:
         verdict.ending = REFUSED
-        if not _is_about_arguments(error):
+        if not _is_pythons_own(error):
             verdict.ending = STOPPED
             text = io.StringIO()
             traceback.print_exception(error, limit=-40, file=text)
@@ -49,11 +48,12 @@ def attempt_call(
     return None, verdict
 
 
-def _is_about_arguments(error: BaseException) -> bool:
+def _is_pythons_own(error: BaseException) -> bool:
+    """Whether an error is Python's for a call that cannot be made, or one of the caller's code."""
     words = "positional argument", "required keyword", "unexpected keyword", "multiple values"
-    return isinstance(error, TypeError) and any(word in str(error) for word in words)
-
-
-def silence() -> None:
-    """Leaves what a call prints to the log."""
-    sys.stdout = sys.stderr
+    if isinstance(error, TypeError) and any(word in str(error) for word in words):
+        return True
+    files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
+    is_in_package = any("/drake_nonstop/" in file or "/diagrams/" in file for file in files)
+    is_callers = files[-1] == "<typed>" and isinstance(error, Exception)
+    return is_callers or (not is_in_package and isinstance(error, Exception))
