@@ -12,7 +12,7 @@ from pathlib import Path
 os.environ |= {"OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "agg", "BROWSER": "true"}
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
 
-from adversary.tables import findings, summary  # noqa: E402
+from adversary.tables import findings, printable, summary  # noqa: E402
 from adversary.trying import CLASSES, Tried, draw, shares, try_all, warm_up  # noqa: E402
 
 
@@ -53,7 +53,10 @@ def main() -> int:
         counts["tried"] += 1
         counts["faulty"] += bool(tried.verdict.faults)
         for kind, detail in tried.verdict.faults:
-            print(f"{kind}: {detail}\n    {tried.repeat}\n    {tried.text[:300]}", flush=True)
+            print(
+                printable(f"{kind}: {detail}\n    {tried.repeat}\n    {tried.text[:300]}"),
+                flush=True,
+            )
         if log:
             row = {"repeat": tried.repeat, "text": tried.text, "ending": tried.verdict.ending}
             row |= {"faults": tried.verdict.faults, "seconds": round(tried.seconds, 2)}
@@ -68,7 +71,7 @@ def main() -> int:
             )
 
     tried = try_all(numbered, options.seed, jobs=options.jobs, report=report)
-    print(findings(tried))
+    print(printable(findings(tried)))
     print(summary(tried))
     print(f"{len(tried)} cases in {(time.monotonic() - start) / 60:.1f} min")
     return 1 if any(one.verdict.faults for one in tried) else 0

@@ -53,7 +53,9 @@ class Command:
     is_fresh: bool = False
     stdout: str = ""  # "closed", "full", "pipe" (whose reader has gone), or a file
     program: Callable[[], int] | None = None  # in place of the command, if forked
-    script: str = ""  # in place of the command, if fresh
+    script: str = ""  # in place of the command, if fresh: a program,
+    python: Sequence[str] | None = None  # or arguments of the interpreter
+    stdin: str = os.devnull  # a file
 
     def __post_init__(self) -> None:
         self.folder.mkdir(exist_ok=True)
@@ -153,19 +155,22 @@ class Command:
             if self.stdout == "closed":
                 os.close(1)
 
-        call = ["-c", self.script] if self.script else ["-m", "drake_nonstop.cli"]
+        call = ["-m", "drake_nonstop.cli"] if self.python is None else [*self.python]
+        if self.script:
+            call = ["-c", self.script]
+        source = os.open(self.folder / (self.stdin or os.devnull), os.O_RDONLY)
         process = subprocess.Popen(
             [sys.executable, *call, *self.arguments],
             cwd=self.folder,
             env=self._environment(),
-            stdin=subprocess.DEVNULL,
+            stdin=source,
             stdout=out,
             stderr=error,
             start_new_session=True,
             preexec_fn=prepare,
         )
-        os.close(out)
-        os.close(error)
+        for descriptor in (source, out, error):
+            os.close(descriptor)
         process.returncode = 0  # it is waited for here
         return process.pid
 

@@ -3,13 +3,16 @@
 import contextlib
 import hashlib
 import os
+import resource
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from adversary import earlier
 from adversary.commands import Command, ended
-from adversary.verdicts import ACCEPTED, LOST_WORK, MISREAD, REFUSED, Case, Verdict
+from adversary.verdicts import ACCEPTED, EXIT_CODE, LOST_WORK, MISREAD, REFUSED, Case, Verdict
 
 _QUICK = ["--set", "duration=0.02", "--no-figures", "--no-replay"]
 _SWEPT = "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 2\noverrides: [duration=0.02]\n"
@@ -346,7 +349,37 @@ def _resumed(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
     ], f"journal line {line[:80]} {where}|{line}"
 
 
-_FORMS = {_read: 4, _written: 4, _named: 2, _resumed: 1}
+_SCARCE = {  # resources, and how much of them there is
+    "bytes in a file": (resource.RLIMIT_FSIZE, (0, 100, 5_000, 20_000, 60_000, 300_000)),
+    "open files": (resource.RLIMIT_NOFILE, (3, 5, 8, 12, 16, 24, 40)),
+    "bytes of memory": (resource.RLIMIT_DATA, (1 << 20, 1 << 26, 1 << 28, 1 << 29)),
+    "processes": (resource.RLIMIT_NPROC, (0, 1)),
+}
+
+
+def _scarce(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
+    """A command that runs out of something, in a folder with earlier results."""
+    what = str(rng.choice(list(_SCARCE)))
+    amount = int(rng.choice(_SCARCE[what][1]))
+    (folder / "s.yaml").write_text(_SWEPT)
+    earlier.put(folder / "out")
+    call = {
+        "run": ["run", "line", "--set", "duration=0.1", "--no-figures"],
+        "ablate": [
+            "ablate",
+            "line",
+            "--swap",
+            "phase=PaperPhase",
+            "--set",
+            "duration=0.1",
+            "--no-replay",
+        ],
+        "sweep": ["sweep", "line", "s.yaml"],
+    }[str(rng.choice(["run", "run", "run", "ablate", "sweep"]))]
+    return [*call, "--out", "out"], f"no more than {amount} {what}"
+
+
+_FORMS = {_scarce: 1.5, _read: 4, _written: 4, _named: 2, _resumed: 1}
 
 
 def draw(rng: np.random.Generator) -> Case:
@@ -390,6 +423,8 @@ def _attempt(form, rng: np.random.Generator, folder: Path) -> Verdict:  # type: 
             lines = [line, *lines[1:]]
         journal.write_text("\n".join(lines) + "\n", encoding="utf-8", errors="surrogatepass")
     before_call = _contents(folder)
+    if form is _scarce:
+        return _attempt_scarce(folder, call, what)
     command = Command(arguments=call, folder=folder)
     verdict = ended(command, 30)
     after = _contents(folder)
@@ -410,6 +445,27 @@ def _attempt(form, rng: np.random.Generator, folder: Path) -> Verdict:  # type: 
         found = [*folder.parent.rglob("metrics.json")]
         if not found and not any(a.startswith("--out=/") for a in call):
             verdict.add(MISREAD, "accepted, but there are no results")
+    return verdict
+
+
+def _attempt_scarce(folder: Path, call: list[str], what: str) -> Verdict:
+    _, _, _, amount, name = what.split(" ", 4)
+    kind = _SCARCE[name][0]
+
+    def program() -> int:
+        from drake_nonstop.cli.main import main
+
+        resource.setrlimit(kind, (int(amount), int(amount)))
+        return main()
+
+    command = Command(arguments=call, folder=folder, program=program)
+    verdict = ended(command, 40)
+    if command.code == -signal.SIGXFSZ:
+        verdict.faults = []
+        verdict.add(EXIT_CODE, "killed by SIGXFSZ")
+    earlier.judge_tidiness(verdict, folder / "out")
+    if call[0] == "run":
+        earlier.judge_results(verdict, folder / "out", 0.0)
     return verdict
 
 

@@ -22,6 +22,11 @@ def summary(tried: Sequence[Tried]) -> str:
     return "\n".join(lines)
 
 
+def printable(text: str) -> str:
+    """The text without control characters other than ends of lines."""
+    return "".join(c if c.isprintable() or c == "\n" else "·" for c in text)
+
+
 def findings(tried: Sequence[Tried]) -> str:
     """The distinct faults by class, each with how often it was found and one case of it."""
     found: dict[tuple[str, str], list[tuple[Tried, str]]] = {}

@@ -27,12 +27,13 @@ from adversary.verdicts import HANG, STOPPED, TRACEBACK, Case, Verdict
 CLASSES = {
     "yaml": 0.28,
     "overrides": 0.27,
-    "python": 0.20,
+    "python": 0.19,
     "files": 0.07,
     "command_line": 0.07,
     "signals": 0.055,
     "kills": 0.025,
     "blocks": 0.03,
+    "scripts": 0.01,
 }
 _MODULES = {"yaml": "yaml_texts", "signals": "interrupts", "blocks": "own_blocks"}
 _MEMORY = 4 << 30  # bytes that a process may have beyond what the imports take
