@@ -350,10 +350,9 @@ def _resumed(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
 
 
 _SCARCE = {  # resources, and how much of them there is
-    "bytes in a file": (resource.RLIMIT_FSIZE, (0, 100, 5_000, 20_000, 60_000, 300_000)),
-    "open files": (resource.RLIMIT_NOFILE, (3, 5, 8, 12, 16, 24, 40)),
-    "bytes of memory": (resource.RLIMIT_DATA, (1 << 20, 1 << 26, 1 << 28, 1 << 29)),
-    "processes": (resource.RLIMIT_NPROC, (0, 1)),
+    "bytes in a file": (resource.RLIMIT_FSIZE, (5_000, 20_000, 60_000, 300_000)),
+    "open files": (resource.RLIMIT_NOFILE, (16, 24, 40)),
+    "bytes of memory": (resource.RLIMIT_DATA, (1 << 28, 1 << 29)),
 }
 
 
