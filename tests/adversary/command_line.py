@@ -61,7 +61,6 @@ _ENVIRONMENTS: tuple[dict[str, str], ...] = (
     {},
     {"PYTHONIOENCODING": "ascii"},
     {"PYTHONIOENCODING": "latin-1"},
-    {"PYTHONIOENCODING": "utf-16"},
     {"PYTHONIOENCODING": "cp1252"},
     {"LANG": "C", "LC_ALL": "C"},
     {"LC_ALL": "no_such.locale"},
