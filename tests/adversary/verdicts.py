@@ -81,7 +81,7 @@ def judge_sentence(verdict: Verdict, text: str, *, has_own_code: bool = False) -
         verdict.add(SENTENCE, f"several lines: {text!r}")
     if len(text) > 2000:
         verdict.add(SENTENCE, f"{len(text)} characters: {text[:200]}")
-    if not re.search(r"\S = .*: \S", text, re.DOTALL):
+    if not re.search(r"\S\s+= .*: \S", text, re.DOTALL):
         verdict.add(SENTENCE, f"not 'field = value: remedy': {text}")
     elif not has_own_code and (found := re.search(_INTERNAL, text)):
         verdict.add(SENTENCE, f"internal {found[0]!r}: {text}")
