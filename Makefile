@@ -1,12 +1,13 @@
 # make demo: environment, install, one run. make check: lint and types.
 # make test: all tests. make quick: without whole runs, processes and browsers; within a minute.
+# make adversary: 2000 bad and extreme inputs, signals and kills; COUNT=200 SEED=1 for others.
 # make pictures: those of the README; needs Chromium (on Debian: apt-get install chromium).
 # make lowest: the unit tests with the lowest versions that pyproject.toml names.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test quick check pictures clean
+.PHONY: demo test quick check adversary pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/drake-nonstop run quintic
@@ -24,6 +25,11 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo --no-cache
+
+COUNT ?= 2000
+SEED ?= 0
+adversary: $(VENV)/.installed-dev
+	cd tests && ../$(BIN)/python -m adversary --count $(COUNT) --seed $(SEED)
 
 pictures: $(VENV)/.installed-dev
 	$(BIN)/drake-nonstop pictures --out examples/pictures

@@ -1,10 +1,12 @@
 """A box of a control figure, and the rule that pairs blocks with their configs."""
 
+import dataclasses
 import sys
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pydrake.systems.framework import System
 
@@ -103,15 +105,41 @@ def block_class(box: str, config: type) -> type[System]:
     Raises:
         ScenarioError: there is no such block.
     """
-    name = config.__name__.removesuffix("Config")
-    block = getattr(sys.modules.get(config.__module__), name, None)
+    block = block_of(config)
     require(
         isinstance(block, type) and issubclass(block, System),
         box,
         import_path(config),
-        f"give {config.__module__} a LeafSystem or Diagram of the name {name}",
+        f"give {config.__module__} a LeafSystem or Diagram of the name "
+        f"{config.__name__.removesuffix('Config')}",
     )
-    return block  # type: ignore[return-value]
+    return block
+
+
+def block_of(config: type) -> Any:
+    """What has the name X in the module of the dataclass XConfig, None if nothing has."""
+    name = config.__name__.removesuffix("Config")
+    return getattr(sys.modules.get(config.__module__), name, None)
+
+
+def kept_parameters(
+    fields: Mapping[str, Any], old: type, new: type, keeps_defaults: bool
+) -> dict[str, Any]:
+    """What a swap by a block's name hands on: the fields of the same name and type.
+
+    Args:
+        fields: those of a config of the class `old`, by their names.
+        old: the dataclass of the parameters of the block in the box.
+        new: that of the block which takes its place.
+        keeps_defaults: whether fields that are at their defaults are handed on, too.
+    """
+    types = typing.get_type_hints(new)
+    shared = [key for key, kind in typing.get_type_hints(old).items() if types.get(key) == kind]
+    kept = {key: fields[key] for key in shared if key in fields}
+    if not keeps_defaults:
+        default = dataclasses.asdict(old())
+        kept = {key: value for key, value in kept.items() if value != default[key]}
+    return kept
 
 
 def import_path(config: type) -> str:

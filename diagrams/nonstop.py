@@ -10,9 +10,11 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
   load_plant <── cables <── carrier_dynamics <────────────────────────┘
 """
 
-from collections.abc import Callable
+import copy
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Diagram, System
@@ -33,7 +35,15 @@ from drake_nonstop.blocks import (
     wrench_controller,
 )
 from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
-from drake_nonstop.diagrams.box import Box, Kind, Place, block_class, import_path
+from drake_nonstop.diagrams.box import (
+    Box,
+    Kind,
+    Place,
+    block_class,
+    block_of,
+    import_path,
+    kept_parameters,
+)
 from drake_nonstop.diagrams.fusing import fuse
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
@@ -211,6 +221,10 @@ class LoopConfig(Protocol):
     fused_plant: bool
     simulator: SimulatorConfig
 
+    def check(self) -> None:
+        """Raises ScenarioError for the first field that cannot be used."""
+        ...
+
 
 def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System] | Any) -> Diagram:
     """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
@@ -221,8 +235,9 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
 
     Args:
         scenario: the system, the pattern and one config per box.
-        replacements: by the name of a box, what to put in its place: a block's config, or
-            a function (a block class, for instance) that takes the `Model` and returns a
+        replacements: by the name of a box, what to put in its place: a block's config; a block
+            class with the dataclass of its parameters beside it, to which parameters go as in a
+            swap by `--set` (see `replaced`); a function that takes the `Model` and returns a
             LeafSystem or Diagram with ports named after the signals it reads and makes; or
             None to leave the box out: the signals that it has to make become input ports of
             the diagram, for a bigger one to connect.
@@ -231,8 +246,8 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         ScenarioError: the scenario or a replacement cannot be built, or the ports of a
             replacement do not fit; the message names the field, the value and the remedy.
     """
-    for name in replacements:
-        require(name in BOXES, "replacement", name, f"give one of {', '.join(BOXES)}")
+    scenario, others = replaced(scenario, replacements)
+    scenario.check()
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
     plant = overridden(scenario.system, scenario.simulated)
     require(
@@ -246,7 +261,7 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
     outside: dict[str, int] = {}
     for name, box in BOXES.items():
         required, optional = box.required_and_optional(believed)
-        entry = replacements.get(name, getattr(scenario, name))
+        entry = others.get(name, getattr(scenario, name))
         if entry is None:
             outside |= required
             continue
@@ -284,6 +299,48 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
     return diagram
 
 
+_Loop = TypeVar("_Loop", bound=LoopConfig)
+
+
+def replaced(scenario: _Loop, replacements: Mapping[str, Any]) -> tuple[_Loop, dict[str, Any]]:
+    """The scenario with the configs among the replacements in their boxes; the other replacements.
+
+    A block class whose module has the dataclass of its parameters, and that dataclass itself,
+    stand for a config: the parameters that the block in the box has, too, stay as they are. All
+    others are as in `make_nonstop`.
+
+    Raises:
+        ScenarioError: there is no box of a name.
+    """
+    configs: dict[str, Any] = {}
+    others: dict[str, Any] = {}
+    for name, entry in replacements.items():
+        require(name in BOXES, "replacement", name, f"give one of {', '.join(BOXES)}")
+        config = _config_class(entry)
+        if config is not None:
+            present = getattr(scenario, name)
+            keeps_defaults = BOXES[name].swap_keeps_defaults
+            kept = kept_parameters(vars(present), type(present), config, keeps_defaults)
+            entry = config(**kept)
+        (configs if is_dataclass(entry) else others)[name] = entry
+    scenario = copy.copy(scenario)
+    for name, config in configs.items():
+        setattr(scenario, name, config)
+    return scenario, others
+
+
+def _config_class(entry: Any) -> type | None:
+    """The dataclass of the parameters of a block class, if its module has one."""
+    if not isinstance(entry, type):
+        return None
+    if is_dataclass(entry):
+        return entry
+    config = getattr(sys.modules.get(entry.__module__), f"{entry.__name__}Config", None)
+    if isinstance(config, type) and is_dataclass(config) and block_of(config) is entry:
+        return config
+    return None
+
+
 def _without_sampling(wires: list[str]) -> set[str]:
     """The wires as they would be if the sample-and-hold passed its inputs through."""
     pairs = [tuple(wire.split(" -> ")) for wire in wires]
@@ -313,7 +370,7 @@ def _constructor(name: str, config: Any) -> Callable[[Model], System]:
             return block(model, config)
         except ScenarioError:
             raise
-        except Exception as error:  # whatever a user's constructor may raise
+        except (Exception, SystemExit) as error:  # whatever a user's constructor may raise
             raise ScenarioError(
                 f"{name} = !{import_path(type(config))}: correct its constructor, which takes "
                 f"the model and the config ({one_line(error)})"

@@ -1,111 +1,28 @@
 """Carriers that must not stop fly a load on cables: the closed loop as Drake systems.
 
-The public names, in the order of the figure: what a run is, the boxes and what they can
-be swapped for, and how they are put together, simulated and judged.
+The public names are those of `drake_nonstop.public`. They are imported once one of them is asked
+for: a command can answer Ctrl-C before pydrake is imported, which takes a second.
 """
 
-import sys
+import importlib.util
 from typing import TYPE_CHECKING, Any
 
-from drake_nonstop.blocks.fused_plant import FusedPlant
-from drake_nonstop.blocks.load_trajectory import LoadTrajectory
-from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
-from drake_nonstop.model.pattern import (
-    CarouselConfig,
-    HamiltonianCycleConfig,
-    LinearPatternConfig,
-    SpreadCarouselConfig,
-)
-from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.optimization.diagnostics import Outcome
-from drake_nonstop.scenario.loading import (
-    dump_scenario,
-    load_scenario,
-    parse_scenario,
-    scenario_names,
-)
-from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.equilibrium import set_equilibrium
-from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
-from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.studies.ablation import ablate, read_grid
-from drake_nonstop.studies.journal import StudyInterrupted
-from drake_nonstop.studies.results_folder import write_results
-from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
-from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
-from drake_nonstop.systems.traced_block import Equations, TracedBlock
-from drake_nonstop.validation import ScenarioError, ScenarioWarning
-from drake_nonstop.version import __version__
-from drake_nonstop.visualization.drawing import draw_diagram
-from drake_nonstop.visualization.live import run_live
-from drake_nonstop.visualization.meshcat_server import start_meshcat
-from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer, show_in
-from drake_nonstop.visualization.progress import RunProgress, TaskProgress
-from drake_nonstop.visualization.replay import record_replay
-
-__all__ = [  # noqa: RUF022 - in the order of the figure
-    # what a run is
-    "Scenario",
-    "load_scenario",
-    "parse_scenario",
-    "dump_scenario",
-    "scenario_names",
-    "SystemParameters",
-    "HamiltonianCycleConfig",
-    "CarouselConfig",
-    "SpreadCarouselConfig",
-    "LinearPatternConfig",
-    "Model",
-    "LoadTrajectory",
-    "Equations",
-    "FusedPlant",
-    "Outcome",
-    "SampleAndHold",
-    "TracedBlock",
-    # put together, simulated, judged
-    "make_nonstop",
-    "set_equilibrium",
-    "simulate",
-    "StepAction",
-    "Run",
-    "RunStopped",
-    "RunInterrupted",
-    "compute_metrics",
-    "write_results",
-    "ablate",
-    "read_grid",
-    "sweep",
-    "read_sweep",
-    "SweepSpec",
-    "PlannedRun",
-    "Sweep",
-    "SweepInterrupted",
-    "StudyInterrupted",
-    "draw_diagram",
-    # watched
-    "NonstopVisualizer",
-    "show_in",
-    "SceneConfig",
-    "start_meshcat",
-    "run_live",
-    "record_replay",
-    "RunProgress",
-    "TaskProgress",
-    "ScenarioError",
-    "ScenarioWarning",
-    "__version__",
-]
-
-# Every block that a box can be, and its config: blocks are listed in their own modules alone.
-for _block in (block for box in BOXES.values() for block in box.variants):
-    for _name in (_block.__name__, f"{_block.__name__}Config"):
-        globals()[_name] = getattr(sys.modules[_block.__module__], _name)
-        __all__ += [_name]
+from drake_nonstop.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from drake_nonstop.public import *  # noqa: F403
 
-    def __getattr__(name: str) -> Any:
-        """Any block or config, for type checkers, which do not run the loop above."""
+
+def __getattr__(name: str) -> Any:
+    """A subpackage, a public name, or `__all__`."""
+    if not name.startswith("__") or name == "__all__":
+        if importlib.util.find_spec(f"{__name__}.{name}") is not None:
+            return importlib.import_module(f"{__name__}.{name}")
+        public = importlib.import_module(f"{__name__}.public")
+        if name in public.__all__ or name == "__all__":
+            return globals().setdefault(name, getattr(public, name))
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__getattr__("__all__")]

@@ -1,10 +1,24 @@
 """Errors that tell the field, the value and the remedy, and the checks that raise them."""
 
-from collections.abc import Sequence
+import dataclasses
+import difflib
+import math
+import re
+import stat
+import types
+import typing
+from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+_LARGEST = 1e9  # of a number in a scenario, in SI units
+_LEAST = 1e-12  # of a number that has to be above zero
+SHORTEST_PERIOD = 1e-4  # s, between samples
+_LARGEST_FILE = 16_000_000  # bytes
+_DEEPEST = 20  # lists within lists
 
 
 class ScenarioWarning(UserWarning):
@@ -26,37 +40,202 @@ def one_line(error: BaseException) -> str:
 
 
 def require(condition: Any, field: str, value: Any, remedy: str) -> None:
-    """Raises ScenarioError "field = value: remedy" unless the condition holds."""
+    """Raises ScenarioError "field = value: remedy", in one line, unless the condition holds."""
     if not condition:
-        raise ScenarioError(f"{field} = {_shown(value)}: {remedy}")
+        raise ScenarioError(_printable(f"{_shown(field)} = {_shown(value)}: {remedy}"))
 
 
 def require_positive(owner: str, **values: float) -> None:
-    """Raises ScenarioError for the first value that is not a finite number above zero."""
+    """Raises ScenarioError for the first value that is not a number above zero, up to 1e9."""
     for name, value in values.items():
-        require(
-            is_number(value) and value > 0,
-            f"{owner}.{name}",
-            value,
-            "give a finite number greater than zero",
-        )
+        field = f"{owner}.{name}"
+        is_positive = is_number(value) and value > 0
+        require(is_positive, field, value, "give a finite number greater than zero")
+        is_within = _LEAST <= value <= _LARGEST
+        require(is_within, field, value, f"give {_LEAST:g} to {_LARGEST:g}, in SI units")
 
 
 def require_non_negative(owner: str, **values: float) -> None:
-    """Raises ScenarioError for the first value that is not a finite number from zero up."""
+    """Raises ScenarioError for the first value that is not a number from zero to 1e9."""
     for name, value in values.items():
-        require(
-            is_number(value) and value >= 0,
-            f"{owner}.{name}",
-            value,
-            "give a finite number that is not negative",
-        )
+        field = f"{owner}.{name}"
+        is_natural = is_number(value) and value >= 0
+        require(is_natural, field, value, "give a finite number that is not negative")
+        require(value <= _LARGEST, field, value, f"give at most {_LARGEST:g}, in SI units")
+
+
+def require_period(field: str, value: float) -> None:
+    """Raises ScenarioError for a time between samples (s) that a run would not come to an end at.
+
+    Its type is checked already.
+    """
+    require(value >= SHORTEST_PERIOD, field, value, f"give at least {SHORTEST_PERIOD:g} s")
 
 
 def require_seed(field: str, value: Any) -> None:
     """Raises ScenarioError for what is no seed of a random generator."""
-    is_seed = isinstance(value, int) and value >= 0
-    require(is_seed, field, value, "give 0 or a whole number above it")
+    is_seed = isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**63
+    require(is_seed, field, value, "give 0 or a whole number above it, of 18 digits at most")
+
+
+def require_known(
+    key: Any, valid: Collection[str], field: str, value: Any, called: str = ""
+) -> None:
+    """Raises ScenarioError for a key that is not among the valid ones; `called` is its full name.
+
+    Only then is a close one looked for, which takes longer than all else.
+    """
+    if key in valid:
+        return
+    name = _shown(called or key)
+    close = difflib.get_close_matches(name, valid, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    there = f"there is no {name}; {hint}there are {', '.join(valid) or 'no fields'}"
+    require(False, field, value, there)
+
+
+class StrictFields:
+    """A base of dataclasses that have no attributes besides their fields.
+
+    What is assigned becomes plain: NumPy's numbers and arrays become Python's numbers and lists,
+    and tuples become lists.
+
+    Raises:
+        ScenarioError: there is no field of that name.
+    """
+
+    __dataclass_fields__: typing.ClassVar[dict[str, Any]]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        owner = type(self).__name__
+        require_known(name, self.__dataclass_fields__, f"{owner}.{name}", value)
+        object.__setattr__(self, name, plain_value(value, f"{owner}.{name}"))
+
+
+def plain_value(value: Any, field: str, depth: int = 0) -> Any:
+    """A value with Python's numbers and lists in place of NumPy's, and of tuples."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        require(depth < _DEEPEST, field, "lists within lists", f"give at most {_DEEPEST} levels")
+        return [plain_value(item, field, depth + 1) for item in value]
+    if isinstance(value, dict):
+        require(depth < _DEEPEST, field, "dicts within dicts", f"give at most {_DEEPEST} levels")
+        return {key: plain_value(item, field, depth + 1) for key, item in value.items()}
+    return value
+
+
+def require_fields(path: str, config: Any) -> None:
+    """Raises ScenarioError for the first field of a dataclass that is not of its type.
+
+    `path` is what error messages call the dataclass.
+    """
+    for field in fields_of(type(config)):
+        require_type(f"{path}.{field.name}", getattr(config, field.name, None), field.type)
+
+
+def fields_of(schema: Any) -> Sequence[Any]:
+    """The fields of a dataclass, or of one of Drake's, each with a `name` and a `type`."""
+    is_own = dataclasses.is_dataclass(schema)
+    return dataclasses.fields(schema) if is_own else schema.__fields__
+
+
+def require_type(field: str, value: Any, kind: Any) -> None:
+    """Raises ScenarioError for a value that is not what a field's annotation says.
+
+    Numbers, texts, truth values, lists of those and what may be None are checked, and numbers
+    for their size; all else is taken as it is.
+    """
+    origin = typing.get_origin(kind)
+    if origin in (typing.Union, types.UnionType):
+        options = [option for option in typing.get_args(kind) if option is not types.NoneType]
+        if len(options) == 1 and value is not None:
+            require_type(field, value, options[0])
+    elif origin is list:
+        require(isinstance(value, list), field, value, "give a list in [ ]")
+        for i, item in enumerate(value):
+            require_type(f"{field}[{i}]", item, typing.get_args(kind)[0])
+    elif kind in (int, float):
+        _require_number(field, value, kind)
+    elif kind is bool:
+        require(isinstance(value, bool), field, value, "give true or false")
+    elif kind is str:
+        require(isinstance(value, str), field, value, "give a text, in quotes")
+        is_text = not any("\ud800" <= character <= "\udfff" for character in value)
+        require(is_text, field, value, "give a text that can be written as UTF-8")
+    elif dataclasses.is_dataclass(kind) and isinstance(value, kind):  # type: ignore[arg-type]
+        require_fields(field, value)
+
+
+def _require_number(field: str, value: Any, kind: type) -> None:
+    """Raises ScenarioError for what is no int or no float, or is NaN, or too large."""
+    if isinstance(value, str):
+        require(not number_text(value), field, f"'{value}'", "give the number without quotes")
+        is_nan = value.lower() in ("nan", ".nan")
+        require(not is_nan, field, value, "give a finite number")
+        is_infinity = value.lower().strip("+-") in ("inf", "infinity")
+        require(not is_infinity, field, value, "write .inf where there is to be no limit")
+        is_other = re.fullmatch(r"[-+]?[0-9][0-9A-Fa-foxOX_:.]*", value)
+        require(not is_other, field, value, "give a number in plain digits, such as 10")
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    if kind is int:
+        require(is_whole, field, value, "give a whole number")
+        require(abs(value) < 2**63, field, value, "give a whole number of 18 digits at most")
+    else:
+        require(is_whole or isinstance(value, float), field, value, "give a number")
+        require(value == value, field, value, "give a finite number")
+        is_within = abs(value) <= _LARGEST or value in (math.inf, -math.inf)
+        require(is_within, field, value, f"give a number up to {_LARGEST:g}, in SI units")
+
+
+def number_text(text: str) -> bool:
+    """Whether a text is a decimal number as scenarios write it: 10, -0.5, 1e-3, .inf."""
+    return bool(_NUMBER.fullmatch(text))
+
+
+# YAML 1.2's decimal numbers, without zeros in front: YAML 1.1 takes these for octal digits.
+_NUMBER = re.compile(
+    r"[-+]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)"
+)
+
+
+def read_text(path: str | Path, field: str, remedy: str = "give a file that can be read") -> str:
+    """The text of a file, UTF-8 with or without a byte-order mark.
+
+    Args:
+        path: the file.
+        field: its name in error messages.
+        remedy: what to give in its place.
+
+    Raises:
+        ScenarioError: it cannot be read, is no regular file, is not UTF-8, or is above 16 MB.
+    """
+    require_file(path, field, remedy)
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(_LARGEST_FILE + 1)
+        require(len(content) <= _LARGEST_FILE, field, path, _file_remedy(remedy))
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ScenarioError(_printable(f"{field} = {path}: {remedy} (it is not UTF-8)")) from None
+    except OSError as error:
+        raise ScenarioError(_printable(f"{field} = {path}: {remedy} ({error})")) from None
+
+
+def require_file(path: str | Path, field: str, remedy: str) -> None:
+    """Raises ScenarioError for what is no regular file, or one above 16 MB."""
+    try:
+        found = Path(path).stat()
+    except (OSError, ValueError) as error:
+        raise ScenarioError(
+            _printable(f"{_shown(field)} = {_shown(path)}: {remedy} ({_shown(error)})")
+        ) from None
+    require(stat.S_ISREG(found.st_mode), field, path, f"{remedy} (it is no regular file)")
+    require(found.st_size <= _LARGEST_FILE, field, path, _file_remedy(remedy))
+
+
+def _file_remedy(remedy: str) -> str:
+    return f"{remedy}, of {_LARGEST_FILE / 1e6:g} MB at most"
 
 
 def require_array(field: str, value: Any, shape: Sequence[int | None], meaning: str) -> NDArray:
@@ -65,24 +244,35 @@ def require_array(field: str, value: Any, shape: Sequence[int | None], meaning: 
     remedy = f"give {expected} finite numbers ({meaning})"
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ScenarioError(f"{field} = {_shown(value)}: {remedy}") from None
     fits = array.ndim == len(shape) and all(
         size is None or size == actual for size, actual in zip(shape, array.shape, strict=True)
     )
     require(fits and np.all(np.isfinite(array)), field, value, remedy)
+    is_within = np.all(np.abs(array) <= _LARGEST)
+    require(is_within, field, value, f"give numbers up to {_LARGEST:g}, in SI units")
     return array
 
 
 def is_number(value: Any) -> bool:
     """Whether the value is a finite number (a bool is none)."""
-    return (
-        isinstance(value, (int, float, np.number))
-        and not isinstance(value, bool)
-        and bool(np.isfinite(value))
-    )
+    is_one = isinstance(value, (int, float, np.integer, np.floating))
+    try:
+        return is_one and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # an int beyond all floats
+        return False
 
 
 def _shown(value: Any) -> str:
-    text = " ".join(str(value).split())
+    try:
+        text = " ".join(str(value).split())
+    except Exception:  # whatever a user's object may raise; an int of thousands of digits
+        text = f"<{type(value).__name__}>"
     return text if len(text) <= 120 else text[:117] + "..."
+
+
+def _printable(text: str) -> str:
+    """The text in one line that any terminal can show."""
+    line = " ".join(text.split())
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)

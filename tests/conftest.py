@@ -11,6 +11,7 @@ from shared_runs import SharedRuns
 # What `make quick` leaves out: whole runs, commands, processes and browsers. Each entry is what
 # the paths of tests begin with, from this folder on.
 SLOW = (
+    "adversary/",
     "benchmarks/",
     "blocks/test_carrier_dynamics.py::test_with_the_cables_reaction",
     "blocks/test_cables.py::test_a_cable_that_goes_slack",

@@ -1,7 +1,12 @@
 """Claims: the numbers that the README prints, measured again.
 
 A claim is a row of a table with four columns: the arguments of `drake-nonstop run` that
-measure it, the quantity, the paper's value, and ours.
+measure it, the quantity, the paper's value, and ours: a number, a range "a–b" or a limit "≤ a".
+Where the arguments begin with `stability`, the loop is linearized as that command does; where they
+begin with `bench`, that benchmark measures it (`speed_claims`).
+
+The numbers of a paragraph are claims, too, by rows in a comment below it that begins with
+`<!-- measured`; each of these numbers has to stand in the paragraph.
 """
 
 import re
@@ -15,6 +20,13 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.benchmarks.speed_claims import (
+    BENCH,
+    FACTOR,
+    is_exact,
+    measure_benchmark,
+    quantities_of,
+)
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -22,6 +34,7 @@ from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import carrier_speeds, load_errors
 from drake_nonstop.studies.run_all import COMPLETED, Progress, attempt, no_progress, run_all
+from drake_nonstop.studies.stability import Stability, linearize
 from drake_nonstop.validation import ScenarioError, require
 
 Metrics = dict[str, Any]
@@ -29,56 +42,91 @@ Metrics = dict[str, Any]
 _SHARES = re.compile(r"^\| ([\w +]+) \| [\d.]+ / [\d.]+ \| ([\d.]+)% \| ([\d.]+)% \|", re.MULTILINE)
 _SAME_SHARE = 0.01  # rounding differs between machines, which changes few instances
 
-_ROW = re.compile(r"^\| `([^`]+)` \| ([^|]+) \|[^|]*\| ([\d.]+) \|$", re.MULTILINE)
+_PRINTED = r"(?:≤ )?\d+(?:\.\d+)?(?:–\d+(?:\.\d+)?)?"
+_ROW = re.compile(rf"^\| `([^`]+)` \| ([^|]+) \|[^|]*\| ({_PRINTED}) \|$")
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+_START, _END = "<!-- measured", "-->"  # of the rows of a paragraph
+_LINEARIZED = "stability"  # the first argument of a claim on the linearized loop
 
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """A number that a text prints: the run that measures it, the quantity, and its digits."""
+    """What a text prints: the run that measures it, the quantity, and the number's digits."""
 
     arguments: str
     quantity: str
     printed: str
+    is_in_table: bool = True  # or in a paragraph
+
+    @property
+    def is_of_speed(self) -> bool:
+        """Whether a benchmark measures it, alone on the machine."""
+        return self.arguments.split(" ")[0] == BENCH
 
     def holds(self, value: float) -> bool:
-        """Whether the value rounds to the printed one; a bare 0 stands for exactly zero."""
+        """Whether the value rounds to what is printed; a bare 0 stands for exactly zero."""
+        if self.is_of_speed and not is_exact(self.quantity):
+            return 1 / FACTOR <= value / float(self.printed) <= FACTOR
         if self.printed == "0":
             return value == 0
-        digits = len(self.printed.partition(".")[2])
-        return abs(value - float(self.printed)) <= 0.55 * 10**-digits
+        low, _, high = self.printed.removeprefix("≤ ").partition("–")
+        digits = len(low.partition(".")[2])
+        rounding = 0.55 * 10**-digits
+        if self.printed.startswith("≤"):
+            return value <= float(low) + rounding
+        return float(low) - rounding <= value <= float(high or low) + rounding
 
 
 def read_claims(text: str) -> list[Claim]:
     """The claims of a text in Markdown.
 
     Raises:
-        ScenarioError: there are none, or one is of an unknown quantity.
+        ScenarioError: there are none, one is of an unknown quantity, or one on a paragraph is of
+            a number that does not stand there.
     """
-    claims = [
-        Claim(arguments=arguments, quantity=quantity, printed=printed)
-        for arguments, quantity, printed in _ROW.findall(text)
-    ]
+    claims = []
+    paragraph, is_in_table = "", True
     for line in text.splitlines():
-        is_row = line.startswith("| `") and line.count("|") == 5
-        require(
-            not is_row or _ROW.match(line),
-            "claim",
-            line,
-            "give a row of `run` | quantity | paper | ours, with ours a number",
-        )
+        found = _ROW.match(line)
+        if line in (_START, _END):
+            is_in_table = line == _END
+        elif found:
+            arguments, quantity, printed = found.groups()
+            missing = set(_NUMBER.findall(printed)) - set(_NUMBER.findall(paragraph)) - {"0"}
+            remedy = "print in the paragraph above what its comment claims"
+            require(is_in_table or not missing, f"claim on {arguments}", printed, remedy)
+            claims.append(
+                Claim(
+                    arguments=arguments,
+                    quantity=quantity,
+                    printed=printed,
+                    is_in_table=is_in_table,
+                )
+            )
+        elif line.startswith("| `") and line.count("|") == 5:
+            remedy = "give a row of `run` | quantity | paper | ours, with ours a number"
+            require(False, "claim", line, remedy)
+        else:
+            is_same = line and not line.startswith("- ")
+            paragraph = f"{paragraph} {line}" if is_same else line
     require(claims, "--readme", "a text without claims", "give the README of drake_nonstop")
     for claim in claims:
+        known: Any = QUANTITIES
+        if claim.is_of_speed:
+            known = quantities_of(claim.arguments)
+        elif _is_linearized(claim.arguments):
+            known = LOOP_QUANTITIES
         require(
-            claim.quantity in QUANTITIES,
+            claim.quantity in known,
             f"claim on {claim.arguments}",
             claim.quantity,
-            f"give one of {', '.join(QUANTITIES)}",
+            f"give one of {', '.join(known)}",
         )
     return claims
 
 
 def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[Claim, float]:
-    """The value of each claim, from a run per arguments, in a process per core.
+    """The value of each claim: from a run per arguments, in a process per core, or a benchmark.
 
     Raises:
         ScenarioError: a claim's arguments make no scenario, its run did not complete, or its
@@ -86,7 +134,8 @@ def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[C
     """
     quantities: dict[str, list[str]] = {}
     for claim in claims:
-        quantities.setdefault(claim.arguments, []).append(claim.quantity)
+        if not claim.is_of_speed:
+            quantities.setdefault(claim.arguments, []).append(claim.quantity)
     values: dict[str, dict[str, float]] = {}
 
     def failed(arguments: str, error: str) -> dict[str, float]:
@@ -100,6 +149,17 @@ def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[C
         failed,
         progress=progress,
     )
+    for arguments in dict.fromkeys(claim.arguments for claim in claims if claim.is_of_speed):
+        results = measure_benchmark(arguments, progress)
+        found = {name: value(results) for name, value in quantities_of(arguments).items()}
+        values[arguments] = _all_measured(
+            arguments,
+            {
+                claim.quantity: found[claim.quantity]
+                for claim in claims
+                if claim.arguments == arguments
+            },
+        )
     return {claim: values[claim.arguments][claim.quantity] for claim in claims}
 
 
@@ -174,27 +234,41 @@ def _scenario(arguments: str) -> Scenario:
     return load_scenario(name, overrides)
 
 
+def _is_linearized(arguments: str) -> bool:
+    return arguments.split(" ")[0] == _LINEARIZED
+
+
 def _values(arguments: str, quantities: list[str]) -> dict[str, float]:
+    if _is_linearized(arguments):
+        found = linearize(_scenario(arguments.removeprefix(_LINEARIZED)))
+        return {name: float(LOOP_QUANTITIES[name](found)) for name in quantities}
     tried = attempt(lambda: _scenario(arguments))
     run = tried.run
     if run is None or tried.ending != COMPLETED:
         raise ScenarioError(f"claim on {arguments} = {tried.message}") from tried.error
     metrics = compute_metrics(run)
-    values = {name: QUANTITIES[name](run, metrics) for name in quantities}
+    return _all_measured(arguments, {name: QUANTITIES[name](run, metrics) for name in quantities})
+
+
+def _all_measured(arguments: str, values: dict[str, float | None]) -> dict[str, float]:
     for name, value in values.items():
-        require(
-            value is not None,
-            f"claim on {arguments}",
-            name,
-            "give a quantity that this run measures",
-        )
-    return {name: float(value) for name, value in values.items()}
+        remedy = "give a quantity that this run measures"
+        require(value is not None, f"claim on {arguments}", name, remedy)
+    return {name: float(value) for name, value in values.items() if value is not None}
 
 
-def _first_near_the_bound(run: Run, metrics: Metrics) -> float:
-    time, speeds = run.steps["time"], carrier_speeds(run.steps["carrier_state"]).min(axis=1)
-    near = (speeds <= 1.03 * metrics["carriers"]["speed_bound_m_s"]) & (time >= 1)
-    return time[np.flatnonzero(near)[0]]
+def _first_near_the_bound(
+    run: Run, metrics: Metrics, carrier: int | slice = slice(None)
+) -> float | None:
+    """When a carrier, or any of all, is first near the bound, after the first second."""
+    time, speeds = run.steps["time"], carrier_speeds(run.steps["carrier_state"])
+    near = speeds[:, carrier] <= 1.03 * metrics["carriers"]["speed_bound_m_s"]
+    instants = time[near.reshape(len(time), -1).any(axis=1) & (time >= 1)]
+    return instants[0] if len(instants) else None
+
+
+def _first_of_carrier(k: int) -> Callable[[Run, Metrics], float | None]:
+    return lambda run, metrics: _first_near_the_bound(run, metrics, k)
 
 
 def _slowest_while_moving(run: Run, metrics: Metrics) -> float:
@@ -220,5 +294,15 @@ QUANTITIES: dict[str, Callable[[Run, Metrics], Any]] = {
     "slowest final speed (m/s)": lambda run, m: min(m["carriers"]["speed_final_m_s"]),
     "fastest final speed (m/s)": lambda run, m: max(m["carriers"]["speed_final_m_s"]),
     "first within 3 % of the bound (s)": _first_near_the_bound,
+    **{
+        f"carrier {k + 1} first within 3 % of the bound (s)": _first_of_carrier(k) for k in range(4)
+    },
     "mean position error at rest (mm)": _error_at_rest,
+}
+
+# What can be claimed of a linearized loop.
+LOOP_QUANTITIES: dict[str, Callable[[Stability], float]] = {
+    "stable (1: yes)": lambda loop: loop.is_stable,
+    "growth rate (1/s)": lambda loop: loop.rate,
+    "growth in a turn": lambda loop: loop.largest,
 }

@@ -1,7 +1,9 @@
 """Random problems for the optimization layer, and their true optima."""
 
+import contextlib
 import hashlib
 import os
+import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -175,9 +177,10 @@ def truths(
         found.append(truth(solvers[instance.system].problem(instance.data)))
         if progress is not None:
             progress(i + 1)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing_file(path) as file:
-        np.savez(file, truths=np.array([(t.cost, t.margin) for t in found]))
+    with contextlib.suppress(OSError):  # they are found again the next time
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing_file(path) as file:
+            np.savez(file, truths=np.array([(t.cost, t.margin) for t in found]))
     return found
 
 
@@ -191,7 +194,9 @@ def _cache_path(instances: list[Instance], solvers: dict[str, UpdateSolver]) -> 
             x = problem.previous * factor
             digest.update(np.array([problem.worst_margin(x), problem.cost(x)]).tobytes())
         digest.update(np.array(problem.bounds).tobytes())
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if not os.path.isabs(home):  # nobody's home is known
+        home = tempfile.gettempdir()
     return Path(home) / "drake_nonstop" / f"optimizer-truth-{digest.hexdigest()[:16]}.npz"
 
 

@@ -20,6 +20,7 @@ from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import Answer, UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.drake_log import drake_log_level
 from drake_nonstop.version import __version__
@@ -183,7 +184,7 @@ def _closed_loop() -> tuple[list[UpdateData], float, Model, Any]:
         models.append(model)
         return block
 
-    simulate(scenario, optimization_layer=recording)
+    simulate(scenario, optimization_layer=recording, check_step=StepCheck.NOTHING)
     shares = []
     for _ in range(3):
         run = simulate(scenario)

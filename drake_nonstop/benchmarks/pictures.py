@@ -23,6 +23,7 @@ from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.visualization.replay import record_replay
 
 STILL, ANIMATION, PATTERNS = "line.png", "line.gif", "real_scale.png"
+FILES = (STILL, ANIMATION, PATTERNS)
 _VIEW = 640, 460  # pixels, of one page
 _SPAN = 6.0, 11.0  # s, of the animation: the load sets off, and comes to its speed
 _FRAME_RATE = 12  # 1/s
@@ -64,7 +65,7 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
         )
     with replacing_file(folder / PATTERNS) as file:
         file.write(_png(make_encounters_figure(_patterns()), dpi=110))
-    return [folder / name for name in (STILL, ANIMATION, PATTERNS)]
+    return [folder / name for name in FILES]
 
 
 def _patterns() -> dict[str, Run]:

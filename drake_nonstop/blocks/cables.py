@@ -9,7 +9,7 @@ from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import TracedBlock
-from drake_nonstop.validation import is_number, require, require_array
+from drake_nonstop.validation import StrictFields, is_number, require, require_array
 
 
 class _CableForces(TracedBlock):
@@ -48,7 +48,7 @@ class _CableForces(TracedBlock):
 
 
 @dataclass(kw_only=True)
-class CablesConfig:
+class CablesConfig(StrictFields):
     """No parameters: length, stiffness and damping are the system's."""
 
 
@@ -91,7 +91,7 @@ class Cables(_CableForces):
 
 
 @dataclass(kw_only=True)
-class IndividualCablesConfig:
+class IndividualCablesConfig(StrictFields):
     """A number per cable; none: the system's for all."""
 
     stiffness: list[float] = field(default_factory=list)  # N/m

@@ -17,7 +17,7 @@ from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.linear_block import LinearBlock
 from drake_nonstop.systems.traced_block import Equations, TracedBlock
 from drake_nonstop.systems.wiring import input_names
-from drake_nonstop.validation import require_non_negative, require_positive
+from drake_nonstop.validation import StrictFields, require_non_negative, require_positive
 
 _BOX = "carrier_controller"
 
@@ -99,7 +99,7 @@ def _equations(size: int, pid: Equations, feedforward: TracedBlock | None) -> Eq
 
 
 @dataclass(kw_only=True)
-class CarrierPidConfig:
+class CarrierPidConfig(StrictFields):
     """Gains on each axis; the paper gives 1000 and 1.5 and no integral gain."""
 
     position_gain: float = 1000.0  # N/m
@@ -230,7 +230,7 @@ class FeedforwardCarrierPid(_FeedforwardPid):
 
 
 @dataclass(kw_only=True)
-class TunedCarrierPidConfig:
+class TunedCarrierPidConfig(StrictFields):
     """The desired poles of every carrier; the default is that of `CarrierPid`'s gains."""
 
     frequency: float = 100.0  # rad/s, natural frequency of a carrier about its reference
@@ -322,7 +322,7 @@ def _tuned_gains(model: Model, config: TunedCarrierPidConfig) -> dict[str, float
 
 
 @dataclass(kw_only=True)
-class LoadedCarrierPidConfig:
+class LoadedCarrierPidConfig(StrictFields):
     """Gains on each axis."""
 
     position_gain: float = 1000.0  # N/m

@@ -10,11 +10,11 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType
 from drake_nonstop.systems.linear_block import LinearBlock
 from drake_nonstop.systems.traced_block import TracedBlock, stacking
-from drake_nonstop.validation import is_number, require
+from drake_nonstop.validation import StrictFields, is_number, require
 
 
 @dataclass(kw_only=True)
-class CarrierDynamicsConfig:
+class CarrierDynamicsConfig(StrictFields):
     """No parameters: the carrier mass is the system's."""
 
 
@@ -43,7 +43,7 @@ class CarrierDynamics(LinearBlock):
 
 
 @dataclass(kw_only=True)
-class LoadedCarrierDynamicsConfig:
+class LoadedCarrierDynamicsConfig(StrictFields):
     """The limit of a carrier; its mass is the system's."""
 
     max_force: float = math.inf  # N, of a carrier
@@ -99,7 +99,7 @@ class LoadedCarrierDynamics(TracedBlock):
 
 
 @dataclass(kw_only=True)
-class IdealCarriersConfig:
+class IdealCarriersConfig(StrictFields):
     """No parameters."""
 
 

@@ -9,6 +9,7 @@ from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.validation import StrictFields
 
 
 class _TrajectoryAboveLoad(TracedBlock):
@@ -55,7 +56,7 @@ class _TrajectoryAboveLoad(TracedBlock):
 
 
 @dataclass(kw_only=True)
-class CarrierTrajectoryConfig:
+class CarrierTrajectoryConfig(StrictFields):
     """No parameters: cable length and stiffness are the system's."""
 
 
@@ -87,7 +88,7 @@ class CarrierTrajectory(_TrajectoryAboveLoad):
 
 
 @dataclass(kw_only=True)
-class InextensibleCarrierTrajectoryConfig:
+class InextensibleCarrierTrajectoryConfig(StrictFields):
     """No parameters: the cable length is the system's."""
 
 
@@ -118,7 +119,7 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveLoad):
 
 
 @dataclass(kw_only=True)
-class MeasuredCarrierTrajectoryConfig:
+class MeasuredCarrierTrajectoryConfig(StrictFields):
     """No parameters: cable length and stiffness are the system's."""
 
 

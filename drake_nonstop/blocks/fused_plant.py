@@ -81,6 +81,14 @@ class FusedPlant(DiagramBlock):
         stepped = self.GetSubsystemByName("stepped")
         return stepped.states(self.GetSubsystemContext(stepped, context))
 
+    def settle(self, context: Context) -> None:
+        """Goes on from the state at the context's time, instead of from that at the last sample.
+
+        What follows is stepped more finely; the disturbance stays as it is held.
+        """
+        stepped = self.GetSubsystemByName("stepped")
+        stepped.settle(self.GetMutableSubsystemContext(stepped, context))
+
     def rates(self, context: Context) -> dict[str, NDArray]:
         """The states' rates at the last sample, by the same names."""
         stepped = self.GetSubsystemByName("stepped")
@@ -194,6 +202,14 @@ class _Stepped(InnerBlock):
         _Memory.view(memory).states[:] = np.concatenate(
             [*(self.states(context) | dict(states)).values()]
         )
+        context.SetDiscreteState(memory)
+
+    def settle(self, context: Context) -> None:
+        """As `FusedPlant.settle`."""
+        memory = context.get_discrete_state_vector().CopyToVector()
+        parts = _Memory.view(memory)
+        parts.states[:] = self._results.Eval(context)[: self._size]
+        parts.time[:] = context.get_time()
         context.SetDiscreteState(memory)
 
     def states(self, context: Context) -> dict[str, NDArray]:

@@ -6,10 +6,11 @@ from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, Phase
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.validation import StrictFields
 
 
 @dataclass(kw_only=True)
-class InternalForceTrajectoryConfig:
+class InternalForceTrajectoryConfig(StrictFields):
     """No parameters: the phases belong to the scenario's pattern."""
 
 

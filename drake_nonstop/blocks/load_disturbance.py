@@ -9,8 +9,10 @@ from drake_nonstop.mechanics.signals import WRENCH_SIZE, Wrench
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import (
+    StrictFields,
     require_array,
     require_non_negative,
+    require_period,
     require_positive,
     require_seed,
 )
@@ -19,7 +21,7 @@ _BOX = "load_disturbance"
 
 
 @dataclass(kw_only=True)
-class NoDisturbanceConfig:
+class NoDisturbanceConfig(StrictFields):
     """No parameters."""
 
 
@@ -51,7 +53,7 @@ _WAVES = 32  # per axis, of a gust
 
 
 @dataclass(kw_only=True)
-class WindConfig:
+class WindConfig(StrictFields):
     """A constant force, and a gust on top of it."""
 
     force: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N, in W
@@ -98,6 +100,7 @@ class Wind(LeafBlock):
         torque = require_array(f"{_BOX}.torque", config.torque, [3], "in W")
         require_non_negative(_BOX, gust_force=config.gust_force, start_time=config.start_time)
         require_positive(_BOX, gust_time=config.gust_time)
+        require_period(f"{_BOX}.gust_time", config.gust_time)
         require_seed(f"{_BOX}.seed", config.seed)
         self._constant = np.concatenate([torque, force])
         self._start_time = config.start_time

@@ -19,8 +19,10 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, LeafBlock
 from drake_nonstop.systems.traced_block import stacking
 from drake_nonstop.validation import (
+    StrictFields,
     require,
     require_non_negative,
+    require_period,
     require_positive,
     require_seed,
 )
@@ -29,7 +31,7 @@ _BOX = "load_feedback"
 
 
 @dataclass(kw_only=True)
-class IdealFeedbackConfig:
+class IdealFeedbackConfig(StrictFields):
     """No parameters."""
 
 
@@ -54,7 +56,7 @@ class IdealFeedback(Selector, metaclass=BlockType):
 
 
 @dataclass(kw_only=True)
-class DesiredStateFeedbackConfig:
+class DesiredStateFeedbackConfig(StrictFields):
     """No parameters."""
 
 
@@ -88,7 +90,7 @@ class DesiredStateFeedback(LeafBlock):
 
 
 @dataclass(kw_only=True)
-class NoisyFeedbackConfig:
+class NoisyFeedbackConfig(StrictFields):
     """Standard deviations on each axis, and the delay."""
 
     position_noise: float = 0.0  # m
@@ -144,6 +146,7 @@ class NoisyFeedback(LeafBlock):
         }
         require_non_negative(_BOX, delay=config.delay, **deviations)
         require_positive(_BOX, period=config.period)
+        require_period(f"{_BOX}.period", config.period)
         require_seed(f"{_BOX}.seed", config.seed)
         self._periods = round(config.delay / config.period)
         require(

@@ -17,10 +17,11 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+from drake_nonstop.validation import StrictFields
 
 
 @dataclass(kw_only=True)
-class LoadPlantConfig:
+class LoadPlantConfig(StrictFields):
     """No parameters: mass, inertia, drag and attachments are the system's."""
 
 
@@ -57,7 +58,7 @@ class LoadPlant(TracedBlock):
 
 
 @dataclass(kw_only=True)
-class MultibodyLoadPlantConfig:
+class MultibodyLoadPlantConfig(StrictFields):
     """No parameters: mass, inertia, drag and attachments are the system's."""
 
 

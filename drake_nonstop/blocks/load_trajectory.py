@@ -19,6 +19,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import (
+    StrictFields,
     is_number,
     require,
     require_array,
@@ -146,7 +147,7 @@ def _joined(segments: list[NDArray], breaks: list[float]) -> PiecewisePolynomial
 
 
 @dataclass(kw_only=True)
-class _StartPose:
+class _StartPose(StrictFields):
     """The load's pose at the start, for the configs of several blocks."""
 
     start_position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
@@ -444,7 +445,7 @@ class Circle(LoadTrajectory):
 
 
 @dataclass(kw_only=True)
-class SampledTrajectoryConfig:
+class SampledTrajectoryConfig(StrictFields):
     """A smooth curve through poses at given times, from a file or in the scenario itself."""
 
     # A CSV file with the samples, read as a scenario is loaded; its first line names the columns

@@ -34,7 +34,7 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.validation import require, require_non_negative, require_positive
+from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
 _BOX = "optimization_layer"
 
@@ -240,7 +240,7 @@ class NonstopOptimizer(LeafBlock):
 
 
 @dataclass(kw_only=True)
-class ConstantParametersConfig:
+class ConstantParametersConfig(StrictFields):
     """The internal force's parameters, and the bound with which the metrics compare speeds."""
 
     frequency: float = 2.0  # rad/s, ξ

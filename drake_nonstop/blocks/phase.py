@@ -9,10 +9,11 @@ from pydrake.systems.framework import BasicVector, Context, ContinuousState, Sta
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.validation import StrictFields
 
 
 @dataclass(kw_only=True)
-class AccumulatedPhaseConfig:
+class AccumulatedPhaseConfig(StrictFields):
     """No parameters."""
 
 
@@ -63,7 +64,7 @@ class AccumulatedPhase(LeafBlock):
 
 
 @dataclass(kw_only=True)
-class PaperPhaseConfig:
+class PaperPhaseConfig(StrictFields):
     """No parameters."""
 
 

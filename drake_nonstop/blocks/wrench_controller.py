@@ -20,7 +20,7 @@ from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.sampled_integrator import SampledIntegrator
 from drake_nonstop.systems.traced_block import TracedBlock
-from drake_nonstop.validation import require, require_non_negative, require_positive
+from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
 _BOX = "wrench_controller"
 _INTEGRALS_SIZE = 6  # of the errors of orientation and position
@@ -72,7 +72,7 @@ class _WrenchPid(TracedBlock):
 
 
 @dataclass(kw_only=True)
-class WrenchControllerConfig:
+class WrenchControllerConfig(StrictFields):
     """The paper's gains (Table I), and the feedforward that its equations leave out."""
 
     position_gain: float = 5.0  # N/m, K_p
@@ -174,7 +174,7 @@ class PaperWrenchController(_WrenchPid):
 
 
 @dataclass(kw_only=True)
-class GeometricPdConfig:
+class GeometricPdConfig(StrictFields):
     """The paper's gains (Table I) but for those of the integrals."""
 
     position_gain: float = 5.0  # N/m, K_p
@@ -221,7 +221,7 @@ class GeometricPd(_WrenchPid):
 
 
 @dataclass(kw_only=True)
-class TunedWrenchControllerConfig:
+class TunedWrenchControllerConfig(StrictFields):
     """The desired poles of the error, exact on cables without dynamics."""
 
     position_frequency: float = 2.0  # rad/s, natural frequency

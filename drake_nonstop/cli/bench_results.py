@@ -29,18 +29,20 @@ def run_benchmark(
         make_figure: the results as a Matplotlib figure.
     """
     folder: Path = options.out or Path("out/bench")
-    require_writable(folder)
+    path = folder / f"{name}.json"
+    require_writable(folder, [path.name] + ([f"{name}.png"] if make_figure is not None else []))
     try:
         with TaskProgress() as progress:
             results = benchmark(progress=progress)
     except RunStopped as stopped:
         print(f"drake-nonstop: {stopped}", file=sys.stderr)
         return FAILED
-    path = folder / f"{name}.json"
-    write_json(path, results)
+    try:
+        write_json(path, results)
+    finally:  # also where there is no room for the file
+        print(table(results))
     if make_figure is not None:
         with replacing_file(folder / f"{name}.png") as file:
             make_figure(results).savefig(file, format="png", dpi=150)
-    print(table(results))
     print(f"results: {path}")
     return 0

@@ -1,73 +1,95 @@
-"""The command `drake-nonstop`: its parser, and what becomes of errors."""
+"""The command `drake-nonstop`: what becomes of errors and signals.
 
-import argparse
+The other modules are imported only once signals are handled: pydrake takes a second.
+"""
+
+import atexit
+import codecs
+import locale
 import os
 import sys
-import warnings
 
-from drake_nonstop.cli import (
-    ablate,
-    bench,
-    blocks,
-    list_scenarios,
-    pictures,
-    report,
-    robustness,
-    run,
-    stability,
-    sweep,
-    view,
-)
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED
-from drake_nonstop.validation import ScenarioError, ScenarioWarning, show_warning
-from drake_nonstop.version import __version__
-
-# Each has `add_to`, which adds its parser; the help lists them in this order.
-_COMMANDS = (
-    list_scenarios,
-    blocks,
-    run,
-    view,
-    stability,
-    robustness,
-    ablate,
-    sweep,
-    pictures,
-    report,
-    bench,
-)
+from drake_nonstop.cli.ending import CommandInterruption, exit_code, handling_signals, say_end
+from drake_nonstop.cli.exit_codes import BAD_INPUT as BAD_INPUT
+from drake_nonstop.cli.exit_codes import FAILED as FAILED
+from drake_nonstop.cli.exit_codes import INTERRUPTED as INTERRUPTED
+from drake_nonstop.cli.output import GuardedStream, guarded_output, open_closed_streams
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the command with the given or the process's arguments; returns the exit code."""
-    options = _parser().parse_args(arguments)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("once", ScenarioWarning)
-            warnings.showwarning = show_warning
-            return options.action(options)
-    except ScenarioError as error:
-        print(f"drake-nonstop: {error}", file=sys.stderr)
-        return BAD_INPUT
-    except KeyboardInterrupt as interrupted:
-        rest = f": {interrupted}" if str(interrupted) else ""
-        print(f"drake-nonstop: interrupted{rest}", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:  # the reader of the output has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Runs the command with the given arguments and returns the exit code.
+
+    Without arguments it takes the process's, and ends the process.
+    """
+    if arguments is not None:
+        with handling_signals() as interruption, guarded_output() as (out, _):
+            return _finished(_main(arguments, interruption), interruption, out)
+    open_closed_streams()
+    with handling_signals() as interruption, guarded_output() as (out, err):
+        interruption.watch()
+        try:
+            code = _main(None, interruption)
+        except SystemExit as ended:  # argparse's
+            code = int(ended.code or 0)
+        code = _finished(code, interruption, out)
+        err.flush()
+        # Python's own end takes half a second with pydrake, in which Ctrl-C is not heard.
+        atexit._run_exitfuncs()
+        os._exit(code)
+
+
+def _finished(code: int, interruption: CommandInterruption, out: GuardedStream) -> int:
+    """The exit code, where the output fails or a signal came too late to change anything."""
+    out.flush()
+    if out.error is not None and not isinstance(out.error, BrokenPipeError):
+        print(f"drake-nonstop: the output was not written: {out.error}", file=sys.stderr)
+    if interruption.number and code != exit_code(interruption.number):
+        return say_end(interruption)
+    return code or (FAILED if out.error is not None else 0)
+
+
+def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int:
+    import warnings
+
+    if codecs.lookup(locale.getpreferredencoding(False)).name == "ascii":
+        remedy = "set PYTHONUTF8=1, or a locale of UTF-8"
+        print(
+            f"drake-nonstop: pydrake cannot be imported in an ASCII locale: {remedy}",
+            file=sys.stderr,
+        )
         return FAILED
+    from drake_nonstop.cli.parser import STUDIES, make_parser
+    from drake_nonstop.simulation.interruption import ALL
+    from drake_nonstop.simulation.run import RunStopped
+    from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, show_warning
 
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="drake-nonstop",
-        description="Simulate carriers that fly a load on cables without ever stopping.",
-    )
-    parser.add_argument("--version", action="version", version=__version__)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in _COMMANDS:
-        command.add_to(commands)
-    return parser
+    options = make_parser().parse_args(arguments)
+    interruption.waits = options.command in STUDIES
+    try:
+        try:
+            interruption.is_starting = False
+            with warnings.catch_warnings():
+                warnings.simplefilter("once", ScenarioWarning)
+                warnings.showwarning = show_warning
+                return options.action(options)
+        finally:
+            interruption.patience = ALL
+    except ScenarioError as error:
+        message, code = str(error), BAD_INPUT
+    except RunStopped as stopped:
+        message, code = str(stopped), FAILED
+    except KeyboardInterrupt as interrupted:
+        return say_end(interruption, str(interrupted))
+    except (OSError, MemoryError, SystemExit) as error:
+        message, code = one_line(error), FAILED
+    except Exception:
+        if interruption.number == 0:
+            raise
+        message = ""  # a KeyboardInterrupt may become another error on its way through C++
+    if interruption.number or not message:
+        return say_end(interruption)
+    print(f"drake-nonstop: {message}", file=sys.stderr)
+    return code
 
 
 if __name__ == "__main__":

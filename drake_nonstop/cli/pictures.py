@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.cli.arguments import Commands, require_installed
 from drake_nonstop.studies.files import require_writable
 from drake_nonstop.visualization.progress import TaskProgress
 
@@ -18,10 +18,12 @@ def add_to(commands: Commands) -> None:
 
 
 def _pictures(options: argparse.Namespace) -> int:
-    # Imported here: it needs Pillow and, in the end, a browser.
-    from drake_nonstop.benchmarks.pictures import make_pictures
+    require_installed("pictures", PIL="pillow")
+    from drake_nonstop.benchmarks.browser import find_browser
+    from drake_nonstop.benchmarks.pictures import FILES, make_pictures
 
-    require_writable(options.out)
+    find_browser()
+    require_writable(options.out, FILES)
     with TaskProgress() as progress:
         paths = make_pictures(options.out, progress=progress)
     for path in paths:

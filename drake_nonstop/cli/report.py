@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.cli.arguments import Commands, require_installed
 from drake_nonstop.cli.exit_codes import FAILED
 from drake_nonstop.studies.files import replacing_file, require_writable
 from drake_nonstop.validation import ScenarioError
@@ -24,7 +24,7 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="the runs only: no pictures, no solvers' benchmark, no tests/evals",
+        help="the runs only: no benchmarks, no pictures, no tests/evals",
     )
 
 
@@ -37,8 +37,18 @@ def _report_claims(options: argparse.Namespace) -> int:
     except (OSError, UnicodeDecodeError) as error:
         remedy = f"run it in a checkout, or give the file ({error})"
         raise ScenarioError(f"--readme = {options.readme}: {remedy}") from None
-    claims = report.read_claims(text)
-    require_writable(options.out)
+    claims = [
+        claim for claim in report.read_claims(text) if not (options.quick and claim.is_of_speed)
+    ]
+    files = ["report.md"]
+    if not options.quick:  # what is missing is said before all is measured
+        require_installed("report", PIL="pillow", scipy="scipy", pytest="pytest")
+        from drake_nonstop.benchmarks.browser import find_browser
+        from drake_nonstop.benchmarks.pictures import FILES
+
+        find_browser()
+        files += FILES
+    require_writable(options.out, files)
     with TaskProgress() as progress:
         measured = report.measure(claims, progress=progress)
     failed, solvers = report.wrong_claims(measured), ""

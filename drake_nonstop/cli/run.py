@@ -2,28 +2,50 @@
 
 import argparse
 import contextlib
+import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
-from drake_nonstop.cli.exit_codes import FAILED, INTERRUPTED
+from drake_nonstop.cli.ending import say_end
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import find_warnings, metrics_table
-from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.simulation.interruption import ALL, current_interruption
+from drake_nonstop.simulation.metrics import metrics_table
+from drake_nonstop.simulation.moved_metrics import TOLERANCES
+from drake_nonstop.simulation.outcome import RunOutcome
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped
+from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.files import require_writable
-from drake_nonstop.studies.results_folder import write_results
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.studies.results_folder import (
+    RUN_FILES,
+    default_folder,
+    write_data,
+    write_pictures,
+)
+from drake_nonstop.studies.run_all import no_progress
+from drake_nonstop.validation import ScenarioError, one_line, require
 from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
-from drake_nonstop.visualization.progress import RunProgress
+from drake_nonstop.visualization.progress import RunProgress, TaskProgress
+
+_EXIT_CODES = {RunOutcome.OK: 0, RunOutcome.STOPPED: FAILED}  # NOT_OK for all others
 
 
 def add_to(commands: Commands) -> None:
     """Adds the subcommand."""
-    parser = commands.add_parser("run", help="run a scenario and write its results")
+    others = [outcome.value for outcome in RunOutcome if outcome not in _EXIT_CODES]
+    parser = commands.add_parser(
+        "run",
+        help="run a scenario and write its results",
+        epilog=f"Exit codes: 0 where the outcome is ok, {NOT_OK} where it is "
+        f"{', '.join(others[:-1])} or {others[-1]}, {FAILED} where the run stopped before its "
+        f"time, {BAD_INPUT} for bad input, {INTERRUPTED} after Ctrl-C.",
+    )
     parser.set_defaults(action=_run)
     add_scenario(parser)
     parser.add_argument("--no-figures", action="store_true", help="write no figures/")
@@ -38,6 +60,11 @@ def add_to(commands: Commands) -> None:
         help="simulated s per s of a live run (1; 0: free)",
     )
     parser.add_argument("--port", type=int, help="of the live page (any from 7000 that is free)")
+    parser.add_argument(
+        "--verify-step",
+        action="store_true",
+        help="fly again with half the step and say which metrics move",
+    )
     parser.add_argument("--quiet", action="store_true", help="print errors only")
 
 
@@ -46,8 +73,14 @@ def _run(options: argparse.Namespace) -> int:
     for name in ("realtime", "port"):
         value = getattr(options, name)
         require(options.live or value is None, f"--{name}", value, "give --live with it")
+    require(
+        not (options.live and options.verify_step),
+        "--verify-step",
+        "--live",
+        "give one of them: a live run may be changed while it goes on",
+    )
     return run_into(
-        options.out or Path("out") / scenario.name,
+        options.out or default_folder(Path("out") / scenario.name, scenario),
         scenario,
         is_live=options.live,
         realtime_rate=1.0 if options.realtime is None else options.realtime,
@@ -55,6 +88,7 @@ def _run(options: argparse.Namespace) -> int:
         figures=not options.no_figures,
         replay=not options.no_replay,
         is_quiet=options.quiet,
+        verifies_step=options.verify_step,
     )
 
 
@@ -68,6 +102,7 @@ def run_into(
     figures: bool = True,
     replay: bool = True,
     is_quiet: bool = False,
+    verifies_step: bool = False,
 ) -> int:
     """Runs a scenario, writes its results and prints its table; returns the exit code.
 
@@ -81,64 +116,128 @@ def run_into(
         figures: whether to write figures/.
         replay: whether to write replay.html.
         is_quiet: whether to print errors only.
+        verifies_step: whether to fly again with half the step in any case.
 
     Raises:
         ScenarioError: the scenario cannot be built, or the folder not be written.
     """
-    is_new = not folder.exists()
+    is_new = not os.path.lexists(folder)
+    code = 0
     progress = None if is_quiet else RunProgress(scenario.name, scenario.duration)
 
     def runs() -> Iterator[Run]:
         if not is_live:
-            yield simulate(scenario, progress=progress)
+            run = simulate(scenario, progress=progress)
+            if verifies_step and run.half_step is None:
+                run = verify_step(run, progress=progress)
+            yield run
             return
         meshcat = start_meshcat(port)
         print(f"watch and steer it at {meshcat.web_url()}", flush=True)
         yield from run_live(scenario, meshcat, realtime_rate=realtime_rate, progress=progress)
 
-    def write(run: Run) -> dict[str, Any]:
-        return write_results(run, folder, figures=figures, replay=replay)
+    def write(run: Run) -> tuple[dict[str, Any], str]:
+        """Writes the results; returns the metrics, and why pictures are missing ("": none is)."""
+        interruption.is_writing = True
+        metrics = _write_somewhere(run, folder)
+        interruption.is_writing = False
+        if interruption.count > 1:
+            return metrics, "without pictures"
+        try:
+            with TaskProgress() as task, interruption.patient(0):
+                show = no_progress if is_quiet else task
+                write_pictures(run, folder, figures=figures, replay=replay, progress=show)
+        except KeyboardInterrupt:
+            return metrics, "without all pictures"
+        except Exception as error:  # what was flown is kept
+            return metrics, f"without all pictures ({one_line(error)})"
+        return metrics, ""
 
-    try:
-        require_writable(folder)
-        for run in runs():
+    def keep(run: Run) -> str:
+        metrics, missing = write(run)
+        lacks = missing and f", {missing}"
+        return f"the results up to {metrics['simulated_s']:.3f} s are in {folder}{lacks}"
+
+    with current_interruption() as interruption, interruption.patient(ALL):
+        interruption.keep = keep
+        try:
+            require_writable(folder, RUN_FILES, room=_least_size(scenario))
+            for run in runs():
+                if progress is not None:
+                    progress.close()
+                metrics, missing = write(run)
+                if interruption.number:
+                    rest = f"the results are in {folder}{missing and f', {missing}'}"
+                    return say_end(interruption, rest)
+                code = _EXIT_CODES.get(RunOutcome(metrics["outcome"]), NOT_OK)
+                if not is_quiet:
+                    _report(metrics, run, folder)
+                if code != 0:
+                    _print_outcome(metrics)
+                if is_live and not is_quiet:
+                    print("while a page is open: restart or stop there; Ctrl-C ends it", flush=True)
+                if missing:
+                    message = f"the results are in {folder}, {missing}"
+                    print(f"drake-nonstop: {message}", file=sys.stderr)
+                    return FAILED
+            return code
+        except ScenarioError:
+            if is_new:
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+            raise
+        except RunStopped as stopped:
+            print(f"drake-nonstop: {stopped}", file=sys.stderr)
+            if len(stopped.run.time) > 0:
+                print(f"drake-nonstop: {keep(stopped.run)}", file=sys.stderr)
+            return FAILED
+        except RunInterrupted as interrupted:
+            kept = keep(interrupted.run) if len(interrupted.run.time) > 0 else ""
+            return say_end(interruption, kept)
+        finally:
+            interruption.keep = None
             if progress is not None:
                 progress.close()
-            metrics = write(run)
-            if not is_quiet:
-                _report(metrics, run.scenario, folder)
-                if is_live:
-                    print(
-                        "while a page is open: restart or stop there; Ctrl-C ends it",
-                        flush=True,
-                    )
-        return 0
-    except ScenarioError:
-        if is_new:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-        raise
-    except RunStopped as stopped:
-        run, code, message = stopped.run, FAILED, str(stopped)
-    except RunInterrupted as interrupted:
-        run, code, message = interrupted.run, INTERRUPTED, "interrupted"
-    finally:
-        if progress is not None:
-            progress.close()
-    print(f"drake-nonstop: {message}", file=sys.stderr)
-    if len(run.time) > 0:
-        metrics = write(run)
-        print(
-            f"drake-nonstop: the results up to {metrics['simulated_s']:.3f} s are in {folder}",
-            file=sys.stderr,
-        )
-    return code
 
 
-def _report(metrics: dict[str, Any], scenario: Scenario, folder: Path) -> None:
+def _write_somewhere(run: Run, folder: Path) -> dict[str, Any]:
+    """Writes a run's data to the folder and returns the metrics.
+
+    Raises:
+        ScenarioError: the folder cannot be written; says in what other folder the data are.
+    """
+    try:
+        return write_data(run, folder)
+    except ScenarioError as error:
+        other = Path(tempfile.mkdtemp(prefix="drake-nonstop-"))
+        try:
+            write_data(run, other)
+        except ScenarioError:
+            shutil.rmtree(other, ignore_errors=True)
+            raise error from None
+        raise ScenarioError(f"{error}; the results are in {other}") from None
+
+
+def _least_size(scenario: Scenario) -> float:
+    """Bytes that the results of a scenario take at least, roughly: its signals, compressed."""
+    columns = 126 + 27 * len(scenario.system.attachments)
+    samples = scenario.duration / SIGNAL_PERIOD
+    return 4 * columns * samples
+
+
+def _report(metrics: dict[str, Any], run: Run, folder: Path) -> None:
     print(metrics_table(metrics))
     if metrics["is_steered"]:
         print("steered while it ran: scenario.yaml alone does not repeat it")
-    for warning in find_warnings(metrics, scenario):
+    for warning in metrics["warnings"]:
         print(f"warning: {warning}")
-    print(f"results: {folder}")
+    if run.half_step is not None and not run.unresolved:
+        print(
+            f"with steps of {1e3 * run.half_step['step_s']:.3g} ms no metric moves ({TOLERANCES})"
+        )
+    print(f"results: {folder}", flush=True)
+
+
+def _print_outcome(metrics: dict[str, Any]) -> None:
+    reasons = "; ".join(metrics["reasons"])
+    print(f"drake-nonstop: {metrics['outcome']}: {reasons}", file=sys.stderr)

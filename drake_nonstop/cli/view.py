@@ -1,7 +1,6 @@
 """`drake-nonstop view`: shows the replay of a run in a browser."""
 
 import argparse
-import contextlib
 import threading
 import webbrowser
 from pathlib import Path
@@ -28,6 +27,5 @@ def _view(options: argparse.Namespace) -> int:
         print(f"{address} (Ctrl-C ends it)", flush=True)
         if not options.no_open:
             webbrowser.open(address)
-        with contextlib.suppress(KeyboardInterrupt):
-            threading.Event().wait()
+        threading.Event().wait()
     return 0

@@ -344,39 +344,39 @@ def speed_squares(values: Any, *, rest_length: float, compliance: float) -> tupl
     return c, b, a, tension_squared
 
 
-def separation_squares(
-    amplitude: NDArray,
+def orbit_positions(
+    amplitude: Any,
     forces: NDArray,
     levers: NDArray,
-    cosine_axes: NDArray,
-    sine_axes: NDArray,
+    directions: NDArray,
+    direction_rates: NDArray,
     *,
-    turns: NDArray,
-    pairs: NDArray,
     rest_length: float,
     compliance: float,
-) -> NDArray:
-    """Squared distances (k, t, pairs) of carriers around the phases `turns` (t,), rad.
+) -> tuple[NDArray, NDArray]:
+    """Carriers relative to the load at phases of their orbits, and their rates by the phase θ.
 
-    The least within half a step of the turns, with each orbit replaced by its tangent there: a
-    close encounter between two turns is not missed. `pairs` (2, pairs) are
-    indices of carriers, `amplitude` is (k,), the others as `orbit_ahead` and `orbit_axes`
-    return them. Own derivation.
+    Both (3, …) in L, m and m/rad: the components come first, and what follows broadcasts.
+    `forces` f₀ (N) and `levers` (m) are those of `orbit_ahead`, `directions` u and
+    `direction_rates` u' = ∂u/∂θ as described there, `amplitude` is A (N). The position is
+    lever + ℓ f/‖f‖ with f = f₀ + A u and ℓ = L₀ + ‖f‖/K_c.
     """
-    A = amplitude[:, None, None, None]
-    cosine, sine = np.cos(turns)[:, None, None], np.sin(turns)[:, None, None]
-    force = forces + A * (cosine * cosine_axes + sine * sine_axes)
-    change = A * (cosine * sine_axes - sine * cosine_axes)  # of the force, per rad
-    tension_squared = (force * force).sum(axis=-1, keepdims=True)
-    swing = rest_length / np.sqrt(tension_squared) + compliance
-    along = (compliance - swing) / tension_squared * (force * change).sum(axis=-1, keepdims=True)
-    position, tangent = levers + swing * force, swing * change + along * force
-    first, second = pairs
-    gap = position[:, :, first] - position[:, :, second]
-    opening = tangent[:, :, first] - tangent[:, :, second]
-    half_step = np.pi / len(turns)
-    opening_squared = (opening * opening).sum(axis=-1) + 1e-30
-    nearest = -(gap * opening).sum(axis=-1) / opening_squared
+    force = forces + amplitude * directions
+    force_rate = amplitude * direction_rates
+    tension_squared = (force * force).sum(axis=0)
+    reach = rest_length / np.sqrt(tension_squared) + compliance
+    along = (compliance - reach) / tension_squared * (force * force_rate).sum(axis=0)
+    return levers + reach * force, reach * force_rate + along * force
+
+
+def nearest_squares(gaps: NDArray, gap_rates: NDArray, half_step: float) -> NDArray:
+    """The least squared distances (…), m², within `half_step` (rad) of a phase.
+
+    `gaps` (3, …) between two positions and `gap_rates` by the phase are those of
+    `orbit_positions`. Each orbit is replaced by its tangent: a close encounter between two
+    phases, a whole step apart, is not missed. Own derivation.
+    """
+    nearest = -(gaps * gap_rates).sum(axis=0) / ((gap_rates * gap_rates).sum(axis=0) + 1e-30)
     nearest = (absolute(nearest + half_step) - absolute(nearest - half_step)) / 2  # clipped to it
-    gap = gap + nearest[..., None] * opening
-    return (gap * gap).sum(axis=-1)
+    gaps = gaps + nearest * gap_rates
+    return (gaps * gaps).sum(axis=0)

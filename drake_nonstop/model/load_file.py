@@ -8,7 +8,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
 from drake_nonstop.systems.drake_log import drake_log_level
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, read_text, require
 
 
 def read_load(path: str | Path, attachment_frames: list[str]) -> dict[str, Any]:
@@ -25,6 +25,11 @@ def read_load(path: str | Path, attachment_frames: list[str]) -> dict[str, Any]:
     Raises:
         ScenarioError: the file cannot be read, is not one rigid load, or lacks a frame.
     """
+    remedy = "give an SDF or URDF file"
+    require(str(path).endswith((".sdf", ".urdf")), "load_file", path, f"{remedy}: .sdf or .urdf")
+    text = read_text(path, "load_file", remedy)
+    # Drake ends the process on a file that includes itself.
+    require("<include" not in text, "load_file", path, f"{remedy} without <include>")
     plant = MultibodyPlant(time_step=0.0)
     try:
         with drake_log_level(logging.ERROR):
@@ -35,7 +40,7 @@ def read_load(path: str | Path, attachment_frames: list[str]) -> dict[str, Any]:
         plant.Finalize()
     except (RuntimeError, ValueError, OSError) as error:
         cause = " ".join(str(error).split())[:300]
-        raise ScenarioError(f"load_file = {path}: give an SDF or URDF file ({cause})") from None
+        raise ScenarioError(f"load_file = {path}: {remedy} ({cause})") from None
     require(
         plant.num_velocities() == 6 and plant.num_positions() == 7,
         "load_file",

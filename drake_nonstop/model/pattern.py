@@ -17,7 +17,7 @@ from drake_nonstop.mechanics.internal_force import (
     hamiltonian_cycle,
     spread,
 )
-from drake_nonstop.validation import require, require_array, require_positive
+from drake_nonstop.validation import StrictFields, require, require_array, require_positive
 
 _MIN_SINE = 1e-3  # of an angle that counts as different from zero
 
@@ -32,7 +32,7 @@ class InternalForcePattern:
 
 
 @dataclass(kw_only=True)
-class HamiltonianCycleConfig:
+class HamiltonianCycleConfig(StrictFields):
     """The paper's pattern: opposite forces along the edges of a closed cycle, m = n."""
 
     phases: list[float] = field(default_factory=list)  # rad, n of them; none: 2π (k-1)/n
@@ -77,7 +77,7 @@ class HamiltonianCycleConfig:
 
 
 @dataclass(kw_only=True)
-class CarouselConfig:
+class CarouselConfig(StrictFields):
     """Forces that rotate together: the carriers keep apart at constant speed, cables cross.
 
     m = 2. On a regular polygon every carrier flies a circle above its attachment, all at the
@@ -92,7 +92,7 @@ class CarouselConfig:
 
 
 @dataclass(kw_only=True)
-class SpreadCarouselConfig:
+class SpreadCarouselConfig(StrictFields):
     """The carousel with a constant outward pull: neither carriers nor cables meet.
 
     m = 2. Each carrier circles about an axis of its own that leans outward. Cables do not
@@ -127,7 +127,7 @@ def _require_directions(attachments: NDArray) -> None:
 
 
 @dataclass(kw_only=True)
-class LinearPatternConfig:
+class LinearPatternConfig(StrictFields):
     """A user's pattern: any matrix and offset in the null space, any phases."""
 
     # N₀, 3n rows of m numbers, in L; none: that of the cycle

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, read_text, require
 
 COLUMNS = ["t", "x", "y", "z", "roll", "pitch", "yaw"]  # s, m, rad; the angles are optional
 _MAX_VALUE = 1e6  # s, m, rad
+_MAX_ROWS = 20_000
 _MIN_INTERVAL = 1e-6  # s, between two samples
 
 
@@ -27,15 +28,13 @@ def read_samples(path: str | Path, field: str) -> list[list[float]]:
     Raises:
         ScenarioError: the file cannot be read, or as `sample_array`.
     """
+    remedy = "give a CSV file that can be read"
+    text = read_text(path, field, remedy)
+    require(text.count("\n") <= _MAX_ROWS, field, path, f"give at most {_MAX_ROWS} rows")
     try:
-        text = Path(path).read_text(
-            encoding="utf-8-sig"
-        )  # spreadsheets may write a byte-order mark
         lines = list(csv.reader(text.splitlines(), skipinitialspace=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ScenarioError(
-            f"{field} = {path}: give a CSV file that can be read ({error})"
-        ) from None
+    except csv.Error as error:
+        raise ScenarioError(f"{field} = {path}: {remedy} ({error})") from None
     header, rows = [name.strip() for name in lines[0]] if lines else [], []
     require(
         header in (COLUMNS[:4], COLUMNS),

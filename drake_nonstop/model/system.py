@@ -12,6 +12,7 @@ from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.rigid_load import RigidLoad, gravity_wrench
 from drake_nonstop.model.pattern import InternalForcePattern, check_pattern
 from drake_nonstop.validation import (
+    StrictFields,
     is_number,
     require,
     require_array,
@@ -19,9 +20,11 @@ from drake_nonstop.validation import (
     require_positive,
 )
 
+_MAX_CARRIERS = 100  # whose blocks take ten seconds to trace
+
 
 @dataclass(kw_only=True)
-class SystemParameters:
+class SystemParameters(StrictFields):
     """Load, cables and carriers; the defaults are the paper's (Table I, figures)."""
 
     load_mass: float = 1.0  # kg
@@ -53,6 +56,7 @@ class SystemParameters:
 SystemOverrides: Any = dataclasses.make_dataclass(
     "SystemOverrides",
     [(f.name, Optional[f.type], None) for f in dataclasses.fields(SystemParameters)],  # noqa: UP045
+    bases=(StrictFields,),
     kw_only=True,
 )
 
@@ -143,6 +147,7 @@ class Model:
         )
         self.n = len(self.attachments)
         require(self.n >= 3, name, system.attachments, "give 3 or more attachment points")
+        require(self.n <= _MAX_CARRIERS, name, f"{self.n} points", f"give at most {_MAX_CARRIERS}")
         grasp = grasp_matrix(self.attachments)
         size = np.max(np.abs(self.attachments))
         scaled = grasp / np.array([[size or 1.0]] * 3 + [[1.0]] * 3)

@@ -41,7 +41,7 @@ def nearest_feasible(
         margins_at: the margins of the p speeds at any [ξ, A].
         start: an amplitude (N) to evaluate besides A⁻ at first.
     """
-    allowed = _allowed_amplitudes(problem)
+    allowed = problem.allowed_intervals()
     active: list[int] = []
     while True:
         worst = int(margins.argmin())
@@ -241,28 +241,3 @@ def _next_allowed(s: float, forbidden: list[tuple[float, float]]) -> float:
             if start < s and s + _END_TOLERANCE * abs(s) < end:
                 s, moved = end, True
     return s
-
-
-def _allowed_amplitudes(problem: SearchProblem) -> list[tuple[float, float]]:
-    """The intervals of A that the constraints that do not depend on ξ allow."""
-    low, high = float(problem.lower[1]), float(problem.upper[1])
-    if problem.amplitude_margins is None:
-        return [(low, high)]
-    amplitudes = np.geomspace(low, high, _AMPLITUDES_OVER_BOUNDS).clip(low, high)
-    amplitudes = np.sort(np.append(amplitudes, problem.previous[1]))
-    is_allowed = problem.amplitude_margins(amplitudes) >= 0
-    # Bisects every change between allowed and not, all at once.
-    i = np.flatnonzero(is_allowed[1:] != is_allowed[:-1])
-    inside = np.where(is_allowed[i], amplitudes[i], amplitudes[i + 1])
-    outside = np.where(is_allowed[i], amplitudes[i + 1], amplitudes[i])
-    for _ in range(30 if len(i) > 0 else 0):
-        middle = (inside + outside) / 2
-        middle_is_allowed = problem.amplitude_margins(middle) >= 0
-        inside = np.where(middle_is_allowed, middle, inside)
-        outside = np.where(middle_is_allowed, outside, middle)
-    ends = inside.tolist()
-    if is_allowed[0]:
-        ends.insert(0, low)
-    if is_allowed[-1]:
-        ends.append(high)
-    return list(zip(ends[::2], ends[1::2], strict=True))

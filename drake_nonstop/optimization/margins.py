@@ -1,20 +1,15 @@
-"""The constraints on speeds, tensions and distances, as margins.
+"""The constraints on speeds and tensions, as margins.
 
 A margin is negative where its constraint is not fulfilled: ‖v_i‖²/ε² − 1 of a speed, and likewise
 of the other constraints, each with its tightened limit.
 """
 
-from itertools import combinations
-
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics import nonstop
-from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig
 
 FEASIBILITY_TOLERANCE = 1e-6  # on a margin
-_SEPARATION_PHASES = 36  # of a whole turn, at which carriers are kept apart
 
 
 class ConstraintMargins:
@@ -22,36 +17,26 @@ class ConstraintMargins:
 
     The margins of a point are one vector: those of the `speed_count` speeds above the speed
     bound come first, then, where `max_speed` is given, those of the same speeds below it, then
-    those of the constraints that do not depend on ξ: tensions, and distances between carriers.
+    those of the tensions; the worst one of the distances between carriers, see `Separation`, is
+    the last.
 
     Args:
-        model: of load, cables and carriers.
         config: its limits are tightened.
-        axes: p and q (n, 3) of `mechanics.nonstop.orbit_axes`.
         speed_count: of the speeds, at all instants and phases.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        config: NonstopProblemConfig,
-        axes: tuple[NDArray, NDArray],
-        speed_count: int,
-    ):
+    def __init__(self, config: NonstopProblemConfig, speed_count: int):
         larger, smaller = 1 + config.tightening, 1 - config.tightening
         self.max_speed = smaller * config.max_speed
         self._min_tension = larger * config.min_tension
         self._max_tension = smaller * config.max_tension
-        self._min_separation = larger * config.min_separation
+        self.min_separation = larger * config.min_separation
         self.speed_count = speed_count
-        self._axes = axes
-        self._pairs = np.array(list(combinations(range(model.n), 2))).T
-        self._cables = {"rest_length": model.cable_length, "compliance": model.cable_compliance}
 
     @property
-    def limit_amplitude(self) -> bool:
-        """Whether a constraint that does not depend on ξ is enabled."""
-        return self._min_tension > 0 or np.isfinite(self._max_tension) or self._min_separation > 0
+    def limit_tensions(self) -> bool:
+        """Whether tensions have a limit."""
+        return self._min_tension > 0 or bool(np.isfinite(self._max_tension))
 
     @property
     def limit_high_speeds(self) -> bool:
@@ -67,31 +52,13 @@ class ConstraintMargins:
             margins.append(1 - squares / self.max_speed**2)
         return margins
 
-    def of_amplitudes(
-        self, amplitudes: NDArray, tension_squares: NDArray, forces: NDArray, levers: NDArray
-    ) -> list[NDArray]:
-        """The margins (k, …) of amplitudes (k,), for each limit that does not depend on ξ.
-
-        `tension_squares` (k, p) are those at the amplitudes, `forces` and `levers` (n, 3) are
-        those of the last instant, see `mechanics.nonstop.orbit_ahead`.
-        """
+    def of_tensions(self, tension_squares: NDArray) -> list[NDArray]:
+        """The margins (k, p) of squared tensions (k, p), for each limit of theirs."""
         margins = []
         if self._min_tension > 0:
             margins.append(tension_squares / self._min_tension**2 - 1)
         if np.isfinite(self._max_tension):
             margins.append(1 - tension_squares / self._max_tension**2)
-        if self._min_separation > 0:
-            squares = nonstop.separation_squares(
-                amplitudes,
-                forces,
-                levers,
-                self._axes[0],
-                self._axes[1],
-                turns=2 * np.pi * np.arange(_SEPARATION_PHASES) / _SEPARATION_PHASES,
-                pairs=self._pairs,
-                **self._cables,
-            )
-            margins.append(squares.reshape(len(amplitudes), -1) / self._min_separation**2 - 1)
         return margins
 
     def worse_of_each_speed(self, margins: NDArray) -> NDArray:

@@ -7,10 +7,12 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import (
+    StrictFields,
     is_number,
     require,
     require_array,
     require_non_negative,
+    require_period,
     require_positive,
 )
 
@@ -19,7 +21,7 @@ _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
 @dataclass(kw_only=True)
-class NonstopProblemConfig:
+class NonstopProblemConfig(StrictFields):
     """The bound, the problem of eqs. 24-26 and how it is solved."""
 
     speed_bound: float = 0.2  # m/s, ε
@@ -113,6 +115,7 @@ def _check_numbers(box: str, config: NonstopProblemConfig) -> None:
         period=config.period,
         change_time=config.change_time,
     )
+    require_period(f"{box}.period", config.period)
     check_speed_bound(box, config.speed_bound)
 
 

@@ -13,6 +13,7 @@ from drake_nonstop.mechanics.nonstop import (
     quadratic_change_cost,
     speed_squares,
 )
+from drake_nonstop.optimization.amplitude_intervals import allowed_intervals
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,13 @@ class SearchProblem:
             anchor_weight=self.anchor_weight,
             nominal=self.nominal,
         )
+
+    def allowed_intervals(self) -> list[tuple[float, float]]:
+        """The intervals of A (N) that the constraints that do not depend on ξ allow."""
+        low, high = float(self.lower[1]), float(self.upper[1])
+        if self.amplitude_margins is None:
+            return [(low, high)]
+        return allowed_intervals(self.amplitude_margins, low, high, float(self.previous[1]))
 
     def margins(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
         """The margins of the p speeds (k, q, p), and the worst of all other constraints (k, q).

@@ -1,6 +1,7 @@
 """The cost and the margins of the nonstop problem, traced once for all updates."""
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +18,11 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig, amplitude_range
+from drake_nonstop.optimization.separation import SeparationConstraint
 from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE, UpdateData
 from drake_nonstop.systems.tracing import TracedFunction
+
+MIN_SPEEDS_FOR_ARRAYS = 90  # from this number on arrays are faster than a trace
 
 
 class SpeedTerms(NamedTuple):
@@ -46,7 +50,8 @@ class TracedProblem:
     """What all updates of one model and config share.
 
     Three traced functions of x = [ξ, A] (2,) and the flat vector of an `UpdateData` (61,):
-    `terms`, `margins` and `cost`. `margins` are in the order of `ConstraintMargins`.
+    `terms`, `margins` and `cost`. `margins` are in the order of `ConstraintMargins`, without that
+    of the separation.
 
     Args:
         model: what the controllers believe.
@@ -70,15 +75,36 @@ class TracedProblem:
         axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
         self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
         self.cables = {"rest_length": model.cable_length, "compliance": model.cable_compliance}
-        self.constraints = ConstraintMargins(
-            model, config, self._axes, len(self._instant_of_row) * model.n
+        self.constraints = ConstraintMargins(config, len(self._instant_of_row) * model.n)
+        self.separation = SeparationConstraint(
+            self.constraints.min_separation, self._axes, **self.cables
         )
         self.terms = self._compiled(self._trace_terms)
-        self.margins = self._compiled(self._trace_margins)
         self.cost = self._compiled(self._trace_cost)
+        if self.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS:
+            self.margins = self._compiled(self._trace_margins)
+
+    @cached_property
+    def margins(self) -> TracedFunction:
+        """The margins but for that of the separation."""
+        return self._compiled(self._trace_margins)
+
+    def margins_of(
+        self, terms: SpeedTerms, frequency: NDArray, amplitude: NDArray, data: UpdateData
+    ) -> NDArray:
+        """`margins` at ξ (1,) and A (1,), of numbers or symbols."""
+        values = nonstop.polynomial_values(terms.polynomials[:, :, None], amplitude[:, None])
+        c, b, a, tension_squares = nonstop.speed_squares(values, **self.cables)
+        s = frequency * amplitude
+        squares = c + s * (2 * b + s * a)
+        margins = [
+            *self.constraints.of_speeds(squares, data.speed_bound, data.speed_unit),
+            *self.constraints.of_tensions(tension_squares),
+        ]
+        return np.concatenate(margins, axis=1)[0]
 
     def with_gradients(self) -> tuple[TracedFunction, TracedFunction]:
-        """The cost and the margins, each with one more output: its exact Jacobian by x."""
+        """`cost` and `margins`, each with one more output: its exact Jacobian by x."""
         return (
             self._compiled(self._trace_cost, jacobian_of=0),
             self._compiled(self._trace_margins, jacobian_of=0),
@@ -155,16 +181,7 @@ class TracedProblem:
     def _trace_margins(self, x: NDArray, vector: NDArray) -> NDArray:
         data = UpdateData.view(vector)
         terms = SpeedTerms.from_flat(*self.terms.traced(x, vector))
-        frequency, amplitude = Parameters.view(x)
-        values = nonstop.polynomial_values(terms.polynomials[:, :, None], amplitude[:, None])
-        c, b, a, tension_squares = nonstop.speed_squares(values, **self.cables)
-        s = frequency * amplitude
-        squares = c + s * (2 * b + s * a)
-        margins = [
-            *self.constraints.of_speeds(squares, data.speed_bound, data.speed_unit),
-            *self.constraints.of_amplitudes(amplitude, tension_squares, terms.forces, terms.levers),
-        ]
-        return np.concatenate(margins, axis=1)[0]
+        return self.margins_of(terms, *Parameters.view(x), data)
 
     def _trace_cost(self, x: NDArray, vector: NDArray) -> NDArray:
         data = UpdateData.view(vector)

@@ -1,19 +1,25 @@
 """The nonstop problem of one update, in numbers."""
 
 import math
+from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import nonstop
 from drake_nonstop.mechanics.signals import Parameters
+from drake_nonstop.optimization.amplitude_intervals import allowed_intervals
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import SearchProblem
-from drake_nonstop.optimization.traced_problem import SpeedTerms, TracedProblem
+from drake_nonstop.optimization.separation import Separation
+from drake_nonstop.optimization.traced_problem import (
+    MIN_SPEEDS_FOR_ARRAYS,
+    SpeedTerms,
+    TracedProblem,
+)
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.systems.tracing import NotFiniteError
-
-_MIN_SPEEDS_FOR_ARRAYS = 90  # from this number on arrays are faster than a trace
 
 
 class UpdateProblem:
@@ -29,7 +35,8 @@ class UpdateProblem:
         self.data = data
         self.vector = np.concatenate(data)  # (61,), for the functions of `UpdateSolver.functions`
         self.previous = data.previous.copy()
-        # The last x, its margins and the least of them: the search has computed the answer's.
+        # The last x, its margins but for that of the separation, and the least of them: the
+        # search has computed the answer's.
         self._last: tuple[NDArray | None, NDArray, float] = (None, self.previous, 0.0)
         self._search_problem: SearchProblem | None = None
 
@@ -37,6 +44,20 @@ class UpdateProblem:
     def bounds(self) -> tuple[NDArray, NDArray]:
         """The lower and upper bounds (2,) of x, within reach at the limits of its rates."""
         return self._traced.bounds(self.previous)
+
+    @property
+    def known_bounds(self) -> tuple[NDArray, NDArray]:
+        """`bounds`, with A in the interval next to A⁻ that the known encounters allow, if any."""
+        lower, upper = self.bounds
+        if self._separation is not None and self._separation.has_known:
+            start = float(self.previous[1])
+            intervals = allowed_intervals(
+                self._separation.known_margins, float(lower[1]), float(upper[1]), start
+            )
+            if intervals:
+                distances = [max(low - start, start - high) for low, high in intervals]
+                lower[1], upper[1] = intervals[int(np.argmin(distances))]
+        return lower, upper
 
     @property
     def phase_jumps(self) -> bool:
@@ -53,16 +74,44 @@ class UpdateProblem:
         Raises:
             NotFiniteError: one is not, such as that of a cable without any tension.
         """
-        return self._margins_and_worst(x)[0]
+        margins = self._margins_and_worst(x)[0]
+        if self._separation is None:
+            return margins
+        return np.append(margins, self._separation_margin(x))
+
+    def speed_margins(self, x: NDArray) -> NDArray:
+        """The worse margin of each speed at x, which may have limits on either side."""
+        return self._traced.constraints.worse_of_each_speed(self._margins_and_worst(x)[0])
 
     def worst_margin(self, x: NDArray) -> float:
         """The least margin of all constraints at x."""
-        return self._margins_and_worst(x)[1]
+        return min(self._margins_and_worst(x)[1], self._separation_margin(x))
+
+    def is_feasible(self, x: NDArray) -> bool:
+        """Whether x fulfils the constraints."""
+        return (
+            self._margins_and_worst(x)[1] >= -FEASIBILITY_TOLERANCE
+            and self._separation_margin(x) >= -FEASIBILITY_TOLERANCE
+        )
 
     def feasible_cost(self, x: NDArray) -> float:
         """The cost of the step to x, inf where x does not fulfil the constraints."""
-        is_feasible = self.worst_margin(x) >= -FEASIBILITY_TOLERANCE
-        return self.cost(x) if is_feasible else np.inf
+        return self.cost(x) if self.is_feasible(x) else np.inf
+
+    def learns_from(self, x: NDArray) -> bool:
+        """Whether the closest encounter of carriers at x is too close, and not known.
+
+        `search_problem` and `known_bounds` know of it from now on.
+        """
+        if self._separation is None or not self._separation.learns_from(float(x[1])):
+            return False
+        self._search_problem = None
+        return True
+
+    def learn_previous(self) -> None:
+        """Lets the search know of the closest encounters at A⁻, which are likely to stay so."""
+        if self._separation is not None and self._separation.learn_near(float(self.previous[1])):
+            self._search_problem = None
 
     def slowest_speed(self, x: NDArray) -> float:
         """The slowest predicted speed (m/s) at x."""
@@ -77,27 +126,43 @@ class UpdateProblem:
     def search_problem(self) -> SearchProblem:
         """The problem with the phases of now, which do not depend on ξ where they accumulate it."""
         if self._search_problem is None:
-            self._search_problem = self.search_problem_at(float(self.previous[0]))
+            self._search_problem = self._search_problem_of(self._terms)
         return self._search_problem
 
     def search_problem_at(self, frequency: float) -> SearchProblem:
         """The problem with the phases that `frequency` (rad/s) gives."""
-        traced, data, previous = self._traced, self.data, self.previous
-        constraints, config = traced.constraints, traced.config
-        flat = traced.terms(np.array([frequency, previous[1]]), self.vector)
-        terms = SpeedTerms.from_flat(*[term.copy() for term in flat])
+        return self._search_problem_of(self._terms_at(frequency))
+
+    @cached_property
+    def _terms(self) -> SpeedTerms:
+        return self._terms_at(float(self.previous[0]))
+
+    def _terms_at(self, frequency: float) -> SpeedTerms:
+        flat = self._traced.terms(np.array([frequency, self.previous[1]]), self.vector)
+        return SpeedTerms.from_flat(*[term.copy() for term in flat])
+
+    @cached_property
+    def _separation(self) -> Separation | None:
+        constraint = self._traced.separation
+        if constraint.min_separation == 0:
+            return None
+        return Separation(constraint, self._terms.forces, self._terms.levers)
+
+    def _separation_margin(self, x: NDArray) -> float:
+        if self._separation is None:
+            return math.inf
+        margin = self._separation.worst_margin(float(x[1]))
+        if math.isnan(margin):
+            raise NotFiniteError(self._traced.name())
+        return margin
+
+    def _search_problem_of(self, terms: SpeedTerms) -> SearchProblem:
+        traced, data, previous, config = self._traced, self.data, self.previous, self._traced.config
         lower, upper = self.bounds
-
-        def amplitude_margins(amplitudes: NDArray) -> NDArray:
-            values = nonstop.polynomial_values(terms.polynomials[:, :, None], amplitudes[:, None])
-            tensions = nonstop.speed_squares(values, **traced.cables)[3]
-            margins = constraints.of_amplitudes(amplitudes, tensions, terms.forces, terms.levers)
-            return np.min([margin.min(axis=1) for margin in margins], axis=0)
-
         return SearchProblem(
             polynomials=terms.polynomials,
             **traced.cables,
-            amplitude_margins=amplitude_margins if constraints.limit_amplitude else None,
+            amplitude_margins=self._amplitude_margins(terms.polynomials),
             angles=terms.angles,
             previous=previous,
             nominal=traced.nominal,
@@ -105,11 +170,32 @@ class UpdateProblem:
             upper=upper,
             speed_bound=data.speed_bound[0],
             speed_unit=data.speed_unit[0],
-            max_speed=constraints.max_speed,
+            max_speed=traced.constraints.max_speed,
             internal_force_weight=config.internal_force_weight,
             internal_force_rate_weight=config.internal_force_rate_weight,
             anchor_weight=float(data.anchor_weight[0]),
         )
+
+    def _amplitude_margins(self, polynomials: NDArray) -> Callable[[NDArray], NDArray] | None:
+        """The worst margin (k,) at amplitudes (k,) in the known constraints that ξ is not in."""
+        constraints, separation = self._traced.constraints, self._separation
+        if separation is not None and not separation.has_known:
+            separation = None
+        if not constraints.limit_tensions and separation is None:
+            return None
+
+        def worst_margins(amplitudes: NDArray) -> NDArray:
+            worst = np.full(len(amplitudes), np.inf)
+            if constraints.limit_tensions:
+                p0, p1, p2 = nonstop.OrbitProducts(*polynomials).f_f[:, :, None]
+                A = amplitudes
+                for margins in constraints.of_tensions(p0 + A * (p1 + A * p2)):
+                    worst = np.minimum(worst, margins.min(axis=0))
+            if separation is not None:
+                worst = np.minimum(worst, separation.known_margins(amplitudes))
+            return worst
+
+        return worst_margins
 
     def _margins_and_worst(self, x: NDArray) -> tuple[NDArray, float]:
         if x is not self._last[0]:
@@ -118,17 +204,12 @@ class UpdateProblem:
         return self._last[1], self._last[2]
 
     def _computed_margins(self, x: NDArray) -> NDArray:
-        constraints = self._traced.constraints
-        if (
-            constraints.speed_count < _MIN_SPEEDS_FOR_ARRAYS
-            or constraints.limit_amplitude
-            or constraints.limit_high_speeds
-            or self.phase_jumps
-        ):
+        if self._traced.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS:
             return self._traced.margins(x, self.vector)[0].copy()
+        frequency, amplitude = Parameters.view(x)
+        terms = self._terms_at(float(frequency[0])) if self.phase_jumps else self._terms
         with np.errstate(divide="ignore", invalid="ignore"):
-            frequency, amplitude = Parameters.view(x)
-            margins = self.search_problem.margins(amplitude, frequency)[0][0, 0]
+            margins = self._traced.margins_of(terms, frequency, amplitude, self.data)
         if not np.isfinite(margins).all():
             raise NotFiniteError(self._traced.name())
         return margins

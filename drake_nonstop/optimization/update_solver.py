@@ -13,7 +13,6 @@ from drake_nonstop.optimization.active_set_search import nearest_feasible
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.grid_search import cheapest_on_grid, least_infeasible_on_grid
 from drake_nonstop.optimization.local_solver import LocalSolver
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig
 from drake_nonstop.optimization.traced_problem import TracedProblem
 from drake_nonstop.optimization.update_data import UpdateData
@@ -119,11 +118,12 @@ class UpdateSolver:
         """
         problem = self.problem(data)
         previous = problem.previous
-        was_feasible = problem.worst_margin(previous) >= -FEASIBILITY_TOLERANCE
+        was_feasible = problem.is_feasible(previous)
         if was_feasible and not self._is_anchor_active(problem):
             return _answer(problem, previous, Outcome.KEPT)
+        problem.learn_previous()
         parameters = self._best(problem)
-        is_feasible = problem.worst_margin(parameters) >= -FEASIBILITY_TOLERANCE
+        is_feasible = problem.is_feasible(parameters)
         if was_feasible and (not is_feasible or problem.cost(parameters) >= problem.cost(previous)):
             return _answer(problem, previous, Outcome.KEPT)
         if is_feasible:
@@ -144,8 +144,10 @@ class UpdateSolver:
         """The feasible point of the least cost; where none is found the least infeasible one."""
         if self._local is None:
             return self._searched(problem)[0]
-        start, data, bounds = problem.previous, problem.vector, problem.bounds
-        parameters = self._local.nearest(start, data, *bounds)
+        start, data = problem.previous, problem.vector
+        parameters = self._local.nearest(start, data, *problem.known_bounds)
+        while problem.learns_from(parameters):
+            parameters = self._local.nearest(start, data, *problem.known_bounds)
         cost = problem.feasible_cost(parameters)
         if self._config.global_search:
             other, other_cost = self._searched(problem)
@@ -153,22 +155,24 @@ class UpdateSolver:
             return parameters if is_best else other
         if np.isfinite(cost):
             return parameters
-        return self._local.fastest(start, data, *bounds)
+        return self._local.fastest(start, data, *problem.bounds)
 
     def _searched(self, problem: UpdateProblem) -> tuple[NDArray, float]:
         """The point that a search finds and its cost, inf where it is infeasible."""
+        found = self._searched_among_known(problem)
+        while problem.learns_from(found[0]):
+            found = self._searched_among_known(problem)
+        return found
+
+    def _searched_among_known(self, problem: UpdateProblem) -> tuple[NDArray, float]:
+        """Likewise, with no other encounters of carriers than those that are known."""
         if self._config.solver == "grid" or problem.phase_jumps:
             return cheapest_on_grid(
                 problem.search_problem_at, float(problem.previous[0]), problem.cost
             )
-        worse_of_each_speed = self._traced.constraints.worse_of_each_speed
-
-        def speed_margins(x: NDArray) -> NDArray:
-            return worse_of_each_speed(problem.margins(x))
-
         search_problem = problem.search_problem
-        before = speed_margins(problem.previous)
-        parameters, cost = nearest_feasible(search_problem, before, speed_margins)
+        before = problem.speed_margins(problem.previous)
+        parameters, cost = nearest_feasible(search_problem, before, problem.speed_margins)
         if np.isfinite(cost):
             return parameters, cost
         parameters = least_infeasible_on_grid(search_problem)
@@ -177,7 +181,7 @@ class UpdateSolver:
             return parameters, cost
         # The grid found a feasible range of A so narrow that the search had missed it.
         nearer, lower_cost = nearest_feasible(
-            search_problem, before, speed_margins, float(parameters[1])
+            search_problem, before, problem.speed_margins, float(parameters[1])
         )
         return (nearer, lower_cost) if lower_cost < cost else (parameters, cost)
 

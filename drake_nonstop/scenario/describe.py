@@ -6,6 +6,7 @@ built with the default scenario's model.
 """
 
 import ast
+import contextlib
 import dataclasses
 import inspect
 import io
@@ -95,20 +96,27 @@ def describe(name: str) -> Box:
 
 def parameters(config: type) -> tuple[Parameter, ...]:
     """The fields of a config class, in order."""
-    meanings: dict[str, str] = {}
-    for base in reversed(config.__mro__):
-        if dataclasses.is_dataclass(base):
-            meanings |= _field_comments(base)
+    about = meanings(config)
     default = config()
     return tuple(
         Parameter(
             name=field.name,
             type=_type_name(field.type),
             default=_as_yaml(getattr(default, field.name)),
-            meaning=meanings.get(field.name, ""),
+            meaning=about.get(field.name, ""),
         )
         for field in dataclasses.fields(config)
     )
+
+
+def meanings(config: type) -> dict[str, str]:
+    """The comments on the fields of a config class, by name: units and meanings."""
+    found: dict[str, str] = {}
+    for base in reversed(config.__mro__):
+        if dataclasses.is_dataclass(base):
+            with contextlib.suppress(OSError, TypeError):  # a class that no source file has
+                found |= _field_comments(base)
+    return found
 
 
 def _choice(block: type[System], model: Model) -> Choice:

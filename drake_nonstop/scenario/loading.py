@@ -18,10 +18,11 @@ from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.own_blocks import make_importable
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import BASE, Tree, block_name, from_tree, to_tree
-from drake_nonstop.scenario.yaml_text import TreeDumper, compose, to_plain
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.scenario.yaml_text import TreeDumper, parse_plain
+from drake_nonstop.validation import read_text, require, require_file
 
 SCENARIOS = diagrams.FOLDER / "scenarios"
+_MAX_BASES = 20
 
 
 def scenario_names() -> list[str]:
@@ -47,10 +48,12 @@ def load_scenario(
         ScenarioError: there is no such scenario or file, or its content cannot be used;
             the message names the field, the value and the remedy.
     """
+    is_path = isinstance(name_or_file, (str, Path))
+    require(is_path, "scenario", name_or_file, "give a scenario's name, or a .yaml file")
     path = _path(name_or_file, "scenario")
     if trust:
         make_importable(str(Path.cwd()))
-    scenario = _parsed(_read(path, "scenario"), str(path), path.parent, trust, [path])
+    scenario = _parsed(read_text(path, "scenario"), str(path), path.parent, trust, [path])
     return changed(scenario, overrides, trust=trust) if overrides else scenario
 
 
@@ -66,9 +69,14 @@ def parse_scenario(text: str, source: str = "scenario", *, trust: bool = False) 
 
 
 def dump_scenario(scenario: Scenario) -> str:
-    """The scenario as YAML with every field and tag written out; `parse_scenario` reads it."""
+    """The scenario as YAML with every field and tag written out; `parse_scenario` reads it.
+
+    Raises:
+        ScenarioError: a field cannot be used.
+    """
+    tree = to_tree(scenario)
     return yaml.dump(
-        {scenario.name: to_tree(scenario)},
+        {scenario.name: tree},
         Dumper=TreeDumper,
         sort_keys=False,  # the boxes stand in the figure's order
         default_flow_style=None,
@@ -91,13 +99,6 @@ def _path(name_or_file: str | Path, field: str, folder: Path | None = None) -> P
     return SCENARIOS / f"{name_or_file}.yaml"
 
 
-def _read(path: Path, field: str) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{field} = {path}: give a file that can be read ({error})") from None
-
-
 def _parsed(text: str, source: str, folder: Path, trust: bool, trail: Sequence[Path]) -> Scenario:
     """The scenario in a text from that folder, which the files of the trail are based on."""
     if trust and folder.absolute() != SCENARIOS:
@@ -110,14 +111,14 @@ def _tree(
     text: str, source: str, folder: Path, trust: bool, trail: Sequence[Path]
 ) -> tuple[str, Tree]:
     """The name of the scenario in a text, and its fields with those of what it is based on."""
-    node = compose(text, source)
+    tree = parse_plain(text, source)
     require(
-        isinstance(node, yaml.MappingNode) and len(node.value) == 1,
+        isinstance(tree, dict) and len(tree) == 1 and "_tag" not in tree,
         source,
         "a file without exactly one scenario",
         "give one key, the scenario's name, with its fields below it",
     )
-    ((name, content),) = to_plain(node, source).items()
+    ((name, content),) = tree.items()
     content = {} if content is None else content
     require(isinstance(content, dict), name, content, "give the scenario's fields below its name")
     if BASE not in content:
@@ -125,11 +126,13 @@ def _tree(
     field, base = f"{name}.{BASE}", content.pop(BASE)
     require(isinstance(base, str), field, base, "give a scenario's name, or a .yaml file")
     path = _path(base, field, folder)
-    is_new = all(not path.exists() or not path.samefile(other) for other in trail)
+    require_file(path, field, "give a file that can be read")
+    is_new = not any(path.samefile(other) for other in trail)
     require(is_new, field, base, "it is based on this scenario itself; give another one")
+    require(len(trail) < _MAX_BASES, field, base, f"give at most {_MAX_BASES} bases in a row")
     if trust and path.parent != SCENARIOS:
         make_importable(str(path.parent.absolute()))
-    _, inherited = _tree(_read(path, field), str(path), path.parent, trust, [*trail, path])
+    _, inherited = _tree(read_text(path, field), str(path), path.parent, trust, [*trail, path])
     inherited.pop("description", None)  # that of another task
     return name, _merged(inherited, content)
 

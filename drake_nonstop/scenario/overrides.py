@@ -1,14 +1,13 @@
 """Changes "path=value" to a scenario: read from files, checked, combined, applied."""
 
 import copy
-import dataclasses
 import itertools
-import typing
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from drake_nonstop.diagrams.box import kept_parameters
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import (
@@ -17,11 +16,10 @@ from drake_nonstop.scenario.tree import (
     config_class_of,
     from_tree,
     own_tags,
-    require_known,
     to_tree,
 )
-from drake_nonstop.scenario.yaml_text import compose, dump_plain, parse_plain, to_plain
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
+from drake_nonstop.validation import number_text, read_text, require, require_known
 
 
 def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False) -> Scenario:
@@ -32,6 +30,8 @@ def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False
     Raises:
         ScenarioError: a path or value cannot be used.
     """
+    is_list = isinstance(overrides, Iterable) and not isinstance(overrides, str)
+    require(is_list, "overrides", overrides, 'give a list of texts, such as ["duration=5"]')
     tree = to_tree(scenario)
     before = copy.deepcopy(tree)
     trusted = True if trust else own_tags(tree)
@@ -50,13 +50,9 @@ def read_mapping(path: Path, option: str, known: tuple[str, ...], remedy: str) -
     Raises:
         ScenarioError: the file cannot be read, or holds anything else; `description` is no text.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{option} = {path}: give a file that can be read ({error})") from None
     source = path.name
-    content = parse_plain(text, source)
-    require(isinstance(content, dict), source, content, remedy)
+    content = parse_plain(read_text(path, option), source)
+    require(isinstance(content, dict) and "_tag" not in content, source, content, remedy)
     for key in content:
         require(key in known, f"{source}.{key}", content[key], remedy)
     description = content.get("description", "")
@@ -74,7 +70,10 @@ def require_override(override: Any, where: str) -> None:
 def require_choices(values: Any, where: str) -> None:
     """Raises ScenarioError for what is no list of different values."""
     require(isinstance(values, list) and values, where, values, "give a list of values in [ ]")
-    for text, count in Counter(dump_plain(value) for value in values).items():
+    for value in values:
+        is_quoted = isinstance(value, str) and number_text(value)
+        require(not is_quoted, where, f"'{value}'", "give the number without quotes")
+    for text, count in Counter(dump_plain(value, where) for value in values).items():
         require(count == 1, where, text, "give each value once")
 
 
@@ -86,16 +85,15 @@ def combinations(grid: Mapping[str, list[Any]]) -> Iterator[dict[str, Any]]:
 
 def as_override(path: str, value: Any) -> str:
     """The override that gives the path the value, which is as `parse_plain` makes it."""
-    return f"{path}={dump_plain(value)}"
+    return f"{path}={dump_plain(value, path)}"
 
 
 def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
     """Changes the resolved tree by one "path=value"."""
-    path, separator, text = override.partition("=")
-    require(separator and path, "--set", override, "give path=value")
-    node = compose(text, f"--set {path}")
-    require(node is not None, f"--set {path}", "nothing", "give a value after the =")
-    value = to_plain(node, path)
+    require_override(override, "--set")
+    path, _, text = override.partition("=")
+    require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
+    value = parse_plain(text, f"--set {path}", path)
     *parents, last = path.split(".")
     branch: Any = tree
     for i, key in enumerate(parents):
@@ -105,6 +103,9 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
         require(isinstance(branch[key], dict), "--set", path, f"{at} has no parts; set it whole")
         branch = branch[key]
     if path in CHOICES and isinstance(value, str):
+        name = value.removeprefix("!").partition("{")[0].strip()
+        remedy = f"give it without quotes, or the name alone: {name}"
+        require(not value.startswith("!"), path, f"'{value}'", remedy)
         value = _swapped(path, tree[path], value, trusted)
     branch[last] = value
 
@@ -112,10 +113,6 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
 def _swapped(name: str, entry: Tree, block: str, trusted: Trusted) -> Tree:
     """The entry of another block in a box; parameters that both have stay as they were."""
     old = config_class_of(name, entry["_tag"], trusted)
-    types = typing.get_type_hints(config_class_of(name, f"!{block}", trusted))
-    shared = [key for key, kind in typing.get_type_hints(old).items() if types.get(key) == kind]
-    kept = {key: entry[key] for key in shared if key in entry}
-    if name in BOXES and not BOXES[name].swap_keeps_defaults:
-        default = dataclasses.asdict(old())
-        kept = {key: value for key, value in kept.items() if value != default[key]}
-    return {**kept, "_tag": f"!{block}"}
+    new = config_class_of(name, f"!{block}", trusted)
+    keeps_defaults = name not in BOXES or BOXES[name].swap_keeps_defaults
+    return {**kept_parameters(entry, old, new, keeps_defaults), "_tag": f"!{block}"}

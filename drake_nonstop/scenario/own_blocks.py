@@ -35,7 +35,7 @@ def import_config(field: str, path: str) -> type:
     module_name, _, name = path.rpartition(".")
     try:
         module = importlib.import_module(module_name)
-    except Exception as error:  # whatever a user's module may raise
+    except (Exception, SystemExit) as error:  # whatever a user's module may raise
         raise ScenarioError(
             f"{field} = !{path}: the module {module_name} cannot be imported ({one_line(error)}); "
             "correct it, or put it into the current folder, the scenario's or PYTHONPATH"
@@ -51,7 +51,7 @@ def import_config(field: str, path: str) -> type:
     remedy = f"give every field of {name}Config a type such as float or list[float] and a default"
     try:
         yaml_dump_typed(config())
-    except Exception as error:  # whatever a user's dataclass may raise
+    except (Exception, SystemExit) as error:  # whatever a user's dataclass may raise
         raise ScenarioError(f"{field} = !{path}: {remedy} ({one_line(error)})") from error
     if field in BOXES:
         block_class(field, config)

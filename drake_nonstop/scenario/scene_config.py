@@ -4,15 +4,15 @@ import re
 from dataclasses import dataclass, field
 
 from drake_nonstop.validation import (
+    StrictFields,
     is_number,
     require,
-    require_non_negative,
     require_positive,
 )
 
 
 @dataclass(kw_only=True)
-class SceneConfig:
+class SceneConfig(StrictFields):
     """Colours (#rrggbb) and sizes.
 
     The load's radius is that of its farthest attachment from the centre of mass; the reach is
@@ -55,7 +55,8 @@ def check_scene(config: SceneConfig) -> None:
     }
     for name, least in (("carrier_colours", 1), ("mark_colours", 2), ("cable_colours", 2)):
         colours = lists[name]
-        require(len(colours) >= least, f"scene.{name}", colours, f"give {least} or more of #rrggbb")
+        is_list = isinstance(colours, list) and len(colours) >= least
+        require(is_list, f"scene.{name}", colours, f"give {least} or more of #rrggbb")
     singles = {
         name: [getattr(config, name)]
         for name in ("load_colour", "reference_colour", "slack_colour", "background_colour")
@@ -77,9 +78,10 @@ def check_scene(config: SceneConfig) -> None:
         trail_time=config.trail_time,
         tension_range=config.tension_range,
     )
-    require_non_negative(
-        "scene", mark_opacity=config.mark_opacity, reference_opacity=config.reference_opacity
-    )
+    for name in ("mark_opacity", "reference_opacity"):
+        opacity = getattr(config, name)
+        is_share = is_number(opacity) and 0 <= opacity <= 1
+        require(is_share, f"scene.{name}", opacity, "give a number from 0 to 1")
     require(
         is_number(config.mark_range) and config.mark_range > 1,
         "scene.mark_range",

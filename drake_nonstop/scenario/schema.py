@@ -3,12 +3,14 @@
 import dataclasses
 import functools
 import operator
+import re
 import typing
 from dataclasses import dataclass, field
 from typing import Any
 
 from pydrake.systems.analysis import SimulatorConfig
 
+from drake_nonstop.diagrams.box import block_class, import_path
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -17,8 +19,17 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
+from drake_nonstop.scenario.run_limits import RunLimits, check_limits
 from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.validation import require, require_non_negative, require_positive
+from drake_nonstop.validation import (
+    StrictFields,
+    is_number,
+    require,
+    require_fields,
+    require_non_negative,
+    require_positive,
+    require_type,
+)
 
 PATTERN = "pattern"  # the field that is chosen like a box's block, and belongs to several
 
@@ -30,7 +41,7 @@ def _default_simulator() -> SimulatorConfig:
 
 
 @dataclass(kw_only=True)
-class _Common:
+class _Common(StrictFields):
     """The fields of a scenario that belong to no box."""
 
     name: str = "unnamed"
@@ -38,10 +49,13 @@ class _Common:
     duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
     fused_plant: bool = False  # load, cables, carriers and their controller in one fast block
-    safe_carrier_distance: float = 0.1  # m; `run` warns where two carriers come closer
-    safe_cable_distance: float = 0.1  # m; `run` warns where two cables come closer
+    # What the run is held against: beyond which figures it is not ok, or not plausible.
+    limits: RunLimits = field(default_factory=RunLimits)
+    # Of Drake's Simulator: max_step_size in s, and the rest as in SimulatorConfig.
     simulator: SimulatorConfig = field(default_factory=_default_simulator)
+    # What the controllers believe of load, cables and carriers.
     system: SystemParameters = field(default_factory=SystemParameters)
+    # Fields of system that differ in the simulated plant.
     simulated: SystemOverrides = field(default_factory=SystemOverrides)
     pattern: (
         HamiltonianCycleConfig | CarouselConfig | SpreadCarouselConfig | LinearPatternConfig
@@ -73,6 +87,10 @@ class Scenario(_Boxes):
         """The ε (m/s) that the optimization layer's config states; 0 where it states none."""
         return getattr(self.optimization_layer, "speed_bound", 0.0)
 
+    def check(self) -> None:
+        """Checks all fields' types, and the ranges of those that belong to no box; see `check`."""
+        check(self)
+
 
 PATTERNS: tuple[type, ...] = typing.get_args(typing.get_type_hints(_Common)[PATTERN])
 
@@ -83,23 +101,45 @@ CHOICES: dict[str, tuple[type, ...]] = {
     "scene": (SceneConfig,),
 }
 
+_ALL_CONFIGS = {config for choices in CHOICES.values() for config in choices}
+
+# Parts of a scenario that are no boxes.
+_PARTS = (RunLimits, SystemParameters, SystemOverrides, SimulatorConfig)
+
+_MAX_STEPS = 1e8  # of a run, which takes days
+_LONGEST_PERIOD = 10.0  # s, of the controllers
+
 
 def check(scenario: Scenario) -> None:
-    """Checks the fields that belong to no box.
+    """Checks the types of all fields, and the ranges of those that belong to no box.
 
     Raises:
-        ScenarioError: one is out of range.
+        ScenarioError: a field cannot be used.
     """
+    is_scenario = isinstance(scenario, Scenario)
+    require(is_scenario, "scenario", scenario, 'give a Scenario, such as load_scenario("quintic")')
+    require_type("scenario.name", scenario.name, str)
+    check_name(scenario.name)
+    for field_ in dataclasses.fields(scenario):
+        kind: Any = field_.type
+        path, value = field_.name, getattr(scenario, field_.name)
+        if path in CHOICES:
+            _check_choice(path, value)
+            require_fields(path, value)
+        elif kind in _PARTS:
+            require(isinstance(value, kind), path, value, f"give a {kind.__name__}")
+            require_fields(path, value)
+        else:
+            require_type(f"{scenario.name}.{path}", value, kind)
+    for owner in ("system", "simulated"):
+        _check_is_read(owner, getattr(scenario, owner))
     require_positive(scenario.name, duration=scenario.duration)
-    require_non_negative(
-        scenario.name,
-        safe_carrier_distance=scenario.safe_carrier_distance,
-        safe_cable_distance=scenario.safe_cable_distance,
-    )
+    check_limits(scenario.limits)
     simulator = scenario.simulator
     require_positive(
         "simulator", max_step_size=simulator.max_step_size, accuracy=simulator.accuracy
     )
+    require_non_negative("simulator", target_realtime_rate=simulator.target_realtime_rate)
     require(
         simulator.max_step_size >= 1e-5,
         "simulator.max_step_size",
@@ -107,3 +147,58 @@ def check(scenario: Scenario) -> None:
         "give at least 1e-5 s, or the run would not come to an end",
     )
     require(simulator.start_time == 0, "simulator.start_time", simulator.start_time, "give 0")
+    require(
+        is_number(scenario.control_period) and 0 <= scenario.control_period <= _LONGEST_PERIOD,
+        "control_period",
+        scenario.control_period,
+        f"give 0 for continuous controllers, or 1e-4 to {_LONGEST_PERIOD:g} s",
+    )
+    step = min(simulator.max_step_size, scenario.control_period or _LONGEST_PERIOD)
+    require(
+        scenario.duration <= _MAX_STEPS * step,
+        f"{scenario.name}.duration",
+        scenario.duration,
+        f"give at most {_MAX_STEPS * step:g} s, which are {_MAX_STEPS:.0e} steps of {step:g} s",
+    )
+
+
+def check_name(name: str) -> None:
+    """Raises ScenarioError for what is no name of a scenario."""
+    require(
+        re.fullmatch(r"[A-Za-z0-9][\w.-]*", name) and len(name.encode()) <= 100,
+        "scenario",
+        name,
+        "name it with letters, digits, _, - and . only, 100 at most: its results' folder is "
+        "named after it",
+    )
+
+
+def _check_choice(name: str, config: Any) -> None:
+    """Raises ScenarioError for what is no config of a block that the box of the name can be."""
+    choices = CHOICES[name]
+    names = [choice.__name__.removesuffix("Config") for choice in choices]
+    is_config = dataclasses.is_dataclass(config) and not isinstance(config, type)
+    require(is_config, name, config, f"give a config, such as {choices[0].__name__}()")
+    kind = type(config)
+    if kind in choices:
+        return
+    is_known = kind in _ALL_CONFIGS
+    is_own = not is_known and (name in BOXES or hasattr(config, "make"))
+    block = kind.__name__.removesuffix("Config")
+    require(is_own, name, block, f"give one of {', '.join(names)}")
+    if name in BOXES:
+        block_class(name, kind)
+        for needed, meaning in BOXES[name].config_fields.items():
+            remedy = f"give {kind.__name__} a field {needed} ({meaning})"
+            require(hasattr(config, needed), name, import_path(kind), remedy)
+
+
+def _check_is_read(owner: str, system: Any) -> None:
+    """Raises ScenarioError for a load's file that was named after the scenario was loaded."""
+    for name in ("load_file", "attachment_frames"):
+        value = getattr(system, name)
+        remedy = (
+            f"it is read as a scenario is loaded: give {owner}.load_file and "
+            f"{owner}.attachment_frames in its file, or as overrides of load_scenario"
+        )
+        require(not value, f"{owner}.{name}", value, remedy)

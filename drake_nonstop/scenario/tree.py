@@ -5,50 +5,57 @@ A dict that is a box's entry has the name of the block under "_tag": "!PaperPhas
 
 import copy
 import dataclasses
-import difflib
-import re
+import types
 import typing
-from collections.abc import Collection
 from typing import Any
 
-from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
+from pydrake.common.yaml import yaml_dump, yaml_load_typed
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.diagrams.box import import_path
 from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.own_blocks import import_config, is_import_path
-from drake_nonstop.scenario.schema import CHOICES, Scenario, check
-from drake_nonstop.scenario.yaml_text import parse_plain
-from drake_nonstop.validation import require
+from drake_nonstop.scenario.run_limits import RunLimits
+from drake_nonstop.scenario.schema import CHOICES, Scenario, check, check_name
+from drake_nonstop.validation import (
+    ScenarioError,
+    fields_of,
+    one_line,
+    plain_value,
+    require,
+    require_known,
+    require_type,
+)
 
 BASE = "based_on"  # a key of files, which `loading` replaces by what it stands for
+
+# What earlier versions had as fields, and what has taken their place.
+_MOVED = {
+    "safe_carrier_distance": "give limits.carrier_distance instead, a share of the reach: of the "
+    "farthest attachment's distance from the load's centre plus a cable's length",
+    "safe_cable_distance": "give limits.cable_distance instead, a share of the distance between "
+    "the two cables' attachments",
+}
 
 Tree = dict[str, Any]
 Trusted = bool | set[str]  # tags of blocks of the user's own that may be imported; True: all
 
 
 def to_tree(scenario: Scenario) -> Tree:
-    """Nested dicts with every field, each box with its block's name under "_tag"."""
-    configs = {name: getattr(scenario, name) for name in CHOICES}
-    replaced = {}  # blocks of the user's own, which the schema does not know, by the defaults
+    """Nested dicts with every field, each box with its block's name under "_tag".
+
+    Raises:
+        ScenarioError: see `check`.
+    """
+    check(scenario)
+    scenario = copy.copy(scenario)
+    _resolve_configs(scenario)
+    tree = _plain(scenario, Scenario)
     for name, choices in CHOICES.items():
-        require(
-            type(configs[name]) in choices or _is_own(configs[name]),
-            name,
-            block_name(type(configs[name])),
-            f"give one of {', '.join(map(block_name, choices))}",
-        )
-        if type(configs[name]) not in choices:
-            replaced[name] = choices[0]()
-    known = dataclasses.replace(scenario, **replaced)
-    tree = _plain_fields(known, Scenario)
-    for name, config in configs.items():
-        fields, tag = tree[name], block_name(type(config))
-        if name in replaced:
-            fields = _plain_fields(config, type(config))
-            tag = import_path(type(config))
-        tree[name] = {**(fields or {}), "_tag": f"!{tag}"}
+        config = type(getattr(scenario, name))
+        tag = block_name(config) if config in choices else import_path(config)
+        tree[name] = {**tree[name], "_tag": f"!{tag}"}
     del tree["name"]
     return tree
 
@@ -64,18 +71,15 @@ def from_tree(
     Raises:
         ScenarioError: a key or value cannot be used, or a block is not trusted.
     """
-    require(
-        re.fullmatch(r"[A-Za-z0-9][\w.-]*", name),
-        "scenario",
-        name,
-        "name it with letters, digits, _, - and . only: its results' folder is named after it",
-    )
+    check_name(name)
     tree = dict(tree)
     scenario = Scenario()
     if defaults is not None:
         scenario = copy.deepcopy(defaults)
         for key in tree.keys() & vars(scenario).keys():
             setattr(scenario, key, getattr(Scenario(), key))
+    for field_name, remedy in _MOVED.items():
+        require(field_name not in tree, f"{name}.{field_name}", tree.get(field_name), remedy)
     _check_fields(name, tree, Scenario, BASE)
     require("name" not in tree, f"{name}.name", tree.get("name"), "leave it to the file's one key")
     own = {}
@@ -83,19 +87,20 @@ def from_tree(
         if field_name in tree:
             config_class, fields = _checked_entry(field_name, tree.pop(field_name), trusted)
             if config_class not in options:
-                own[field_name] = _loaded(config_class, fields)
+                own[field_name] = _loaded(field_name, config_class, fields, config_class())
             else:
                 tag = {"_tag": f"!{config_class.__name__}"} if len(options) > 1 else {}
                 tree[field_name] = tag | fields
     for field_name, schema in (
         ("system", SystemParameters),
         ("simulated", SystemParameters),
+        ("limits", RunLimits),
         ("simulator", SimulatorConfig),
     ):
         if field_name in tree:
             tree[field_name] = {} if tree[field_name] is None else tree[field_name]
             _check_fields(field_name, tree[field_name], schema)
-    scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(tree), defaults=scenario)
+    scenario = _loaded(name, Scenario, tree, scenario)
     scenario.name = name
     for field_name, config in own.items():
         setattr(scenario, field_name, config)
@@ -104,9 +109,17 @@ def from_tree(
     return scenario
 
 
-def _plain_fields(config: Any, schema: type) -> Tree:
-    """The fields of a dataclass as they stand in YAML."""
-    return parse_plain(yaml_dump_typed(config, schema=schema), schema.__name__) or {}
+def _plain(value: Any, kind: Any) -> Any:
+    """A value of a field of that type as it stands in YAML."""
+    if dataclasses.is_dataclass(value) or isinstance(value, SimulatorConfig):
+        fields = [(f, getattr(value, f.name)) for f in fields_of(type(value))]
+        return {f.name: _plain(part, f.type) for f, part in fields if part is not None}
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        kind = typing.get_args(kind)[0]  # of a field that may be None
+    if isinstance(value, list):
+        item_kind = typing.get_args(kind)[0] if typing.get_args(kind) else Any
+        return [_plain(item, item_kind) for item in value]
+    return float(value) if kind is float else plain_value(value, "value")
 
 
 def block_name(config_class: type) -> str:
@@ -142,28 +155,6 @@ def config_class_of(name: str, tag: str, trusted: Trusted) -> type:
     return matching[0]
 
 
-def require_known(
-    key: Any, valid: Collection[str], field: str, value: Any, called: str = ""
-) -> None:
-    """Raises ScenarioError for a key that is not among the valid ones; `called` is its full name.
-
-    Only then is a close one looked for, which takes longer than all else.
-    """
-    if key in valid:
-        return
-    name = called or key
-    close = difflib.get_close_matches(str(name), valid, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    there = f"there is no {name}; {hint}there are {', '.join(valid) or 'no fields'}"
-    require(False, field, value, there)
-
-
-def _is_own(config: Any) -> bool:
-    """Whether a config is that of a block of the user's own."""
-    known = {option for options in CHOICES.values() for option in options}
-    return dataclasses.is_dataclass(config) and type(config) not in known
-
-
 def _read_files(scenario: Scenario) -> None:
     """Puts what files say in the place of the files' names."""
     for owner in ("system", "simulated"):
@@ -172,6 +163,11 @@ def _read_files(scenario: Scenario) -> None:
             fields = read_load(system.load_file, system.attachment_frames or [])
             fields |= {"load_file": "", "attachment_frames": []}
             setattr(scenario, owner, dataclasses.replace(system, **fields))
+    _resolve_configs(scenario)
+
+
+def _resolve_configs(scenario: Scenario) -> None:
+    """Puts what files say in the place of the files' names, in the boxes' configs."""
     for name in CHOICES:
         config = getattr(scenario, name)
         if hasattr(config, "resolved"):
@@ -182,18 +178,21 @@ def _checked_entry(name: str, entry: Any, trusted: Trusted) -> tuple[type, Tree]
     """The config class of a box's entry, and its fields, which the class has."""
     entry = {} if entry is None else entry
     default = block_name(CHOICES[name][0])
-    require(
-        isinstance(entry, dict), name, entry, f"name a block by its tag, such as !{default} {{}}"
-    )
+    remedy = f"name a block by its tag, without quotes, such as !{default} {{}}"
+    require(isinstance(entry, dict), name, entry, remedy)
     fields = dict(entry)
     config_class = config_class_of(name, fields.pop("_tag", f"!{default}"), trusted)
     _check_fields(name, fields, config_class)
     return config_class, fields
 
 
-def _loaded(config_class: type, fields: Tree) -> Any:
-    """A config of the user's own from its fields."""
-    return yaml_load_typed(schema=config_class, data=yaml_dump(fields), defaults=config_class())
+def _loaded(name: str, schema: type, fields: Tree, defaults: Any) -> Any:
+    """The dataclass of these fields, the others as in the defaults."""
+    try:
+        return yaml_load_typed(schema=schema, data=yaml_dump(fields), defaults=defaults)
+    except Exception as error:  # what a user's own dataclass does not take
+        remedy = f"give its fields values of their types ({one_line(error)})"
+        raise ScenarioError(f"{name} = {block_name(schema)}: {remedy}") from error
 
 
 def _check_fields(name: str, tree: Any, schema: Any, *other_keys: str) -> None:
@@ -202,27 +201,9 @@ def _check_fields(name: str, tree: Any, schema: Any, *other_keys: str) -> None:
     `other_keys` are named among those that there are.
     """
     require(isinstance(tree, dict), name, tree, "give a mapping of fields to values")
-    fields = dataclasses.fields(schema) if dataclasses.is_dataclass(schema) else schema.__fields__
-    types = {f.name: f.type for f in fields}
+    require("_tag" not in tree, name, tree.get("_tag"), "take the tag away; it is no block")
+    types = {field.name: field.type for field in fields_of(schema)}
     for key, value in tree.items():
         require_known(key, [*types, *other_keys], f"{name}.{key}", value)
-        _check_type(f"{name}.{key}", value, types[key])
-
-
-def _check_type(path: str, value: Any, annotation: Any) -> None:
-    """Raises ScenarioError for a scalar or list that is not what the annotation says."""
-    if typing.get_origin(annotation) is list:
-        require(isinstance(value, list), path, value, "give a list in [ ]")
-        for i, item in enumerate(value):
-            _check_type(f"{path}[{i}]", item, typing.get_args(annotation)[0])
-    elif annotation in _KINDS:
-        accepted, kind = _KINDS[annotation]
-        require(type(value) in accepted, path, value, f"give {kind}")
-
-
-_KINDS: dict[type, tuple[tuple[type, ...], str]] = {
-    float: ((int, float), "a number"),
-    int: ((int,), "a whole number"),
-    str: ((str,), "a text"),
-    bool: ((bool,), "true or false"),
-}
+        if key in types:
+            require_type(f"{name}.{key}", value, types[key])

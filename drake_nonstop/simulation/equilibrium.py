@@ -11,10 +11,20 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import box_of
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadState
+from drake_nonstop.mechanics.signals import (
+    LOAD_STATE_SIZE,
+    CarrierStates,
+    LoadReference,
+    LoadState,
+    Wrench,
+)
+from drake_nonstop.simulation.diagnosis import source_of_fault
+from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioError
 
 _STEP = 1e-6  # of the differences, in SI units
+_FINER_STEPS = (_STEP, 1e-8, 1e-10)  # one after the other, where the rates have a kink
+_KINK = 0.02  # of the difference of two slopes to their sum, from which on they do not agree
 _REST = 1e-6  # m/s² and rad/s², the acceleration that counts as rest
 _DROPS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)  # m, below the reference, to start looking from
 
@@ -27,54 +37,123 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     cables, lower or higher where they do not. Newton's method on the built diagram, with its
     initialization events, finds the pose, whatever the blocks are. Inputs of the loop, where a
     box was left out, are held at their values at the start. A load whose reference moves at the
-    start has that motion. Further states of the carriers keep their defaults.
+    start has that velocity and that acceleration. Further states of the carriers keep their
+    defaults.
 
     Raises:
-        ScenarioError: the cables cannot hold the load.
+        ScenarioError: the cables cannot hold the load, or a block makes a value that is not
+            finite, or is far too large.
     """
-    plant = _plant(nonstop)
     trial = _copied(nonstop, context)
+    try:
+        settled = _settled(nonstop, trial)
+    except NotFiniteError as error:
+        source = source_of_fault(error, nonstop, trial)
+        raise ScenarioError(
+            f"start = {source}: it makes a value that is not finite, or beyond {LARGEST:.0e} in SI "
+            "units; give its parameters, and those of the blocks before it, values closer to the "
+            "defaults"
+        ) from None
+    _plant(nonstop).set_states(context, **settled)
+
+
+def _settled(nonstop: Diagram, trial: Context) -> dict[str, NDArray]:
+    """The load's and the carriers' states at the equilibrium; changes the context."""
+    plant = _plant(nonstop)
     start = trial.Clone()
     simulator = Simulator(nonstop, trial)
-    reference = nonstop.GetOutputPort("reference").Eval(trial)[:LOAD_STATE_SIZE].copy()
+    reference = nonstop.GetOutputPort("reference").Eval(trial).copy()
+    desired = LoadReference.view(reference)
+    desired_rate = np.concatenate([desired.angular_acceleration, desired.acceleration])
     settled: dict[str, NDArray] = {}
 
     def settle(offset: NDArray) -> NDArray:
-        """The load's acceleration (6,) at a rotation and shift (6,) from its reference."""
+        """The load's acceleration (6,), less the reference's, at a rotation and shift from it."""
         trial.SetTimeStateAndParametersFrom(start)
-        settled["load_state"] = _moved(reference, offset)
+        settled["load_state"] = _moved(reference[:LOAD_STATE_SIZE], offset)
         plant.set_states(trial, **settled)
         simulator.Initialize()  # whatever samples or holds takes its first value
         settled["carrier_state"] = nonstop.GetOutputPort("carrier_reference").Eval(trial)
         plant.set_states(trial, **settled)
         rate = LoadState.view(plant.load_rate(trial))
-        return np.concatenate([rate.angular_velocity, rate.velocity])
+        return np.concatenate([rate.angular_velocity, rate.velocity]) - desired_rate
 
     for drop in _DROPS:
         residual = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
         if np.max(np.abs(residual)) < _REST:
             break
     else:
+        cause = _cause_of_motion(nonstop, trial, plant.load_rate(trial))
         raise ScenarioError(
-            f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2: the cables do not "
-            "hold the load at rest near its reference; give system and simulated cables of about "
-            "the same length, stiff enough for the weight, and an amplitude that keeps them taut"
+            f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2 beside that of the "
+            f"reference: the cables do not hold the load near its reference; {cause}"
         )
-    plant.set_states(context, **settled)
+    return settled
+
+
+def _cause_of_motion(nonstop: Diagram, context: Context, load_rate: NDArray) -> str:
+    """Why no cables can hold the load at its reference, and what to change."""
+
+    def signal(name: str) -> NDArray:
+        return nonstop.GetOutputPort(name).Eval(context)
+
+    if not nonstop.HasOutputPort("tensions") or np.any(signal("tensions") > 0):
+        return (
+            "give system and simulated cables of about the same length, stiff enough for the "
+            "weight, and an amplitude that keeps them taut"
+        )
+    fall = -LoadReference.view(signal("reference")).acceleration[2]
+    if LoadState.view(load_rate).velocity[2] < -fall:
+        return (
+            "all of them are slack, so that it falls; give simulated.cable_length close to "
+            "system.cable_length"
+        )
+    causes = []
+    if nonstop.HasOutputPort("disturbance_wrench"):
+        lift = Wrench.view(signal("disturbance_wrench")).force[2]
+        causes += [f"load_disturbance lifts it with {lift:.3g} N"] if lift > 0 else []
+    causes += [f"load_trajectory accelerates downwards by {fall:.3g} m/s^2"] if fall > 0 else []
+    return (
+        "all of them are slack, and cannot push it down; reduce what asks for that at t = 0, or "
+        f"let it start later: {', '.join(causes) or 'the forces on the load'}"
+    )
+
+
+def on_reference(nonstop: Diagram, context: Context) -> None:
+    """Sets load and carriers to their references at the context's time, with their velocities.
+
+    Whatever samples or holds takes its first value.
+    """
+    plant = _plant(nonstop)
+    simulator = Simulator(nonstop, context)
+    reference = nonstop.GetOutputPort("reference").Eval(context)[:LOAD_STATE_SIZE]
+    plant.set_states(context, load_state=reference)
+    simulator.Initialize()
+    carriers = nonstop.GetOutputPort("carrier_reference").Eval(context)
+    plant.set_states(context, carrier_state=carriers)
 
 
 def fastest_mode(nonstop: Diagram, context: Context) -> float:
-    """The largest magnitude (rad/s) of the loop's eigenvalues, linearized at the context."""
+    """The largest magnitude (rad/s) of the loop's eigenvalues, linearized at the context's pose.
+
+    The carriers move with the load there: cables that change their length may have tensions that
+    end at zero, which hides what their damping does.
+    """
     trial = _copied(nonstop, context)
     Simulator(nonstop, trial).Initialize()
     plant = _plant(nonstop)
+    load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(trial))
+    carriers = nonstop.GetOutputPort("carrier_state").Eval(trial).copy()
+    positions, velocities = CarrierStates.view(carriers)
+    velocities[:] = load.velocity + np.cross(load.angular_velocity, positions - load.position)
+    plant.set_states(trial, carrier_state=carriers)
     state = plant.state(trial)
 
     def rate(values: NDArray) -> NDArray:
         plant.set_state(trial, values)
         return plant.rate(trial)
 
-    return float(np.max(np.abs(np.linalg.eigvals(_jacobian(rate, state)))))
+    return float(np.max(np.abs(np.linalg.eigvals(_slopes(rate, state)))))
 
 
 class _SeparatePlantStates:
@@ -188,6 +267,27 @@ def _jacobian(function: Callable[[NDArray], NDArray], at: NDArray) -> NDArray:
         (function(at + step) - function(at - step)) / (2 * _STEP)
         for step in _STEP * np.eye(len(at))
     ]
+    return np.column_stack(columns)
+
+
+def _slopes(function: Callable[[NDArray], NDArray], at: NDArray) -> NDArray:
+    """The Jacobian where the function may have kinks: tensions that end at zero.
+
+    Central differences where those on both sides agree, if need be with shorter steps, within
+    which a tension that is damped strongly does not end; the steeper side of a kink.
+    """
+    middle = function(at)
+    columns = []
+    for direction in np.eye(len(at)):
+        for step in _FINER_STEPS:
+            above = function(at + step * direction) - middle
+            below = middle - function(at - step * direction)
+            if np.max(np.abs(above - below)) <= _KINK * np.max(np.abs(above + below)):
+                columns.append((above + below) / (2 * step))
+                break
+        else:
+            steeper = max(above, below, key=lambda side: float(np.max(np.abs(side))))
+            columns.append(steeper / step)
     return np.column_stack(columns)
 
 

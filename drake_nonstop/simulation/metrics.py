@@ -1,8 +1,8 @@
 """The metrics that judge a run, as one table.
 
 `METRICS` has a row per metric, and all that writes or prints metrics reads it: metrics.json,
-the table and the warnings of a run, the tables of an ablation and of a sweep, the quantities of
-the README's claims.
+the table of a run, the tables of an ablation and of a sweep, the quantities of the README's
+claims.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,13 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.outcome import find_warnings, judge
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import (
-    RunQuantities,
-    closest_cables,
-    closest_carriers,
-)
+from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.version import __version__
 
 _NAME_WIDTH = 24  # characters, of a line's name in the table of a run
@@ -30,10 +26,12 @@ def compute_metrics(run: Run) -> dict[str, Any]:
 
     Keys end in their units. Speeds, separations, tensions and loads on the aircraft are those
     of the simulated carriers and cables at every step from t = 0 on; errors are those of the
-    load's true pose at 100 Hz. A time "below" or "slack" weighs each step's state with half of
-    the two intervals beside it. The climb angle is that of the steepest climb or descent; it
-    and the turn radius are not meaningful where a carrier nearly stops. What was not measured,
-    such as the solve times of a layer that solves nothing, is None.
+    load's true pose at 100 Hz. The slowest speed, the steepest climb and the least distances are
+    also looked for between two steps. A time "below" or "slack" weighs each step's state with
+    half of the two intervals beside it. The climb angle is that of the steepest climb or descent;
+    it and the turn radius are not meaningful where a carrier nearly stops. What was not measured,
+    such as the solve times of a layer that solves nothing, is None. `outcome` is a `RunOutcome`,
+    `reasons` and `warnings` are sentences.
     """
     quantities = RunQuantities(run)
     values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}
@@ -43,6 +41,8 @@ def compute_metrics(run: Run) -> dict[str, Any]:
         for key in groups:
             group = group.setdefault(key, {})
         group[name] = metric.measure(quantities)
+    if run.half_step is not None:
+        values["half_step"] = run.half_step
     values["versions"] = {
         "drake_nonstop": __version__,
         "drake": version("drake"),
@@ -52,13 +52,18 @@ def compute_metrics(run: Run) -> dict[str, Any]:
 
 
 def flattened(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """The metrics that are one value, by their paths, such as "load.position_error_mean_m"."""
+    """The metrics that are one value, by their paths, such as "load.position_error_mean_m".
+
+    Sentences, such as the reasons of an outcome, are one text.
+    """
     flat: dict[str, Any] = {}
     for key, value in metrics.items():
         if isinstance(value, Mapping):
             flat |= {f"{key}.{path}": inner for path, inner in flattened(value).items()}
         elif not isinstance(value, list):
             flat[key] = value
+        elif all(isinstance(item, str) for item in value):
+            flat[key] = "; ".join(value)
     return flat
 
 
@@ -117,7 +122,7 @@ class Metric:
     scale: float = 1.0  # from the stored value to the one shown
     better: Better = Better.NEITHER
     is_wall_time: bool = False  # measured with a clock: it differs from run to run
-    is_list: bool = False  # a value per carrier, which no table shows
+    is_list: bool = False  # of numbers or of sentences
     run_text: RunText | None = None
     column: TableColumn | None = None
 
@@ -137,11 +142,38 @@ class Metric:
 
 METRICS = (
     Metric(
+        path="outcome",
+        measure=lambda run: judge(run).outcome.value,
+        label="outcome",
+        run_text=RunText(line="outcome", text="{}"),
+        column=TableColumn(heading=("", "outcome")),
+    ),
+    Metric(
+        path="reasons",
+        measure=lambda run: list(judge(run).reasons),
+        label="reasons",
+        is_list=True,
+        run_text=RunText(line="outcome", text="{}", separator=": "),
+    ),
+    Metric(
+        path="warnings",
+        measure=find_warnings,
+        label="warnings",
+        is_list=True,
+    ),
+    Metric(
         path="simulated_s",
         measure=lambda run: run.simulated_time,
         label="simulated time",
         unit="s",
         run_text=RunText(line="simulated", text="{:g} {unit}"),
+    ),
+    Metric(
+        path="simulator.step_s",
+        measure=lambda run: run.run.step or run.run.scenario.simulator.max_step_size,
+        label="longest step",
+        unit="ms",
+        scale=1e3,
     ),
     Metric(
         path="wall_s",
@@ -214,7 +246,7 @@ METRICS = (
     ),
     Metric(
         path="carriers.speed_min_m_s",
-        measure=lambda run: float(np.min(run.speeds)),
+        measure=lambda run: run.slowest_speed,
         label="slowest speed",
         unit="m/s",
         better=Better.HIGHER,
@@ -244,7 +276,7 @@ METRICS = (
     ),
     Metric(
         path="carriers.time_below_bound_s",
-        measure=lambda run: run.duration_of(np.any(run.speeds < run.speed_bounds[:, None], axis=1)),
+        measure=lambda run: run.time_below_bound,
         label="time below the bound",
         unit="s",
         better=Better.LOWER,
@@ -253,7 +285,7 @@ METRICS = (
     ),
     Metric(
         path="carriers.separation_min_m",
-        measure=lambda run: float(np.min(closest_carriers(run.carrier_positions))),
+        measure=lambda run: run.carrier_separation,
         label="closest carriers",
         unit="m",
         better=Better.HIGHER,
@@ -267,8 +299,14 @@ METRICS = (
         unit="m/s²",
     ),
     Metric(
+        path="carriers.acceleration_max_m_s2",
+        measure=lambda run: run.largest_acceleration,
+        label="largest acceleration",
+        unit="m/s²",
+    ),
+    Metric(
         path="carriers.climb_angle_max_rad",
-        measure=lambda run: float(np.max(run.climb_angles)),
+        measure=lambda run: run.steepest_angle,
         label="steepest climb or descent",
         unit="rad",
     ),
@@ -296,7 +334,7 @@ METRICS = (
     ),
     Metric(
         path="cables.slack_time_s",
-        measure=lambda run: run.duration_of(np.any(run.tensions <= 0, axis=1)),
+        measure=lambda run: run.slack_time,
         label="slack",
         unit="s",
         better=Better.LOWER,
@@ -305,9 +343,7 @@ METRICS = (
     ),
     Metric(
         path="cables.separation_min_m",
-        measure=lambda run: float(
-            np.min(closest_cables(run.attachment_positions, run.carrier_positions))
-        ),
+        measure=lambda run: float(np.min(run.cable_separations)),
         label="closest cables",
         unit="m",
         better=Better.HIGHER,
@@ -398,8 +434,10 @@ def metrics_table(metrics: Mapping[str, Any]) -> str:
     hidden = set()
     for metric in METRICS:
         part, value = metric.run_text, metric.shown(metric.value(metrics))
-        if part is None or value is None:
+        if part is None or value is None or value == []:
             continue
+        if metric.is_list:
+            value = "; ".join(value)
         if part.hides_line_at_zero and not value:
             hidden.add(part.line)
         if part.decimals is not None:
@@ -408,25 +446,3 @@ def metrics_table(metrics: Mapping[str, Any]) -> str:
         lines[part.line] = start + part.text.format(value, unit=metric.unit)
     shown = (item for item in lines.items() if item[0] not in hidden)
     return "\n".join(f"{name:{_NAME_WIDTH}}{text}" for name, text in shown)
-
-
-def find_warnings(metrics: Mapping[str, Any], scenario: Scenario) -> list[str]:
-    """What would be dangerous with real carriers in a run of the scenario, a line each."""
-    carriers, cables, optimizer = (metrics[key] for key in ("carriers", "cables", "optimizer"))
-    unsolved = optimizer["relaxed"] + optimizer["held"]
-    found = [
-        (cables["slack_time_s"], f"a cable was slack for {cables['slack_time_s']:.3g} s"),
-        (
-            carriers["time_below_bound_s"],
-            f"a carrier was below the bound for {carriers['time_below_bound_s']:.3g} s",
-        ),
-        (unsolved, f"no parameters fulfilled the bound at {unsolved} updates (relaxed, held)"),
-    ]
-    for name, group, safe in (
-        ("carriers", carriers, scenario.safe_carrier_distance),
-        ("cables", cables, scenario.safe_cable_distance),
-    ):
-        closest = group["separation_min_m"]
-        text = f"{name} came within {round(closest, 3):g} m of each other, {safe:g} m is safe"
-        found.append((closest < safe, text))
-    return [text for is_so, text in found if is_so]

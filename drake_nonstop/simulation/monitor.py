@@ -1,14 +1,12 @@
 """What happens after every step of a simulation."""
 
-import signal
-import threading
 import time
 from collections.abc import Callable
-from typing import Any
 
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
+from drake_nonstop.simulation.interruption import Interruption
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, StepAction
 from drake_nonstop.systems.block import LeafBlock
 
@@ -32,17 +30,13 @@ class SampleInstants(LeafBlock):
 
 
 class Monitor:
-    """Takes samples, reports progress, asks what to do, and ends the run at a Ctrl-C's step.
-
-    A KeyboardInterrupt raised wherever Python happens to be may surface, on its way through
-    C++, as an error of a block or a solver; so the first Ctrl-C is only noted. A second one
-    interrupts at once.
-    """
+    """Takes samples, reports progress, asks what to do, and ends the run where it is asked to."""
 
     def __init__(
         self,
         simulator: Simulator,
         nonstop: Diagram,
+        interruption: Interruption,
         *,
         sample: Callable[[], None],
         progress: Callable[[float], None] | None,
@@ -50,13 +44,12 @@ class Monitor:
     ):
         self._simulator = simulator
         self._nonstop = nonstop
+        self._interruption = interruption
         self._sample = sample
         self._samples = 0
         self._progress = progress
         self._after_step = after_step
         self._last_report = 0.0
-        self._previous_handler: Any = None
-        self.is_interrupted = False
         self.waited = 0.0  # s of wall time
 
     def __call__(self, root_context: Context) -> EventStatus:
@@ -64,7 +57,7 @@ class Monitor:
         if root_context.get_time() > (self._samples - _AT_SAMPLE) * SIGNAL_PERIOD:
             self._sample()
             self._samples += 1
-        if self.is_interrupted:
+        if self._interruption.number:
             return EventStatus.ReachedTermination(self._nonstop, "interrupted")
         now = time.perf_counter()
         if self._progress is not None and now - self._last_report > _REPORT_PERIOD:
@@ -78,23 +71,15 @@ class Monitor:
         then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
         if then is StepAction.WAIT:
             start = time.perf_counter()
-            while then is StepAction.WAIT and not self.is_interrupted:
+            while then is StepAction.WAIT and not self._interruption.number:
                 time.sleep(_WAITING_PERIOD)
                 then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
             self.waited += time.perf_counter() - start
             self._simulator.ResetStatistics()  # the real-time rate is kept from here on
-        return then is StepAction.END or self.is_interrupted
+        return then is StepAction.END or bool(self._interruption.number)
 
     def __enter__(self) -> "Monitor":
-        if threading.current_thread() is threading.main_thread():
-            self._previous_handler = signal.signal(signal.SIGINT, self._note)
         return self
 
     def __exit__(self, *exception: object) -> None:
         self._simulator.clear_monitor()  # each would keep the other alive
-        if self._previous_handler is not None:
-            signal.signal(signal.SIGINT, self._previous_handler)
-
-    def _note(self, number: int, frame: object) -> None:
-        self.is_interrupted = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,5 +1,6 @@
 """The quantities of a run that metrics and figures are made from."""
 
+from collections.abc import Callable
 from functools import cached_property
 from itertools import combinations
 
@@ -13,12 +14,14 @@ from drake_nonstop.mechanics.rotation import (
     rotation_vector,
 )
 from drake_nonstop.mechanics.signals import CarrierStates, Parameters, Pose
-from drake_nonstop.model.system import overridden
+from drake_nonstop.model.system import SystemParameters, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.separations import least_cable_distances, least_carrier_distance
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
+_CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are small
 _SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
@@ -76,30 +79,113 @@ class RunQuantities:
         return speed_bounds(self.run)
 
     @cached_property
-    def climb_angles(self) -> NDArray:
-        """The angles (k, n) of the carriers' velocities to the horizontal, rad, none negative."""
-        velocities = self.carrier_velocities
-        level = np.linalg.norm(velocities[..., :2], axis=2)
-        return np.arctan2(np.abs(velocities[..., 2]), level)
+    def system(self) -> SystemParameters:
+        """The simulated load, cables and carriers."""
+        return overridden(self.run.scenario.system, self.run.scenario.simulated)
+
+    @property
+    def reach(self) -> float:
+        """The distance of a carrier from the load, as `RunLimits` has it, m."""
+        radii = np.linalg.norm(self.system.attachments, axis=1)
+        return float(np.max(radii)) + self.system.cable_length
+
+    @property
+    def load_weight(self) -> float:
+        """N."""
+        return self.system.load_mass * self.system.gravity
 
     @cached_property
-    def sharpest_turn(self) -> tuple[float | None, float | None]:
-        """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
+    def slowest_speed(self) -> float:
+        """Of any carrier, m/s, also between two steps: of a parabola through three squares."""
         # Where an update or a sample ends a step, another may be a rounding error away.
         apart = np.append(True, np.diff(self.time) > 1e-9)
-        time, velocities = self.time[apart], self.carrier_velocities[apart]
-        speeds = np.linalg.norm(velocities, axis=2)
-        if len(time) < 3 or not np.any(speeds > 0):
-            return None, None
-        accelerations = np.gradient(velocities, time, axis=0)
-        # v × a is speed × normal acceleration, and stays defined where a carrier stops.
-        crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
-        moving = speeds > 0
-        curvature = float(np.max(crossed[moving] / speeds[moving] ** 3))
-        return (
-            float(np.max(crossed[moving] / speeds[moving])),
-            1 / curvature if curvature > 0 else None,
+        squares, intervals = self.speeds[apart] ** 2, np.diff(self.time[apart])[:, None]
+        least = np.min(self.speeds)
+        if len(squares) < 3:
+            return float(least)
+        slopes = np.diff(squares, axis=0) / intervals
+        before, after = intervals[:-1], intervals[1:]
+        curvature = np.diff(slopes, axis=0) / (before + after)
+        slope = (slopes[:-1] * after + slopes[1:] * before) / (before + after)
+        place = -slope / (2 * np.where(curvature > 0, curvature, np.inf))
+        is_between = (-before < place) & (place < after)
+        lowest = squares[1:-1] + np.where(is_between, slope * place / 2, 0.0)
+        return float(min(least, np.sqrt(max(0.0, np.min(lowest)))))
+
+    @cached_property
+    def steepest_angle(self) -> float:
+        """The largest angle of a carrier's velocity to the horizontal, rad.
+
+        It is where the velocity is, or where the derivative of its slope is zero in between.
+        """
+        velocities = self.carrier_velocities
+        return max(
+            _steepest_angle(velocities[i : i + _CHUNK + 1])
+            for i in range(0, max(1, len(velocities) - 1), _CHUNK)
         )
+
+    @cached_property
+    def _carrier_turns(self) -> tuple[float, float, float] | None:
+        """The largest acceleration and normal acceleration (m/s²) and curvature (1/m) at 100 Hz.
+
+        None where there are too few samples, or no carrier moves.
+        """
+        time, states = self.run.time, self.run.signal("carrier_state")
+        largest = np.zeros(3)
+        is_moving = False
+        for start in range(0, len(time) if len(time) > 2 else 0, _CHUNK):
+            before = max(start - 1, 0)  # a sample more on either side, for the differences
+            inner = slice(start - before, min(start + _CHUNK, len(time)) - before)
+            rows = slice(before, start + _CHUNK + 1)
+            velocities = CarrierStates.view(states[rows]).velocities
+            if len(velocities) < 2:  # a last sample alone
+                continue
+            accelerations = np.gradient(velocities, time[rows], axis=0)[inner]
+            # v × a is speed × normal acceleration, and stays defined where a carrier stops.
+            crossed, speeds = _norms(np.cross(velocities[inner], accelerations)), _norms(velocities)
+            speeds = speeds[inner]
+            moving = speeds > 0
+            is_moving |= bool(np.any(moving))
+            found = (
+                _norms(accelerations),
+                crossed[moving] / speeds[moving],
+                crossed[moving] / speeds[moving] ** 3,
+            )
+            largest = np.maximum(largest, [np.max(values, initial=0.0) for values in found])
+        acceleration, normal, curvature = largest.tolist()
+        return (acceleration, normal, curvature) if is_moving else None
+
+    @property
+    def largest_acceleration(self) -> float | None:
+        """The largest acceleration of a carrier, m/s²; None: unknown."""
+        return None if self._carrier_turns is None else self._carrier_turns[0]
+
+    @property
+    def sharpest_turn(self) -> tuple[float | None, float | None]:
+        """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
+        if self._carrier_turns is None:
+            return None, None
+        _, acceleration, curvature = self._carrier_turns
+        return acceleration, 1 / curvature if curvature > 0 else None
+
+    @cached_property
+    def largest_carrier_force(self) -> float | None:
+        """The largest force asked for of a carrier at 100 Hz, N; None: unknown."""
+        try:
+            forces = self.run.signal("carrier_forces")
+        except KeyError:  # nothing in the loop makes it
+            return None
+        return float(np.max(np.linalg.norm(forces.reshape(len(forces), -1, 3), axis=2)))
+
+    @cached_property
+    def time_below_bound(self) -> float:
+        """For how long a carrier was below ε, s."""
+        return self.duration_of(np.any(self.speeds < self.speed_bounds[:, None], axis=1))
+
+    @cached_property
+    def carrier_separation(self) -> float:
+        """The least distance of two carriers, m, also between two steps."""
+        return least_carrier_distance(self.carrier_positions)
 
     @cached_property
     def tensions(self) -> NDArray:
@@ -107,9 +193,35 @@ class RunQuantities:
         return self.run.steps["tensions"]
 
     @cached_property
+    def slack_time(self) -> float:
+        """For how long a cable was slack, s."""
+        return self.duration_of(np.any(self.tensions <= 0, axis=1))
+
+    @cached_property
+    def cable_separations(self) -> NDArray:
+        """The least distance of each two cables (pairs,), m, also between two steps."""
+        return least_cable_distances(self.attachment_positions, self.carrier_positions)
+
+    @cached_property
+    def closest_cables_for_attachments(self) -> tuple[float, float]:
+        """The two cables that come closest for where they are attached, m.
+
+        Their least distance and the distance of their attachments, beyond which no two cables
+        can be apart. Cables that are attached at one point are left out.
+        """
+        attachments = np.array(self.system.attachments)
+        apart = np.array([np.linalg.norm(a - b) for a, b in combinations(attachments, 2)])
+        shares = np.divide(
+            self.cable_separations, apart, out=np.full(len(apart), np.inf), where=apart > 0
+        )
+        closest = np.argmin(shares)
+        return float(self.cable_separations[closest]), float(apart[closest])
+
+    @cached_property
     def attachment_positions(self) -> NDArray:
         """Where the cables are attached to the load, (k, n, 3), in W, m."""
-        return attachment_positions(self.run, self.run.steps["load_state"])
+        load_states = self.run.steps["load_state"]
+        return in_chunks(lambda states: attachment_positions(self.run, states), load_states)
 
     @cached_property
     def update_counts(self) -> dict[str, int]:
@@ -148,60 +260,47 @@ def load_errors(run: Run) -> tuple[NDArray, NDArray]:
     The orientation error is the rotation vector from the reference to the load, in L; its
     norm is the angle between the two.
     """
-    state, reference = (Pose.view(run.signal(name)) for name in ("load_state", "reference"))
+    errors = in_chunks(_load_errors, run.signal("load_state"), run.signal("reference"))
+    return errors[:, :3], errors[:, 3:]
+
+
+def _load_errors(load_states: NDArray, references: NDArray) -> NDArray:
+    """[position error, orientation error] (k, 6)."""
+    state, reference = Pose.view(load_states), Pose.view(references)
     inverse = quaternion_conjugate(reference.quaternion)
     rotation = rotation_vector(quaternion_product(inverse, state.quaternion))
-    return state.position - reference.position, rotation
+    return np.hstack([state.position - reference.position, rotation])
 
 
 def carrier_speeds(carrier_state: NDArray) -> NDArray:
     """Speeds (k, n) in m/s of carrier states (k, 6n)."""
-    return np.linalg.norm(CarrierStates.view(carrier_state).velocities, axis=2)
+    return in_chunks(_norms, CarrierStates.view(carrier_state).velocities)
 
 
-def closest_carriers(positions: NDArray) -> NDArray:
-    """The distance (k,) of the closest two of carriers at `positions` (k, n, 3), m."""
-    return np.min(
-        [
-            np.linalg.norm(positions[:, i] - positions[:, j], axis=1)
-            for i, j in combinations(range(positions.shape[1]), 2)
-        ],
-        axis=0,
-    )
+def _norms(vectors: NDArray) -> NDArray:
+    return np.linalg.norm(vectors, axis=-1)
 
 
-def closest_cables(ends: NDArray, carriers: NDArray) -> NDArray:
-    """The distance (k,) of the closest two straight cables from `ends` to `carriers`, m.
+def _steepest_angle(velocities: NDArray) -> float:
+    """The largest angle of velocities (k, n, 3) to the horizontal, rad, also between two steps."""
+    starts, changes = velocities[:-1], np.diff(velocities, axis=0)
+    level, level_change = starts[..., :2], changes[..., :2]
+    rise, rise_change = starts[..., 2], changes[..., 2]
+    mixed = (level * level_change).sum(axis=-1)
+    numerator = rise * mixed - rise_change * (level * level).sum(axis=-1)
+    denominator = rise_change * mixed - rise * (level_change * level_change).sum(axis=-1)
+    shares = (numerator / np.where(denominator == 0, np.inf, denominator)).clip(0, 1)
+    between = starts + shares[..., None] * changes
+    candidates = np.concatenate([velocities, between])
+    level_speeds = np.linalg.norm(candidates[..., :2], axis=-1)
+    return float(np.max(np.arctan2(np.abs(candidates[..., 2]), level_speeds)))
 
-    Both (k, n, 3).
-    """
-    return np.min(
-        [
-            segment_distances(ends[:, i], carriers[:, i], ends[:, j], carriers[:, j])
-            for i, j in combinations(range(ends.shape[1]), 2)
-        ],
-        axis=0,
-    )
 
-
-def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray:
-    """Distances (k,) between the segments from a to b and from c to d, (k, 3) each.
-
-    The nearest points of the two lines are clamped to the segments, one after the other
-    (C. Ericson, Real-Time Collision Detection, section 5.1.9).
-    """
-    u, v, w = b - a, d - c, a - c
-    uu, vv, uv = (u * u).sum(axis=1), (v * v).sum(axis=1), (u * v).sum(axis=1)
-    uw, vw = (u * w).sum(axis=1), (v * w).sum(axis=1)
-    tiny = np.finfo(float).tiny
-    determinant = uu * vv - uv * uv
-    parallel = determinant <= 1e-12 * uu * vv
-    on_first = np.where(parallel, 0.0, uv * vw - vv * uw) / np.where(parallel, 1.0, determinant)
-    on_first = on_first.clip(0, 1)
-    on_second = ((uv * on_first + vw) / (vv + tiny)).clip(0, 1)
-    on_first = ((uv * on_second - uw) / (uu + tiny)).clip(0, 1)
-    gap = w + on_first[:, None] * u - on_second[:, None] * v
-    return np.linalg.norm(gap, axis=1)
+def in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:
+    """`function(*arrays)`, a few rows at a time; its rows depend on those of the arrays only."""
+    starts = range(0, max(len(arrays[0]), 1), _CHUNK)
+    parts = [function(*(array[i : i + _CHUNK] for array in arrays)) for i in starts]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def speed_bounds(run: Run) -> NDArray:

@@ -2,52 +2,41 @@
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
     Simulator,
+    SimulatorConfig,
 )
-from pydrake.systems.framework import (
-    Context,
-    Diagram,
-    DiagramBuilder,
-    LeafSystem,
-    OutputPort,
-    PortDataType,
-    TriggerType,
-)
-from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
-from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.optimization.diagnostics import Diagnostics
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.scene_config import check_scene
+from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped, StepAction
-from drake_nonstop.simulation.step_size import stable_config
-from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
-from drake_nonstop.systems.wiring import output_names
-from drake_nonstop.validation import ScenarioError, one_line, require
-
-_WALL_TIME = "solve_time"  # differs from run to run: kept out of the signals
-
-# What the metrics judge by the step, and where the optimization layer's updates show.
-_EVERY_STEP = (
-    "load_state",
-    "carrier_state",
-    "tensions",
-    "diagnostics",
-    "speed_bound",
-    _WALL_TIME,
+from drake_nonstop.simulation.recording import WALL_TIME, Recording, RecordingError, require_room
+from drake_nonstop.simulation.run import (
+    SIGNAL_PERIOD,
+    Run,
+    RunInterrupted,
+    RunStopped,
+    StepAction,
+    StepCheck,
 )
-
+from drake_nonstop.simulation.step_check import SavedStates, compared, in_doubt, is_in_doubt
+from drake_nonstop.simulation.step_size import resolving_config, stable_config, with_half_the_step
+from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
 # Adds a system beside the loop's diagram, which the builder has already, and returns it.
 Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
@@ -59,9 +48,15 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     viewers: Sequence[Viewer] = (),
     after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
+    check_step: StepCheck = StepCheck.WHOLE,
     **replacements: Any,
 ) -> Run:
     """Simulates a scenario from its equilibrium and returns all signals.
+
+    The step is the scenario's, or a shorter one where the loop's fastest mode or the commanded
+    motion needs it; a ScenarioWarning says so. Parts of the run are flown again with half the
+    step. Where that makes a difference the whole run is, and `Run.unresolved` says which metrics
+    move.
 
     Args:
         scenario: what to run.
@@ -72,13 +67,43 @@ def simulate(
         after_step: called with the simulator and the loop's diagram after every step. It may
             change parameters of the context, such as the optimization layer's ε, or the
             simulator's real-time rate, and have the run wait or end.
-        replacements: blocks in place of the scenario's, see `make_nonstop`.
+        check_step: what is flown again with half the step. A run that is changed from outside
+            does not repeat: of that, give PARTS; what is in doubt then is said to be unresolved.
+        replacements: blocks in place of the scenario's, see `make_nonstop`. Those with a config
+            are in the run's scenario.
 
     Raises:
-        ScenarioError: the scenario cannot be built.
-        RunStopped: the run diverged or a block failed; carries the run up to there.
+        ScenarioError: the scenario cannot be built, or there is no room for its signals.
+        RunStopped: the run diverged, a block failed, or the disk is full; carries the run up to
+            there.
         RunInterrupted: Ctrl-C; carries the run up to there.
     """
+    with current_interruption() as interruption, interruption.patient(1):
+        try:
+            run = _simulate(
+                scenario, interruption, progress, viewers, after_step, check_step, replacements
+            )
+        except RunStopped:
+            raise
+        except Exception:
+            if interruption.count > 1:  # a KeyboardInterrupt that went through C++
+                raise KeyboardInterrupt from None
+            raise
+    if interruption.number:
+        raise RunInterrupted(run)
+    return run
+
+
+def _simulate(
+    scenario: Scenario,
+    interruption: Interruption,
+    progress: Callable[[float], None] | None,
+    viewers: Sequence[Viewer],
+    after_step: Callable[[Simulator, Diagram], StepAction] | None,
+    check_step: StepCheck,
+    replacements: dict[str, Any],
+) -> Run:
+    check(scenario)
     schemes = GetIntegrationSchemes()
     require(
         scenario.simulator.integration_scheme in schemes,
@@ -90,81 +115,184 @@ def simulate(
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
     for viewer in viewers:
         require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
+    stated = scenario.speed_bound
+    scenario, replacements = replaced(scenario, replacements)
+    check_scene(scenario.scene)
     nonstop = make_nonstop(scenario, **replacements)
+    config = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
-        config = stable_config(scenario.simulator, nonstop, _at_equilibrium(nonstop))
+        config = _config(scenario, nonstop, _at_equilibrium(nonstop))
         if config is not scenario.simulator:  # the steps are the block's own
             shorter = dataclasses.replace(scenario, simulator=config)
             nonstop = make_nonstop(shorter, **replacements)
+    if after_step is None:  # which may end a run of any duration
+        require_room(nonstop, scenario)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
-    outputs = [nonstop.get_output_port(i) for i in range(nonstop.num_output_ports())]
-    ports = {
-        port.get_name(): port
-        for port in outputs
-        if port.get_data_type() == PortDataType.kVectorValued
-    }
-    stepped = {name: port for name, port in ports.items() if name in _EVERY_STEP}
-    sampled = {name: port for name, port in ports.items() if name != _WALL_TIME}
-    step_sink = LogVectorOutput(
-        _stacked(builder, stepped), builder, {TriggerType.kPerStep}, publish_period=0.0
-    )
-    sample_sink = LogVectorOutput(
-        _stacked(builder, sampled), builder, {TriggerType.kForced}, publish_period=0.0
-    )
+    recording = Recording(builder, nonstop)
     builder.AddNamedSystem("sample_instants", SampleInstants())
     visualizers = [viewer(builder, nonstop, scenario) for viewer in viewers]
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
+    recording.start(context)
     start = time.perf_counter()
 
-    def finished() -> Run:
+    def interrupted() -> str:
+        return f"the run was interrupted at t = {context.get_time():.4f} s"
+
+    def finished(stopped: str = "") -> Run:
+        interruption.patience = ALL  # nothing may come between a run and who keeps it
         return _collect(
             scenario,
             nonstop,
-            _split(sample_sink.FindLog(context), sampled),
-            _split(step_sink.FindLog(context), stepped),
+            recording,
+            step=simulator.get_integrator().get_maximum_step_size(),
             wall_time=time.perf_counter() - start - monitor.waited,
+            stopped=stopped,
         )
 
-    sample_context = sample_sink.GetMyContextFromRoot(context)
+    saved = SavedStates()
+
+    def sample() -> None:
+        recording.take_sample()
+        saved.save(nonstop_context)
+
     monitor = Monitor(
         simulator,
         nonstop,
-        sample=lambda: sample_sink.ForcedPublish(sample_context),
+        interruption,
+        sample=sample,
         progress=progress,
         after_step=after_step,
     )
     nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
     try:
         set_equilibrium(nonstop, nonstop_context)
-        ApplySimulatorConfig(stable_config(scenario.simulator, nonstop, nonstop_context), simulator)
+        _warn_of_other_bound(nonstop, nonstop_context, stated)
+        config = config or _config(scenario, nonstop, nonstop_context)
+        ApplySimulatorConfig(config, simulator)
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
+            interruption.collect = lambda: finished(interrupted())
             simulator.Initialize()
             simulator.AdvanceTo(scenario.duration)
             for visualizer in visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
-            if monitor.is_interrupted:
-                raise KeyboardInterrupt
-    except ScenarioError:
-        raise
     except KeyboardInterrupt:
-        raise RunInterrupted(finished()) from None
+        raise RunInterrupted(finished(interrupted())) from None
     except NotFiniteError as error:
-        raise RunStopped(
+        message = (
             f"the run diverged at t = {context.get_time():.4f} s: "
             f"{source_of_fault(error, nonstop, nonstop_context)} made a value that is not "
             f"finite, or beyond {LARGEST:.0e} in SI units; the loop may be unstable, or "
-            "simulator.max_step_size too large",
-            finished(),
-        ) from None
-    except Exception as error:
+            "simulator.max_step_size too large"
+        )
+        raise RunStopped(message, finished(message)) from None
+    except RecordingError as error:
+        message = f"the run stopped at t = {context.get_time():.4f} s: {error}"
+        raise RunStopped(message, finished(message)) from None
+    except BaseException as error:  # such as the SystemExit of a block
+        if interruption.number:  # a KeyboardInterrupt that went through C++
+            raise RunInterrupted(finished(interrupted())) from None
+        if isinstance(error, ScenarioError) and context.get_time() == 0:
+            raise
         cause = f"{raising_block(error)}{one_line(error)}"
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
-        raise RunStopped(message, finished()) from error
-    return finished()
+        raise RunStopped(message, finished(message)) from error
+    finally:
+        interruption.collect = None
+    if interruption.number:
+        return finished(interrupted())
+    if context.get_time() < scenario.duration:
+        return finished(f"the run was ended at t = {context.get_time():.4f} s")
+    run = finished()
+    if check_step is StepCheck.NOTHING or not is_in_doubt(run, saved.states, nonstop_context):
+        return run
+    if check_step is StepCheck.PARTS:
+        return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
+    return verify_step(run, progress=progress, after_step=after_step, **replacements)
+
+
+def verify_step(
+    run: Run,
+    *,
+    progress: Callable[[float], None] | None = None,
+    after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
+    **replacements: Any,
+) -> Run:
+    """Flies a run's scenario again with half its steps; the run with what that shows.
+
+    `unresolved` has a sentence for each metric that moves, see `moved_metrics`; `half_step` has the
+    shorter step in s and both values of each of these metrics by its path.
+
+    Args:
+        run: what is verified; one that was not steered.
+        progress: as of `simulate`.
+        after_step: as of `simulate`; it may end the flight.
+        replacements: those that the run was simulated with.
+
+    Raises:
+        RunInterrupted: Ctrl-C; carries the run.
+    """
+    finer = with_half_the_step(run.scenario.simulator, run.step)
+    duration = float(run.steps["time"][-1])
+    scenario = dataclasses.replace(run.scenario, simulator=finer, duration=duration)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ScenarioWarning)
+            half = simulate(
+                scenario,
+                progress=progress,
+                after_step=after_step,
+                check_step=StepCheck.NOTHING,
+                **replacements,
+            )
+    except RunInterrupted:
+        raise RunInterrupted(run) from None
+    except (RunStopped, ScenarioError) as error:
+        unresolved = (f"with half of the steps of {1e3 * run.step:.3g} ms {error}",)
+        return dataclasses.replace(run, unresolved=unresolved)
+    if half.steps["time"][-1] < duration - SIGNAL_PERIOD / 2:
+        return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
+    return compared(run, half)
+
+
+def _config(scenario: Scenario, nonstop: Diagram, context: Context) -> SimulatorConfig:
+    """The scenario's configuration, or one with a shorter step, which a warning tells."""
+    config = stable_config(scenario.simulator, nonstop, context)
+    reason = "the fastest mode of the loop"
+    stable = config.max_step_size
+    config = resolving_config(
+        config,
+        nonstop,
+        context,
+        control_period=scenario.control_period,
+        duration=scenario.duration,
+        length=scenario.system.cable_length,
+    )
+    if config.max_step_size < stable:
+        reason = "the commanded motion between the controllers' samples"
+    if config is not scenario.simulator:
+        warnings.warn(
+            f"simulator.max_step_size = {scenario.simulator.max_step_size:g}: steps of "
+            f"{config.max_step_size:.3g} s are taken instead, which {reason} needs",
+            ScenarioWarning,
+            stacklevel=3,
+        )
+    return config
+
+
+def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:
+    """Warns where a replacement brings a speed bound of its own, by which a run is judged."""
+    if nonstop.HasOutputPort("speed_bound"):
+        (own,) = nonstop.GetOutputPort("speed_bound").Eval(context)
+        if own != stated:
+            message = (
+                f"optimization_layer: the run is judged by the {own:g} m/s of the replacement, "
+                f"not by the scenario's speed bound of {stated:g} m/s"
+            )
+            warnings.warn(message, ScenarioWarning, stacklevel=3)
 
 
 def _at_equilibrium(nonstop: Diagram) -> Context:
@@ -173,48 +301,30 @@ def _at_equilibrium(nonstop: Diagram) -> Context:
     return context
 
 
-def _stacked(builder: DiagramBuilder, ports: dict[str, OutputPort]) -> OutputPort:
-    """One port for all: a sink per signal would slow every step of the diagram down."""
-    multiplexer = builder.AddSystem(Multiplexer([port.size() for port in ports.values()]))
-    for i, port in enumerate(ports.values()):
-        builder.Connect(port, multiplexer.get_input_port(i))
-    return multiplexer.get_output_port()
-
-
-def _split(log: VectorLog, ports: dict[str, OutputPort]) -> tuple[NDArray, dict[str, NDArray]]:
-    """The times of a log, and its stacked signals by name, (samples, size) each."""
-    ends = np.cumsum([port.size() for port in ports.values()])
-    pieces = np.split(log.data(), ends[:-1])
-    signals = {name: piece.T.copy() for name, piece in zip(ports, pieces, strict=True)}
-    return log.sample_times().copy(), signals
-
-
 def _collect(
     scenario: Scenario,
     nonstop: Diagram,
-    samples: tuple[NDArray, dict[str, NDArray]],
-    steps: tuple[NDArray, dict[str, NDArray]],
+    recording: Recording,
     *,
+    step: float,
     wall_time: float,
+    stopped: str,
 ) -> Run:
-    (times, signals), (step_times, step_signals) = samples, steps
+    times, signals, steps = recording.collect()
     solve_times = np.zeros(0)
-    if "diagnostics" in step_signals and _WALL_TIME in step_signals:
+    if "diagnostics" in steps and WALL_TIME in steps:
         updates = np.flatnonzero(
-            np.diff(Diagnostics.view(step_signals["diagnostics"]).updates, prepend=0.0)
+            np.diff(Diagnostics.view(steps["diagnostics"]).updates, prepend=0.0)
         )
-        solve_times = step_signals[_WALL_TIME][updates, 0]
+        solve_times = steps[WALL_TIME][updates, 0]
     return Run(
         scenario=scenario,
         diagram=nonstop,
-        time=SIGNAL_PERIOD * np.arange(len(times)),  # without the rounding of the events' times
-        signals={
-            f"{block.get_name()}.{name}": signals[name]
-            for block in nonstop.GetSystems()
-            for name in output_names(block)
-            if name in signals
-        },
-        steps={"time": step_times} | step_signals,
+        time=times,
+        signals=signals,
+        steps=steps,
         solve_times=solve_times,
         wall_time=wall_time,
+        stopped=stopped,
+        step=step,
     )

@@ -3,8 +3,11 @@
 import contextlib
 import itertools
 import json
+import zipfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -12,11 +15,12 @@ from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.studies.files import replacing_files, require_writable
+from drake_nonstop.studies.files import as_path, replacing_files, require_writable
 from drake_nonstop.studies.journal import journalled_settings
+from drake_nonstop.validation import require
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay
-from drake_nonstop.visualization.run_figures import FIGURE_NAMES, make_figures
+from drake_nonstop.visualization.run_figures import FIGURE_NAMES, make_figure
 
 _FIGURES = "figures"
 _SCENARIO = "scenario.yaml"
@@ -56,12 +60,12 @@ def default_folder(folder: Path, settings: str | Scenario) -> Path:
 
 
 def write_results(
-    run: Run, folder: Path, *, figures: bool = True, replay: bool = True
+    run: Run, folder: Path | str, *, figures: bool = True, replay: bool = True
 ) -> dict[str, Any]:
     """Writes a run's results to the folder and returns its metrics.
 
-    scenario.yaml (resolved), metrics.json, signals.npz, diagram.svg, replay.html and figures/
-    replace the earlier ones once all of them are written.
+    scenario.yaml (resolved), metrics.json and signals.npz replace all of the earlier results once
+    they are written; diagram.svg, replay.html and figures/ follow, one by one.
 
     Args:
         run: what to write.
@@ -72,18 +76,68 @@ def write_results(
     Raises:
         ScenarioError: the folder cannot be written.
     """
-    require_writable(folder)
+    metrics = write_data(run, folder)
+    write_pictures(run, folder, figures=figures, replay=replay)
+    return metrics
+
+
+def write_data(run: Run, folder: Path | str) -> dict[str, Any]:
+    """Writes all but the pictures, removes the earlier results, and returns the metrics."""
+    require(isinstance(run, Run), "run", type(run).__name__, "give a Run, which simulate returns")
+    folder = as_path(folder)
+    require_writable(folder, RUN_FILES)
     metrics = compute_metrics(run)
     with replacing_files(folder, RUN_FILES) as new:
         (new / _SCENARIO).write_text(dump_scenario(run.scenario), encoding="utf-8")
         text = json.dumps(metrics, indent=2, allow_nan=False)
         (new / "metrics.json").write_text(text + "\n", encoding="utf-8")
-        np.savez_compressed(new / "signals.npz", **{"time": run.time, **run.signals})  # type: ignore[arg-type]
-        (new / "diagram.svg").write_text(draw_diagram(run.diagram), encoding="utf-8")
-        if replay:
-            (new / "replay.html").write_text(record_replay(run), encoding="utf-8")
-        if figures:
-            (new / _FIGURES).mkdir()
-            for name, figure in make_figures(run).items():
-                figure.savefig(new / _FIGURES / f"{name}.png", dpi=150)
+        _write_signals(new / "signals.npz", run)
     return metrics
+
+
+def write_pictures(
+    run: Run,
+    folder: Path | str,
+    *,
+    figures: bool = True,
+    replay: bool = True,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> None:
+    """Writes diagram.svg, replay.html and figures/, each of which appears once it is complete.
+
+    Args:
+        run: what to show.
+        folder: as for `write_results`.
+        figures: whether to write figures.
+        replay: whether to write the replay.
+        progress: called with a description and the share that is written.
+    """
+    folder = as_path(folder)
+    todo: list[tuple[str, Callable[[BinaryIO], Any]]] = [
+        ("diagram.svg", lambda file: file.write(draw_diagram(run.diagram).encode()))
+    ]
+    if replay:
+        todo.append(("replay.html", lambda file: file.write(record_replay(run).encode())))
+    if figures:
+        todo += [
+            (f"{_FIGURES}/{name}.png", partial(_write_figure, run, name)) for name in FIGURE_NAMES
+        ]
+    for k, (item, write) in enumerate(todo):
+        progress("writing", k / len(todo))
+        with replacing_files(folder, [item]) as new:
+            (new / item).parent.mkdir(exist_ok=True)
+            with (new / item).open("wb") as file:
+                write(file)
+
+
+def _write_figure(run: Run, name: str, file: BinaryIO) -> None:
+    make_figure(run, name).savefig(file, format="png", dpi=150)
+
+
+def _write_signals(path: Path, run: Run) -> None:
+    """Writes what `np.savez_compressed` would, a signal at a time: not all are in memory."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("time", *run.signals):
+            values = run.time if name == "time" else run.signals[name]
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, values, allow_pickle=False)

@@ -17,7 +17,10 @@ from drake_nonstop.scenario.overrides import (
     require_override,
 )
 from drake_nonstop.scenario.yaml_text import dump_plain
-from drake_nonstop.validation import is_number, require, require_seed
+from drake_nonstop.validation import StrictFields, is_number, require, require_seed
+
+_LARGEST = 1e12  # of the numbers of a distribution
+_MAX_RUNS = 100_000  # of a sweep
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +38,7 @@ class PlannedRun:
 
 
 @dataclass(kw_only=True)
-class SweepSpec:
+class SweepSpec(StrictFields):
     """The runs of a sweep.
 
     Every combination of the values in `grid` is run; where there are `draws`, it is run `runs`
@@ -78,8 +81,10 @@ class SweepSpec:
             require(is_mapping, f"{source}.{name}", entries, remedy)
         require(self.grid or self.draws, source, "neither", "give grid, draws or both")
         for path, values in self.grid.items():
+            require(isinstance(path, str), f"{source}.grid", path, "give paths as texts")
             require_choices(values, f"{source}.grid.{path}")
         for path, distribution in self.draws.items():
+            require(isinstance(path, str), f"{source}.draws", path, "give paths as texts")
             where = f"{source}.draws.{path}"
             require(path not in self.grid, where, "in grid too", "give it in one of the two")
             _require_distribution(distribution, where)
@@ -89,9 +94,11 @@ class SweepSpec:
             require(is_count, where, runs, "give the number of draws, 1 or more")
         else:
             require(runs is None, where, runs, "leave it out where there are no draws")
+        count = math.prod(map(len, self.grid.values())) * (runs or 1)
+        require(count <= _MAX_RUNS, source, f"{count} runs", f"give at most {_MAX_RUNS}")
 
     def __len__(self) -> int:
-        return len(self._combinations) * (self.runs or 1)
+        return math.prod(map(len, self.grid.values())) * (self.runs or 1)
 
     def run(self, number: int) -> PlannedRun:
         """The run of that number, from 0 on.
@@ -100,7 +107,8 @@ class SweepSpec:
             ScenarioError: there is no such run.
         """
         remedy = f"give 0 to {len(self) - 1}"
-        require(0 <= number < len(self), f"{self.source}, run", number, remedy)
+        is_one = isinstance(number, int) and 0 <= number < len(self)
+        require(is_one, f"{self.source}, run", number, remedy)
         combination, draw = divmod(number, self.runs or 1)
         seeds = np.random.SeedSequence([self.seed, draw])
         seed = int(seeds.generate_state(1)[0])
@@ -154,13 +162,16 @@ def _require_distribution(distribution: Any, where: str) -> None:
         is_pair = isinstance(parameters, list) and len(parameters) == 2
         require(is_pair and all(map(is_number, parameters)), where, parameters, "give two numbers")
         first, second = parameters
+        is_within = max(abs(first), abs(second)) <= _LARGEST
+        require(is_within, where, dump_plain(parameters), f"give numbers up to {_LARGEST:g}")
         if kind == "normal":
             require(second >= 0, where, dump_plain(parameters), "give a deviation from 0 on")
         else:
             remedy = "give the lower bound first"
             require(first < second, where, dump_plain(parameters), remedy)
-            is_positive = kind == "uniform" or first > 0
-            require(is_positive, where, dump_plain(parameters), "give bounds above 0")
+            is_positive = kind == "uniform" or first >= 1 / _LARGEST
+            remedy = f"give bounds above 0, from {1 / _LARGEST:g} up"
+            require(is_positive, where, dump_plain(parameters), remedy)
 
 
 def _uniform(random: np.random.Generator, bounds: list[float]) -> float:

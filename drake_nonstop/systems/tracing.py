@@ -28,7 +28,10 @@ class NotFiniteError(ArithmeticError):
     """
 
     def __init__(self, block: str, *, was_given: bool = False):
-        super().__init__(f"{block} {'was given' if was_given else 'made'}")
+        super().__init__(
+            f"{block} {'was given' if was_given else 'made'} a value that is not finite, or beyond "
+            f"{LARGEST:.0e} in SI units"
+        )
         self.block, self.was_given = block, was_given
 
 

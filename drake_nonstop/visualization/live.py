@@ -11,7 +11,14 @@ from pydrake.systems.framework import Diagram
 
 from drake_nonstop.optimization.problem_config import LEAST_BOUND
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
+from drake_nonstop.simulation.interruption import current_interruption
+from drake_nonstop.simulation.run import (
+    Run,
+    RunInterrupted,
+    RunStopped,
+    StepAction,
+    StepCheck,
+)
 from drake_nonstop.simulation.run_quantities import carrier_speeds
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import is_number, require
@@ -75,6 +82,7 @@ def run_live(
                 progress=progress,
                 viewers=[show_in(meshcat)],
                 after_step=controls.after_step,
+                check_step=StepCheck.PARTS,
                 **replacements,
             )
             if controls.is_stopped or not controls.is_restarted:
@@ -185,7 +193,10 @@ class _Controls:
 
     def wait_after_run(self) -> None:
         """Waits for "restart" or "stop", or until no page is connected."""
-        while not (self.is_stopped or self.is_restarted):
-            if self._meshcat.GetNumActiveConnections() == 0:
-                return
-            time.sleep(_POLLING_PERIOD)
+        with current_interruption() as interruption, interruption.patient(1):
+            while not (self.is_stopped or self.is_restarted):
+                if interruption.number:
+                    raise KeyboardInterrupt
+                if self._meshcat.GetNumActiveConnections() == 0:
+                    return
+                time.sleep(_POLLING_PERIOD)

@@ -101,7 +101,7 @@ class RunProgress(_Progress):
             bar_format=self._FORMAT,
         )
         elapsed = bar.format_dict["elapsed"]
-        if elapsed > 0:
+        if elapsed > 0 and simulated > bar.initial:
             factor = (simulated - bar.initial) / elapsed
             bar.set_postfix_str(f"{factor:.1f} x real time", refresh=False)
         bar.update(simulated - bar.n)

@@ -1,24 +1,40 @@
 """The replay of a run: an animated 3D scene in one HTML file that opens offline."""
 
+import base64
 import contextlib
+import gzip
 import html
 import itertools
+import math
+import re
 from importlib import resources
 from string import Template
 
 import numpy as np
-from pydrake.geometry import MeshcatAnimation
+from numpy.typing import NDArray
+from pydrake.geometry import Meshcat, MeshcatAnimation
 
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, UnknownSignalError
+from drake_nonstop.simulation.run_quantities import carrier_speeds
 from drake_nonstop.visualization.canvas import RecordingCanvas
-from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.decimation import MOST_POINTS, extreme_samples
+from drake_nonstop.visualization.meshcat_server import start_hidden_meshcat
 from drake_nonstop.visualization.scene import Scene
 from drake_nonstop.visualization.snapshot import Snapshot
 
+_FRAME_RATE = 25.0  # 1/s
+_MOST_POSES = 45_000  # of carriers and loads in all frames: below 20 MB
+# How Meshcat writes what the page tells the viewer.
+_COMMAND = re.compile(
+    r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)'
+    r"\s*\.then\(res => res\.arrayBuffer\(\)\)"
+)
+_LARGE = 100_000  # characters of a command
 
-def record_replay(run: Run, *, frame_rate: float = 25.0) -> str:
+
+def record_replay(run: Run, *, frame_rate: float | None = None) -> str:
     """The run as a Meshcat recording (see `Scene`) in an HTML page that loads nothing else.
 
     The recording ends before the first sample that is not finite.
@@ -26,50 +42,80 @@ def record_replay(run: Run, *, frame_rate: float = 25.0) -> str:
     Args:
         run: returned by `simulate`, or carried by a RunStopped or RunInterrupted.
         frame_rate: frames per second of simulated time, at most those of the signals; the page
-            interpolates between them.
+            interpolates between them. Without it 25, or fewer where the page would be larger
+            than 20 MB, which it then says.
 
     Raises:
         ScenarioError: a field of the scenario's scene is out of range.
     """
-    meshcat = start_meshcat(port=0)
+    system = overridden(run.scenario.system, run.scenario.simulated)
+    scene = Scene(system, run.scenario.scene)
+    if frame_rate is None:
+        frame_rate = _affordable_rate(len(run.time), len(system.attachments))
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)
-    scene = Scene(overridden(run.scenario.system, run.scenario.simulated), run.scenario.scene)
     snapshots = _snapshots(run, frame_rate)
+    page = _COMMAND.sub(_compressed, _recorded(scene, snapshots, frame_rate))
+    if not snapshots:
+        return page
+    body, end = page.rsplit("</body>", 1)
+    overlay = _overlay(run, scene.config, snapshots, frame_rate)
+    return f"{body}{overlay}</body>{end}"
+
+
+def _recorded(scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str:
+    """Meshcat's page of the recording."""
+    meshcat, _ = start_hidden_meshcat()
     if snapshots:
         path = np.array([snapshot.reference_position for snapshot in snapshots])
         scene.set_stage(meshcat, path, np.array([snapshot.carriers for snapshot in snapshots]))
         scene.draw(meshcat)
-        animation = MeshcatAnimation(frame_rate)
-        canvas = RecordingCanvas(animation)
-        for frame, snapshot in enumerate(snapshots):
-            canvas.frame = frame
-            scene.show(canvas, snapshot)
-        canvas.finish()
-        meshcat.SetAnimation(animation)
-    page = meshcat.StaticHtml()
-    if not snapshots:
-        return page
-    body, end = page.rsplit("</body>", 1)
-    overlay = _overlay(run.scenario.name, scene.config, snapshots)
-    return f"{body}{overlay}</body>{end}"
+        _animate(meshcat, scene, snapshots, frame_rate)
+    return meshcat.StaticHtml()
+
+
+def _animate(meshcat: Meshcat, scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> None:
+    animation = MeshcatAnimation(frame_rate)
+    canvas = RecordingCanvas(animation)
+    for frame, snapshot in enumerate(snapshots):
+        canvas.frame = frame
+        scene.show(canvas, snapshot)
+    canvas.finish()
+    meshcat.SetAnimation(animation)
+
+
+def _affordable_rate(samples: int, n: int) -> float:
+    """Frames per second, a whole part of the signals', of that many samples of n carriers."""
+    most = max(_MOST_POSES // (n + 1), 1)
+    stride = max(round(1 / (SIGNAL_PERIOD * _FRAME_RATE)), math.ceil(samples / most))
+    return 1 / (SIGNAL_PERIOD * stride)
+
+
+def _compressed(command: re.Match[str]) -> str:
+    """A command of the page, compressed where it is large, as the animation is."""
+    if len(command[1]) < _LARGE:
+        return command[0]
+    data = base64.b64encode(gzip.compress(base64.b64decode(command[1]), mtime=0)).decode()
+    return (
+        f'fetch("data:application/gzip;base64,{data}")\n    .then(res => new Response('
+        'res.body.pipeThrough(new DecompressionStream("gzip"))).arrayBuffer())'
+    )
 
 
 def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     """The run at the instants of the frames, up to the first that cannot be shown."""
-    speed_bounds = np.full(len(run.time), run.scenario.speed_bound)
-    with contextlib.suppress(KeyError):
-        speed_bounds = run.signal("speed_bound")[:, 0]
-    frames = np.floor(run.time * frame_rate + 1e-6)
+    frames = np.unique(np.floor(run.time * frame_rate + 1e-6), return_index=True)[1]
+    speed_bounds = np.full(len(frames), run.scenario.speed_bound)
+    with contextlib.suppress(UnknownSignalError):
+        speed_bounds = run.signal("speed_bound")[frames, 0]
+    names = ("load_state", "reference", "carrier_state", "tensions")
+    signals = {name: run.signal(name)[frames] for name in names}
     snapshots = (
         Snapshot.from_signals(
-            run.time[k],
-            load_state=run.signal("load_state")[k],
-            reference=run.signal("reference")[k],
-            carrier_state=run.signal("carrier_state")[k],
-            tensions=run.signal("tensions")[k],
+            run.time[frame],
             speed_bound=speed_bounds[k],
+            **{name: values[k] for name, values in signals.items()},
         )
-        for k in np.unique(frames, return_index=True)[1]
+        for k, frame in enumerate(frames)
     )
     return list(itertools.takewhile(lambda snapshot: snapshot.is_finite, snapshots))
 
@@ -78,7 +124,7 @@ def legend(config: SceneConfig) -> str:
     """The legend of the scene's colours in HTML; a sample of a colour has the class `swatch`."""
     colours = (
         (config.mark_colours[::-1], f"carrier's speed, from {config.mark_range:g} ε down to ε"),
-        (config.cable_colours, f"tension, up to {config.tension_range:g} shares of the weight"),
+        (config.cable_colours, f"tension, up to {config.tension_range:g} × weight / carriers"),
         ([config.slack_colour] * 2, "slack cable"),
         ([config.load_colour] * 2, "load"),
         ([config.reference_colour] * 2, "where the load should be"),
@@ -87,23 +133,33 @@ def legend(config: SceneConfig) -> str:
     return "".join(swatch.format(",".join(names), text) + "</span>" for names, text in colours)
 
 
-def _overlay(title: str, config: SceneConfig, snapshots: list[Snapshot]) -> str:
+def _overlay(run: Run, config: SceneConfig, snapshots: list[Snapshot], frame_rate: float) -> str:
     """The HTML below the scene: a time bar, a legend, and the slowest carrier's speed and ε."""
     start = snapshots[0].time
-    times = [snapshot.time - start for snapshot in snapshots]
-    slowest = [float(np.linalg.norm(each.velocities, axis=1).min()) for each in snapshots]
-    bounds = [float(snapshot.speed_bound) for snapshot in snapshots]
+    duration = snapshots[-1].time - start
+    times = np.array([snapshot.time - start for snapshot in snapshots])
+    bounds = np.array([float(snapshot.speed_bound) for snapshot in snapshots])
+    slowest_times = times
+    slowest = np.array([np.linalg.norm(each.velocities, axis=1).min() for each in snapshots])
+    is_reduced = frame_rate < _FRAME_RATE
+    if is_reduced:  # the speed may be lower between the frames
+        end = np.searchsorted(run.time, snapshots[-1].time, side="right")
+        speeds = carrier_speeds(run.signal("carrier_state")[:end]).min(axis=1)
+        chosen = extreme_samples(speeds, MOST_POINTS // 4)
+        chosen = chosen[np.isfinite(speeds[chosen])]
+        slowest_times, slowest = run.time[chosen] - start, speeds[chosen]
     page = resources.files("drake_nonstop.visualization").joinpath("replay_overlay.html")
     return Template(page.read_text(encoding="utf-8")).substitute(
-        title=html.escape(title),
+        title=html.escape(run.scenario.name),
         legend=legend(config),
-        duration=f"{times[-1]:g}",
+        duration=f"{duration:g}",
         top=f"{1.1 * max(*slowest, *bounds, 1e-3):.3g}",
-        slowest=_polyline(times, slowest),
+        slowest=_polyline(slowest_times, slowest),
         bound=_polyline(times, bounds),
+        rate=f"; a long run: {frame_rate:.3g} frames per second" if is_reduced else "",
     )
 
 
-def _polyline(times: list[float], values: list[float]) -> str:
+def _polyline(times: NDArray, values: NDArray) -> str:
     """The points of an SVG polyline."""
     return " ".join(f"{time:g},{value:.4g}" for time, value in zip(times, values, strict=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from drake_nonstop.simulation.run_quantities import (
     load_errors,
     speed_bounds,
 )
+from drake_nonstop.visualization.decimation import extreme_samples
 from drake_nonstop.visualization.figure_style import LINE_STYLES, new_figure, titled
 
 if TYPE_CHECKING:
@@ -27,13 +28,15 @@ if TYPE_CHECKING:
 _SIZE = (7.0, 4.2)  # inch
 
 
-def make_figures(run: Run) -> dict[str, Figure]:
-    """The figures of `FIGURE_NAMES`, by name."""
-    return {name: draw(run) for name, draw in zip(FIGURE_NAMES, _FIGURES, strict=True)}
+def make_figure(run: Run, name: str) -> Figure:
+    """The figure of that name, one of `FIGURE_NAMES`."""
+    return _FIGURES[FIGURE_NAMES.index(name)](run)
 
 
 def _draw_load_reference(run: Run) -> Figure:
-    quaternions, positions, _, velocities = LoadState.view(run.signal("reference"))
+    references = run.signal("reference")
+    shown = extreme_samples(references[:, :13])
+    quaternions, positions, _, velocities = LoadState.view(references[shown])
     angles = [RollPitchYaw(Quaternion(q / np.linalg.norm(q))).vector() for q in quaternions]
     figure, panels = _stacked(3)
     for axes, values, label, names in (
@@ -42,7 +45,7 @@ def _draw_load_reference(run: Run) -> Figure:
         (panels[2], np.degrees(angles), "orientation (°)", ("roll", "pitch", "yaw")),
     ):
         for column, name, style in zip(values.T, names, LINE_STYLES, strict=True):
-            axes.plot(run.time, column, linestyle=style, label=name)
+            axes.plot(run.time[shown], column, linestyle=style, label=name)
         axes.set_ylabel(label)
         axes.legend(fontsize="small", loc="upper left")
     return titled(figure, "Desired load trajectory")
@@ -82,7 +85,7 @@ def _draw_carrier_speeds(run: Run) -> Figure:
     speeds = carrier_speeds(run.steps["carrier_state"])
     _plot_each(axes, run.steps["time"], speeds, "carrier")
     bounds = speed_bounds(run)
-    axes.plot(run.steps["time"], bounds, color="green", linestyle="--", label="bound ε")
+    _plot(axes, run.steps["time"], bounds, color="green", linestyle="--", label="bound ε")
     axes.set_ylim(bottom=0)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("carrier speed (m/s)")
@@ -102,9 +105,9 @@ def _draw_tensions(run: Run) -> Figure:
 def _draw_internal_force_parameters(run: Run) -> Figure:
     figure, (top, bottom) = _stacked(2)
     parameters = run.signal("parameters")
-    top.plot(run.time, parameters[:, 0], color="C3")
+    _plot(top, run.time, parameters[:, 0], color="C3")
     top.set_ylabel("frequency ξ (rad/s)")
-    bottom.plot(run.time, parameters[:, 1], color="C4")
+    _plot(bottom, run.time, parameters[:, 1], color="C4")
     bottom.set_ylabel("amplitude A (N)")
     return titled(figure, "Internal-force parameters")
 
@@ -124,14 +127,16 @@ FIGURE_NAMES = tuple(draw.__name__.removeprefix("_draw_") for draw in _FIGURES)
 
 def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:
     """Draws paths over the samples `shown`, with load and cables at the last of them."""
-    load_states = run.signal("load_state")[shown]
-    load = LoadState.view(load_states).position
-    carriers = CarrierStates.view(run.signal("carrier_state")[shown]).positions
+    load_states, carrier_states = (run.signal(name) for name in ("load_state", "carrier_state"))
+    load = LoadState.view(load_states[shown]).position
+    carriers = CarrierStates.view(carrier_states[shown]).positions
     for i in range(carriers.shape[1]):
-        axes.plot(*carriers[:, i, :2].T, color=f"C{i}", linewidth=0.9, label=f"carrier {i + 1}")
+        path = carriers[extreme_samples(carriers[:, i, :2]), i, :2]
+        axes.plot(*path.T, color=f"C{i}", linewidth=0.9, label=f"carrier {i + 1}")
         axes.plot(*carriers[-1, i, :2], "x", color=f"C{i}")
-    axes.plot(*load[:, :2].T, color="black", linewidth=1.2, label="load")
-    corners = attachment_positions(run, load_states[-1:])[0]
+    path = load[extreme_samples(load[:, :2]), :2]
+    axes.plot(*path.T, color="black", linewidth=1.2, label="load")
+    corners = attachment_positions(run, load_states[shown[-1:]])[0]
     axes.plot(*np.vstack([corners, corners[:1]])[:, :2].T, "--", color="black", linewidth=0.9)
     axes.plot(*load[-1, :2], "+", color="black")
     for corner, carrier in zip(corners, carriers[-1], strict=True):
@@ -144,8 +149,10 @@ def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:
 
 def _draw_error(time: NDArray, error: NDArray, label: str, title: str) -> Figure:
     figure, axes = _single()
-    axes.plot(time, error, label=["x", "y", "z"], linewidth=1)
-    axes.plot(time, np.linalg.norm(error, axis=1), color="black", label="norm", linewidth=1)
+    for column, name in zip(error.T, "xyz", strict=True):
+        _plot(axes, time, column, label=name, linewidth=1)
+    norm = np.linalg.norm(error, axis=1)
+    _plot(axes, time, norm, color="black", label="norm", linewidth=1)
     axes.set_xlabel("time (s)")
     axes.set_ylabel(label)
     axes.legend(ncols=4, fontsize="small")
@@ -156,9 +163,14 @@ def _plot_each(axes: Axes, time: NDArray, values: NDArray, name: str) -> None:
     """Plots a curve per column; those of the second half dashed, as symmetric ones coincide."""
     for i, column in enumerate(values.T):
         style = (0, (4, 3)) if i >= values.shape[1] / 2 else "solid"
-        axes.plot(
-            time, column, color=f"C{i}", linewidth=1, linestyle=style, label=f"{name} {i + 1}"
-        )
+        label = f"{name} {i + 1}"
+        _plot(axes, time, column, color=f"C{i}", linewidth=1, linestyle=style, label=label)
+
+
+def _plot(axes: Axes, time: NDArray, values: NDArray, **options: Any) -> None:
+    """Plots a curve with its lowest and highest values, however long it is."""
+    shown = extreme_samples(values)
+    axes.plot(time[shown], values[shown], **options)
 
 
 def _single() -> tuple[Figure, Axes]:

@@ -1,10 +1,19 @@
 """The README's numbers, measured anew: what holds and what does not."""
 
+import dataclasses
 import re
 
 import pytest
 
-from drake_nonstop.benchmarks.claims import QUANTITIES, Claim, measure, read_claims, wrong_shares
+from drake_nonstop.benchmarks.claims import (
+    LOOP_QUANTITIES,
+    QUANTITIES,
+    Claim,
+    measure,
+    read_claims,
+    wrong_shares,
+)
+from drake_nonstop.benchmarks.speed_claims import BENCHMARKS, _of_scenario
 from drake_nonstop.cli.main import main
 from drake_nonstop.simulation.metrics import METRICS
 from drake_nonstop.validation import ScenarioError
@@ -23,6 +32,11 @@ SHARES = "| search | 1.4 / 3.2 | 100.0% | {}% | 0.3 / 0.6 |"
         ("0.555", 0.5562, False),
         ("12", 12.4, True),
         ("12", 12.7, False),
+        ("0.92–0.93", 0.916, True),
+        ("0.92–0.93", 0.914, False),
+        ("0.92–0.93", 0.936, False),
+        ("≤ 1.1", -3.0, True),
+        ("≤ 1.1", 1.16, False),
     ],
 )
 def test_a_claim_holds_where_the_value_rounds_to_it(printed, value, holds):
@@ -39,6 +53,68 @@ def test_rows_that_cannot_be_read_are_no_silent_gap():
         read_claims(ROW.format("line", "tallest (m)", "0.2"))
     with pytest.raises(ScenarioError, match="a text without claims"):
         read_claims("nothing")
+
+
+PARAGRAPH = """
+- A first item of 0.7 m/s.
+- The carriers end at 0.92–0.93 m/s,
+  whatever the load does.
+<!-- measured
+{}
+-->
+- Another one of 0.5 m/s.
+"""
+
+
+def test_numbers_of_a_paragraph_are_claims_of_the_comment_below_it():
+    row = ROW.format("line", "slowest final speed (m/s)", "0.92–0.93")
+    (claim,) = read_claims(PARAGRAPH.format(row))
+    assert not claim.is_in_table
+    assert (claim.arguments, claim.printed) == ("line", "0.92–0.93")
+    for elsewhere in ("0.7", "0.5", "0.92–0.94", "≤ 0.9"):
+        row = ROW.format("line", "slowest final speed (m/s)", elsewhere)
+        with pytest.raises(ScenarioError, match="print in the paragraph above"):
+            read_claims(PARAGRAPH.format(row))
+
+
+def test_a_claim_on_the_linearized_loop_is_measured_by_linearizing_it():
+    arguments = "stability quintic control_period=0"
+    claims = [Claim(arguments=arguments, quantity=name, printed="≤ 0") for name in LOOP_QUANTITIES]
+    values = {claim.quantity: value for claim, value in measure(claims).items()}
+    assert values["stable (1: yes)"] == 1
+    assert values["growth rate (1/s)"] < 1e-3
+    assert values["growth in a turn"] < 1.001
+    with pytest.raises(ScenarioError, match=r"final A .N.: give one of stable"):
+        read_claims(ROW.format(arguments, "final A (N)", "1"))
+
+
+def test_a_claim_of_speed_holds_within_a_factor_and_its_errors_to_their_digits():
+    speed = Claim(arguments="bench accuracy quintic", quantity="times real time", printed="9.8")
+    assert speed.holds(5.0)
+    assert speed.holds(19.0)
+    assert not speed.holds(4.8)
+    assert not speed.holds(20.0)
+    error = dataclasses.replace(speed, quantity="error of the load (mm)", printed="0.0007")
+    assert error.holds(0.00066)
+    assert not error.holds(0.0009)
+
+
+def test_claims_of_speed_are_measured_by_their_benchmark(monkeypatch):
+    asked = []
+
+    def found(scenario, progress):
+        asked.append(scenario.duration)
+        return {"cost_of_real_time": 0.05}
+
+    viewer = dataclasses.replace(BENCHMARKS["viewer"], measure=_of_scenario(found))
+    monkeypatch.setitem(BENCHMARKS, "viewer", viewer)
+    row = ROW.format("bench viewer quintic duration=2", "share of real time (%)", "4")
+    (claim,) = read_claims(row)
+    assert measure([claim]) == {claim: 5.0}
+    assert asked == [2.0]
+    for arguments in ("bench viewer", "bench nothing quintic", "bench run quintic"):
+        with pytest.raises(ScenarioError, match="claim on bench"):
+            read_claims(ROW.format(arguments, "share of real time (%)", "4"))
 
 
 def test_every_metric_that_is_one_value_can_be_claimed():

@@ -406,10 +406,10 @@ def test_bad_parameter_is_named(config, field):
 @pytest.mark.parametrize(
     "config",
     [
-        RestToRestConfig(start_time=1e10, move_time=1e-9),
+        RestToRestConfig(start_time=1e8, move_time=1e-9),
         WaypointsConfig(positions=[[1, 0, 0]] * 2, move_times=[1, 1], rest_times=[0, 1e-17]),
-        CircleConfig(move_time=1e-17),
-        ConstantVelocityMoveConfig(start_time=1e10, blend_time=1e-9),
+        CircleConfig(start_time=1e8, move_time=1e-9),
+        ConstantVelocityMoveConfig(start_time=1e8, blend_time=1e-9),
     ],
     ids=lambda config: type(config).__name__,
 )

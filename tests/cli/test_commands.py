@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop.cli import run
+from drake_nonstop.cli.exit_codes import BAD_INPUT, NOT_OK
 from drake_nonstop.cli.file_server import serve_folder
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
@@ -120,14 +121,31 @@ def test_dangerous_metrics_are_warned_of(tmp_path, capsys):
     overrides = ["--set", "optimization_layer.speed_bound=0.8", "duration=0.3"]
     overrides += ["optimization_layer.frequency_bounds=[1, 2.05]"]
     overrides += ["optimization_layer.amplitude_bounds=[1, 1.25]"]
-    overrides += ["safe_carrier_distance=5", "safe_cable_distance=0.01"]
-    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF[1:], *overrides]) == 0
-    warnings = [s for s in capsys.readouterr().out.splitlines() if s.startswith("warning: ")]
-    assert any("below the bound" in line for line in warnings)
+    overrides += ["limits.carrier_distance=2", "limits.cable_distance=0.01", "limits.speed=0.1"]
+    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF[1:], *overrides]) == NOT_OK
+    shown = capsys.readouterr()
+    reasons = (
+        r"collision: two carriers came within \S+ m of each other "
+        r"\(limits\.carrier_distance: 3\.72 m\); a carrier was below the bound for 0\.\d+ s "
+        r"\(limits\.time_below_bound: 0 s\)"
+    )
+    assert re.fullmatch(f"outcome +{reasons}", shown.out.splitlines()[0])
+    assert re.fullmatch(f"drake-nonstop: {reasons}", shown.err.splitlines()[-1])
+    warnings = [s for s in shown.out.splitlines() if s.startswith("warning: ")]
+    assert len(warnings) == 2
     assert any("no parameters fulfilled the bound" in line for line in warnings)
-    close = [line for line in warnings if "came within" in line]
-    assert len(close) == 1
-    assert re.fullmatch(r"warning: carriers came within \S+ m of each other, 5 m is safe", close[0])
+    assert any(line.endswith(" m/s (limits.speed: 0.1 m/s)") for line in warnings)
+
+
+def test_what_limits_have_replaced_is_said(capsys):
+    for name, field in (
+        ("safe_carrier_distance", "limits.carrier_distance"),
+        ("safe_cable_distance", "limits.cable_distance"),
+    ):
+        assert main(["run", "quintic", "--set", f"{name}=5"]) == BAD_INPUT
+        error = capsys.readouterr().err
+        assert error.startswith(f"drake-nonstop: quintic.{name} = 5: give {field} instead, ")
+        assert load_scenario("quintic", [f"{field}=0.3"])
 
 
 @pytest.mark.parametrize(
@@ -166,7 +184,10 @@ def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys)
     assert "Traceback" not in error
     with np.load(tmp_path / "signals.npz") as signals:
         assert 0 < signals["time"][-1] < 2
-    assert json.loads((tmp_path / "metrics.json").read_text())["simulated_s"] < 2
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["simulated_s"] < 2
+    assert metrics["outcome"] == "stopped"
+    assert "diverged at t = " in metrics["reasons"][0]
 
 
 def test_ctrl_c_keeps_what_was_simulated(tmp_path):
@@ -200,7 +221,7 @@ def test_view_serves_the_replay_until_it_is_interrupted(tmp_path):
         with urllib.request.urlopen(address, timeout=60) as page:
             assert page.read() == b"<p>hello</p>"
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=60) == 0
+        assert process.wait(timeout=60) == 130
     finally:
         process.kill()
         process.communicate()

@@ -9,12 +9,13 @@ from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
 from drake_nonstop.mechanics.nonstop import (
     advance,
     change_cost,
+    nearest_squares,
     orbit_ahead,
     orbit_axes,
+    orbit_positions,
     phase_of,
     polynomial_values,
     quadratic_change_cost,
-    separation_squares,
     speed_polynomials,
     speed_products,
     speed_squares,
@@ -106,18 +107,21 @@ def test_separations_are_those_of_the_orbits_between_the_turns_too():
         state, reference, *WRENCHES, time=0.0, attachments=ATTACHMENTS, **grasp
     )
     pairs = np.array([(i, j) for i in range(4) for j in range(i)]).T
-    amplitudes, count = np.array([0.4, 1.5]), 36
-    found = separation_squares(
-        amplitudes,
-        forces,
-        levers,
-        *AXES,
-        turns=2 * np.pi * np.arange(count) / count,
-        pairs=pairs,
-        **STRETCH,
-    )
-    assert found.shape == (2, count, 6)
-    for squares, amplitude in zip(found, amplitudes, strict=True):
+    count = 36
+    phases = 2 * np.pi * np.arange(count)[:, None] / count
+    cosine, sine, (p, q) = np.cos(phases), np.sin(phases), (axes.T[:, None] for axes in AXES)
+    for amplitude in (0.4, 1.5):
+        positions, rates = orbit_positions(
+            amplitude,
+            forces.T[:, None],
+            levers.T[:, None],
+            cosine * p + sine * q,
+            cosine * q - sine * p,
+            **STRETCH,
+        )
+        assert positions.shape == rates.shape == (3, count, 4)
+        gaps, gap_rates = (a[:, :, pairs[0]] - a[:, :, pairs[1]] for a in (positions, rates))
+        squares = nearest_squares(gaps, gap_rates, np.pi / count)
         nearest = np.full(6, np.inf)
         for theta in np.linspace(0, 2 * np.pi, 3000):
             internal_forces = np.concatenate([amplitude * np.cos(theta + PHASES), np.zeros(4)])

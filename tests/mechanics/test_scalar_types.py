@@ -53,15 +53,12 @@ def separations(x, state, motion, *wrenches):
     forces, _, levers, _, _ = nonstop.orbit_ahead(
         state, motion, *wrenches, time=0.01, attachments=ATTACHMENTS, **grasp
     )
-    return nonstop.separation_squares(
-        x,
-        forces,
-        levers,
-        *AXES,
-        turns=np.array([0.3, 2.0]),
-        pairs=np.array([[0, 1], [1, 2]]),
-        **STRETCH,
+    first_axes, second_axes = (axes.T for axes in AXES)
+    positions, rates = nonstop.orbit_positions(
+        x, forces.T, levers.T, first_axes, second_axes, **STRETCH
     )
+    gaps, gap_rates = (a - np.roll(a, 1, axis=1) for a in (positions, rates))
+    return positions, rates, nonstop.nearest_squares(gaps, gap_rates, 0.1)
 
 
 # name: (function of flat arrays, their lengths)

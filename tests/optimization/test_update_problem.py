@@ -66,7 +66,7 @@ def test_many_speeds_are_judged_as_few_are(solver, monkeypatch):
         inputs = moving(seed)
         data = update_data(inputs, 0.3 + 0.1 * seed, updates=updates)
         found = updates.solve(data)
-        monkeypatch.setattr(update_problem, "_MIN_SPEEDS_FOR_ARRAYS", 1)
+        monkeypatch.setattr(update_problem, "MIN_SPEEDS_FOR_ARRAYS", 1)
         many = updates.solve(data)
         monkeypatch.undo()
         np.testing.assert_allclose(many[0], found[0], rtol=1e-9)
@@ -78,7 +78,7 @@ def test_many_speeds_are_judged_as_few_are(solver, monkeypatch):
 
 @pytest.mark.parametrize("fewest", [1, 10**9])
 def test_a_cable_without_tension_is_an_error_for_few_speeds_and_for_many(fewest, monkeypatch):
-    monkeypatch.setattr(update_problem, "_MIN_SPEEDS_FOR_ARRAYS", fewest)
+    monkeypatch.setattr(update_problem, "MIN_SPEEDS_FOR_ARRAYS", fewest)
     inputs = moving(2)
     inputs["wrench"] = inputs["wrench_rate"] = np.zeros(6)
     with pytest.raises(NotFiniteError, match="optimization_layer made"):

@@ -20,7 +20,9 @@ def test_the_default_is_valid():
         ("wing_span", 0.0, "greater than zero"),
         ("trail_time", float("nan"), "greater than zero"),
         ("mark_range", 1.0, "greater than 1"),
-        ("mark_opacity", -0.1, "not negative"),
+        ("mark_opacity", -0.1, "from 0 to 1"),
+        ("reference_opacity", 1.1, "from 0 to 1"),
+        ("carrier_colours", 5, "1 or more"),
         ("trail_pieces", 1, "2 to 1000"),
     ],
 )

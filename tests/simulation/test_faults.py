@@ -91,7 +91,7 @@ def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch):
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.05])
-def test_ctrl_c_while_results_are_written_leaves_the_old_or_the_new(tmp_path, results, delay):
+def test_ctrl_c_while_results_are_written_leaves_what_was_flown(tmp_path, results, delay):
     shutil.copytree(results, tmp_path, dirs_exist_ok=True)
     before = contents(tmp_path)
     # The signal comes as the new folder appears.
@@ -110,9 +110,9 @@ def test_ctrl_c_while_results_are_written_leaves_the_old_or_the_new(tmp_path, re
     _, error = process.communicate(timeout=60)
     assert "Traceback" not in error
     after = contents(tmp_path)
-    assert after.keys() == before.keys()
+    assert before.keys() - {"diagram.svg"} <= after.keys() <= before.keys()
     json.loads(after["metrics.json"])
     with np.load(tmp_path / "signals.npz") as signals:
-        assert len(signals["time"]) in (31, 101)
+        assert len(signals["time"]) == 101
     assert process.returncode in (0, 130)
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]

@@ -1,18 +1,32 @@
 """The metrics, on runs made up so that each figure is known."""
 
+import tracemalloc
+from itertools import combinations
+
 import numpy as np
 import pytest
 
 from drake_nonstop import load_scenario
+from drake_nonstop.simulation import run_quantities
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import load_errors, segment_distances
+from drake_nonstop.simulation.run_quantities import load_errors
+from drake_nonstop.simulation.separations import (
+    closest_cables,
+    closest_carriers,
+    least_cable_distances,
+    segment_distances,
+)
 
 KEYS = {
     "": {
         "scenario",
+        "outcome",
+        "reasons",
+        "warnings",
         "simulated_s",
         "is_steered",
+        "simulator",
         "wall_s",
         "real_time_factor",
         "load",
@@ -21,6 +35,7 @@ KEYS = {
         "optimizer",
         "versions",
     },
+    "simulator": {"step_s"},
     "load": {
         "position_error_mean_m",
         "position_error_max_m",
@@ -37,6 +52,7 @@ KEYS = {
         "time_below_bound_s",
         "separation_min_m",
         "normal_acceleration_max_m_s2",
+        "acceleration_max_m_s2",
         "climb_angle_max_rad",
         "turn_radius_min_m",
     },
@@ -82,6 +98,7 @@ def circling_run(*, radius=0.5, rate=2.0, tensions=None):
         signals={
             "load_plant.load_state": load,
             "load_trajectory.reference": reference,
+            "carrier_dynamics.carrier_state": carriers,
             "optimization_layer.parameters": np.tile([2.0, 1.3], (len(time), 1)),
         },
         steps={
@@ -99,13 +116,14 @@ def circling_run(*, radius=0.5, rate=2.0, tensions=None):
 def test_the_keys_are_those_that_others_read():
     metrics = compute_metrics(circling_run())
     assert set(metrics) == KEYS[""]
-    for part in ("load", "carriers", "cables", "optimizer", "versions"):
+    for part in ("simulator", "load", "carriers", "cables", "optimizer", "versions"):
         assert set(metrics[part]) == KEYS[part]
 
 
 def test_the_table_has_a_row_for_each_metric():
     metrics = compute_metrics(circling_run())
     single = [metric.path for metric in METRICS if not metric.is_list]
+    single += ["reasons", "warnings"]  # whose sentences are one text
     others = {"scenario", "is_steered", *(f"versions.{key}" for key in KEYS["versions"])}
     assert set(flattened(metrics)) == {*single, *others}
     assert len({metric.path for metric in METRICS}) == len(METRICS)
@@ -120,6 +138,7 @@ def test_the_table_has_a_row_for_each_metric():
 def test_the_table_of_a_run():
     run = circling_run(radius=0.5, rate=2.0)
     assert metrics_table(compute_metrics(run)).splitlines() == [
+        "outcome                 ok",
         "simulated               4 s in 0.50 s (8.0 x real time)",
         "load position error     mean 3 mm, max 3 mm",
         "load orientation error  mean 0 mrad, max 0 mrad",
@@ -140,6 +159,7 @@ def test_level_circles_have_known_figures():
     assert carriers["speed_max_m_s"] == pytest.approx(1.0, abs=1e-12)
     assert carriers["separation_min_m"] == pytest.approx(1.5, abs=1e-12)
     assert carriers["normal_acceleration_max_m_s2"] == pytest.approx(2.0, rel=2e-3)
+    assert carriers["acceleration_max_m_s2"] == pytest.approx(2.0, rel=2e-3)
     assert carriers["turn_radius_min_m"] == pytest.approx(0.5, rel=2e-3)
     assert carriers["climb_angle_max_rad"] == 0
     assert carriers["time_below_bound_s"] == 0
@@ -197,3 +217,88 @@ def test_crossing_and_touching_segments_have_no_distance():
     assert segment_distances(a, b, np.array([[1.0, -1, 0]]), np.array([[1.0, 1, 0]]))[0] == 0
     assert segment_distances(a, b, b, np.array([[3.0, 4, 0]]))[0] == 0
     assert segment_distances(a, b, np.array([[3.0, 0, 0]]), np.array([[5.0, 0, 0]]))[0] == 1
+
+
+@pytest.mark.parametrize("chunk", [3, 50, 1000])
+def test_metrics_do_not_depend_on_how_many_steps_are_computed_at_a_time(chunk, monkeypatch):
+    run = circling_run()
+    rng = np.random.default_rng(chunk)
+    for signals in (run.signals, run.steps):
+        for name, values in signals.items():
+            if name != "time" and "diagnostics" not in name:
+                values += 0.1 * rng.normal(size=values.shape)
+    whole = flattened(compute_metrics(run))
+    monkeypatch.setattr(run_quantities, "_CHUNK", chunk)
+    parts = flattened(compute_metrics(run))
+    assert parts.keys() == whole.keys()
+    for name, value in whole.items():
+        expected = pytest.approx(value, rel=1e-12) if isinstance(value, float) else value
+        assert parts[name] == expected, name
+
+
+@pytest.mark.parametrize("step", [0.004, 0.01, 0.03])
+def test_extremes_between_two_steps_are_found(step):
+    """Carriers that stop, and meet, at instants that no step ends at; known in closed form."""
+    rng = np.random.default_rng(3)
+    run = circling_run()
+    time = np.sort(np.concatenate([np.arange(0, 1, step), rng.uniform(0, 1, 20), [0.5]]))
+    t = time - 0.5004  # no step's end
+    start, acceleration = np.array([0.02, 0.0, 0.01]), np.array([0.0, 3.0, 1.0])
+    velocities = start + t[:, None] * acceleration
+    positions = [0.3 * i + t[:, None] * [1.0, 2.0, 0.0] * (-1) ** i for i in range(3)]
+    positions = [position + 5.0 * (i == 2) for i, position in enumerate(positions)]
+    positions[1] = positions[1] - 0.3 + np.array([0, 0, 0.004])  # passes the first 4 mm above it
+    carriers = np.concatenate([*positions, positions[2] + 1, *[velocities] * 4], axis=1)
+    run.steps |= {
+        "time": time,
+        "carrier_state": carriers,
+        "load_state": np.eye(13)[[0] * len(time)],
+    }
+    run.steps["tensions"] = np.full((len(time), 4), 2.5)
+    run.steps["diagnostics"] = np.zeros((len(time), 7))
+    carriers = compute_metrics(run)["carriers"]
+    place = -start @ acceleration / (acceleration @ acceleration)
+    slowest = np.linalg.norm(start + place * acceleration)
+    assert carriers["speed_min_m_s"] == pytest.approx(slowest, rel=1e-6)
+    fine = start + np.linspace(-0.01, 0.01, 100001)[:, None] * acceleration
+    steepest = np.max(np.arctan2(np.abs(fine[:, 2]), np.hypot(fine[:, 0], fine[:, 1])))
+    assert carriers["climb_angle_max_rad"] == pytest.approx(steepest, abs=1e-6)
+    assert carriers["separation_min_m"] == pytest.approx(0.004, rel=1e-9)
+
+
+def test_moving_cables_are_closest_where_they_cross():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        ends = rng.uniform(-1, 1, (4, 1, 3)) + np.linspace(-1, 1, 7)[:, None] * rng.uniform(
+            -2, 2, (4, 1, 3)
+        )
+        dense = (
+            ends[:, :-1, None]
+            + np.linspace(0, 1, 2001)[:, None] * np.diff(ends, axis=1)[:, :, None]
+        )
+        distances = segment_distances(*dense.reshape(4, -1, 3))
+        assert least_cable_distances(
+            ends[::2].swapaxes(0, 1), ends[1::2].swapaxes(0, 1)
+        ) == pytest.approx([np.min(distances)], abs=2e-3)
+
+
+@pytest.mark.parametrize(("steps", "n"), [(1, 3), (3000, 3), (500, 7), (300, 40)])
+def test_closest_two_are_those_of_all_pairs(steps, n):
+    ends, carriers = np.random.default_rng(n).normal(size=(2, steps, n, 3))
+    pairs = list(combinations(range(n), 2))
+    apart = [np.linalg.norm(carriers[:, i] - carriers[:, j], axis=1) for i, j in pairs]
+    np.testing.assert_array_equal(closest_carriers(carriers), np.min(apart, axis=0))
+    apart = [
+        segment_distances(ends[:, i], carriers[:, i], ends[:, j], carriers[:, j]) for i, j in pairs
+    ]
+    np.testing.assert_array_equal(closest_cables(ends, carriers), np.min(apart, axis=0))
+
+
+def test_closest_two_take_little_memory():
+    ends, carriers = np.random.default_rng(0).normal(size=(2, 2000, 40, 3))
+    tracemalloc.start()
+    closest_carriers(carriers)
+    closest_cables(ends, carriers)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 3e6  # the distances of all pairs take 12 MB

@@ -156,6 +156,7 @@ def a_row(name, error=None, below=0.0, ending=COMPLETED, message=""):
     metrics = None
     if error is not None:
         metrics = {
+            "outcome": "ok" if ending == COMPLETED else "stopped",
             "load": {"position_error_mean_m": error},
             "carriers": {"time_below_bound_s": below, "speed_min_m_s": 0.25},
         }
@@ -199,24 +200,36 @@ class TestTables:
     def test_markdown(self):
         lines = as_markdown(ordered(ROWS)).splitlines()
         cells = {line.split(" | ")[0][2:]: line.split(" | ") for line in lines[2:9]}
-        assert cells["base"][1:3] == ["2.00", "–"]
-        assert cells["much better"][1:3] == ["0.010", "-1.99"]
-        assert cells["worse"][6:8] == ["0.700", "+0.200"]
-        assert cells["a\\|b"][2] == "≈ 0"
-        assert cells["same"][2] == "0"
-        assert cells["crash (diverged)"][1:3] == ["1000", "–"]
-        assert cells["cannot (unbuildable)"][1:3] == ["–", "–"]
+        assert cells["base"][1:4] == ["ok", "2.00", "–"]
+        assert cells["much better"][2:4] == ["0.010", "-1.99"]
+        assert cells["worse"][7:9] == ["0.700", "+0.200"]
+        assert cells["a\\|b"][3] == "≈ 0"
+        assert cells["same"][3] == "0"
+        assert cells["crash (diverged)"][1:4] == ["stopped", "1000", "–"]
+        assert cells["cannot (unbuildable)"][1:4] == ["–", "–", "–"]
         order = [line.split(": ")[0] for line in lines if re.match(r"\d\. ", line)]
         assert order == ["1. a|b", "2. much better", "3. worse"]
         assert "No effect on it: same." in lines
         assert lines[-2:] == ["- crash (diverged): it diverged", "- cannot (unbuildable): no"]
+
+    def test_what_runs_are_warned_about_is_said(self):
+        warned = a_row("warned", 2e-3)
+        warned.metrics["warnings"] = ["too | fast", "too taut"]
+        rows = [ROWS[0], warned, a_row("none", ending=UNBUILDABLE, message="no")]
+        lines = [
+            "none (unbuildable): no",
+            "warned: warning: too | fast",
+            "warned: warning: too taut",
+        ]
+        assert as_text(rows).splitlines()[-3:] == lines
+        assert as_markdown(rows).splitlines()[-3:] == [f"- {line}" for line in lines]
 
     def test_text_is_aligned_and_keeps_the_ending_of_long_names(self):
         rows = [*ROWS, a_row("a name that is much too long for it", 1.0, 0.1, DIVERGED, "why")]
         lines = as_text(rows).splitlines()[: len(rows) + 2]
         assert {len(line) for line in lines} == {len(lines[0])}
         assert max(map(len, lines)) <= 110
-        assert lines[-1].startswith("a name that is muc… (diverged) ")
+        assert lines[-1].startswith("a name that is… (diverged) ")
 
 
 def test_equal_names_and_folders_get_numbers(tmp_path):
@@ -289,7 +302,7 @@ def test_table_page_and_terminal_show_the_metrics_of_the_folders(compared):
         cells = line.strip("| ").split(" | ")
         error = f"{1e3 * metrics['load']['position_error_mean_m']:.3f}"
         speed = f"{metrics['carriers']['speed_min_m_s']:.3f}"
-        assert (cells[1], cells[5]) == (error, speed)
+        assert (cells[1], cells[2], cells[6]) == (metrics["outcome"], error, speed)
         assert f"<td>{error}</td>" in page
         assert error in next(line for line in shown.splitlines() if line.startswith(f"{name} "))
 

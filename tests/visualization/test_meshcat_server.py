@@ -7,9 +7,10 @@ from drake_nonstop.visualization.meshcat_server import start_meshcat
 
 
 def test_a_taken_port_is_refused():
-    first = start_meshcat()
-    with pytest.raises(ScenarioError, match=f"--port = {first.port()}: give a free port"):
-        start_meshcat(first.port())
+    meshcat = start_meshcat()
+    taken = int(meshcat.web_url().rsplit(":", 1)[1])
+    with pytest.raises(ScenarioError, match=f"--port = {taken}: give a free port"):
+        start_meshcat(taken)
 
 
 @pytest.mark.parametrize("port", [-1, 80, 65536])

@@ -1,6 +1,7 @@
 """The page of a replay; test_replay_page.py plays it in a browser."""
 
 import base64
+import gzip
 import logging
 import re
 
@@ -11,6 +12,7 @@ from helpers import circling_run
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.visualization import replay
 from drake_nonstop.visualization.replay import record_replay
 
 MEGABYTE = 1e6
@@ -30,7 +32,9 @@ def shortened(run, samples):
 
 def commands(html):
     """What the page tells the viewer, each in msgpack."""
-    return map(base64.b64decode, re.findall(r"octet-binary;base64,([\w+/=]+)", html))
+    for kind, text in re.findall(r"application/(octet-binary|gzip);base64,([\w+/=]+)", html):
+        content = base64.b64decode(text)
+        yield gzip.decompress(content) if kind == "gzip" else content
 
 
 def paths(html):
@@ -70,6 +74,24 @@ def test_page_of_a_simulated_run_shows_all_bodies(simulated):
 
 def test_thirty_seconds_of_four_carriers_take_less_than_five_megabytes():
     assert len(record_replay(circling_run(duration=30.0))) < 5 * MEGABYTE
+
+
+@pytest.mark.parametrize("n", [4, 12])
+def test_a_long_replay_has_fewer_frames_and_stays_below_twenty_megabytes(n, monkeypatch):
+    part = 20  # of a run of 2,000 s
+    empty = len(record_replay(circling_run(n, duration=0.01)))
+    monkeypatch.setattr(replay, "_MOST_POSES", replay._MOST_POSES // part)
+    run = circling_run(n, duration=2000.0 / part)
+    dip = 5003  # a sample between two frames
+    run.signal("carrier_state")[dip, 3 * n :] *= 0.1
+    html = record_replay(run)
+    assert empty + part * (len(html) - empty) < 20 * MEGABYTE
+    rate = float(re.search(r"a long run: (\S+) frames per second", html)[1])
+    bound, slowest = polyline(html, 0), polyline(html, 1)
+    assert 2000 / part - bound[-1, 0] < 1 / rate
+    np.testing.assert_allclose(np.diff(bound[:, 0]), 1 / rate, rtol=5e-3)
+    assert 50.03 in slowest[:, 0]
+    assert slowest[:, 1].argmin() == np.flatnonzero(slowest[:, 0] == 50.03)[0]
 
 
 def test_page_compares_the_slowest_carrier_with_the_bound(simulated):

@@ -1,5 +1,6 @@
 """Grids: variants of a scenario by name, from files."""
 
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -18,6 +19,7 @@ from drake_nonstop.scenario.overrides import (
 from drake_nonstop.validation import require
 
 GRIDS = diagrams.FOLDER / "grids"
+_MAX_VARIANTS = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +46,8 @@ def read_grid(name_or_file: str | Path) -> Grid:
     Raises:
         ScenarioError: there is no such grid or file, or its content cannot be used.
     """
+    is_path = isinstance(name_or_file, (str, Path))
+    require(is_path, "--grid", name_or_file, "give a grid's name, or a .yaml file")
     path = Path(name_or_file)
     if path.suffix not in (".yaml", ".yml"):
         names = grid_names()
@@ -92,6 +96,8 @@ def _combined(entries: Mapping[str, Any], source: str) -> dict[str, list[str]]:
     """A variant for every combination of the values, named by them."""
     for path, values in entries.items():
         require_choices(values, f"{source}.{path}")
+    count = math.prod(map(len, entries.values()))
+    require(count <= _MAX_VARIANTS, source, f"{count} variants", f"give at most {_MAX_VARIANTS}")
     variants = ([as_override(*item) for item in c.items()] for c in combinations(entries))
     return {name_overrides(overrides): overrides for overrides in variants}
 

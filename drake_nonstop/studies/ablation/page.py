@@ -17,6 +17,7 @@ from drake_nonstop.simulation.metrics import value_at
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.studies.ablation.rows import (
+    OUTCOME,
     POSITION_ERROR,
     SLOWEST_SPEED,
     TIME_BELOW_BOUND,
@@ -32,6 +33,7 @@ from drake_nonstop.studies.ablation.tables import (
 from drake_nonstop.studies.figures import make_overlay_figure
 from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.studies.run_all import COMPLETED
+from drake_nonstop.visualization.decimation import extreme_samples
 from drake_nonstop.visualization.replay import legend
 
 PAGE = "index.html"
@@ -40,7 +42,10 @@ PLOTS = ("position_error.png", "slowest_speed.png", "tension_min.png")
 
 @dataclass(kw_only=True)
 class Curves:
-    """The curves of a run in the plots: samples at 100 Hz, and steps of the integrator."""
+    """The curves of a run in the plots: samples at 100 Hz, and steps of the integrator.
+
+    Of a long run they have its extreme values only: those of all runs are in memory at once.
+    """
 
     sample_times: NDArray  # (samples,), s
     position_error: NDArray  # (samples,), m
@@ -53,13 +58,23 @@ class Curves:
     def of(cls, run: Run) -> "Curves":
         """The curves of a run."""
         quantities = RunQuantities(run)
+        errors = quantities.position_error
+        steps = np.column_stack(
+            [
+                quantities.speeds.min(axis=1),
+                quantities.speed_bounds,
+                quantities.tensions.min(axis=1),
+            ]
+        )
+        sampled, stepped = extreme_samples(errors), extreme_samples(steps)
+        slowest_speed, speed_bound, least_tension = steps[stepped].T
         return cls(
-            sample_times=run.time,
-            position_error=quantities.position_error,
-            step_times=quantities.time,
-            slowest_speed=quantities.speeds.min(axis=1),
-            speed_bound=quantities.speed_bounds,
-            least_tension=quantities.tensions.min(axis=1),
+            sample_times=run.time[sampled],
+            position_error=errors[sampled],
+            step_times=quantities.time[stepped],
+            slowest_speed=slowest_speed,
+            speed_bound=speed_bound,
+            least_tension=least_tension,
         )
 
     def save(self, path: Path) -> None:
@@ -172,8 +187,8 @@ def _table_row(row: Row, base: Row) -> str:
 def _card(row: Row) -> str:
     """The place of a replay, with some metrics."""
     figures = (
-        f"error {shown(POSITION_ERROR, row)} mm · slowest {shown(SLOWEST_SPEED, row)} m/s · "
-        f"below ε for {shown(TIME_BELOW_BOUND, row)} s"
+        f"{shown(OUTCOME, row)} · error {shown(POSITION_ERROR, row)} mm · "
+        f"slowest {shown(SLOWEST_SPEED, row)} m/s · below ε for {shown(TIME_BELOW_BOUND, row)} s"
     )
     page = f"{quote(row.folder)}/replay.html"
     return (

@@ -9,6 +9,7 @@ from drake_nonstop.studies.run_all import COMPLETED
 
 BASE = "as it is"  # the name of the scenario without any change
 
+OUTCOME = metric_at("outcome")
 POSITION_ERROR = metric_at("load.position_error_mean_m")
 TIME_BELOW_BOUND = metric_at("carriers.time_below_bound_s")
 SLOWEST_SPEED = metric_at("carriers.speed_min_m_s")

@@ -18,7 +18,7 @@ from drake_nonstop.studies.ablation.rows import (
 )
 from drake_nonstop.studies.run_all import COMPLETED
 
-_NAME_WIDTH = 30  # characters, of a variant in the terminal
+_NAME_WIDTH = 26  # characters, of a variant in the terminal
 _NO_VALUE = "–"  # in place of what was not measured
 _SMALLEST_CHANGE = 0.0005  # as shown; a smaller one is shown as ≈ 0
 
@@ -90,7 +90,7 @@ def _flattened(metrics: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
 
 
 def as_markdown(rows: Sequence[Row]) -> str:
-    """The table, the order by the time below the bound, and why variants did not complete."""
+    """The table, the order by the time below the bound, and problems."""
     headings = ["variant", *(column.heading for column in COLUMNS)]
     lines = [_markdown_line(headings), _markdown_line(["---"] + ["---:"] * len(COLUMNS))]
     lines += [_markdown_line([labelled(row), *_cells(row, rows[0])]) for row in rows]
@@ -168,8 +168,12 @@ def effects_on_bound(rows: Sequence[Row]) -> tuple[list[tuple[Row, str]], list[s
 
 
 def problems_of(rows: Sequence[Row]) -> list[str]:
-    """A line for each variant that did not complete."""
-    return [f"{labelled(row)}: {row.message}" for row in rows if row.ending != COMPLETED]
+    """A line for each variant that did not complete, and for each warning about a run."""
+    problems = [f"{labelled(row)}: {row.message}" for row in rows if row.ending != COMPLETED]
+    for row in rows:
+        warnings = (row.metrics or {}).get("warnings", ())
+        problems += [f"{labelled(row)}: warning: {warning}" for warning in warnings]
+    return problems
 
 
 def labelled(row: Row) -> str:
@@ -178,10 +182,12 @@ def labelled(row: Row) -> str:
 
 
 def shown(metric: Metric, row: Row) -> str:
-    """A row's metric in three digits, or less where it is small."""
+    """A row's metric: a text, or a number in three digits, or less where it is small."""
     value = metric.shown(metric.value(row.metrics))
     if value is None:
         return _NO_VALUE
+    if isinstance(value, str):
+        return value
     if isinstance(value, int) or value == 0:
         return f"{value:.0f}"
     if abs(value) < 1e-4:

@@ -1,0 +1,49 @@
+"""The parser of the command, with all its subcommands."""
+
+import argparse
+
+from drake_nonstop.cli import (
+    ablate,
+    bench,
+    blocks,
+    list_scenarios,
+    new,
+    pictures,
+    report,
+    robustness,
+    run,
+    stability,
+    sweep,
+    view,
+)
+from drake_nonstop.version import __version__
+
+# Each has `add_to`, which adds its parser; the help lists them in this order.
+_COMMANDS = (
+    list_scenarios,
+    blocks,
+    new,
+    run,
+    view,
+    stability,
+    robustness,
+    ablate,
+    sweep,
+    pictures,
+    report,
+    bench,
+)
+STUDIES = ("stability", "robustness", "ablate", "sweep")
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser; `command` is the subcommand's name, `action` its function."""
+    parser = argparse.ArgumentParser(
+        prog="drake-nonstop",
+        description="Simulate carriers that fly a load on cables without ever stopping.",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
+    for command in _COMMANDS:
+        command.add_to(commands)
+    return parser

@@ -1,0 +1,117 @@
+"""The public names, in the order of the figure.
+
+What a run is, the boxes and what they can be swapped for, and how they are put together, simulated
+and judged. `drake_nonstop` has them all.
+"""
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.blocks.load_trajectory import LoadTrajectory
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
+from drake_nonstop.model.pattern import (
+    CarouselConfig,
+    HamiltonianCycleConfig,
+    LinearPatternConfig,
+    SpreadCarouselConfig,
+)
+from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.optimization.diagnostics import Outcome
+from drake_nonstop.scenario.loading import (
+    dump_scenario,
+    load_scenario,
+    parse_scenario,
+    scenario_names,
+)
+from drake_nonstop.scenario.run_limits import RunLimits
+from drake_nonstop.scenario.scene_config import SceneConfig
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.simulation.metrics import compute_metrics
+from drake_nonstop.simulation.outcome import RunOutcome
+from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
+from drake_nonstop.simulation.simulate import simulate, verify_step
+from drake_nonstop.studies.ablation import ablate, read_grid
+from drake_nonstop.studies.journal import StudyInterrupted
+from drake_nonstop.studies.results_folder import write_results
+from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
+from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
+from drake_nonstop.systems.traced_block import Equations, TracedBlock
+from drake_nonstop.validation import ScenarioError, ScenarioWarning
+from drake_nonstop.version import __version__
+from drake_nonstop.visualization.drawing import draw_diagram
+from drake_nonstop.visualization.live import run_live
+from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer, show_in
+from drake_nonstop.visualization.progress import RunProgress, TaskProgress
+from drake_nonstop.visualization.replay import record_replay
+
+__all__ = [  # noqa: RUF022 - in the order of the figure
+    # what a run is
+    "Scenario",
+    "load_scenario",
+    "parse_scenario",
+    "dump_scenario",
+    "scenario_names",
+    "RunLimits",
+    "SystemParameters",
+    "HamiltonianCycleConfig",
+    "CarouselConfig",
+    "SpreadCarouselConfig",
+    "LinearPatternConfig",
+    "Model",
+    "LoadTrajectory",
+    "Equations",
+    "FusedPlant",
+    "Outcome",
+    "SampleAndHold",
+    "TracedBlock",
+    # put together, simulated, judged
+    "make_nonstop",
+    "set_equilibrium",
+    "simulate",
+    "verify_step",
+    "StepAction",
+    "StepCheck",
+    "Run",
+    "RunStopped",
+    "RunInterrupted",
+    "compute_metrics",
+    "RunOutcome",
+    "write_results",
+    "ablate",
+    "read_grid",
+    "sweep",
+    "read_sweep",
+    "SweepSpec",
+    "PlannedRun",
+    "Sweep",
+    "SweepInterrupted",
+    "StudyInterrupted",
+    "draw_diagram",
+    # watched
+    "NonstopVisualizer",
+    "show_in",
+    "SceneConfig",
+    "start_meshcat",
+    "run_live",
+    "record_replay",
+    "RunProgress",
+    "TaskProgress",
+    "ScenarioError",
+    "ScenarioWarning",
+    "__version__",
+]
+
+# Every block that a box can be, and its config: blocks are listed in their own modules alone.
+for _block in (block for box in BOXES.values() for block in box.variants):
+    for _name in (_block.__name__, f"{_block.__name__}Config"):
+        globals()[_name] = getattr(sys.modules[_block.__module__], _name)
+        __all__ += [_name]
+
+if TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        """Any block or config, for type checkers, which do not run the loop above."""

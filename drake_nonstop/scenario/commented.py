@@ -1,0 +1,66 @@
+"""A scenario as a YAML file to start from: every field, with its unit and meaning."""
+
+import textwrap
+from typing import Any
+
+from drake_nonstop.scenario.describe import meanings
+from drake_nonstop.scenario.schema import CHOICES, Scenario
+from drake_nonstop.scenario.tree import Tree, block_name, to_tree
+from drake_nonstop.scenario.yaml_text import dump_plain
+
+_COMMENT_COLUMN = 44  # where comments begin
+_LINE_WIDTH = 100  # characters; a comment for which there is no room stands above its field
+_HEADING = """\
+# {name} with every field; lines that you delete have their defaults.
+# Vectors are in the world frame W, or where a comment says so in the load's frame L.
+"""
+
+
+def commented_scenario(scenario: Scenario, name: str) -> str:
+    """The scenario as YAML under another name; `parse_scenario` reads it.
+
+    Each field stands in a line of its own with a comment, and each box with its other blocks.
+    """
+    about = meanings(Scenario)
+    lines = [f"{name}:"]
+    for key, value in to_tree(scenario).items():
+        config = getattr(scenario, key)
+        if not isinstance(value, dict):
+            lines += _field(1, key, value, about.get(key, ""))
+        elif key in CHOICES:
+            lines += ["", *_box(key, value, type(config))]
+        else:
+            lines += ["", *_mapping(key, "", about.get(key, ""), value, type(config))]
+    return _HEADING.format(name=scenario.name) + "\n".join(lines) + "\n"
+
+
+def _box(name: str, entry: Tree, config: type) -> list[str]:
+    """A box of the figure, below the other blocks that it can be."""
+    fields = {key: value for key, value in entry.items() if key != "_tag"}
+    others = [block_name(choice) for choice in CHOICES[name] if choice is not config]
+    return _mapping(
+        name, entry["_tag"], f"or {', '.join(others)}" if others else "", fields, config
+    )
+
+
+def _mapping(name: str, tag: str, comment: str, fields: Tree, config: type) -> list[str]:
+    """A key with a mapping below it, a line for each field."""
+    about = meanings(config)
+    head = " ".join(filter(None, [f"  {name}:", tag, "" if fields else "{}"]))
+    below = [line for key in fields for line in _field(2, key, fields[key], about.get(key, ""))]
+    return [*_wrapped(1, comment), head, *below]
+
+
+def _field(depth: int, key: str, value: Any, comment: str) -> list[str]:
+    """A field with its comment."""
+    text = f"{'  ' * depth}{key}: {dump_plain(value)}"
+    beside = f"{text:{_COMMENT_COLUMN}}  # {comment}"
+    if not comment or len(beside) <= _LINE_WIDTH:
+        return [beside if comment else text]
+    return [*_wrapped(depth, comment), text]
+
+
+def _wrapped(depth: int, comment: str) -> list[str]:
+    """A comment in lines of its own."""
+    start = f"{'  ' * depth}# "
+    return [start + line for line in textwrap.wrap(comment, _LINE_WIDTH - len(start))]

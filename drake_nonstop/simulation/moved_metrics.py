@@ -1,0 +1,73 @@
+"""Which metrics of a run move with the integrator's step."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from drake_nonstop.simulation.metrics import METRICS, Metric
+
+_SHARE = 0.02  # of a value; what a metric may move by
+_LENGTH = 1e-3  # m; what a length may move by, whatever its value
+
+# What the other metrics have to move by besides, in the unit that ends their path: less is the
+# grain that they are measured with (a time is counted in steps, an update is one), or does not
+# matter for a carrier. Radii of turns are lengths of which a share counts, not a distance.
+_GRAINS = {
+    "turn_radius_min_m": 1e-3,
+    "rad": 1e-3,
+    "m_s": 2e-3,
+    "m_s2": 1e-2,
+    "rad_s": 2e-3,
+    "N": 1e-2,
+    "s": 0.02,
+}
+_COUNT = 2  # updates
+TOLERANCES = f"lengths by {1e3 * _LENGTH:g} mm, others by {_SHARE:.0%}"
+_STEP = "simulator.step_s"  # what differs between the two
+
+
+@dataclass(frozen=True, kw_only=True)
+class Move:
+    """A metric that differs between a run and the same with shorter steps."""
+
+    metric: Metric
+    value: float | None  # of the run
+    finer: float | None  # of that with shorter steps
+
+    def __str__(self) -> str:
+        return f"{self.metric.label}: {self.shown}"
+
+    @property
+    def shown(self) -> str:
+        """Such as "0.262 N, and 0.696 N"."""
+        values = [self.metric.shown(value) for value in (self.value, self.finer)]
+        unit = f" {self.metric.unit}" if self.metric.unit else ""
+        return ", and ".join("none" if v is None else f"{v:.4g}{unit}" for v in values)
+
+
+def moved_metrics(metrics: Mapping[str, Any], finer: Mapping[str, Any]) -> list[Move]:
+    """The metrics that differ between a run's and those of the same with shorter steps.
+
+    A length moves by more than 1 mm; anything else by more than 2 % of its value and more than
+    its grain. Wall times, texts and lists are left out.
+    """
+    moves = []
+    for metric in METRICS:
+        if metric.is_wall_time or metric.is_list or metric.path == _STEP:
+            continue
+        values = metric.value(metrics), metric.value(finer)
+        if values[0] == values[1] or any(isinstance(value, str) for value in values):
+            continue
+        if None in values or abs(values[0] - values[1]) > _tolerance(metric.path, *values):
+            moves.append(Move(metric=metric, value=values[0], finer=values[1]))
+    return moves
+
+
+def _tolerance(path: str, value: float, finer: float) -> float:
+    name = path.split(".")[-1]
+    for ending, grain in _GRAINS.items():
+        if name == ending or name.endswith(f"_{ending}"):
+            return max(grain, _SHARE * max(abs(value), abs(finer)))
+    if name.endswith("_m"):
+        return _LENGTH
+    return max(_COUNT, _SHARE * max(abs(value), abs(finer)))

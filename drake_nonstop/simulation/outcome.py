@@ -1,0 +1,227 @@
+"""What became of a run: its outcome with the reasons, and what it is warned about.
+
+`LIMITS` has a row for each limit of a scenario that a run is held against.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from operator import attrgetter
+
+import numpy as np
+
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.validation import is_number
+
+_ROUNDING = 1e-3  # of a limit that a block aims at, by which it may be missed
+_DECIMALS = 9  # of a quantity that is shown
+
+
+class RunOutcome(str, Enum):
+    """What became of a run, the worst first."""
+
+    STOPPED = "stopped"  # it diverged, a block failed, or it was ended before its time
+    LOAD_LOST = "load_lost"  # the load did not follow its reference
+    COLLISION = "collision"  # carriers or cables came too close to each other
+    CABLES_SLACK = "cables_slack"
+    BOUND_MISSED = "bound_missed"  # a carrier was below ε
+    UNCONVERGED = "unconverged"  # the integrator's step does not resolve the results
+    OK = "ok"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """The outcome of a run, and a sentence for each reason, of the worst outcome first."""
+
+    outcome: RunOutcome
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """A limit of a scenario: what it bounds, and what is said of a run beyond it."""
+
+    path: str  # in the scenario; one without such a field, or without a number there, has no limit
+    sentence: str  # with {} for the quantity
+    unit: str
+    measure: Callable[[RunQuantities], float | None]  # None: unknown
+    share_of: Callable[[RunQuantities], float] = lambda run: 1.0  # what the limit is a share of
+    is_least: bool = False  # a lower limit
+    tolerance: float = 0.0  # of the limit
+    outcome: RunOutcome | None = None  # of a run beyond it; None: a warning only
+
+    def complaint(self, run: RunQuantities) -> str | None:
+        """The sentence about a run beyond the limit; None for a run within it."""
+        stated = self._stated_in(run.run.scenario)
+        value = self.measure(run)
+        if stated is None or value is None:
+            return None
+        limit = stated * self.share_of(run)
+        beyond = self.tolerance * abs(limit) if math.isfinite(limit) else 0.0
+        if value >= limit - beyond if self.is_least else value <= limit + beyond:
+            return None
+        shown, bound = _told_apart(value, limit)
+        sentence = self.sentence.format(f"{shown} {self.unit}")
+        return f"{sentence} ({self.path}: {bound} {self.unit})"
+
+    def _stated_in(self, scenario: Scenario) -> float | None:
+        try:
+            value = attrgetter(self.path)(scenario)
+        except AttributeError:
+            return None
+        return value if is_number(value) or value == math.inf else None
+
+
+LIMITS = (
+    Limit(
+        path="limits.position_error",
+        outcome=RunOutcome.LOAD_LOST,
+        sentence="the load was {} from its reference",
+        unit="m",
+        measure=lambda run: float(np.max(run.position_error)),
+        share_of=lambda run: run.reach,
+    ),
+    Limit(
+        path="limits.orientation_error",
+        outcome=RunOutcome.LOAD_LOST,
+        sentence="the load was turned by {} from its reference",
+        unit="rad",
+        measure=lambda run: float(np.max(run.orientation_error)),
+    ),
+    Limit(
+        path="limits.carrier_distance",
+        outcome=RunOutcome.COLLISION,
+        sentence="two carriers came within {} of each other",
+        unit="m",
+        measure=lambda run: run.carrier_separation,
+        share_of=lambda run: run.reach,
+        is_least=True,
+    ),
+    Limit(
+        path="limits.cable_distance",
+        outcome=RunOutcome.COLLISION,
+        sentence="two cables came within {} of each other",
+        unit="m",
+        measure=lambda run: run.closest_cables_for_attachments[0],
+        share_of=lambda run: run.closest_cables_for_attachments[1],
+        is_least=True,
+    ),
+    Limit(
+        path="limits.slack_time",
+        outcome=RunOutcome.CABLES_SLACK,
+        sentence="a cable was slack for {}",
+        unit="s",
+        measure=lambda run: run.slack_time,
+    ),
+    Limit(
+        path="limits.time_below_bound",
+        outcome=RunOutcome.BOUND_MISSED,
+        sentence="a carrier was below the bound for {}",
+        unit="s",
+        measure=lambda run: run.time_below_bound,
+    ),
+    Limit(
+        path="limits.speed",
+        sentence="not plausible: a carrier flew at {}",
+        unit="m/s",
+        measure=lambda run: float(np.max(run.speeds)),
+    ),
+    Limit(
+        path="limits.acceleration",
+        sentence="not plausible: a carrier was accelerated by {}",
+        unit="m/s²",
+        measure=lambda run: run.largest_acceleration,
+    ),
+    Limit(
+        path="limits.tension",
+        sentence="not plausible: a cable's tension rose to {}",
+        unit="N",
+        measure=lambda run: float(np.max(run.tensions)),
+        share_of=lambda run: run.load_weight,
+    ),
+    # What blocks aim at. They command it; what is simulated follows with an error.
+    *(
+        limit
+        for box in ("optimization_layer", "force_distribution")
+        for limit in (
+            Limit(
+                path=f"{box}.min_tension",
+                sentence="a cable's tension fell to {}",
+                unit="N",
+                measure=lambda run: float(np.min(run.tensions)),
+                is_least=True,
+                tolerance=_ROUNDING,
+            ),
+            Limit(
+                path=f"{box}.max_tension",
+                sentence="a cable's tension rose to {}",
+                unit="N",
+                measure=lambda run: float(np.max(run.tensions)),
+                tolerance=_ROUNDING,
+            ),
+        )
+    ),
+    Limit(
+        path="optimization_layer.max_speed",
+        sentence="a carrier flew at {}",
+        unit="m/s",
+        measure=lambda run: float(np.max(run.speeds)),
+        tolerance=_ROUNDING,
+    ),
+    Limit(
+        path="optimization_layer.min_separation",
+        sentence="two carriers came within {} of each other",
+        unit="m",
+        measure=lambda run: run.carrier_separation,
+        is_least=True,
+        tolerance=_ROUNDING,
+    ),
+    Limit(
+        path="carrier_dynamics.max_force",
+        sentence="a carrier was asked for a force of {}",
+        unit="N",
+        measure=lambda run: run.largest_carrier_force,
+        tolerance=_ROUNDING,
+    ),
+)
+
+
+def judge(run: RunQuantities) -> Judgement:
+    """The outcome of a run, the worst of all that is wrong with it, and all reasons."""
+    wrong = [
+        (limit.outcome, sentence)
+        for limit in LIMITS
+        if limit.outcome is not None and (sentence := limit.complaint(run)) is not None
+    ]
+    if run.run.stopped:
+        wrong.append((RunOutcome.STOPPED, run.run.stopped))
+    wrong += [(RunOutcome.UNCONVERGED, sentence) for sentence in run.run.unresolved]
+    severity = list(RunOutcome)
+    wrong.sort(key=lambda item: severity.index(item[0]))
+    worst = wrong[0][0] if wrong else RunOutcome.OK
+    return Judgement(outcome=worst, reasons=tuple(sentence for _, sentence in wrong))
+
+
+def find_warnings(run: RunQuantities) -> list[str]:
+    """What is not as it should be in a run and decides no outcome, a sentence each."""
+    found = [
+        sentence
+        for limit in LIMITS
+        if limit.outcome is None and (sentence := limit.complaint(run)) is not None
+    ]
+    unsolved = run.update_counts["relaxed"] + run.update_counts["held"]
+    if unsolved:
+        found.append(f"no parameters fulfilled the bound at {unsolved} updates (relaxed, held)")
+    return found
+
+
+def _told_apart(value: float, limit: float) -> tuple[str, str]:
+    """Both numbers, in three digits or as many as tell them apart."""
+    value = round(value, _DECIMALS)
+    for digits in range(3, 17):
+        texts = f"{value:.{digits}g}", f"{limit:.{digits}g}"
+        if texts[0] != texts[1]:
+            break
+    return texts

@@ -1,0 +1,154 @@
+"""Whether a run's steps resolve its results."""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import Context
+
+from drake_nonstop.mechanics.signals import CarrierStates, LoadState
+from drake_nonstop.simulation.metrics import compute_metrics
+from drake_nonstop.simulation.moved_metrics import moved_metrics
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
+from drake_nonstop.simulation.short_flights import (
+    Flight,
+    SavedState,
+    ShortFlights,
+    difference,
+    tolerated_speeds,
+    tolerated_tensions,
+)
+from drake_nonstop.simulation.step_size import has_chosen_steps, with_step
+
+_SAVING_PERIOD = 0.25  # s; longer where there would be more states than the largest number
+_MOST_STATES = 256
+_FLIGHT = 0.04  # s, or longer: two samples of the controllers
+_FAR = 0.25  # a `difference` of a short flight that is in doubt
+_ORDER = 4  # of the differences
+_ROUGH = 0.13  # a `difference` in a step that is in doubt; the next steps add to it
+
+
+class SavedStates:
+    """States of the loop during a run, some time apart."""
+
+    def __init__(self) -> None:
+        self.states: list[SavedState] = []
+        self._period = _SAVING_PERIOD
+        self._next = 0.0
+
+    def save(self, context: Context) -> None:
+        """Saves the loop's state, if it is time."""
+        if context.get_time() < self._next:
+            return
+        self.states.append(SavedState.of(context))
+        if len(self.states) > _MOST_STATES:
+            self.states = self.states[::2]
+            self._period *= 2
+        self._next = self.states[-1].time + (1 - 1e-6) * self._period
+
+
+def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
+    """Whether something in a run tells that half its step may change the metrics.
+
+    That is a slack cable, since an instant at which a force ends is resolved by no step; fourth
+    differences of velocities or tensions, the measure of a third-order scheme's error, that are
+    large; or the hardest parts of the run, flown again with half the step, that differ from it.
+
+    Args:
+        run: what is judged.
+        states: of the run, saved on its way.
+        context: of the run's diagram, with its parameters.
+    """
+    if len(run.time) <= _ORDER + 1 or not _has_all_signals(run):
+        return False
+    if np.min(run.steps["tensions"]) <= 0:
+        return True
+    flown = _flown(run)
+    roughness = _roughness(run, flown)
+    if np.max(roughness) > _ROUGH:
+        return True
+    config = with_step(run.scenario.simulator, run.step)
+    period = run.scenario.control_period
+    flights = ShortFlights(run.diagram, context, config, period)
+    time = max(_FLIGHT, 2 * period)
+    hardest = (
+        np.argmin(np.min(flown.tensions, axis=1)),
+        np.argmin(np.min(flown.speeds, axis=1)),
+        np.argmax(roughness),
+    )
+    for i in sorted({_before(float(run.time[instant]), states) for instant in hardest}):
+        if states[i].time + time > run.time[-1] - SIGNAL_PERIOD:
+            continue
+        try:
+            finer = flights.fly(states[i], time, 2)
+        except Exception:  # whatever blocks may raise, which they did not in the run
+            return True
+        if difference(flown.at(np.round(finer.time / SIGNAL_PERIOD).astype(int)), finer) > _FAR:
+            return True
+    return False
+
+
+def _has_all_signals(run: Run) -> bool:
+    made = {name.split(".")[1] for name in run.signals}
+    return made >= {"tensions", "carrier_state", "load_state"}
+
+
+def _flown(run: Run) -> Flight:
+    """The run as a flight."""
+    velocities = CarrierStates.view(run.signal("carrier_state")).velocities
+    return Flight(
+        time=run.time,
+        tensions=run.signal("tensions"),
+        speeds=np.linalg.norm(velocities, axis=2),
+        load_velocity=LoadState.view(run.signal("load_state")).velocity,
+    )
+
+
+def _roughness(run: Run, flown: Flight) -> NDArray:
+    """The error (samples - 4,) of a step that fourth differences tell, as `difference` counts it.
+
+    A step h of a third-order scheme is wrong by about h⁴ v⁗ / 24.
+    """
+    velocities = CarrierStates.view(run.signal("carrier_state")).velocities
+    speeds = np.linalg.norm(np.diff(velocities, _ORDER, axis=0), axis=2)
+    tensions = np.abs(np.diff(flown.tensions, _ORDER, axis=0))
+    middle = flown.at(np.arange(2, len(run.time) - 2))
+    largest = np.maximum(
+        np.max(speeds / tolerated_speeds(middle), axis=1),
+        np.max(tensions / tolerated_tensions(middle), axis=1),
+    )
+    config = run.scenario.simulator
+    share = min(1.0, run.step / SIGNAL_PERIOD) if has_chosen_steps(config) else 0.5
+    return largest * share**_ORDER / math.factorial(_ORDER)
+
+
+def _before(instant: float, states: list[SavedState]) -> int:
+    """The last of the states up to the instant."""
+    times = [state.time for state in states]
+    return max(0, int(np.searchsorted(times, instant, side="right")) - 1)
+
+
+def compared(run: Run, half: Run) -> Run:
+    """The run with what its metrics and those of the same with half the step tell."""
+    moves = moved_metrics(compute_metrics(run), compute_metrics(half))
+    half_step = {
+        "step_s": half.step,
+        "moved": {move.metric.path: [move.value, move.finer] for move in moves},
+    }
+    unresolved = [
+        f"the {move.metric.label} is not resolved by steps of {1e3 * run.step:.3g} ms: "
+        f"{move.shown} with half of them"
+        for move in moves
+    ]
+    if unresolved:
+        unresolved[0] += f"; give a shorter simulator.max_step_size, such as {half.step / 2:.2g}"
+    return dataclasses.replace(run, unresolved=tuple(unresolved), half_step=half_step)
+
+
+def in_doubt(step: float) -> str:
+    """What `Run.unresolved` says of a run in doubt that cannot be flown again."""
+    return (
+        f"parts of the run, flown again, differ with half of the steps of {1e3 * step:.3g} ms; "
+        f"give a shorter simulator.max_step_size, such as {step / 4:.2g}"
+    )

@@ -1,0 +1,305 @@
+"""Calls of the public functions and classes with wrong types, shapes, numbers and names.
+
+Each case is a few lines of Python. A fault is an error other than ScenarioError (or the end of a
+run), and a call that accepts what has no meaning.
+"""
+
+import dataclasses
+import inspect
+from pathlib import Path
+
+import numpy as np
+
+import drake_nonstop
+from adversary.api import attempt_call
+from adversary.values import paths, resolved, scenario_name
+from adversary.verdicts import ACCEPTED, MISREAD, Case, Verdict
+from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.scenario.tree import block_name
+
+_ALIENS = (
+    *("None", "42", "-1", "3.5", "True", "'text'", "''", "b'bytes'", "[]", "()", "{}", "object()"),
+    *(
+        "math.nan",
+        "math.inf",
+        "-math.inf",
+        "np.nan",
+        "1e30",
+        "10**400",
+        "np.float64(2)",
+        "np.int64(3)",
+    ),
+    *("np.zeros(3)", "np.zeros((2, 2))", "np.array([])", "np.array('x')", "np.full(3, np.nan)"),
+    *(
+        "[1, 2]",
+        "[[1, 2], [3]]",
+        "{'a': 1}",
+        "lambda: None",
+        "print",
+        "int",
+        "Scenario",
+        "Scenario()",
+    ),
+    *(
+        "Path('.')",
+        "Path('no_such.yaml')",
+        "'/dev/full'",
+        "'no_such'",
+        "range(3)",
+        "iter([])",
+        "1j",
+    ),
+    *("dataclasses", "CarrierPid", "CarrierPidConfig", "CarrierPidConfig()", "ConstantParameters"),
+    *("decimal.Decimal('1.5')", "fractions.Fraction(1, 3)", "set()", "...", "float", "'é' * 300"),
+)
+_RUN = "run = simulate(load_scenario('quintic', ['duration=0.02']))\n"
+_SCENARIO = "scenario = load_scenario({name!r}, ['duration=0.02'])\n"
+
+# What is called, with `{}` for each drawn argument.
+_CALLS = (
+    "load_scenario({})",
+    "load_scenario('quintic', {})",
+    "load_scenario('quintic', [{}])",
+    "load_scenario('quintic', ['duration=1'], trust={})",
+    "parse_scenario({})",
+    "parse_scenario('a: {{duration: 1}}', {})",
+    "dump_scenario({})",
+    "simulate({})",
+    "simulate(Scenario(duration=0.02), progress={})",
+    "simulate(Scenario(duration=0.02), viewers={})",
+    "simulate(Scenario(duration=0.02), viewers=[{}])",
+    "simulate(Scenario(duration=0.02), after_step={})",
+    "make_nonstop({})",
+    "make_nonstop(Scenario(), no_such_box={})",
+    "set_equilibrium({}, {})",
+    "set_equilibrium(make_nonstop(Scenario()), {})",
+    _RUN + "compute_metrics({})",
+    _RUN + "write_results({}, 'out')",
+    _RUN + "write_results(run, {})",
+    _RUN + "write_results(run, 'out', figures={}, replay={})",
+    _RUN + "run.signal({})",
+    _RUN + "run.signal('cables.tensions')",
+    _RUN + "run.signal('tension')",
+    _RUN + "record_replay({})",
+    "draw_diagram({})",
+    "ablate({}, {{'a': ['duration=0.02']}}, 'out')",
+    "ablate(Scenario(duration=0.02), {}, 'out')",
+    "ablate(Scenario(duration=0.02), {{'a': {}}}, 'out')",
+    "ablate(Scenario(duration=0.02), {{'a': [{}]}}, 'out')",
+    "ablate(Scenario(duration=0.02), [({}, ['phase=PaperPhase'])], 'out')",
+    "ablate(Scenario(duration=0.02), [{}], 'out')",
+    "ablate(Scenario(duration=0.02), {{'a': ['phase=No']}}, {})",
+    "read_grid({})",
+    "read_sweep({})",
+    "sweep(Scenario(), {}, 'out')",
+    "sweep({}, SweepSpec(grid={{'duration': [0.01]}}), 'out', executor=SerialExecutor())",
+    "sweep(Scenario(), SweepSpec(grid={{'duration': [0.01]}}), {}, executor=SerialExecutor())",
+    "sweep(Scenario(), SweepSpec(grid={{'duration': [0.01]}}), 'out', executor={})",
+    "sweep(Scenario(), SweepSpec(grid={{'duration': [{}]}}), 'out', executor=SerialExecutor())",
+    "sweep(Scenario(), SweepSpec(grid={{{}: [0.01]}}), 'out', executor=SerialExecutor())",
+    "sweep(Scenario(), SweepSpec(overrides=[{}], grid={{'duration': [0.01]}}), 'out')",
+    "SweepSpec(grid={})",
+    "SweepSpec(grid={{'duration': {}}})",
+    "SweepSpec(draws={{'duration': {}}}, runs=2)",
+    "SweepSpec(draws={{'duration': {{'uniform': {}}}}}, runs=2)",
+    "SweepSpec(draws={{'duration': {{'uniform': [{}, 1]}}}}, runs=2)",
+    "SweepSpec(draws={{'duration': {{'choice': [{}, 1]}}}}, runs=2).run(0)",
+    "SweepSpec(draws={{'duration': {{'seed': {}}}}}, runs=2)",
+    "SweepSpec(draws={{'duration': {{'normal': [0, 1]}}}}, runs={}, seed={})",
+    "SweepSpec(draws={{'duration': {{'normal': [0, 1]}}}}, runs=2).run({})",
+    "SweepSpec(grid={{'duration': [1]}}, overrides={}, description={})",
+    "Model({}, HamiltonianCycleConfig())",
+    "Model(SystemParameters(), {})",
+    "Model(SystemParameters(), HamiltonianCycleConfig(), {})",
+    "HamiltonianCycleConfig(phases={}).make(np.eye(3))",
+    "HamiltonianCycleConfig().make({})",
+    "LinearPatternConfig(matrix={}).make(np.array(SystemParameters().attachments))",
+    "SpreadCarouselConfig().make({})",
+    "TracedBlock({})",
+    "Equations({})",
+    "SampleAndHold({})",
+    "LoadTrajectory({})",
+    "FusedPlant({})",
+    "NonstopVisualizer({}, Scenario())",
+    "show_in({})",
+    "next(iter(run_live({}, {})))",
+    "start_meshcat({})",
+    "RunProgress({}, {})(0.5)",
+    "RunProgress('a', 1.0)({})",
+    "TaskProgress()({}, {})",
+    "SceneConfig(load_colour={}).no_such",
+    "Scenario({})",
+    "Scenario(durration={})",
+)
+
+# Fields that numbers, texts and lists are assigned to; what makes no sense has to be refused.
+_BAD_VALUES = (
+    *("math.nan", "-math.inf", "math.inf", "-1.0", "'text'", "None", "[]", "{}", "object()", "1j"),
+    *("np.nan", "np.array([1.0, 2.0])", "[math.nan]", "True", "1e400", "'5'", "1e30", "10**400"),
+)
+_SENSELESS = "math.nan", "np.nan", "object()", "1j", "[math.nan]", "{}"
+
+
+def _aliens(rng: np.random.Generator, count: int) -> list[str]:
+    return [str(rng.choice(_ALIENS)) for _ in range(count)]
+
+
+def _call(rng: np.random.Generator) -> tuple[str, bool]:
+    form = str(rng.choice(_CALLS))
+    count = form.replace("{{", "").count("{")
+    return form.format(*_aliens(rng, count)), False
+
+
+def _assigned(rng: np.random.Generator) -> tuple[str, bool]:
+    """A field set after the scenario was made, right before it is used."""
+    name = scenario_name(rng)
+    found = list(paths(resolved(name)))
+    path, value = found[rng.integers(len(found))]
+    new = str(rng.choice(_BAD_VALUES))
+    is_senseless = new in _SENSELESS and not (isinstance(value, dict) and new == "{}")
+    setting = f"scenario.{path} = {new}"
+    use = str(
+        rng.choice(
+            [
+                "simulate(scenario)",
+                "simulate(scenario)",
+                "dump_scenario(scenario)",
+                "make_nonstop(scenario)",
+                "ablate(scenario, {'a': ['phase=PaperPhase']}, 'out')",
+            ]
+        )
+    )
+    is_used = not path.startswith(("scene", "description", "safe", "simulator.publish"))
+    must = is_senseless and use.startswith("simulate") and is_used
+    return f"{_SCENARIO.format(name=name)}{setting}\n{use}", must
+
+
+def _misspelt(rng: np.random.Generator) -> tuple[str, bool]:
+    name = scenario_name(rng)
+    found = list(paths(resolved(name)))
+    path, _ = found[rng.integers(len(found))]
+    if path.startswith("simulator"):  # Drake's own class refuses it
+        path = "duration"
+    slip = str(rng.choice([path + "s", path[:-1], path + "_", path + path[-1]]))
+    return f"{_SCENARIO.format(name=name)}scenario.{slip} = 5\nsimulate(scenario)", True
+
+
+def _replaced(rng: np.random.Generator) -> tuple[str, bool]:
+    """A replacement for a box: configs and classes of others, instances, functions."""
+    box = str(rng.choice(list(BOXES)))
+    every = [block_name(config) for one in BOXES.values() for config in one.configs]
+    block = str(rng.choice(every))
+    own = str(rng.choice([block_name(config) for config in BOXES[box].configs]))
+    model = "Model(SystemParameters(), HamiltonianCycleConfig())"
+    entry = str(
+        rng.choice(
+            [
+                block,
+                f"{block}Config()",
+                own,
+                f"{own}Config()",
+                f"{own}Config",
+                f"{own}({model})",
+                f"lambda model: {own}(model)",
+                f"lambda: {own}",
+                "lambda model: None",
+                "lambda model: 5",
+                f"lambda model: {block}(model)",
+                "lambda model: LeafSystem()",
+                "LeafSystem",
+                "LeafSystem()",
+                "DiagramBuilder",
+                "lambda model: DiagramBuilder()",
+                "lambda model: 1 / 0",
+                "sys.exit",
+                "lambda model: sys.exit(0)",
+                f"functools.partial({own}, config={own}Config())",
+                "Scenario",
+                f"functools.partial({own}, config={block}Config())",
+                "lambda model: model",
+                "int",
+                "print",
+                f"lambda model, config: {own}(model, config)",
+                f"lambda model: {own}",
+                *_ALIENS,
+            ]
+        )
+    )
+    text = f"simulate(load_scenario('quintic', ['duration=0.02']), {box}={entry})"
+    return text, False
+
+
+def _configured(rng: np.random.Generator) -> tuple[str, bool]:
+    """A block's config with one field of any kind, built alone or in the loop."""
+    configs = {
+        block_name(config): config
+        for box in BOXES.values()
+        for config in box.configs
+        if dataclasses.fields(config)
+    }
+    name = str(rng.choice(list(configs)))
+    field = str(rng.choice([field.name for field in dataclasses.fields(configs[name])]))
+    value = str(rng.choice([*_BAD_VALUES, *_ALIENS]))
+    box = next(key for key, one in BOXES.items() if configs[name] in one.configs)
+    config = f"{name}Config({field}={value})"
+    if rng.random() < 0.5:
+        model = "Model(SystemParameters(), HamiltonianCycleConfig())"
+        return f"{name}({model}, {config})", False
+    is_senseless = value in _SENSELESS
+    text = f"simulate(load_scenario('quintic', ['duration=0.02']), {box}={config})"
+    return text, is_senseless and name not in ("Wind",)
+
+
+def _constructed(rng: np.random.Generator) -> tuple[str, bool]:
+    """Any public class or function with as many drawn arguments as it may take, or more."""
+    name = str(rng.choice([n for n in drake_nonstop.__all__ if n not in ("__version__",)]))
+    if name in ("run_live", "start_meshcat") or name.endswith(("Error", "Warning", "Interrupted")):
+        name = "load_scenario"
+    try:
+        parameters = list(inspect.signature(getattr(drake_nonstop, name)).parameters.values())
+    except (TypeError, ValueError):
+        parameters = []
+    given = []
+    for parameter in parameters[: rng.integers(0, 4)]:
+        value = _aliens(rng, 1)[0]
+        if parameter.kind is parameter.KEYWORD_ONLY:
+            given.append(f"{parameter.name}={value}")
+        elif parameter.kind is parameter.POSITIONAL_OR_KEYWORD:
+            given.append(value)
+    return f"{name}({', '.join(given)})", False
+
+
+_FORMS = {_call: 4, _assigned: 3, _misspelt: 1, _replaced: 2.5, _configured: 2, _constructed: 0.6}
+
+
+def draw(rng: np.random.Generator) -> Case:
+    weights = np.array(list(_FORMS.values()))
+    form = list(_FORMS)[rng.choice(len(weights), p=weights / weights.sum())]
+    text, must_refuse = form(rng)
+    return Case(text=text, attempt=lambda folder: _attempt(folder, text, must_refuse), limit=30)
+
+
+_IMPORTS = """
+import dataclasses, decimal, fractions, functools, math, sys
+from pathlib import Path
+import numpy as np
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+import drake_nonstop
+from drake_nonstop import *
+from drake_nonstop.studies.run_all import SerialExecutor
+"""
+
+
+def _attempt(folder: Path, text: str, must_refuse: bool) -> Verdict:
+    names: dict[str, object] = {}
+    exec(_IMPORTS, names)
+    # Python's own errors for attributes of texts and the like are no concern of the package.
+    allowed = (AttributeError,) if ".no_such" in text else ()
+    _, verdict = attempt_call(
+        lambda: exec(compile(text, "<typed>", "exec"), names),
+        has_own_code=True,  # values are shown as Python has them
+        allowed=allowed,
+    )
+    if verdict.ending == ACCEPTED and must_refuse:
+        verdict.add(MISREAD, f"accepted: {text.splitlines()[-2] if chr(10) in text else text}")
+    return verdict

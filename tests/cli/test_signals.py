@@ -1,0 +1,253 @@
+"""Signals at drawn times: one sentence, the shell's exit code, and nothing lost.
+
+SIGNAL_TRIES=200 draws so many times; each takes some seconds. Two signals at the same instant may
+reach a process as one, so that some time is between them.
+"""
+
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from drake_nonstop.cli import list_scenarios
+from drake_nonstop.cli.main import main
+
+TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
+_DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
+_GRACE = 2.0  # s, from the second signal to the end
+
+_BLOCKS = """
+import sys, time
+from dataclasses import dataclass
+from pydrake.systems.framework import LeafSystem
+
+@dataclass(kw_only=True)
+class SpinsConfig:
+    begin: float = 0.3  # s
+
+class Spins(LeafSystem):
+    def __init__(self, model, config):
+        super().__init__()
+        self.begin = config.begin
+        self.DeclareVectorOutputPort("phase", 2, self.calc)
+
+    def calc(self, context, output):
+        if context.get_time() > self.begin:
+            open("there", "w").close()
+            self.stay()
+        output.SetFromVector([2 * context.get_time(), context.get_time()])
+
+    def stay(self):
+        while True:
+            pass
+
+class SleepsConfig(SpinsConfig): pass
+class Sleeps(Spins):
+    def stay(self):
+        time.sleep(1e6)
+
+class WaitsConfig(SpinsConfig): pass
+class Waits(Spins):
+    def stay(self):
+        import subprocess
+        subprocess.run(["sleep", "30"])
+
+class SwallowsConfig(SpinsConfig): pass
+class Swallows(Spins):
+    def stay(self):
+        while True:
+            try:
+                time.sleep(0.01)
+            except BaseException:
+                pass
+
+class FliesOnConfig(SpinsConfig): pass
+class FliesOn(Spins):
+    def stay(self):
+        pass
+
+class ExitsConfig(SpinsConfig): pass
+class Exits(Spins):
+    def stay(self):
+        sys.exit(0)
+"""
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Starts the command as a terminal would, in tmp_path, and waits until it hears signals."""
+    (tmp_path / "stays.py").write_text(_BLOCKS)
+    processes = []
+
+    def started(*arguments):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "drake_nonstop.cli.main", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=tmp_path,
+            start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+            env=os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+        processes.append(process)
+        while process.poll() is None and not _handles(process.pid, signal.SIGHUP):
+            time.sleep(0.001)
+        return process
+
+    yield started
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+def _handles(pid, number):
+    """Whether a process has a handler for the signal (Linux)."""
+    with open(f"/proc/{pid}/status") as file:
+        caught = int(re.search(r"SigCgt:\s*(\w+)", file.read())[1], 16)
+    return bool(caught >> (number - 1) & 1)
+
+
+def ended(process):
+    """The exit code, the sentences and the time from now to the end of a process."""
+    begin = time.monotonic()
+    _, error = process.communicate(timeout=30)
+    assert "Traceback" not in error, error
+    sentences = [line for line in error.splitlines() if line.startswith("drake-nonstop: ")]
+    return process.returncode, sentences, time.monotonic() - begin
+
+
+def wait_for(path):
+    begin = time.monotonic()
+    while not path.exists():
+        assert time.monotonic() - begin < 30
+        time.sleep(0.01)
+
+
+def flown(folder):
+    """The time to which the results of a folder go; they have to be whole."""
+    metrics = json.loads((folder / "metrics.json").read_text())
+    with np.load(folder / "signals.npz") as signals:
+        assert signals["time"][-1] == pytest.approx(metrics["simulated_s"], abs=0.011)
+        assert all(len(values) == len(signals["time"]) for values in signals.values())
+    return metrics["simulated_s"]
+
+
+_DRAWN = {  # commands, and within how many s of their start they are signalled
+    ("list",): 1.5,
+    ("blocks",): 2.0,
+    ("run", "quintic", "--out", "o", "--set", "duration=3"): 5.0,
+    ("run", "line", "--out", "o", "--no-replay", "--set", "duration=1000"): 5.0,
+    ("run", "quintic", "--out", "o", "--live", "--no-figures", "--set", "duration=2"): 5.0,
+    ("bench", "optimizer", "--out", "o", "--instances", "30"): 4.0,
+    ("view", ".", "--no-open"): 2.0,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(TRIES))
+def test_two_signals_end_every_command_with_one_sentence(start, tmp_path, seed):
+    rng = random.Random(seed)
+    (tmp_path / "replay.html").write_text("")
+    arguments = rng.choice([*_DRAWN])
+    first, gap = rng.uniform(0, _DRAWN[arguments]), rng.choice([0.1, 0.3, 1.0])
+    number = rng.choice([signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+    process = start(*arguments)
+    time.sleep(first)
+    process.send_signal(number)
+    time.sleep(0.1)
+    was_over = process.poll() == 0  # it had done all when the signal came
+    time.sleep(gap - 0.1)
+    process.send_signal(number)
+    code, sentences, took = ended(process)
+    if was_over:
+        assert (code, sentences) == (0, [])
+        return
+    assert code == 128 + number
+    assert len(sentences) == 1
+    assert took < _GRACE
+    if (tmp_path / "o" / "metrics.json").exists():
+        flown(tmp_path / "o")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", ["Spins", "Sleeps", "Waits", "Swallows"])
+def test_a_block_that_never_returns_is_ended_and_what_was_flown_is_kept(start, tmp_path, block):
+    options = ["--out", "o", "--trust", "--quiet", "--set", f"phase=stays.{block}"]
+    process = start("run", "quintic", *options)
+    wait_for(tmp_path / "there")
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    code, sentences, took = ended(process)
+    assert code == 130
+    assert took < _GRACE
+    assert len(sentences) == 1
+    assert "the results up to 0.3" in sentences[0]
+    assert flown(tmp_path / "o") == pytest.approx(0.3, abs=0.011)
+    assert {path.name for path in (tmp_path / "o").iterdir()} == _DATA
+
+
+@pytest.mark.slow
+def test_a_blocks_exit_is_its_error_and_what_was_flown_is_kept(start, tmp_path):
+    options = ["--no-figures", "--no-replay", "--out", "o", "--trust", "--quiet"]
+    process = start("run", "quintic", *options, "--set", "phase=stays.Exits")
+    code, sentences, _ = ended(process)
+    assert code == 1
+    assert re.search(r"stopped at t = 0\.3\d+ s: phase \(stays.py:\d+\): SystemExit", sentences[0])
+    assert flown(tmp_path / "o") == pytest.approx(0.3, abs=0.011)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_one_signal_ends_a_run_in_order(start, tmp_path, number):
+    options = ["--no-figures", "--no-replay", "--out", "o", "--trust"]
+    process = start("run", "quintic", *options, "--set", "duration=1000", "phase=stays.FliesOn")
+    wait_for(tmp_path / "there")
+    process.send_signal(number)
+    code, sentences, _ = ended(process)
+    assert code == 128 + number
+    assert len(sentences) == 1
+    assert flown(tmp_path / "o") > 0
+    assert {path.name for path in (tmp_path / "o").iterdir()} == _DATA | {"diagram.svg"}
+
+
+@pytest.mark.slow
+def test_an_ignored_signal_stays_ignored(start, tmp_path, monkeypatch):
+    """As by nohup, or where a shell without jobs starts the command in the background."""
+    process = subprocess.run(
+        [sys.executable, "-c", "import signal, sys, os\n"
+         "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+         "from drake_nonstop.cli.ending import handling_signals\n"
+         "with handling_signals() as interruption:\n"
+         "    os.kill(os.getpid(), signal.SIGHUP)\n"
+         "    print(interruption.number, signal.getsignal(signal.SIGHUP).name)"],
+        capture_output=True, text=True, check=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    assert process.stdout.split() == ["0", "SIG_IGN"]
+
+
+def test_a_keyboard_interrupt_that_became_another_error_is_one(monkeypatch, capsys):
+    """As pybind11 makes of it where it comes while arguments are converted."""
+
+    def convert():
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1)
+        except KeyboardInterrupt:
+            raise TypeError("incompatible constructor arguments") from None
+
+    monkeypatch.setattr(list_scenarios, "scenario_names", convert)
+    assert main(["list"]) == 130
+    assert capsys.readouterr().err == "drake-nonstop: interrupted\n"
+    monkeypatch.setattr(list_scenarios, "scenario_names", lambda: int("a"))
+    with pytest.raises(ValueError, match="invalid literal"):  # an error of ours is shown whole
+        main(["list"])

@@ -1,0 +1,61 @@
+"""The scenario file to start from."""
+
+import itertools
+
+import pytest
+import yaml
+
+from drake_nonstop.cli.main import main
+from drake_nonstop.scenario.commented import commented_scenario
+from drake_nonstop.scenario.loading import (
+    dump_scenario,
+    load_scenario,
+    parse_scenario,
+    scenario_names,
+)
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_the_file_is_the_scenario_that_it_copies(name):
+    scenario = load_scenario(name)
+    text = commented_scenario(scenario, "mine")
+    read = parse_scenario(text)
+    assert read.name == "mine"
+    read.name = name
+    assert dump_scenario(read) == dump_scenario(scenario)
+    comments = [line for line in text.splitlines() if line.lstrip().startswith("#")]
+    assert max(map(len, comments)) <= 100
+
+
+def test_each_number_of_a_box_has_a_unit_or_meaning():
+    text = commented_scenario(load_scenario("quintic"), "mine")
+    assert "cable_length: 0.8                         # m, unstretched" in text
+    assert "# or PaperPhase\n  phase: !AccumulatedPhase {}" in text
+    lines = text.splitlines()
+    boxes = lines[lines.index("  pattern: !HamiltonianCycle") - 1 : lines.index("  scene: !Scene")]
+    for before, line in itertools.pairwise(boxes):
+        if line.startswith("    ") and not line.strip().startswith("#"):
+            assert "#" in line or before.strip().startswith("#"), line
+
+
+def test_new_writes_a_file_that_runs_and_replaces_none(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "mine.yaml", "--from", "three_carriers"]) == 0
+    (name,) = yaml.compose((tmp_path / "mine.yaml").read_text()).value[0][:1]
+    assert name.value == "mine"
+    brief = ["--quiet", "--no-figures", "--no-replay", "--set", "duration=0.05"]
+    assert main(["run", "mine.yaml", *brief]) == 0
+    before = (tmp_path / "mine.yaml").read_bytes()
+    assert main(["new", "mine.yaml"]) == 2
+    assert "it exists; give another name" in capsys.readouterr().err
+    assert (tmp_path / "mine.yaml").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["mine.txt", "mine", "no_folder/mine.yaml", "a b.yaml", ".yaml"])
+def test_a_name_that_cannot_be_used_is_refused_and_nothing_written(
+    tmp_path, monkeypatch, capsys, name
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", name]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not list(tmp_path.iterdir())

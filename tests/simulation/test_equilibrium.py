@@ -1,0 +1,59 @@
+"""The state that a run starts from, and what is said where there is none."""
+
+import numpy as np
+import pytest
+
+from drake_nonstop.mechanics.signals import LoadReference, LoadState
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError
+
+GENERATOR = np.random.default_rng(16)
+
+
+def short(*overrides):
+    return load_scenario("quintic", ["duration=0.05", *overrides])
+
+
+@pytest.mark.parametrize("points", GENERATOR.uniform(-1, 1, (5, 4, 3)).tolist())
+def test_a_load_starts_with_the_acceleration_of_its_reference(points):
+    """Splines through drawn points accelerate from their start on."""
+    samples = [[1.5 * k, *point] for k, point in enumerate(points)]
+    run = simulate(short(f"load_trajectory=!SampledTrajectory {{samples: {samples}}}"))
+    reference, soon = (LoadReference.view(values) for values in run.signal("reference")[[0, 1]])
+    start, after = (LoadState.view(state) for state in run.signal("load_state")[[0, 1]])
+    size = np.linalg.norm(reference.acceleration)
+    assert size > 0.1
+    np.testing.assert_allclose(start.position, reference.position, atol=1e-4)
+    change, desired = after.velocity - start.velocity, soon.velocity - reference.velocity
+    np.testing.assert_allclose(change, desired, atol=0.05 * 0.01 * size)
+
+
+@pytest.mark.parametrize("lift", GENERATOR.uniform(10, 100, 3).tolist())
+def test_a_disturbance_that_lifts_the_load_is_named_with_a_remedy_that_works(lift):
+    with pytest.raises(ScenarioError, match="load_disturbance lifts it with") as raised:
+        simulate(short(f"load_disturbance=!Wind {{force: [0, 0, {lift}]}}"))
+    assert "let it start later" in str(raised.value)
+    assert "load_trajectory" not in str(raised.value)
+    simulate(short(f"load_disturbance=!Wind {{force: [0, 0, {lift}], start_time: 0.05}}"))
+    simulate(short("load_disturbance=!Wind {force: [0, 0, 6]}"))
+
+
+@pytest.mark.parametrize("length", GENERATOR.uniform(1.0, 3.0, 3).tolist())
+def test_cables_that_are_slack_at_the_start_are_told_by_their_length(length):
+    with pytest.raises(ScenarioError, match=r"give simulated\.cable_length close to"):
+        simulate(short(f"simulated.cable_length={length}"))
+
+
+@pytest.mark.parametrize("fused", ["true", "false"])
+@pytest.mark.parametrize(
+    ("override", "block"),
+    [
+        ("load_trajectory.displacement=[1e200, 0, 0]", "load_trajectory"),
+        ("optimization_layer.amplitude=1e200", "optimization_layer"),
+        ("system.cable_stiffness=1e300", "cables|plant"),
+    ],
+)
+def test_a_value_that_is_not_finite_at_the_start_names_its_block(override, block, fused):
+    with pytest.raises(ScenarioError, match=f"start = ({block}): it makes a value"):
+        simulate(short(override, f"fused_plant={fused}"))

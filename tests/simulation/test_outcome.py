@@ -1,0 +1,338 @@
+"""What becomes of a run: made-up runs with faults drawn at random, and a few real ones."""
+
+import dataclasses
+import json
+import math
+from operator import attrgetter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_nonstop import (
+    RunInterrupted,
+    RunLimits,
+    RunOutcome,
+    RunStopped,
+    ScenarioError,
+    StepAction,
+    compute_metrics,
+    load_scenario,
+    parse_scenario,
+    simulate,
+)
+from drake_nonstop.blocks.carrier_dynamics import LoadedCarrierDynamicsConfig
+from drake_nonstop.blocks.force_distribution import BoundedTensionDistributionConfig
+from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.run_limits import check_limits
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.outcome import LIMITS
+from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.run_quantities import RunQuantities
+from tests.helpers import regular
+
+SAMPLES = 60
+FALLING = [
+    "carrier_controller=LoadedCarrierPid",
+    "carrier_dynamics=!LoadedCarrierDynamics {max_force: 1.0}",
+]
+
+
+class MadeUpRun:
+    """A load at rest below carriers that circle at one and a half times the bound, of any size."""
+
+    def __init__(self, rng, n=4, size=1.0):
+        self.rng, self.n = rng, n
+        self.cable_length = size * rng.uniform(0.5, 1.0)
+        attachments = size * regular(n, radius=rng.uniform(0.3, 1.0))
+        apart = np.linalg.norm(attachments[0] - attachments[1])
+        self.reach = np.linalg.norm(attachments[0]) + self.cable_length
+        self.bound = rng.uniform(0.1, 5.0)
+        self.time = np.linspace(0, rng.uniform(0.5, 20.0), SAMPLES)
+        self.stopped, self.unresolved = "", ()
+        angle = 2 * np.pi * self.time / self.time[-1]
+        ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        above = np.array([0, 0, self.cable_length])
+        self.positions = attachments + (above + 0.2 * apart * ring)[:, None]
+        swing = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+        self.velocities = np.repeat(1.5 * self.bound * swing[:, None], n, axis=1)
+        self.reference = np.zeros((SAMPLES, 22))
+        self.reference[:, 0] = 1
+        self.reference[:, 4:7] = rng.normal(size=3)
+        self.positions += self.reference[0, 4:7]
+        self.load = self.reference[:, :13].copy()
+        self.tensions = rng.uniform(0.2, 0.5, (SAMPLES, n)) * 9.81
+        self.forces = rng.normal(size=(SAMPLES, 3 * n))
+        self.scenario = Scenario(
+            system=SystemParameters(
+                attachments=attachments.tolist(), cable_length=self.cable_length
+            ),
+            limits=RunLimits(),
+        )
+        self.scenario.optimization_layer.speed_bound = self.bound
+
+    def some_time(self):
+        """A few samples that follow each other."""
+        start = self.rng.integers(1, SAMPLES - 10)
+        return slice(start, start + self.rng.integers(2, 9))
+
+    def two_carriers(self):
+        return self.rng.choice(self.n, 2, replace=False)
+
+    def run(self):
+        carriers = [each.reshape(SAMPLES, -1) for each in (self.positions, self.velocities)]
+        return Run(
+            scenario=self.scenario,
+            diagram=None,
+            time=self.time,
+            signals={
+                "load_plant.load_state": self.load,
+                "load_trajectory.reference": self.reference,
+                "optimization_layer.parameters": np.ones((SAMPLES, 2)),
+                "carrier_controller.carrier_forces": self.forces,
+            },
+            steps={
+                "time": self.time,
+                "load_state": self.load,
+                "carrier_state": np.hstack(carriers),
+                "tensions": self.tensions,
+            },
+            solve_times=np.zeros(0),
+            wall_time=0.5,
+            stopped=self.stopped,
+            unresolved=self.unresolved,
+        )
+
+
+def load_far_off(made):
+    direction = made.rng.normal(size=3)
+    distance = made.rng.uniform(1.01, 20) * made.scenario.limits.position_error * made.reach
+    made.load[made.some_time(), 4:7] += distance * direction / np.linalg.norm(direction)
+
+
+def load_turned(made):
+    axis = made.rng.normal(size=3)
+    half = made.rng.uniform(1.01 * made.scenario.limits.orientation_error, np.pi) / 2
+    turned = [np.cos(half), *(np.sin(half) * axis / np.linalg.norm(axis))]
+    made.load[made.some_time(), :4] = made.rng.choice([-1, 1]) * np.array(turned)
+
+
+def carriers_meet(made):
+    i, j = made.two_carriers()
+    gap = made.rng.uniform(0, 0.99) * made.scenario.limits.carrier_distance * made.reach
+    when = made.some_time()
+    made.positions[when, i] = made.positions[when, j] + [0, 0, gap]
+
+
+def cables_cross(made):
+    i, j = made.two_carriers()
+    when = made.some_time()
+    made.positions[when, [i, j]] = made.positions[when, [j, i]]
+
+
+def cable_slack(made):
+    made.tensions[made.some_time(), made.rng.integers(made.n)] = 0
+
+
+def carrier_slow(made):
+    made.velocities[made.some_time(), made.rng.integers(made.n)] *= made.rng.uniform(0, 0.66)
+
+
+def unresolved(made):
+    made.unresolved = ("the slowest speed moves by 20 % with half the step",)
+
+
+def stopped(made):
+    made.stopped = "the run diverged at t = 1.0000 s"
+
+
+FAULTS = {
+    load_far_off: RunOutcome.LOAD_LOST,
+    load_turned: RunOutcome.LOAD_LOST,
+    carriers_meet: RunOutcome.COLLISION,
+    cables_cross: RunOutcome.COLLISION,
+    cable_slack: RunOutcome.CABLES_SLACK,
+    carrier_slow: RunOutcome.BOUND_MISSED,
+    unresolved: RunOutcome.UNCONVERGED,
+    stopped: RunOutcome.STOPPED,
+}
+SENTENCES = {
+    load_far_off: "from its reference (limits.position_error: ",
+    load_turned: " rad from its reference (limits.orientation_error: ",
+    carriers_meet: "two carriers came within ",
+    cables_cross: "two cables came within ",
+    cable_slack: "a cable was slack for ",
+    carrier_slow: "a carrier was below the bound for ",
+    unresolved: "half the step",
+    stopped: "the run diverged at t = 1.0000 s",
+}
+SEVERITY = ("stopped", "load_lost", "collision", "cables_slack", "bound_missed", "unconverged")
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 2**32),
+    n=st.integers(3, 8),
+    size=st.sampled_from([0.05, 1.0, 80.0]),
+    faults=st.sets(st.sampled_from(list(FAULTS))),
+)
+def test_the_outcome_is_the_worst_of_all_faults_and_each_is_said(seed, n, size, faults):
+    made = MadeUpRun(np.random.default_rng(seed), n, size)
+    for fault in FAULTS:  # in one order: a carrier that crosses another one may then meet it
+        if fault in faults:
+            fault(made)
+    metrics = compute_metrics(made.run())
+    reasons = metrics["reasons"]
+    worst = min((SEVERITY.index(FAULTS[fault].value) for fault in faults), default=None)
+    assert metrics["outcome"] == ("ok" if worst is None else SEVERITY[worst])
+    assert bool(reasons) == bool(faults)
+    for fault in faults:
+        if fault is carriers_meet and cables_cross in faults:
+            continue  # the one may have been moved away by the other
+        assert any(SENTENCES[fault] in reason for reason in reasons), (fault, reasons)
+    if worst is not None:
+        first = [SENTENCES[f] for f in FAULTS if FAULTS[f].value == SEVERITY[worst]]
+        assert any(text in reasons[0] for text in first)
+    assert json.loads(json.dumps(metrics, allow_nan=False))["outcome"] == metrics["outcome"]
+
+
+@pytest.mark.parametrize("fault", [f for f in FAULTS if f not in (stopped, unresolved)])
+def test_a_fault_within_wider_limits_is_none(fault):
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        made = MadeUpRun(rng, rng.integers(3, 9), rng.choice([0.05, 1.0, 80.0]))
+        fault(made)
+        assert compute_metrics(made.run())["outcome"] == FAULTS[fault]
+        made.scenario.limits = RunLimits(
+            position_error=math.inf,
+            orientation_error=math.inf,
+            carrier_distance=0.0,
+            cable_distance=0.0,
+            slack_time=math.inf,
+            time_below_bound=math.inf,
+        )
+        assert compute_metrics(made.run())["outcome"] == "ok"
+
+
+def everything_stated():
+    """A run in which every quantity that is bounded is above zero, of a scenario that has all."""
+    made = MadeUpRun(np.random.default_rng(8))
+    for fault in (load_far_off, load_turned, cable_slack, carrier_slow):
+        fault(made)
+    made.tensions += 0.1  # but for the tensions, whose least must be above zero
+    made.scenario.force_distribution = BoundedTensionDistributionConfig()
+    made.scenario.carrier_dynamics = LoadedCarrierDynamicsConfig()
+    return made
+
+
+@pytest.mark.parametrize("limit", LIMITS, ids=lambda limit: limit.path)
+def test_each_limit_is_kept_up_to_it_and_missed_beyond(limit):
+    made = everything_stated()
+    if limit.path == "limits.slack_time":
+        made.tensions[5:9] = 0
+    quantities = RunQuantities(made.run())
+    value = limit.measure(quantities)
+    assert value > 0
+    *parents, name = limit.path.split(".")
+    owner = attrgetter(".".join(parents))(made.scenario)
+    exact = value / limit.share_of(quantities)
+    for factor, is_kept in ((1.01, True), (0.99, False)):
+        setattr(owner, name, exact * (1 / factor if limit.is_least else factor))
+        sentence = limit.complaint(RunQuantities(made.run()))
+        assert (sentence is None) == is_kept
+        metrics = compute_metrics(made.run())
+        said = metrics["reasons"] if limit.outcome else metrics["warnings"]
+        assert any(f"({limit.path}: " in each for each in said) == (not is_kept)
+    said = float(sentence.split(f"({limit.path}: ")[1].split()[0])
+    assert said == pytest.approx(getattr(owner, name) * limit.share_of(quantities), rel=5e-3)
+
+
+def test_both_numbers_can_be_told_apart():
+    made = everything_stated()
+    least = made.tensions.min()
+    made.scenario.force_distribution.min_tension = 1.002 * least
+    (sentence,) = (s for s in compute_metrics(made.run())["warnings"] if "min_tension" in s)
+    fell, stated = sentence.removesuffix(" N)").split(" N (force_distribution.min_tension: ")
+    assert 0 < float(stated) - float(fell.rsplit(" ", 1)[1]) < 0.01 * least
+
+
+def test_a_limit_that_a_blocks_config_states_has_a_row():
+    paths = {limit.path for limit in LIMITS}
+    # The search keeps within these; the run has nothing that could exceed them.
+    kept = {f"optimization_layer.max_{name}_rate" for name in ("frequency", "amplitude")}
+    for name, box in BOXES.items():
+        for config in box.configs:
+            for field in dataclasses.fields(config):
+                if field.name.startswith(("min_", "max_")):
+                    assert f"{name}.{field.name}" in paths | kept
+    judged = {path.removeprefix("limits.") for path in paths if path.startswith("limits.")}
+    assert judged == {field.name for field in dataclasses.fields(RunLimits)}
+
+
+@pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(RunLimits)])
+def test_limits_are_checked_dumped_and_loaded(field):
+    for value in (-0.1, math.nan, "a", True, None):
+        with pytest.raises(ScenarioError, match=rf"limits\.{field} = .*: give a"):
+            check_limits(RunLimits(**{field: value}))
+    scenario = load_scenario("quintic", [f"limits.{field}=0.123"])
+    assert getattr(scenario.limits, field) == 0.123
+    assert parse_scenario(dump_scenario(scenario)).limits == scenario.limits
+    with pytest.raises(ScenarioError, match=rf"limits\.{field} = .*: give a number"):
+        load_scenario("quintic", [f"limits.{field}=far"])
+    with pytest.raises(ScenarioError, match="did you mean"):
+        load_scenario("quintic", [f"limits.{field}x=1"])
+
+
+def test_a_load_that_falls_is_lost():
+    metrics = compute_metrics(simulate(load_scenario("quintic", ["duration=0.8", *FALLING])))
+    assert metrics["outcome"] == "load_lost"
+    assert metrics["reasons"][0].startswith("the load was ")
+    assert any("carrier_dynamics.max_force: 1 N" in text for text in metrics["warnings"])
+
+
+def test_a_bound_on_tensions_that_was_not_kept_is_said():
+    swap = ["force_distribution=BoundedTensionDistribution", "force_distribution.min_tension=2.9"]
+    metrics = compute_metrics(simulate(load_scenario("quintic", ["duration=0.3", *swap])))
+    said = "a cable's tension fell to 2.85 N (force_distribution.min_tension: 2.9 N)"
+    assert metrics["warnings"] == [said]
+
+
+def short():
+    return load_scenario("line", ["duration=0.2", "optimization_layer=ConstantParameters"])
+
+
+@pytest.mark.parametrize("after", [0.0, 0.1, 0.2])
+def test_a_run_that_is_ended_before_its_time_has_stopped(after):
+    run = simulate(
+        short(),
+        after_step=lambda simulator, nonstop: (
+            StepAction.END
+            if simulator.get_context().get_time() > after - 1e-9
+            else StepAction.CONTINUE
+        ),
+    )
+    metrics = compute_metrics(run)
+    assert metrics["outcome"] == ("ok" if after == 0.2 else "stopped")
+    if after < 0.2:
+        assert metrics["reasons"][0].startswith(f"the run was ended at t = {after:.2f}")
+
+
+def test_a_run_that_diverges_or_is_interrupted_has_stopped():
+    unstable = load_scenario("line", ["simulator.integration_scheme=explicit_euler"])
+    with pytest.raises(RunStopped) as diverged:
+        simulate(unstable)
+    metrics = compute_metrics(diverged.value.run)
+    assert metrics["outcome"] == "stopped"
+    assert metrics["reasons"][0] == str(diverged.value)
+
+    def interrupt(simulator, nonstop):
+        raise KeyboardInterrupt
+
+    with pytest.raises(RunInterrupted) as interrupted:
+        simulate(short(), after_step=interrupt)
+    metrics = compute_metrics(interrupted.value.run)
+    assert metrics["outcome"] == "stopped"
+    assert metrics["reasons"][0].startswith("the run was interrupted at t = ")

@@ -1,0 +1,278 @@
+"""The signals of a run in memory and in files: the same, and nothing is left behind."""
+
+import copy
+import errno
+import gc
+import multiprocessing
+import os
+import pickle
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+
+from drake_nonstop import RunInterrupted, RunStopped, ScenarioError, load_scenario, simulate
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.simulation import recording
+from drake_nonstop.simulation.metrics import compute_metrics
+from drake_nonstop.simulation.recording import Recording, StoredSignals, require_room
+from drake_nonstop.studies.results_folder import write_results
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """The temporary folder, which is empty again at the end."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield folder
+    gc.collect()
+    assert list(folder.iterdir()) == []
+
+
+class Waves(LeafSystem):
+    """Signals of several sizes, two of which are recorded at every step."""
+
+    def __init__(self):
+        super().__init__()
+        self.set_name("waves")
+        sizes = {"load_state": 13, "tensions": 3, "reference": 2, "a/b": 1}
+        for k, (name, size) in enumerate(sizes.items()):
+            self.DeclareVectorOutputPort(name, size, self._calc(k, size))
+
+    @staticmethod
+    def _calc(k, size):
+        def calc(context, output):
+            output.SetFromVector(np.sin((1 + k + np.arange(size)) * context.get_time()))
+
+        return calc
+
+
+def recorded(samples, steps_per_sample):
+    """What is recorded in so many samples and steps."""
+    inner = DiagramBuilder()
+    waves = inner.AddSystem(Waves())
+    for i in range(waves.num_output_ports()):
+        inner.ExportOutput(waves.get_output_port(i), waves.get_output_port(i).get_name())
+    diagram = inner.Build()
+    builder = DiagramBuilder()
+    builder.AddSystem(diagram)
+    log = Recording(builder, diagram)
+    simulator = Simulator(builder.Build())
+    log.start(simulator.get_context())
+    simulator.Initialize()
+    for k in range(samples):
+        log.take_sample()
+        for step in range(steps_per_sample):
+            simulator.AdvanceTo(0.01 * (k + (step + 1) / steps_per_sample))
+    return log.collect()
+
+
+def assert_same(stored, in_memory):
+    assert stored[0].tobytes() == in_memory[0].tobytes()
+    for ours, theirs in zip(stored[1:], in_memory[1:], strict=True):
+        assert list(ours) == list(theirs)
+        for name, values in theirs.items():
+            assert ours[name].shape == values.shape
+            assert ours[name].dtype == values.dtype
+            assert ours[name].tobytes() == values.tobytes(), name
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    samples=st.integers(0, 40),
+    steps_per_sample=st.integers(0, 4),
+    rows=st.integers(1, 12),
+    offset=st.integers(-1, 1),
+)
+def test_files_hold_what_memory_would_to_the_bit(samples, steps_per_sample, rows, offset):
+    in_memory = recorded(samples, steps_per_sample)
+    assert not isinstance(in_memory[1], StoredSignals)
+    row = 8 * (20 + 17 * steps_per_sample)  # bytes of a sample and its steps
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording, "MEMORY_LIMIT", rows * row + offset)
+        stored = recorded(samples, steps_per_sample)
+    assert isinstance(stored[1], StoredSignals) or samples <= rows + 1
+    assert_same(stored, in_memory)
+
+
+def flown(limit=None, **options):
+    with pytest.MonkeyPatch.context() as patch:
+        if limit is not None:
+            patch.setattr(recording, "MEMORY_LIMIT", limit)
+        return simulate(load_scenario("quintic", ["duration=0.4"]), **options)
+
+
+def fields(run):
+    steps = {name: values for name, values in run.steps.items() if name != "solve_time"}
+    return run.time, run.signals, steps
+
+
+def test_a_stored_run_is_the_same_run(temporary, tmp_path):
+    expected, run = flown(), flown(limit=2e4)
+    assert len(list(temporary.iterdir())) == 1
+    assert_same(fields(run), fields(expected))
+    assert run.signal("load_state").tobytes() == expected.signal("load_state").tobytes()
+    with pytest.raises(KeyError):
+        run.signal("no_such_signal")
+    metrics = write_results(run, tmp_path / "out", figures=False)
+    for part in ("load", "carriers", "cables"):
+        assert metrics[part] == compute_metrics(expected)[part]
+    with np.load(tmp_path / "out" / "signals.npz") as written:
+        assert list(written) == ["time", *expected.signals]
+        for name, values in expected.signals.items():
+            assert written[name].tobytes() == values.tobytes()
+    for other in (copy.deepcopy(run.signals), pickle.loads(pickle.dumps(run.signals))):
+        assert other["load_plant.load_state"].flags.writeable
+    kept = run.signal("tensions")
+    del run
+    gc.collect()
+    assert list(temporary.iterdir()) == []
+    assert kept.tobytes() == expected.signal("tensions").tobytes()
+
+
+def test_many_looks_at_a_signal_take_one_file(temporary):
+    run = flown(limit=2e4)
+    before = len(os.listdir("/dev/fd"))
+    looks = [run.signal("load_state")[k % 10] for k in range(100)]
+    assert len(os.listdir("/dev/fd")) <= before + 1
+    assert not looks[0].flags.writeable
+
+
+class FailsAt(LeafSystem):
+    def __init__(self, error):
+        super().__init__()
+        self._error = error
+        self.DeclareVectorOutputPort("parameters", 2, self._calc)
+
+    def _calc(self, context, output):
+        if context.get_time() >= 0.2:
+            raise self._error
+        output.SetFromVector([2.0, 1.2])
+
+
+@pytest.mark.parametrize(
+    ("error", "ending"),
+    [
+        (ZeroDivisionError("my mistake"), RunStopped),
+        (KeyboardInterrupt(), RunInterrupted),
+    ],
+)
+def test_a_run_that_ends_early_has_all_its_signals(temporary, error, ending):
+    ends = []
+    for limit in (None, 2e4):
+        with pytest.raises(ending) as caught:
+            flown(limit, optimization_layer=lambda model: FailsAt(error))
+        ends.append(fields(caught.value.run))
+    assert 0.15 < ends[1][0][-1] <= 0.2
+    assert_same(*reversed(ends))
+    error.__traceback__ = None
+    del caught
+
+
+@pytest.mark.parametrize("failing", [1, 2, 4])
+def test_a_full_disk_ends_the_run_in_one_sentence_and_loses_nothing(
+    temporary, monkeypatch, failing
+):
+    expected = flown()
+    store, calls = recording._Log.store, []
+
+    def store_until_full(log, folder):
+        calls.append(log)
+        if len(calls) == failing:
+            folder.mkdir(exist_ok=True)
+            (folder / "1").open("ab").write(b"a part")
+        if len(calls) >= failing:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        store(log, folder)
+
+    monkeypatch.setattr(recording._Log, "store", store_until_full)
+    with pytest.raises(RunStopped, match="cannot take the signals") as caught:
+        flown(limit=2e4)
+    assert f"{temporary} cannot take the signals (No space left on device)" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    run = caught.value.run
+    assert 1 < len(run.time) < len(expected.time)
+    for name, values in expected.signals.items():
+        assert run.signals[name].tobytes() == values[: len(run.time)].tobytes()
+    assert run.steps["time"].tobytes() == expected.steps["time"][: len(run.steps["time"])].tobytes()
+
+
+HOLDS_A_FOLDER = """
+import sys, time
+from drake_nonstop.simulation.recording import _TemporaryFolder
+folder = _TemporaryFolder()
+print(folder.path, flush=True)
+time.sleep(60)
+"""
+
+
+def test_folders_of_killed_processes_are_removed_and_no_others(temporary):
+    environment = os.environ | {"TMPDIR": str(temporary)}
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", HOLDS_A_FOLDER],
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    try:
+        folders = [Path(process.stdout.readline().strip()) for process in processes]
+        processes[0].kill()
+        processes[0].wait()
+        hour_ago = time.time() - 3600
+        for folder in folders:
+            os.utime(folder, (hour_ago, hour_ago))
+        own = recording._TemporaryFolder()
+        assert not folders[0].exists()
+        assert folders[1].exists()
+        assert own.path.exists()
+    finally:
+        for process in processes:
+            process.kill()
+            process.communicate()
+    os.rmdir(folders[1])
+
+
+def test_a_forked_process_leaves_the_files_to_the_first_one(temporary):
+    folder = recording._TemporaryFolder()
+    child = multiprocessing.get_context("fork").Process(target=_let_go, args=([folder],))
+    child.start()
+    child.join()
+    assert child.exitcode == 0
+    assert folder.path.exists()
+
+
+def _let_go(folders):
+    del folders[:]
+    gc.collect()
+
+
+@pytest.mark.parametrize("duration", [1e7, 1e12, 1e27, 1e300])
+def test_a_run_without_room_for_its_signals_is_refused_and_the_remedy_works(duration):
+    scenario = load_scenario("quintic", [f"duration={duration}"])
+    with pytest.raises(ScenarioError, match=r"^duration = \S+: give at most ") as caught:
+        simulate(scenario)
+    scenario.duration = float(re.search(r"give at most (\S+) s", str(caught.value))[1])
+    assert scenario.duration > 100
+    require_room(make_nonstop(scenario), scenario)
+
+
+def test_the_expected_size_is_that_of_the_signals():
+    for overrides in ([], ["fused_plant=true"], ["simulator.max_step_size=0.002"]):
+        scenario = load_scenario("quintic", ["duration=1", *overrides])
+        run = simulate(scenario)
+        arrays = [run.time, *run.signals.values(), *run.steps.values()]
+        expected = recording.expected_size(make_nonstop(scenario), scenario)
+        assert sum(values.nbytes for values in arrays) == pytest.approx(expected, rel=0.05)

@@ -1,0 +1,43 @@
+"""Any value of a scene's fields is refused before a run, or can be shown after it."""
+
+import dataclasses
+
+import pytest
+from helpers import circling_run
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drake_nonstop.scenario.scene_config import SceneConfig, check_scene
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError
+from drake_nonstop.visualization.replay import record_replay
+
+_COLOURS = st.one_of(st.just("#0a4fff"), st.text(max_size=8), st.integers(), st.none())
+_NUMBERS = st.one_of(
+    st.floats(), st.sampled_from([0, 1, -1, 1e-320, 1e300, 0.5]), st.booleans(), st.text(max_size=2)
+)
+_KINDS = {
+    str: _COLOURS,
+    float: _NUMBERS,
+    int: st.one_of(st.integers(-2, 50), st.booleans(), st.floats(0, 5)),
+    list[str]: st.one_of(st.lists(_COLOURS, max_size=4), _COLOURS),
+}
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data())
+def test_what_is_not_refused_can_be_shown(data):
+    """Two fields at a time, of any value: the replay of a run that has been flown is written."""
+    fields = {field.name: field.type for field in dataclasses.fields(SceneConfig)}
+    names = data.draw(st.lists(st.sampled_from([*fields]), min_size=1, max_size=2, unique=True))
+    config = SceneConfig(**{name: data.draw(_KINDS[fields[name]]) for name in names})
+    run = circling_run(n=3, duration=0.05)
+    run.scenario.scene = config
+    try:
+        check_scene(config)
+    except ScenarioError as error:
+        assert str(error).startswith("scene.")  # noqa: PT017
+        with pytest.raises(ScenarioError, match=r"^scene\."):
+            simulate(run.scenario)  # before it looks at anything else
+    else:
+        assert "<html" in record_replay(run)
