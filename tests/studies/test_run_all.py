@@ -96,18 +96,20 @@ def test_no_keys_are_no_work():
 
 def test_the_ending_of_an_attempt(faulty_blocks):
     endings = {}
-    for fault in ("none", "raises", "diverges", "constructor"):
+    for fault in ("none", "raises", "diverges", "constructor", "exits", "constructor exits"):
         block = f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}"
         overrides = ["duration=0.1", "optimization_layer=ConstantParameters", block]
         tried = attempt(lambda given=overrides: load_scenario("line", given, trust=True))
         endings[fault] = tried.ending
-        assert (tried.run is None) == (tried.ending == UNBUILDABLE)
+        assert (tried.run is None) == fault.startswith("constructor")
         assert (tried.message == "") == (tried.ending == COMPLETED)
     assert endings == {
         "none": COMPLETED,
         "raises": FAILED,
         "diverges": DIVERGED,
         "constructor": UNBUILDABLE,
+        "exits": FAILED,
+        "constructor exits": UNBUILDABLE,
     }
 
 
