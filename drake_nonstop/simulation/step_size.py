@@ -4,7 +4,7 @@ import copy
 import math
 
 import numpy as np
-from pydrake.systems.analysis import SimulatorConfig
+from pydrake.systems.analysis import Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.mechanics.signals import CarrierStates, LoadReference, LoadState
@@ -120,15 +120,16 @@ def _most_demanding(nonstop: Diagram, context: Context, duration: float) -> tupl
     port = nonstop.GetOutputPort("reference")
     moved = nonstop.CreateDefaultContext()
     moved.SetTimeStateAndParametersFrom(context)
+    Simulator(nonstop, moved).Initialize()  # whatever samples or holds takes its first value
+    load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(moved))
+    carriers = CarrierStates.view(nonstop.GetOutputPort("carrier_state").Eval(moved))
+    lever = np.max(np.linalg.norm(carriers.positions - load.position, axis=1))
     times = np.linspace(0, duration, _INSTANTS, endpoint=False)
     references = []
     for time in times:
         moved.SetTime(time)
         references.append(port.Eval(moved).copy())
     reference = LoadReference.view(np.array(references))
-    load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(context))
-    carriers = CarrierStates.view(nonstop.GetOutputPort("carrier_state").Eval(context))
-    lever = np.max(np.linalg.norm(carriers.positions - load.position, axis=1))
     turning = np.linalg.norm(reference.angular_acceleration, axis=1)
     turning = turning + np.sum(reference.angular_velocity**2, axis=1)
     curvatures = np.linalg.norm(reference.acceleration, axis=1) + lever * turning
