@@ -102,7 +102,8 @@ def sweep(
     require(isinstance(spec, SweepSpec), "spec", spec, "give a SweepSpec, such as of read_sweep")
     folder = as_path(folder)
     _pyarrow()
-    require_main()
+    if executor is None:
+        require_main()
     settings = sweep_settings(scenario, spec)
     _require_runnable(scenario, spec, trust)
     text = dump_scenario(scenario)  # which can be sent to a process

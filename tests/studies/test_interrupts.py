@@ -100,7 +100,7 @@ def test_any_study_ends_by_ctrl_c_at_any_time(tmp_path, number):
     drawn = (
         f"{name}, {times} signals, the first at {first:.3f} s, then every {second} s, {is_group}"
     )
-    arguments = [*COMMANDS[name], "--out", "out", "--set", *SHORT]
+    arguments = [*COMMANDS[name], "--out", "out", "--set", *SHORT, "duration=0.5"]
     process = begun(tmp_path, arguments)
     send = os.killpg if is_group else os.kill  # a terminal sends it to the whole group
     time.sleep(first)
