@@ -12,7 +12,6 @@ from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
     Simulator,
-    SimulatorConfig,
 )
 from pydrake.systems.framework import (
     Context,
@@ -41,7 +40,7 @@ from drake_nonstop.simulation.run import (
     StepCheck,
 )
 from drake_nonstop.simulation.step_check import SavedStates, compared, in_doubt, is_in_doubt
-from drake_nonstop.simulation.step_size import resolving_config, stable_config, with_half_the_step
+from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_half_the_step
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
@@ -109,11 +108,11 @@ def simulate(
     for viewer in viewers:
         require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
     nonstop = make_nonstop(scenario, **replacements)
-    config = None
+    chosen = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
-        config = _config(scenario, nonstop, _at_equilibrium(nonstop))
-        if config is not scenario.simulator:  # the steps are the block's own
-            shorter = dataclasses.replace(scenario, simulator=config)
+        chosen = _chosen(scenario, nonstop, _at_equilibrium(nonstop))
+        if chosen.config is not scenario.simulator:  # the steps are the block's own
+            shorter = dataclasses.replace(scenario, simulator=chosen.config)
             nonstop = make_nonstop(shorter, **replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
@@ -164,8 +163,8 @@ def simulate(
     nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
     try:
         set_equilibrium(nonstop, nonstop_context)
-        config = config or _config(scenario, nonstop, nonstop_context)
-        ApplySimulatorConfig(config, simulator)
+        chosen = chosen or _chosen(scenario, nonstop, nonstop_context)
+        ApplySimulatorConfig(chosen.config, simulator)
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
@@ -192,6 +191,8 @@ def simulate(
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished()) from error
     run = finished()
+    if chosen.unresolved and check_step is not StepCheck.NOTHING:
+        return dataclasses.replace(run, unresolved=(chosen.unresolved,))
     if check_step is StepCheck.NOTHING or not is_in_doubt(run, saved.states, nonstop_context):
         return run
     if check_step is StepCheck.PARTS:
@@ -236,36 +237,32 @@ def verify_step(
     except RunInterrupted:
         raise RunInterrupted(run) from None
     except (RunStopped, ScenarioError) as error:
-        unresolved = (f"with half of the steps of {1e3 * run.step:.3g} ms {error}",)
-        return dataclasses.replace(run, unresolved=unresolved)
+        said = f"with half of the steps of {1e3 * run.step:.3g} ms {error}"
+        return dataclasses.replace(run, unresolved=(*run.unresolved, said))
     if half.steps["time"][-1] < duration - SIGNAL_PERIOD / 2:
         return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
     return compared(run, half)
 
 
-def _config(scenario: Scenario, nonstop: Diagram, context: Context) -> SimulatorConfig:
+def _chosen(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenStep:
     """The scenario's configuration, or one with a shorter step, which a warning tells."""
-    config = stable_config(scenario.simulator, nonstop, context)
-    reason = "the fastest mode of the loop"
-    stable = config.max_step_size
-    config = resolving_config(
-        config,
+    chosen = chosen_step(
+        scenario.simulator,
         nonstop,
         context,
         control_period=scenario.control_period,
         duration=scenario.duration,
         length=scenario.system.cable_length,
     )
-    if config.max_step_size < stable:
-        reason = "the commanded motion between the controllers' samples"
-    if config is not scenario.simulator:
+    if chosen.reasons:
         warnings.warn(
             f"simulator.max_step_size = {scenario.simulator.max_step_size:g}: steps of "
-            f"{config.max_step_size:.3g} s are taken instead, which {reason} needs",
+            f"{chosen.config.max_step_size:.3g} s are taken instead, for the sake of "
+            f"{' and '.join(chosen.reasons)}",
             ScenarioWarning,
             stacklevel=3,
         )
-    return config
+    return chosen
 
 
 def _at_equilibrium(nonstop: Diagram) -> Context:

@@ -143,7 +143,7 @@ def compared(run: Run, half: Run) -> Run:
     ]
     if unresolved:
         unresolved[0] += f"; give a shorter simulator.max_step_size, such as {half.step / 2:.2g}"
-    return dataclasses.replace(run, unresolved=tuple(unresolved), half_step=half_step)
+    return dataclasses.replace(run, unresolved=(*run.unresolved, *unresolved), half_step=half_step)
 
 
 def in_doubt(step: float) -> str:
