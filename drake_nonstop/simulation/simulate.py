@@ -150,7 +150,8 @@ def simulate(
 
     def sample() -> None:
         sample_sink.ForcedPublish(sample_context)
-        saved.save(nonstop_context)
+        if context.get_time() >= saved.next_time:
+            saved.save(nonstop_context)
 
     sample_context = sample_sink.GetMyContextFromRoot(context)
     monitor = Monitor(
