@@ -41,7 +41,10 @@ _BOX = "optimization_layer"
 
 @dataclass(kw_only=True)
 class NonstopOptimizerConfig(NonstopProblemConfig):
-    """The bound, the problem of eqs. 24-26 and how it is solved."""
+    """The bound, the problem of eqs. 24-26 and how it is solved.
+
+    What `min_separation` and the solvers cost is said in diagrams/optimization_layer.md.
+    """
 
 
 class NonstopOptimizer(LeafBlock):

@@ -33,6 +33,7 @@ from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.progress import RunProgress, TaskProgress
 
+_MOST_REASONS = 3  # that are printed
 _EXIT_CODES = {RunOutcome.OK: 0, RunOutcome.STOPPED: FAILED}  # NOT_OK for all others
 
 
@@ -239,5 +240,6 @@ def _report(metrics: dict[str, Any], run: Run, folder: Path) -> None:
 
 
 def _print_outcome(metrics: dict[str, Any]) -> None:
-    reasons = "; ".join(metrics["reasons"])
-    print(f"drake-nonstop: {metrics['outcome']}: {reasons}", file=sys.stderr)
+    shown, rest = metrics["reasons"][:_MOST_REASONS], metrics["reasons"][_MOST_REASONS:]
+    more = [f"{len(rest)} more reasons in metrics.json"] if rest else []
+    print(f"drake-nonstop: {metrics['outcome']}: {'; '.join([*shown, *more])}", file=sys.stderr)

@@ -7,7 +7,7 @@ from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, stud
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.figures import make_margins_figure
 from drake_nonstop.studies.files import replacing_file, require_writable, write_json
-from drake_nonstop.studies.margins import find_margins, find_stability, margins_settings
+from drake_nonstop.studies.margins import Margin, find_margins, find_stability, margins_settings
 from drake_nonstop.visualization.progress import TaskProgress
 
 _FINE_STEP = 0.001  # s, at which integrators damp nothing that matters here
@@ -63,14 +63,22 @@ def _stability(options: argparse.Namespace) -> int:
         + f", {found.frequency:.3g} rad/s"
     )
     for margin in margins:
-        low, high = (
-            "no end" if value is None else f"{value:.4g}" for value in (margin.low, margin.high)
-        )
         name = f"{margin.name}, {margin.unit}"
-        is_stable = found.is_stable
-        print(
-            f"{name:22} {margin.nominal:.4g}, "
-            + (f"stable from {low} to {high}" if is_stable else "unstable here")
-        )
+        range_ = _stable_range(margin) if found.is_stable else "unstable here"
+        print(f"{name:22} {margin.nominal:.4g}, {range_}")
     print(f"results: {folder}")
     return 0
+
+
+def _stable_range(margin: Margin) -> str:
+    """From where to where the loop is stable, as far as values of the parameter were tried."""
+    ends = [
+        f"{value:.4g}" if edge is None else f"{edge:.4g}"
+        for edge, value in ((margin.low, margin.values[0]), (margin.high, margin.values[-1]))
+    ]
+    untried = [
+        f"{side} that not tried"
+        for side, edge in (("below", margin.low), ("above", margin.high))
+        if edge is None
+    ]
+    return f"stable from {' to '.join(ends)}{''.join(f', {text}' for text in untried)}"

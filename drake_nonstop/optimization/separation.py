@@ -127,27 +127,33 @@ class Separation:
     def _scan(self, amplitude: float) -> tuple[float, NDArray]:
         """The worst margin at an amplitude, and the closest encounters (3, m); see above."""
         if amplitude not in self._scans:
-            constraint = self._constraint
-            with np.errstate(divide="ignore", invalid="ignore"):
-                positions, rates = orbit_positions(
-                    amplitude,
-                    self._forces[:, None],
-                    self._levers[:, None],
-                    constraint.directions,
-                    constraint.direction_rates,
-                    **constraint.cables,
-                )  # (3, phases, n)
-            phases, first, second = close = _close_encounters(
-                positions, rates, _NEAR * constraint.min_separation
-            )
-            margins = self._margins(
-                positions[:, phases, first] - positions[:, phases, second],
-                rates[:, phases, first] - rates[:, phases, second],
-            )
-            closest = np.argsort(margins, kind="stable")[:_MOST_LEARNED]
-            worst = margins.min(initial=np.inf) if np.isfinite(positions.sum()) else np.nan
-            self._scans[amplitude] = np.inf if worst >= 0 else float(worst), close[:, closest]
+            self._scans[amplitude] = self._scanned(amplitude)
         return self._scans[amplitude]
+
+    def _scanned(self, amplitude: float) -> tuple[float, NDArray]:
+        constraint = self._constraint
+        with np.errstate(divide="ignore", invalid="ignore"):
+            positions, rates = orbit_positions(
+                amplitude,
+                self._forces[:, None],
+                self._levers[:, None],
+                constraint.directions,
+                constraint.direction_rates,
+                **constraint.cables,
+            )  # (3, phases, n)
+        close = _close_encounters(positions, rates, _NEAR * constraint.min_separation)
+        if not np.isfinite(positions.sum()):
+            return np.nan, close
+        if close.shape[1] == 0:
+            return np.inf, close
+        phases, first, second = close
+        margins = self._margins(
+            positions[:, phases, first] - positions[:, phases, second],
+            rates[:, phases, first] - rates[:, phases, second],
+        )
+        closest = np.argsort(margins, kind="stable")[:_MOST_LEARNED]
+        worst = float(margins[closest[0]])
+        return worst if worst < 0 else np.inf, close[:, closest]
 
 
 def _close_encounters(positions: NDArray, rates: NDArray, distance: float) -> NDArray:

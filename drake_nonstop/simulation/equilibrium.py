@@ -1,6 +1,7 @@
-"""The equilibrium that a run starts from, and the fastest mode of the loop there."""
+"""The equilibrium that a run starts from, and the plant's states."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,20 +12,12 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import box_of
-from drake_nonstop.mechanics.signals import (
-    LOAD_STATE_SIZE,
-    CarrierStates,
-    LoadReference,
-    LoadState,
-    Wrench,
-)
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadReference, LoadState, Wrench
 from drake_nonstop.simulation.diagnosis import source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioError
 
 _STEP = 1e-6  # of the differences, in SI units
-_FINER_STEPS = (_STEP, 1e-8, 1e-10)  # one after the other, where the rates have a kink
-_KINK = 0.02  # of the difference of two slopes to their sum, from which on they do not agree
 _REST = 1e-6  # m/s² and rad/s², the acceleration that counts as rest
 _DROPS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)  # m, below the reference, to start looking from
 
@@ -44,22 +37,29 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
         ScenarioError: the cables cannot hold the load, or a block makes a value that is not
             finite, or is far too large.
     """
-    trial = _copied(nonstop, context)
-    try:
+    trial = copied_context(nonstop, context)
+    with block_named(nonstop, trial):
         settled = _settled(nonstop, trial)
+    plant_states(nonstop).set_states(context, **settled)
+
+
+@contextlib.contextmanager
+def block_named(nonstop: Diagram, context: Context) -> Iterator[None]:
+    """Turns a NotFiniteError at the start into a ScenarioError that names the block."""
+    try:
+        yield
     except NotFiniteError as error:
-        source = source_of_fault(error, nonstop, trial)
+        source = source_of_fault(error, nonstop, context)
         raise ScenarioError(
             f"start = {source}: it makes a value that is not finite, or beyond {LARGEST:.0e} in SI "
             "units; give its parameters, and those of the blocks before it, values closer to the "
             "defaults"
         ) from None
-    _plant(nonstop).set_states(context, **settled)
 
 
 def _settled(nonstop: Diagram, trial: Context) -> dict[str, NDArray]:
     """The load's and the carriers' states at the equilibrium; changes the context."""
-    plant = _plant(nonstop)
+    plant = plant_states(nonstop)
     start = trial.Clone()
     simulator = Simulator(nonstop, trial)
     reference = nonstop.GetOutputPort("reference").Eval(trial).copy()
@@ -124,36 +124,13 @@ def on_reference(nonstop: Diagram, context: Context) -> None:
 
     Whatever samples or holds takes its first value.
     """
-    plant = _plant(nonstop)
+    plant = plant_states(nonstop)
     simulator = Simulator(nonstop, context)
     reference = nonstop.GetOutputPort("reference").Eval(context)[:LOAD_STATE_SIZE]
     plant.set_states(context, load_state=reference)
     simulator.Initialize()
     carriers = nonstop.GetOutputPort("carrier_reference").Eval(context)
     plant.set_states(context, carrier_state=carriers)
-
-
-def fastest_mode(nonstop: Diagram, context: Context) -> float:
-    """The largest magnitude (rad/s) of the loop's eigenvalues, linearized at the context's pose.
-
-    The carriers move with the load there: cables that change their length may have tensions that
-    end at zero, which hides what their damping does.
-    """
-    trial = _copied(nonstop, context)
-    Simulator(nonstop, trial).Initialize()
-    plant = _plant(nonstop)
-    load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(trial))
-    carriers = nonstop.GetOutputPort("carrier_state").Eval(trial).copy()
-    positions, velocities = CarrierStates.view(carriers)
-    velocities[:] = load.velocity + np.cross(load.angular_velocity, positions - load.position)
-    plant.set_states(trial, carrier_state=carriers)
-    state = plant.state(trial)
-
-    def rate(values: NDArray) -> NDArray:
-        plant.set_state(trial, values)
-        return plant.rate(trial)
-
-    return float(np.max(np.abs(np.linalg.eigvals(_slopes(rate, state)))))
 
 
 class _SeparatePlantStates:
@@ -229,14 +206,15 @@ class _FusedPlantStates:
         return np.concatenate([*self._block.rates(self._context(context)).values()])
 
 
-def _plant(nonstop: Diagram) -> _SeparatePlantStates | _FusedPlantStates:
+def plant_states(nonstop: Diagram) -> _SeparatePlantStates | _FusedPlantStates:
+    """Access to the plant's states, whether its blocks are fused or not."""
     for block in nonstop.GetSystems():
         if isinstance(block, FusedPlant):
             return _FusedPlantStates(nonstop, block)
     return _SeparatePlantStates(nonstop)
 
 
-def _copied(nonstop: Diagram, context: Context) -> Context:
+def copied_context(nonstop: Diagram, context: Context) -> Context:
     """A context of the loop alone, whose inputs from a diagram around it are fixed."""
     copy = nonstop.CreateDefaultContext()
     copy.SetTimeStateAndParametersFrom(context)
@@ -267,27 +245,6 @@ def _jacobian(function: Callable[[NDArray], NDArray], at: NDArray) -> NDArray:
         (function(at + step) - function(at - step)) / (2 * _STEP)
         for step in _STEP * np.eye(len(at))
     ]
-    return np.column_stack(columns)
-
-
-def _slopes(function: Callable[[NDArray], NDArray], at: NDArray) -> NDArray:
-    """The Jacobian where the function may have kinks: tensions that end at zero.
-
-    Central differences where those on both sides agree, if need be with shorter steps, within
-    which a tension that is damped strongly does not end; the steeper side of a kink.
-    """
-    middle = function(at)
-    columns = []
-    for direction in np.eye(len(at)):
-        for step in _FINER_STEPS:
-            above = function(at + step * direction) - middle
-            below = middle - function(at - step * direction)
-            if np.max(np.abs(above - below)) <= _KINK * np.max(np.abs(above + below)):
-                columns.append((above + below) / (2 * step))
-                break
-        else:
-            steeper = max(above, below, key=lambda side: float(np.max(np.abs(side))))
-            columns.append(steeper / step)
     return np.column_stack(columns)
 
 

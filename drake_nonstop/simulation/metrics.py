@@ -360,7 +360,7 @@ METRICS = (
         path="optimizer.kept",
         measure=lambda run: run.update_counts["kept"],
         label="updates kept",
-        run_text=RunText(line="optimizer", text="{} kept", separator=": "),
+        run_text=RunText(line="optimizer", text="{} kept xi and A", separator=": "),
     ),
     Metric(
         path="optimizer.solved",
@@ -373,7 +373,7 @@ METRICS = (
         measure=lambda run: run.update_counts["relaxed"],
         label="updates relaxed",
         better=Better.LOWER,
-        run_text=RunText(line="optimizer", text="{} relaxed"),
+        run_text=RunText(line="optimizer", text="{} relaxed (not feasible)"),
         column=TableColumn(heading=("re-", "laxed")),
     ),
     Metric(
@@ -381,7 +381,7 @@ METRICS = (
         measure=lambda run: run.update_counts["held"],
         label="updates held",
         better=Better.LOWER,
-        run_text=RunText(line="optimizer", text="{} held"),
+        run_text=RunText(line="optimizer", text="{} held (no solution)"),
     ),
     Metric(
         path="optimizer.solve_time_ms.p50",

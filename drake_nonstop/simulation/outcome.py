@@ -213,7 +213,7 @@ def find_warnings(run: RunQuantities) -> list[str]:
     ]
     unsolved = run.update_counts["relaxed"] + run.update_counts["held"]
     if unsolved:
-        found.append(f"no parameters fulfilled the bound at {unsolved} updates (relaxed, held)")
+        found.append(f"no xi and A kept the constraints at {unsolved} updates (relaxed, held)")
     return found
 
 

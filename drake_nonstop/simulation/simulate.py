@@ -11,7 +11,6 @@ from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
     Simulator,
-    SimulatorConfig,
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
@@ -21,7 +20,7 @@ from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
-from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.simulation.equilibrium import block_named, set_equilibrium
 from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.recording import WALL_TIME, Recording, RecordingError, require_room
@@ -34,7 +33,7 @@ from drake_nonstop.simulation.run import (
     StepCheck,
 )
 from drake_nonstop.simulation.step_check import SavedStates, compared, in_doubt, is_in_doubt
-from drake_nonstop.simulation.step_size import resolving_config, stable_config, with_half_the_step
+from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_half_the_step
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
@@ -119,11 +118,11 @@ def _simulate(
     scenario, replacements = replaced(scenario, replacements)
     check_scene(scenario.scene)
     nonstop = make_nonstop(scenario, **replacements)
-    config = None
+    chosen = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
-        config = _config(scenario, nonstop, _at_equilibrium(nonstop))
-        if config is not scenario.simulator:  # the steps are the block's own
-            shorter = dataclasses.replace(scenario, simulator=config)
+        chosen = _chosen(scenario, nonstop, _at_equilibrium(nonstop))
+        if chosen.config is not scenario.simulator:  # the steps are the block's own
+            shorter = dataclasses.replace(scenario, simulator=chosen.config)
             nonstop = make_nonstop(shorter, **replacements)
     if after_step is None:  # which may end a run of any duration
         require_room(nonstop, scenario)
@@ -155,7 +154,8 @@ def _simulate(
 
     def sample() -> None:
         recording.take_sample()
-        saved.save(nonstop_context)
+        if context.get_time() >= saved.next_time:
+            saved.save(nonstop_context)
 
     monitor = Monitor(
         simulator,
@@ -169,8 +169,8 @@ def _simulate(
     try:
         set_equilibrium(nonstop, nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
-        config = config or _config(scenario, nonstop, nonstop_context)
-        ApplySimulatorConfig(config, simulator)
+        chosen = chosen or _chosen(scenario, nonstop, nonstop_context)
+        ApplySimulatorConfig(chosen.config, simulator)
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
@@ -207,6 +207,8 @@ def _simulate(
     if context.get_time() < scenario.duration:
         return finished(f"the run was ended at t = {context.get_time():.4f} s")
     run = finished()
+    if chosen.unresolved and check_step is not StepCheck.NOTHING:
+        return dataclasses.replace(run, unresolved=(chosen.unresolved,))
     if check_step is StepCheck.NOTHING or not is_in_doubt(run, saved.states, nonstop_context):
         return run
     if check_step is StepCheck.PARTS:
@@ -251,36 +253,33 @@ def verify_step(
     except RunInterrupted:
         raise RunInterrupted(run) from None
     except (RunStopped, ScenarioError) as error:
-        unresolved = (f"with half of the steps of {1e3 * run.step:.3g} ms {error}",)
-        return dataclasses.replace(run, unresolved=unresolved)
+        said = f"with half of the steps of {1e3 * run.step:.3g} ms {error}"
+        return dataclasses.replace(run, unresolved=(*run.unresolved, said))
     if half.steps["time"][-1] < duration - SIGNAL_PERIOD / 2:
         return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
     return compared(run, half)
 
 
-def _config(scenario: Scenario, nonstop: Diagram, context: Context) -> SimulatorConfig:
+def _chosen(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenStep:
     """The scenario's configuration, or one with a shorter step, which a warning tells."""
-    config = stable_config(scenario.simulator, nonstop, context)
-    reason = "the fastest mode of the loop"
-    stable = config.max_step_size
-    config = resolving_config(
-        config,
-        nonstop,
-        context,
-        control_period=scenario.control_period,
-        duration=scenario.duration,
-        length=scenario.system.cable_length,
-    )
-    if config.max_step_size < stable:
-        reason = "the commanded motion between the controllers' samples"
-    if config is not scenario.simulator:
+    with block_named(nonstop, context):
+        chosen = chosen_step(
+            scenario.simulator,
+            nonstop,
+            context,
+            control_period=scenario.control_period,
+            duration=scenario.duration,
+            length=scenario.system.cable_length,
+        )
+    if chosen.reasons:
         warnings.warn(
             f"simulator.max_step_size = {scenario.simulator.max_step_size:g}: steps of "
-            f"{config.max_step_size:.3g} s are taken instead, which {reason} needs",
+            f"{chosen.config.max_step_size:.3g} s are taken instead, for the sake of "
+            f"{' and '.join(chosen.reasons)}",
             ScenarioWarning,
             stacklevel=3,
         )
-    return config
+    return chosen
 
 
 def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:

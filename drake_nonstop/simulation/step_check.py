@@ -21,9 +21,9 @@ from drake_nonstop.simulation.short_flights import (
 )
 from drake_nonstop.simulation.step_size import has_chosen_steps, with_step
 
-_SAVING_PERIOD = 0.25  # s; longer where there would be more states than the largest number
+_SAVING_PERIOD = 0.5  # s; longer where there would be more states than the largest number
 _MOST_STATES = 256
-_FLIGHT = 0.04  # s, or longer: two samples of the controllers
+_FLIGHT = 0.03  # s, or longer: two samples of the controllers
 _FAR = 0.25  # a `difference` of a short flight that is in doubt
 _ORDER = 4  # of the differences
 _ROUGH = 0.13  # a `difference` in a step that is in doubt; the next steps add to it
@@ -35,17 +35,15 @@ class SavedStates:
     def __init__(self) -> None:
         self.states: list[SavedState] = []
         self._period = _SAVING_PERIOD
-        self._next = 0.0
+        self.next_time = 0.0  # s, before which there is nothing to save
 
     def save(self, context: Context) -> None:
-        """Saves the loop's state, if it is time."""
-        if context.get_time() < self._next:
-            return
+        """Saves the loop's state."""
         self.states.append(SavedState.of(context))
         if len(self.states) > _MOST_STATES:
             self.states = self.states[::2]
             self._period *= 2
-        self._next = self.states[-1].time + (1 - 1e-6) * self._period
+        self.next_time = self.states[-1].time + (1 - 1e-6) * self._period
 
 
 def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
@@ -74,7 +72,6 @@ def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
     time = max(_FLIGHT, 2 * period)
     hardest = (
         np.argmin(np.min(flown.tensions, axis=1)),
-        np.argmin(np.min(flown.speeds, axis=1)),
         np.argmax(roughness),
     )
     for i in sorted({_before(float(run.time[instant]), states) for instant in hardest}):
@@ -143,7 +140,7 @@ def compared(run: Run, half: Run) -> Run:
     ]
     if unresolved:
         unresolved[0] += f"; give a shorter simulator.max_step_size, such as {half.step / 2:.2g}"
-    return dataclasses.replace(run, unresolved=tuple(unresolved), half_step=half_step)
+    return dataclasses.replace(run, unresolved=(*run.unresolved, *unresolved), half_step=half_step)
 
 
 def in_doubt(step: float) -> str:

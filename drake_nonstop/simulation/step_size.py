@@ -1,14 +1,16 @@
-"""The longest step that the integrator is stable at, and that resolves the commanded motion."""
+"""The longest step that is stable and that resolves the commanded motion."""
 
 import copy
 import math
+from dataclasses import dataclass
 
 import numpy as np
-from pydrake.systems.analysis import SimulatorConfig
+from pydrake.systems.analysis import Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.mechanics.signals import CarrierStates, LoadReference, LoadState
-from drake_nonstop.simulation.equilibrium import fastest_mode, on_reference
+from drake_nonstop.simulation.equilibrium import on_reference
+from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.simulation.short_flights import SavedState, ShortFlights, difference
 from drake_nonstop.validation import require
@@ -21,6 +23,57 @@ _TRIAL = 0.03  # s, of a trial flight, or longer: three samples of the controlle
 _SMALL_JUMP = 3e-4  # of the cables' length
 _RESOLVED = 0.1  # the largest `difference` of trial flights whose steps are kept
 _HALVINGS = 4  # of the step at most
+_GROWTH, _GROWTH_SHARE = 0.2, 0.1  # 1/s, and of the rate: by which growth may differ
+
+
+@dataclass(frozen=True)
+class ChosenStep:
+    """A configuration with a step.
+
+    `reasons` are what the step is shorter for than the one that was asked for; `unresolved` says
+    what it does not resolve, if anything.
+    """
+
+    config: SimulatorConfig
+    reasons: tuple[str, ...] = ()
+    unresolved: str = ""
+
+
+def chosen_step(
+    config: SimulatorConfig,
+    nonstop: Diagram,
+    context: Context,
+    *,
+    control_period: float,
+    duration: float,
+    length: float,
+) -> ChosenStep:
+    """A step that the scheme is stable at and that resolves the commanded motion.
+
+    Steps of any scheme but the third-order Runge-Kutta one without error control are the user's.
+
+    Args:
+        config: the one that is asked for.
+        nonstop: the loop.
+        context: at the start.
+        control_period: the controllers' sample time in s.
+        duration: of the run, in s.
+        length: of the cables, in m.
+
+    Raises:
+        ScenarioError: the fastest mode asks for steps that would take for ever.
+    """
+    if not has_chosen_steps(config):
+        return ChosenStep(config)
+    loop = LinearizedLoop(nonstop, context, control_period)
+    stable = _stable(config, loop)
+    chosen = _resolving(stable, nonstop, context, control_period, duration, length)
+    reasons = []
+    if stable.max_step_size < config.max_step_size:
+        reasons.append("the fastest mode of the loop")
+    if chosen.max_step_size < stable.max_step_size:
+        reasons.append("the commanded motion between the controllers' samples")
+    return ChosenStep(chosen, tuple(reasons), _hidden_growth(loop, chosen.max_step_size))
 
 
 def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -> SimulatorConfig:
@@ -35,14 +88,18 @@ def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -
     """
     if not has_chosen_steps(config):
         return config
-    mode = fastest_mode(nonstop, context)
+    return _stable(config, LinearizedLoop(nonstop, context, 0.0))
+
+
+def _stable(config: SimulatorConfig, loop: LinearizedLoop) -> SimulatorConfig:
+    mode = loop.fastest_mode
     longest = _STABLE_STEP / mode
     require(
         longest >= SHORTEST_STEP,
         "fastest mode",
         f"{mode:.3g} rad/s",
-        "give cables of less stiffness and damping, or heavier bodies; it asks for steps below "
-        f"{SHORTEST_STEP:g} s",
+        "give less stiffness, damping, drag or gain to what moves so fast, or heavier bodies; it "
+        f"asks for steps below {SHORTEST_STEP:g} s",
     )
     if config.max_step_size <= longest:
         return config
@@ -50,11 +107,25 @@ def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -
     return with_step(config, SIGNAL_PERIOD / math.ceil(SIGNAL_PERIOD / longest))
 
 
-def resolving_config(
+def _hidden_growth(loop: LinearizedLoop, step: float) -> str:
+    """What to say of a step (s) that hides, or causes, that a small deviation grows.
+
+    Long steps damp what oscillates, so that an unstable loop may look stable.
+    """
+    exact, (stepped,) = loop.growths([step])
+    if abs(stepped - exact) <= max(_GROWTH, _GROWTH_SHARE * abs(exact)):
+        return ""
+    return (
+        f"at the start a small deviation grows by {exact:.2g} 1/s, and by {stepped:.2g} 1/s with "
+        f"steps of {1e3 * step:.3g} ms, which do not show whether the loop is stable; give a "
+        f"shorter simulator.max_step_size, such as {step / 8:.2g}"
+    )
+
+
+def _resolving(
     config: SimulatorConfig,
     nonstop: Diagram,
     context: Context,
-    *,
     control_period: float,
     duration: float,
     length: float,
@@ -64,18 +135,9 @@ def resolving_config(
     Between the controllers' samples the carriers' references move along straight lines. At each
     sample they jump by what the motion curves meanwhile, and a carrier rings. From the instant of
     the reference at which it curves most, a short trial is flown with the step and with halves
-    of it, until a half makes no difference. Small jumps are not tried.
-
-    Args:
-        config: with a step that is stable.
-        nonstop: the loop.
-        context: at the start.
-        control_period: the controllers' sample time in s.
-        duration: of the run, in s.
-        length: of the cables, in m.
+    of it, until a half makes no difference. Small jumps are not tried. Where each half makes a
+    difference the motion is resolved by no step, and the step stays.
     """
-    if not has_chosen_steps(config):
-        return config
     time, curvature = _most_demanding(nonstop, context, duration)
     if curvature * control_period**2 / 2 < _SMALL_JUMP * length:
         return config
@@ -86,14 +148,19 @@ def resolving_config(
         start = SavedState.of(flights.context)
         time = max(_TRIAL, 3 * control_period)
         flown = flights.fly(start, time)
-        for halvings in range(_HALVINGS):
+        for halvings, step in enumerate(_halved(config.max_step_size)):
             finer = flights.fly(start, time, 2 ** (halvings + 1))
             if difference(flown, finer) <= _RESOLVED:
-                break
+                return with_step(config, step)
             flown = finer
     except Exception:  # whatever blocks may raise there: the run itself will tell
-        return config
-    return with_step(config, config.max_step_size / 2**halvings) if halvings else config
+        pass
+    return config
+
+
+def _halved(step: float) -> list[float]:
+    """The step, and halves of it."""
+    return [part for i in range(_HALVINGS + 1) if (part := step / 2**i) >= SHORTEST_STEP]
 
 
 def has_chosen_steps(config: SimulatorConfig) -> bool:
@@ -102,7 +169,9 @@ def has_chosen_steps(config: SimulatorConfig) -> bool:
 
 
 def with_step(config: SimulatorConfig, step: float) -> SimulatorConfig:
-    """The configuration with another step, in s."""
+    """The configuration with that step in s: itself where that is its own."""
+    if config.max_step_size == step:
+        return config
     config = copy.deepcopy(config)
     config.max_step_size = step
     return config
@@ -110,7 +179,8 @@ def with_step(config: SimulatorConfig, step: float) -> SimulatorConfig:
 
 def with_half_the_step(config: SimulatorConfig, step: float) -> SimulatorConfig:
     """The configuration with half a step (s) that a run took, or a finer accuracy as well."""
-    config = with_step(config, max(SHORTEST_STEP, step / 2))
+    config = copy.deepcopy(config)
+    config.max_step_size = step / 2
     config.accuracy /= 8  # of a third-order scheme's error
     return config
 
@@ -120,15 +190,16 @@ def _most_demanding(nonstop: Diagram, context: Context, duration: float) -> tupl
     port = nonstop.GetOutputPort("reference")
     moved = nonstop.CreateDefaultContext()
     moved.SetTimeStateAndParametersFrom(context)
+    Simulator(nonstop, moved).Initialize()  # whatever samples or holds takes its first value
+    load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(moved))
+    carriers = CarrierStates.view(nonstop.GetOutputPort("carrier_state").Eval(moved))
+    lever = np.max(np.linalg.norm(carriers.positions - load.position, axis=1))
     times = np.linspace(0, duration, _INSTANTS, endpoint=False)
     references = []
     for time in times:
         moved.SetTime(time)
         references.append(port.Eval(moved).copy())
     reference = LoadReference.view(np.array(references))
-    load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(context))
-    carriers = CarrierStates.view(nonstop.GetOutputPort("carrier_state").Eval(context))
-    lever = np.max(np.linalg.norm(carriers.positions - load.position, axis=1))
     turning = np.linalg.norm(reference.angular_acceleration, axis=1)
     turning = turning + np.sum(reference.angular_velocity**2, axis=1)
     curvatures = np.linalg.norm(reference.acceleration, axis=1) + lever * turning

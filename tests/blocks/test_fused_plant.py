@@ -10,7 +10,7 @@ from drake_nonstop import load_scenario, make_nonstop, set_equilibrium, simulate
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.simulation.equilibrium import fastest_mode
+from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import ScenarioWarning
@@ -91,7 +91,7 @@ def test_equilibrium_and_fastest_mode_are_those_of_the_separate_blocks():
         states = [
             nonstop.GetOutputPort(port).Eval(context) for port in ("load_state", "carrier_state")
         ]
-        found.append((np.concatenate(states), fastest_mode(nonstop, context)))
+        found.append((np.concatenate(states), LinearizedLoop(nonstop, context, 0.01).fastest_mode))
     np.testing.assert_allclose(found[1][0], found[0][0], rtol=0, atol=1e-9)
     assert found[1][1] == pytest.approx(found[0][1], rel=1e-6)
 

@@ -49,9 +49,13 @@ def test_cables_that_are_slack_at_the_start_are_told_by_their_length(length):
 @pytest.mark.parametrize(
     ("override", "block"),
     [
-        ("load_trajectory.displacement=[1e200, 0, 0]", "load_trajectory"),
-        ("optimization_layer.amplitude=1e200", "optimization_layer"),
-        ("system.cable_stiffness=1e300", "cables|plant"),
+        (
+            "load_trajectory=!RestToRest {displacement: [1e9, 0, 0], move_time: 0.01}",
+            "load_trajectory",
+        ),
+        ("optimization_layer=!ConstantParameters {amplitude: 9.0e+8}", "internal_force"),
+        ("system.gravity=1e9", "wrench_controller"),
+        ("load_disturbance=!Wind {force: [0, 1e9, 0]}", "load_disturbance"),
     ],
 )
 def test_a_value_that_is_not_finite_at_the_start_names_its_block(override, block, fused):

@@ -93,6 +93,7 @@ class MadeUpRun:
                 "load_trajectory.reference": self.reference,
                 "optimization_layer.parameters": np.ones((SAMPLES, 2)),
                 "carrier_controller.carrier_forces": self.forces,
+                "carrier_dynamics.carrier_state": np.hstack(carriers),
             },
             steps={
                 "time": self.time,

@@ -1,0 +1,135 @@
+"""The loop linearized at its start: its fastest mode, and how fast a deviation grows."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram
+
+from drake_nonstop.diagrams.nonstop import SAMPLE_AND_HOLD
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, LoadState
+from drake_nonstop.simulation.equilibrium import copied_context, plant_states
+from drake_nonstop.simulation.run import SIGNAL_PERIOD
+
+_STEPS = (1e-6, 1e-8, 1e-10)  # SI units; one after the other, where the rates have a kink
+_KINK = 0.02  # of the difference of two slopes to their sum, from which on they do not agree
+_TERMS = 8  # of the exponential's series, for a matrix of norm 1/16
+
+
+class LinearizedLoop:
+    """The plant between two samples of the controllers, and what a sample changes.
+
+    ẋ = A x + G x_k: A with the controllers' inputs held, G from the load's state at the sample
+    to the rates by way of what the controllers make of it. References are as in the middle
+    between two samples; delays, integrals and the optimization layer are left out.
+
+    The carriers move with the load there: cables that change their length may have tensions that
+    end at zero, which hides what their damping does.
+
+    Args:
+        nonstop: the loop.
+        context: at the start.
+        control_period: the controllers' sample time in s; 0: continuous.
+    """
+
+    def __init__(self, nonstop: Diagram, context: Context, control_period: float):
+        self._nonstop, self._plant = nonstop, plant_states(nonstop)
+        self._period = control_period or SIGNAL_PERIOD
+        self._trial = trial = copied_context(nonstop, context)
+        Simulator(nonstop, trial).Initialize()
+        load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(trial))
+        carriers = nonstop.GetOutputPort("carrier_state").Eval(trial).copy()
+        positions, velocities = CarrierStates.view(carriers)
+        velocities[:] = load.velocity + np.cross(load.angular_velocity, positions - load.position)
+        self._plant.set_states(trial, carrier_state=carriers)
+        self._start = self._plant.state(trial)
+        self._is_sampled = control_period > 0
+        self._dynamics = _slopes(self._rate, self._start)
+
+    @property
+    def fastest_mode(self) -> float:
+        """The largest magnitude (rad/s) of the eigenvalues of A."""
+        return float(np.max(np.abs(np.linalg.eigvals(self._dynamics))))
+
+    def growths(self, steps: list[float]) -> tuple[float, list[float]]:
+        """How fast the least stable deviation grows, in 1/s: exactly, and with steps of these s.
+
+        The steps are those of a third-order Runge-Kutta scheme.
+        """
+        size = len(self._start)
+        rest = np.zeros((size, 2 * size))
+        both = np.vstack([np.hstack([self._dynamics, self._feedback()]), rest])
+        period = self._period
+
+        def growth(interval: NDArray) -> float:
+            sample_map = interval[:size, :size] + interval[:size, size:]
+            return math.log(np.max(np.abs(np.linalg.eigvals(sample_map)))) / period
+
+        def stepped(step: float) -> NDArray:
+            count = max(1, math.ceil(period / step - 1e-9))
+            return np.linalg.matrix_power(_series(both * period / count, 3), count)
+
+        halvings = max(0, math.ceil(math.log2(1e-9 + np.linalg.norm(both * period, 1)))) + 4
+        exact = _series(both * period / 2**halvings, _TERMS)
+        for _ in range(halvings):
+            exact = exact @ exact
+        return growth(exact), [growth(stepped(step)) for step in steps]
+
+    def _rate(self, state: NDArray) -> NDArray:
+        self._plant.set_state(self._trial, state)
+        return self._plant.rate(self._trial)
+
+    def _feedback(self) -> NDArray:
+        """G, by forward differences."""
+        feedback = np.zeros_like(self._dynamics)
+        if not self._is_sampled:
+            return feedback
+        trial, plant = self._trial, self._plant
+        load = self._nonstop.GetOutputPort("load_state").Eval(trial).copy()
+        plant.set_state(trial, self._start)
+        places = []  # of the load's state among all
+        for direction in np.eye(LOAD_STATE_SIZE):
+            plant.set_states(trial, load_state=load + direction)
+            places.append(int(np.argmax(np.abs(plant.state(trial) - self._start))))
+        plant.set_state(trial, self._start)
+        hold = self._nonstop.GetSubsystemByName(SAMPLE_AND_HOLD)
+        samples = self._nonstop.GetMutableSubsystemContext(hold, trial)
+        held = samples.get_discrete_state(0).CopyToVector()  # the measured load state
+        trial.SetTime(trial.get_time() + self._period / 2)
+        middle = plant.rate(trial)
+        for place, direction in zip(places, np.eye(LOAD_STATE_SIZE), strict=True):
+            samples.SetDiscreteState(0, held + _STEPS[0] * direction)
+            feedback[:, place] = (plant.rate(trial) - middle) / _STEPS[0]
+        return feedback
+
+
+def _series(matrix: NDArray, order: int) -> NDArray:
+    """The exponential's series up to that order, which is also that scheme's map of a step."""
+    result = term = np.eye(len(matrix))
+    for i in range(1, order + 1):
+        term = term @ matrix / i
+        result = result + term
+    return result
+
+
+def _slopes(function: Callable[[NDArray], NDArray], at: NDArray) -> NDArray:
+    """The Jacobian where the function may have kinks: tensions that end at zero.
+
+    Central differences where those on both sides agree, if need be with shorter steps, within
+    which a tension that is damped strongly does not end; the steeper side of a kink.
+    """
+    middle = function(at)
+    columns = []
+    for direction in np.eye(len(at)):
+        for step in _STEPS:
+            above = function(at + step * direction) - middle
+            below = middle - function(at - step * direction)
+            if np.max(np.abs(above - below)) <= _KINK * np.max(np.abs(above + below)):
+                columns.append((above + below) / (2 * step))
+                break
+        else:
+            steeper = max(above, below, key=lambda side: float(np.max(np.abs(side))))
+            columns.append(steeper / step)
+    return np.column_stack(columns)
