@@ -25,7 +25,8 @@ from drake_nonstop.validation import ScenarioError, one_line, show_warning
 PROCESS_DIED = "its process died: it crashed or ran out of memory"
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_PRELOADED = "drake_nonstop.studies.run_all"  # in the process from which workers are forked
+# In the process from which workers are forked.
+_PRELOADED = ["drake_nonstop.studies.run_all", "drake_nonstop.public"]
 _KEEPING_TIME = 2.0  # s, for which an interrupt waits for results that are being written
 _ENDING_TIME = 1.0  # s, for workers without a call to end by themselves
 _MAX_FAILED_STARTS = 3  # in a row
@@ -216,7 +217,7 @@ class _Calls:
     def _start(self) -> None:
         """Starts one more worker."""
         context = get_context("forkserver")
-        context.set_forkserver_preload([_PRELOADED])
+        context.set_forkserver_preload(_PRELOADED)
         here, there = Pipe()
         worker = _Worker(process=context.Process(target=_work, args=(there,)), connection=here)
         self._workers.append(worker)

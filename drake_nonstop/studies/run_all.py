@@ -162,10 +162,7 @@ def attempt(scenario: Callable[[], Scenario]) -> Attempt:
         raise KeyboardInterrupt from None  # without the run, which cannot be sent to a process
     except ScenarioError as error:
         return Attempt(ending=UNBUILDABLE, message=str(error), error=error)
-    except SystemExit as error:
-        message = f"a block ended its process by sys.exit ({one_line(error)})"
-        return Attempt(ending=FAILED, message=message, error=error)
-    except Exception as error:  # whatever the user's own blocks may raise
+    except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
         return Attempt(ending=UNBUILDABLE, message=one_line(error), error=error)
     return Attempt(ending=ending, message=message, run=run if len(run.time) > 0 else None)
 

@@ -26,6 +26,8 @@ class FaultyWind(LeafSystem):
         super().__init__()
         if config.fault == "constructor":
             raise ValueError("no such wind")
+        if config.fault == "constructor exits":
+            sys.exit(0)
         self.config = config
         self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc)
 

@@ -1,14 +1,18 @@
 """Many runs in processes: results, errors, and processes that die."""
 
+import multiprocessing
 import os
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+import types
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import pytest
 
+from drake_nonstop import ConstantParameters, SweepSpec, ablate, sweep
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.studies.robustness import robustness
 from drake_nonstop.studies.run_all import (
     COMPLETED,
     DIVERGED,
@@ -92,31 +96,123 @@ def test_no_keys_are_no_work():
 
 def test_the_ending_of_an_attempt(faulty_blocks):
     endings = {}
-    for fault in ("none", "raises", "diverges", "constructor"):
+    for fault in ("none", "raises", "diverges", "constructor", "exits", "constructor exits"):
         block = f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}"
         overrides = ["duration=0.1", "optimization_layer=ConstantParameters", block]
         tried = attempt(lambda given=overrides: load_scenario("line", given, trust=True))
         endings[fault] = tried.ending
-        assert (tried.run is None) == (tried.ending == UNBUILDABLE)
+        assert (tried.run is None) == fault.startswith("constructor")
         assert (tried.message == "") == (tried.ending == COMPLETED)
     assert endings == {
         "none": COMPLETED,
         "raises": FAILED,
         "diverges": DIVERGED,
         "constructor": UNBUILDABLE,
+        "exits": FAILED,
+        "constructor exits": UNBUILDABLE,
     }
 
 
-def test_a_script_without_a_main_guard_is_told_so(tmp_path):
-    """Its processes would run it again, and end as they start."""
+CALLS = {
+    "sweep": "sweep(scenario, SweepSpec(grid={'system.load_mass': [1.0, 1.1]}), 'out')",
+    "ablate": "ablate(scenario, {'heavy': ['system.load_mass=1.1']}, 'out')",
+    "robustness": "robustness(scenario, folder='out')",
+    "margins": "find_margins(scenario, folder='out')",
+}
+SCRIPT = """
+from drake_nonstop import *
+from drake_nonstop.studies.margins import find_margins
+from drake_nonstop.studies.robustness import robustness
+
+scenario = load_scenario('line', ['duration=0.1', 'optimization_layer=ConstantParameters'])
+"""
+
+
+@pytest.mark.parametrize("is_file", [True, False])
+@pytest.mark.parametrize("study", CALLS)
+def test_a_script_that_processes_cannot_import_is_told_so(tmp_path, study, is_file):
+    """They would run it again, and end as they start; no study keeps anything of that."""
     script = tmp_path / "study.py"
-    script.write_text(
-        "from drake_nonstop import load_scenario\n"
-        "from drake_nonstop.studies.robustness import robustness\n"
-        "robustness(load_scenario('quintic', ['duration=0.1']))\n"
-    )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120)
+    script.write_text(f"{SCRIPT}{CALLS[study]}\n")
+    with script.open() as file:
+        done = subprocess.run(
+            [sys.executable, script if is_file else "-"],
+            stdin=None if is_file else file,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
     assert done.returncode == 1
+    assert done.stderr.count("Traceback") == 1
     last = done.stderr.strip().splitlines()[-1]
-    assert f"ScenarioError: __main__ = {script}: processes import it as they start" in last
+    name = script if is_file else "<stdin>"
+    assert f"ScenarioError: __main__ = {name}: processes import it as they start" in last
     assert '`if __name__ == "__main__":`' in last
+    assert not (tmp_path / "out").exists()
+
+
+def test_modules_that_only_this_process_has_end_a_study(tmp_path, monkeypatch, faulty_blocks):
+    """The fault is not the scenario's: no run is recorded as one that cannot be built."""
+    module = types.ModuleType("blocks_in_memory")
+    exec((faulty_blocks / "faulty_blocks.py").read_text(), module.__dict__)
+    for name in ("FaultyWind", "FaultyWindConfig"):
+        getattr(module, name).__module__ = "blocks_in_memory"
+    monkeypatch.setitem(sys.modules, "blocks_in_memory", module)
+    short = ["duration=0.1", "optimization_layer=ConstantParameters"]
+    block = "load_disturbance=blocks_in_memory.FaultyWind"
+    plain = load_scenario("line", short)
+    own = load_scenario("line", [*short, block], trust=True)
+    spec = SweepSpec(grid={"load_disturbance": ["blocks_in_memory.FaultyWind", "NoDisturbance"]})
+    studies = (
+        lambda: sweep(plain, spec, tmp_path / "a", trust=True),
+        lambda: sweep(own, SweepSpec(grid={"system.load_mass": [1.0]}), tmp_path / "b"),
+        lambda: ablate(plain, {"own": [block]}, tmp_path / "c", trust=True, replay=False),
+        lambda: robustness(own, folder=tmp_path / "d"),
+    )
+    for study in studies:
+        with pytest.raises(ScenarioError, match="blocks_in_memory"):
+            study()
+    for name in "abcd":
+        journal = tmp_path / name / "journal.jsonl"
+        assert not journal.exists() or "unbuildable" not in journal.read_text()
+
+
+def test_anything_but_an_executor_that_takes_calls_is_refused():
+    closed = ThreadPoolExecutor(1)
+    closed.shutdown()
+    broken = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+    for executor, words in (
+        ("x", "give one of concurrent.futures"),
+        (ThreadPoolExecutor, "give one of concurrent.futures"),
+        (closed, "give one that takes calls"),
+        (broken, "its workers end or cannot be used"),
+    ):
+        with pytest.raises(ScenarioError, match="executor = ") as raised:
+            results(["death", 1], executor=executor)
+        assert words in str(raised.value)
+    broken.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda s, f: ablate(s, {"a": ConstantParameters}, f), "variant a = <class"),
+        (lambda s, f: ablate(s, {"a": "phase=PaperPhase"}, f), "give a list of path=value"),
+        (lambda s, f: ablate(s, {"a": [3]}, f), "variant a = 3: give path=value"),
+        (lambda s, f: ablate(s, {1: ["a=1"]}, f), "give a mapping from names"),
+        (lambda s, f: ablate(s, ConstantParameters, f), "give a mapping from names"),
+        (lambda s, f: ablate(s, ["phase=PaperPhase"], f), "give a mapping from names"),
+        (lambda s, f: ablate(s, {"a": ["duration=1"]}, 3), "folder = 3: give a path"),
+        (lambda s, f: sweep(s, {"grid": {}}, f), "give a SweepSpec"),
+        (lambda s, f: sweep(s, SweepSpec(grid={"duration": [1]}), None), "give a path"),
+        (lambda s, f: robustness(s, seed="a"), "seed = a"),
+        (lambda s, f: robustness(s, progress=3, folder=f), "progress = 3: give a function"),
+    ],
+)
+def test_wrong_types_are_one_clear_sentence(tmp_path, call, words):
+    with pytest.raises(ScenarioError) as raised:
+        call(load_scenario("line"), tmp_path / "out")
+    assert words in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "out").exists()
