@@ -91,7 +91,7 @@ def draw(seed: int) -> tuple[str, list[str]]:
         settings["system.cable_length"] = length
         settings["system.cable_stiffness"] = float(f"{load_mass / n * swing**2:.4g}")
         settings["system.cable_damping"] = (
-            log_uniform(10.0, 1e7) if chance(0.1) else log_uniform(0.01, 3.0)
+            log_uniform(1e4, 1e7) if chance(0.05) else log_uniform(0.01, 5.0)
         )
         settings["system.carrier_mass"] = carrier_mass
         gains = {

@@ -45,11 +45,14 @@ class Move:
         return ", and ".join("none" if v is None else f"{v:.4g}{unit}" for v in values)
 
 
-def moved_metrics(metrics: Mapping[str, Any], finer: Mapping[str, Any]) -> list[Move]:
+def moved_metrics(
+    metrics: Mapping[str, Any], finer: Mapping[str, Any], *, share: float = 1.0
+) -> list[Move]:
     """The metrics that differ between a run's and those of the same with shorter steps.
 
     A length moves by more than 1 mm; anything else by more than 2 % of its value and more than
-    its grain. Wall times, texts and lists are left out.
+    its grain; where only a part of the error shows, by more than that `share` of these. Wall
+    times, texts and lists are left out.
     """
     moves = []
     for metric in METRICS:
@@ -58,7 +61,7 @@ def moved_metrics(metrics: Mapping[str, Any], finer: Mapping[str, Any]) -> list[
         values = metric.value(metrics), metric.value(finer)
         if values[0] == values[1] or any(isinstance(value, str) for value in values):
             continue
-        if None in values or abs(values[0] - values[1]) > _tolerance(metric.path, *values):
+        if None in values or abs(values[0] - values[1]) > share * _tolerance(metric.path, *values):
             moves.append(Move(metric=metric, value=values[0], finer=values[1]))
     return moves
 

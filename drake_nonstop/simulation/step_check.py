@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context
 
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
@@ -19,14 +20,17 @@ from drake_nonstop.simulation.short_flights import (
     tolerated_speeds,
     tolerated_tensions,
 )
-from drake_nonstop.simulation.step_size import has_chosen_steps, with_step
+from drake_nonstop.simulation.step_size import with_step
 
 _SAVING_PERIOD = 0.5  # s; longer where there would be more states than the largest number
 _MOST_STATES = 256
+_MARGIN = 0.85  # of what a metric may move by, in a run that counts as resolved
 _FLIGHT = 0.03  # s, or longer: two samples of the controllers
 _FAR = 0.25  # a `difference` of a short flight that is in doubt
-_ORDER = 4  # of the differences
-_ROUGH = 0.13  # a `difference` in a step that is in doubt; the next steps add to it
+_ORDER = 3  # of the schemes whose errors fourth differences tell
+_ORDERS = {"runge_kutta3": 3, "bogacki_shampine3": 3, "radau3": 3, "runge_kutta5": 3}
+_ROUGH = 0.26  # a `difference` in 10 ms that is in doubt
+_JUMP = 3.0  # the same, had the steps 10 ms: of a jump, to which the layer may respond otherwise
 
 
 class SavedStates:
@@ -49,22 +53,24 @@ class SavedStates:
 def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
     """Whether something in a run tells that half its step may change the metrics.
 
-    That is a slack cable, since an instant at which a force ends is resolved by no step; fourth
-    differences of velocities or tensions, the measure of a third-order scheme's error, that are
-    large; or the hardest parts of the run, flown again with half the step, that differ from it.
+    That is a scheme of first or second order, whose errors add up; a slack cable, since an instant
+    at which a force ends is resolved by no step; fourth differences of velocities or tensions,
+    the measure of a third-order scheme's error, that are large; or the hardest parts of the run,
+    flown again with half the step, that differ from it.
 
     Args:
         run: what is judged.
         states: of the run, saved on its way.
         context: of the run's diagram, with its parameters.
     """
-    if len(run.time) <= _ORDER + 1 or not _has_all_signals(run):
+    if len(run.time) <= _ORDER + 2 or not _has_all_signals(run):
         return False
-    if np.min(run.steps["tensions"]) <= 0:
+    if _order(run.scenario.simulator) < _ORDER or np.min(run.steps["tensions"]) <= 0:
         return True
     flown = _flown(run)
     roughness = _roughness(run, flown)
-    if np.max(roughness) > _ROUGH:
+    accumulated = (run.step / SIGNAL_PERIOD) ** _ORDER * np.max(roughness)
+    if np.max(roughness) > _JUMP or accumulated > _ROUGH:
         return True
     config = with_step(run.scenario.simulator, run.step)
     period = run.scenario.control_period
@@ -103,21 +109,25 @@ def _flown(run: Run) -> Flight:
 
 
 def _roughness(run: Run, flown: Flight) -> NDArray:
-    """The error (samples - 4,) of a step that fourth differences tell, as `difference` counts it.
+    """The error (samples - 4,) of steps of 10 ms by fourth differences, as `difference` counts it.
 
-    A step h of a third-order scheme is wrong by about h⁴ v⁗ / 24.
+    A step h of a third-order scheme is wrong by about h⁴ v⁗ / 24, and 10 ms of steps by h³ / 10 ms
+    of that of one such step.
     """
     velocities = CarrierStates.view(run.signal("carrier_state")).velocities
-    speeds = np.linalg.norm(np.diff(velocities, _ORDER, axis=0), axis=2)
-    tensions = np.abs(np.diff(flown.tensions, _ORDER, axis=0))
+    speeds = np.linalg.norm(np.diff(velocities, _ORDER + 1, axis=0), axis=2)
+    tensions = np.abs(np.diff(flown.tensions, _ORDER + 1, axis=0))
     middle = flown.at(np.arange(2, len(run.time) - 2))
     largest = np.maximum(
         np.max(speeds / tolerated_speeds(middle), axis=1),
         np.max(tensions / tolerated_tensions(middle), axis=1),
     )
-    config = run.scenario.simulator
-    share = min(1.0, run.step / SIGNAL_PERIOD) if has_chosen_steps(config) else 0.5
-    return largest * share**_ORDER / math.factorial(_ORDER)
+    return largest / math.factorial(_ORDER + 1)
+
+
+def _order(config: SimulatorConfig) -> int:
+    """The order of the scheme, at most 3; with error control the accuracy counts instead."""
+    return _ORDER if config.use_error_control else _ORDERS.get(config.integration_scheme, 1)
 
 
 def _before(instant: float, states: list[SavedState]) -> int:
@@ -127,8 +137,12 @@ def _before(instant: float, states: list[SavedState]) -> int:
 
 
 def compared(run: Run, half: Run) -> Run:
-    """The run with what its metrics and those of the same with half the step tell."""
-    moves = moved_metrics(compute_metrics(run), compute_metrics(half))
+    """The run with what its metrics and those of the same with half the step tell.
+
+    Half a step shows 7/8 of a third-order scheme's error, and half of a first-order one's.
+    """
+    shown = 1 - 0.5 ** _order(run.scenario.simulator)
+    moves = moved_metrics(compute_metrics(run), compute_metrics(half), share=_MARGIN * shown)
     half_step = {
         "step_s": half.step,
         "moved": {move.metric.path: [move.value, move.finer] for move in moves},

@@ -23,7 +23,7 @@ _TRIAL = 0.03  # s, of a trial flight, or longer: three samples of the controlle
 _SMALL_JUMP = 3e-4  # of the cables' length
 _RESOLVED = 0.1  # the largest `difference` of trial flights whose steps are kept
 _HALVINGS = 4  # of the step at most
-_GROWTH, _GROWTH_SHARE = 0.2, 0.1  # 1/s, and of the rate: by which growth may differ
+_GROWTH, _GROWTH_SHARE = 0.5, 0.1  # 1/s, and of the rate: by which growth may differ
 
 
 @dataclass(frozen=True)
