@@ -170,7 +170,10 @@ def run_into(
                 if interruption.number:
                     rest = f"the results are in {folder}{missing and f', {missing}'}"
                     return say_end(interruption, rest)
-                code = _EXIT_CODES.get(RunOutcome(metrics["outcome"]), NOT_OK)
+                outcome = RunOutcome(metrics["outcome"])
+                code = _EXIT_CODES.get(outcome, NOT_OK)
+                if is_live and outcome is RunOutcome.STOPPED:
+                    code = 0  # somebody pressed "stop" in the page
                 if not is_quiet:
                     _report(metrics, run, folder)
                 if code != 0:

@@ -53,7 +53,7 @@ def block_named(nonstop: Diagram, context: Context) -> Iterator[None]:
         raise ScenarioError(
             f"start = {source}: it makes a value that is not finite, or beyond {LARGEST:.0e} in SI "
             "units; give its parameters, and those of the blocks before it, values closer to the "
-            "defaults"
+            "defaults, or correct the block"
         ) from None
 
 

@@ -17,7 +17,11 @@ from drake_nonstop.mechanics.signals import CarrierStates, Parameters, Pose
 from drake_nonstop.model.system import SystemParameters, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.separations import least_cable_distances, least_carrier_distance
+from drake_nonstop.simulation.separations import (
+    least_cable_distances,
+    least_carrier_distance,
+    least_length,
+)
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
@@ -96,21 +100,12 @@ class RunQuantities:
 
     @cached_property
     def slowest_speed(self) -> float:
-        """Of any carrier, m/s, also between two steps: of a parabola through three squares."""
-        # Where an update or a sample ends a step, another may be a rounding error away.
-        apart = np.append(True, np.diff(self.time) > 1e-9)
-        squares, intervals = self.speeds[apart] ** 2, np.diff(self.time[apart])[:, None]
-        least = np.min(self.speeds)
-        if len(squares) < 3:
-            return float(least)
-        slopes = np.diff(squares, axis=0) / intervals
-        before, after = intervals[:-1], intervals[1:]
-        curvature = np.diff(slopes, axis=0) / (before + after)
-        slope = (slopes[:-1] * after + slopes[1:] * before) / (before + after)
-        place = -slope / (2 * np.where(curvature > 0, curvature, np.inf))
-        is_between = (-before < place) & (place < after)
-        lowest = squares[1:-1] + np.where(is_between, slope * place / 2, 0.0)
-        return float(min(least, np.sqrt(max(0.0, np.min(lowest)))))
+        """Of any carrier, m/s, also between two steps, where its velocity changes linearly."""
+        velocities = self.carrier_velocities
+        return min(
+            least_length(velocities[i : i + _CHUNK + 1])
+            for i in range(0, max(1, len(velocities) - 1), _CHUNK)
+        )
 
     @cached_property
     def steepest_angle(self) -> float:

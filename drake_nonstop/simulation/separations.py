@@ -23,13 +23,22 @@ def closest_cables(ends: NDArray, carriers: NDArray) -> NDArray:
     return _least_of_pairs(segment_distances, ends, carriers)
 
 
+def least_length(vectors: NDArray) -> float:
+    """The least length of vectors (k, …, 3), each of which changes linearly to the next."""
+    starts, changes = vectors[:-1], np.diff(vectors, axis=0)
+    squares = (changes * changes).sum(axis=-1)
+    shares = -(starts * changes).sum(axis=-1) / np.where(squares > 0, squares, 1.0)
+    nearest = starts + shares.clip(0, 1)[..., None] * changes
+    return float(np.min(np.linalg.norm(np.concatenate([vectors, nearest]), axis=-1)))
+
+
 def least_carrier_distance(positions: NDArray) -> float:
     """The least distance of any two carriers, m, at any time.
 
     Args:
         positions: at each step (k, n, 3), m; between two steps they move along straight lines.
     """
-    return min(_least_length(one - others) for _, _, (one,), (others,) in _pairs(positions))
+    return min(least_length(one - others) for _, _, (one,), (others,) in _pairs(positions))
 
 
 def least_cable_distances(ends: NDArray, carriers: NDArray) -> NDArray:
@@ -98,15 +107,6 @@ def _least_of_pairs(distances: Callable[..., NDArray], *points: NDArray) -> NDAr
         some = least[start : start + len(found)]
         np.minimum(some, found, out=some)
     return least
-
-
-def _least_length(vectors: NDArray) -> float:
-    """The least length of vectors (k, …, 3), each of which changes linearly to the next."""
-    starts, changes = vectors[:-1], np.diff(vectors, axis=0)
-    squares = (changes * changes).sum(axis=-1)
-    shares = -(starts * changes).sum(axis=-1) / np.where(squares > 0, squares, 1.0)
-    nearest = starts + shares.clip(0, 1)[..., None] * changes
-    return float(np.min(np.linalg.norm(np.concatenate([vectors, nearest]), axis=-1)))
 
 
 def _least_segment_distances(

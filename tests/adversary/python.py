@@ -1,7 +1,8 @@
 """Calls of the public functions and classes with wrong types, shapes, numbers and names.
 
 Each case is a few lines of Python. A fault is an error other than ScenarioError (or the end of a
-run), and a call that accepts what has no meaning.
+run), and a call that accepts what has no meaning. What takes an object of the package, such as a
+Model or a Run, raises Python's own errors for one of another type, as everywhere.
 """
 
 import dataclasses
@@ -130,6 +131,14 @@ _CALLS = (
     "SceneConfig(load_colour={}).no_such",
     "Scenario({})",
     "Scenario(durration={})",
+)
+
+# What takes an object of the package in its first place.
+_OF_OBJECTS = (
+    *("set_equilibrium(", "compute_metrics(", "record_replay(", "draw_diagram(", "verify_step("),
+    *("Model(", "TracedBlock(", "Equations(", "SampleAndHold(", "LoadTrajectory(", "FusedPlant("),
+    *("NonstopVisualizer(", "show_in(", "next(iter(run_live(", "RunProgress(", "TaskProgress("),
+    *("HamiltonianCycleConfig().make(", "SpreadCarouselConfig().make("),
 )
 
 # Fields that numbers, texts and lists are assigned to; what makes no sense has to be refused.
@@ -293,8 +302,11 @@ from drake_nonstop.studies.run_all import SerialExecutor
 def _attempt(folder: Path, text: str, must_refuse: bool) -> Verdict:
     names: dict[str, object] = {}
     exec(_IMPORTS, names)
-    # Python's own errors for attributes of texts and the like are no concern of the package.
-    allowed = (AttributeError,) if ".no_such" in text else ()
+    # Python's own errors for objects of another type are no concern of the package.
+    call = text.splitlines()[-1]
+    blocks = {block_name(config) for box in BOXES.values() for config in box.configs}
+    takes_objects = call.startswith((*_OF_OBJECTS, *(f"{block}(" for block in blocks)))
+    allowed = (AttributeError, TypeError) if ".no_such" in text or takes_objects else ()
     _, verdict = attempt_call(
         lambda: exec(compile(text, "<typed>", "exec"), names),
         has_own_code=True,  # values are shown as Python has them

@@ -17,6 +17,7 @@ from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError
 
 BRIEF = ["--quiet", "--no-figures", "--no-replay", "--set", "duration=0.3"]
 
@@ -86,7 +87,7 @@ def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch):
 
     solve = UpdateSolver.solve
     monkeypatch.setattr(UpdateSolver, "solve", broken)
-    with pytest.raises(RunStopped, match="not finite"):
+    with pytest.raises(ScenarioError, match="start = optimization_layer: .*not finite"):
         simulate(load_scenario("quintic", ["duration=0.3"]))
 
 
