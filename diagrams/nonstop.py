@@ -273,15 +273,7 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
             "give a block's config, a function that takes the model and returns a system, or "
             "None to leave the box out",
         )
-        try:
-            blocks[name] = make(simulated if box.is_simulated else believed)
-        except (ScenarioError, KeyboardInterrupt):
-            raise
-        except (Exception, SystemExit) as error:  # whatever a user's function may raise
-            raise ScenarioError(
-                f"replacement {name} = {getattr(make, '__name__', make)}: correct this function, "
-                f"which takes the model and returns a system ({one_line(error)})"
-            ) from error
+        blocks[name] = make(simulated if box.is_simulated else believed)
         require(
             isinstance(blocks[name], System),
             f"replacement {name}",

@@ -15,7 +15,6 @@ import pytest
 from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
@@ -87,7 +86,7 @@ def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch):
 
     solve = UpdateSolver.solve
     monkeypatch.setattr(UpdateSolver, "solve", broken)
-    with pytest.raises(ScenarioError, match="start = optimization_layer: .*not finite"):
+    with pytest.raises(ScenarioError, match=r"start = optimization_layer: .*not finite"):
         simulate(load_scenario("quintic", ["duration=0.3"]))
 
 
