@@ -42,7 +42,7 @@ class Move:
         """Such as "0.262 N, and 0.696 N"."""
         values = [self.metric.shown(value) for value in (self.value, self.finer)]
         unit = f" {self.metric.unit}" if self.metric.unit else ""
-        return ", and ".join("none" if v is None else f"{v:.4g}{unit}" for v in values)
+        return ", ".join("none" if v is None else f"{v:.4g}{unit}" for v in values)
 
 
 def moved_metrics(
