@@ -29,8 +29,8 @@ from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
+from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.ablation import ablate, read_grid
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
@@ -68,6 +68,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "make_nonstop",
     "set_equilibrium",
     "simulate",
+    "verify_step",
+    "StepCheck",
     "StepAction",
     "Run",
     "RunStopped",

@@ -19,6 +19,7 @@ from drake_nonstop.simulation.run import Run
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
+_TURN = 0.1  # s, over which a turn is measured
 _PARTS, _REFINEMENTS = 8, 4  # of an interval between two steps, in search of a least distance
 _SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
@@ -92,7 +93,10 @@ class RunQuantities:
         place = -slope / (2 * np.where(curvature > 0, curvature, np.inf))
         is_between = (-before < place) & (place < after)
         lowest = squares[1:-1] + np.where(is_between, slope * place / 2, 0.0)
-        return float(min(least, np.sqrt(max(0.0, np.min(lowest)))))
+        # Where the speed has a kink a parabola leads too low: no lower than velocities on a line.
+        on_line = _least_squares(self.carrier_velocities[apart])
+        lowest = np.maximum(lowest, np.minimum(on_line[:-1], on_line[1:]))
+        return float(min(least, np.sqrt(np.min(lowest))))
 
     @cached_property
     def steepest_angle(self) -> float:
@@ -119,9 +123,14 @@ class RunQuantities:
         time = self.run.time
         velocities = CarrierStates.view(self.run.signal("carrier_state")).velocities
         speeds = np.linalg.norm(velocities, axis=2)
-        if len(time) < 3 or not np.any(speeds > 0):
+        if len(time) < 3:
             return None, None
-        accelerations = np.gradient(velocities, time, axis=0)
+        apart = max(1, min(round(_TURN / 2 / (time[1] - time[0])), (len(time) - 1) // 2))
+        intervals = (time[2 * apart :] - time[: -2 * apart])[:, None, None]
+        accelerations = (velocities[2 * apart :] - velocities[: -2 * apart]) / intervals
+        velocities, speeds = velocities[apart:-apart], speeds[apart:-apart]
+        if not np.any(speeds > 0):
+            return None, None
         # v × a is speed × normal acceleration, and stays defined where a carrier stops.
         crossed = np.linalg.norm(np.cross(velocities, accelerations), axis=2)
         moving = speeds > 0
@@ -254,12 +263,17 @@ def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray
 
 
 def _least_length(vectors: NDArray) -> float:
-    """The least length of vectors (k, ..., 3), each of which changes linearly to the next."""
+    """The least length of vectors (k, 3), each of which changes linearly to the next."""
+    return float(np.sqrt(np.min(_least_squares(vectors))))
+
+
+def _least_squares(vectors: NDArray) -> NDArray:
+    """The least squares (k - 1, ...) on the lines from vector to vector (k, ..., 3)."""
     starts, changes = vectors[:-1], np.diff(vectors, axis=0)
     squares = (changes * changes).sum(axis=-1)
     shares = -(starts * changes).sum(axis=-1) / np.where(squares > 0, squares, 1.0)
     nearest = starts + shares.clip(0, 1)[..., None] * changes
-    return float(np.min(np.linalg.norm(np.concatenate([vectors, nearest]), axis=-1)))
+    return (nearest * nearest).sum(axis=-1)
 
 
 def _least_segment_distance(ends: NDArray) -> float:
