@@ -47,26 +47,11 @@ def test_strongly_damped_cables_are_flown_as_with_a_fifth_of_the_step_or_refused
     assert moved_metrics(compute_metrics(run), compute_metrics(finer)) == []
 
 
-def test_jumps_of_the_command_shorten_the_step_and_a_warning_says_so():
+def test_a_warning_of_a_shorter_step_names_the_users_line():
     overrides = ["control_period=0.1", "optimization_layer.period=0.1"]
     with pytest.warns(ScenarioWarning, match="the commanded motion between the") as warned:
-        run = simulate(short(*overrides))
-    assert run.step < 0.005
+        simulate(short(*overrides))
     assert warned[0].filename == __file__
-    assert compute_metrics(run)["simulator"]["step_s"] == run.step
-
-
-def test_motion_that_no_step_resolves_is_unconverged():
-    metrics = compute_metrics(simulate(short(FAST_YAW, duration=4.0)))
-    assert metrics["outcome"] == "unconverged"
-    assert "not resolved by steps of 5 ms" in metrics["reasons"][0]
-
-
-def test_a_resolved_run_is_verified_by_half_its_step():
-    run = verify_step(simulate(short()))
-    assert run.half_step["step_s"] == run.step / 2
-    assert run.half_step["moved"] == {}
-    assert run.unresolved == ()
 
 
 class Slow(LeafSystem):
