@@ -23,8 +23,8 @@ _TRIAL = 0.03  # s, of a trial flight, or longer: three samples of the controlle
 _SMALL_JUMP = 3e-4  # of the cables' length
 _RESOLVED = 0.1  # the largest `difference` of trial flights whose steps are kept
 _HALVINGS = 4  # of the step at most
-_GROWTH = 0.1  # 1/s, of deviations of a loop that counts as unstable
-_GROWN = 0.3  # by which the logarithm of a deviation at the run's end may differ
+_GROWN = 2.0  # logarithm of a deviation at the run's end, of a loop that counts as unstable
+_DIFFERENTLY_GROWN = 1.0  # by which that may differ
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,8 @@ def _hidden_growth(loop: LinearizedLoop, step: float, duration: float) -> str:
     Long steps damp what oscillates, so that an unstable loop may look stable.
     """
     exact, (stepped,) = loop.growths([step])
-    if max(exact, stepped) < _GROWTH or abs(stepped - exact) * duration < _GROWN:
+    grown = duration * max(exact, stepped)
+    if grown < _GROWN or duration * abs(stepped - exact) < _DIFFERENTLY_GROWN:
         return ""
     return (
         f"at the start a small deviation grows by {exact:.2g} 1/s, and by {stepped:.2g} 1/s with "

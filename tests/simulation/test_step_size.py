@@ -117,18 +117,20 @@ def test_growth_of_the_linearized_loop_is_that_of_the_simulated_one():
     _, nonstop, context = at_start(*gains, step)
     exact, (stepped, same) = LinearizedLoop(nonstop, context, 0.01).growths([0.001, 1e-4])
     assert same == pytest.approx(exact, rel=1e-4)
-    assert stepped == pytest.approx(exact, rel=0.01)
-    scenario = load_scenario("quintic", [CONSTANT, *gains, step, "duration=1.5"])
+    assert stepped == pytest.approx(exact, rel=0.05)
+    scenario = load_scenario("quintic", [CONSTANT, *gains, step, "duration=2.4"])
     sizes = []
     for moved in (0.0, 1e-7):
-        move = dataclasses.replace(scenario.load_trajectory, displacement=[moved, 0.3 * moved, 0])
+        move = dataclasses.replace(
+            scenario.load_trajectory, displacement=[moved, 0, 0], roll_pitch_yaw=[0, 0, moved]
+        )
         run = simulate(
             dataclasses.replace(scenario, load_trajectory=move), check_step=StepCheck.NOTHING
         )
         sizes.append(run.signal("load_state")[:, 4:])
     apart = np.linalg.norm(sizes[1] - sizes[0], axis=1)
     late = np.maximum.accumulate(apart)
-    assert np.log(late[-1] / late[-51]) / 0.5 == pytest.approx(exact, rel=0.3)
+    assert np.log(late[-1] / late[-61]) / 0.6 == pytest.approx(exact, rel=0.15)
 
 
 def test_a_live_run_in_doubt_is_said_to_be_without_a_second_flight():
