@@ -29,9 +29,10 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     load's true pose at 100 Hz. The slowest speed, the steepest climb and the least distances are
     also looked for between two steps. A time "below" or "slack" weighs each step's state with
     half of the two intervals beside it. The climb angle is that of the steepest climb or descent;
-    it and the turn radius are not meaningful where a carrier nearly stops. What was not measured,
-    such as the solve times of a layer that solves nothing, is None. `outcome` is a `RunOutcome`,
-    `reasons` and `warnings` are sentences.
+    it and the turn radius are not meaningful where a carrier nearly stops. Turns are measured over
+    0.1 s of the path: over less a carrier follows the ripple of its sampled reference. What was not
+    measured, such as the solve times of a layer that solves nothing, is None. `outcome` is a
+    `RunOutcome`, `reasons` and `warnings` are sentences.
     """
     quantities = RunQuantities(run)
     values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}

@@ -11,9 +11,11 @@ _LENGTH = 1e-3  # m; what a length may move by, whatever its value
 
 # What the other metrics have to move by besides, in the unit that ends their path: less is the
 # grain that they are measured with (a time is counted in steps, an update is one), or does not
-# matter for a carrier. Radii of turns are lengths of which a share counts, not a distance.
+# matter for a carrier. Radii of turns are lengths of which a share counts, not a distance; the
+# direction of a velocity may move by as much of it as its size.
 _GRAINS = {
     "turn_radius_min_m": 1e-3,
+    "climb_angle_max_rad": 0.02,
     "rad": 1e-3,
     "m_s": 2e-3,
     "m_s2": 1e-2,
@@ -42,7 +44,7 @@ class Move:
         """Such as "0.262 N, and 0.696 N"."""
         values = [self.metric.shown(value) for value in (self.value, self.finer)]
         unit = f" {self.metric.unit}" if self.metric.unit else ""
-        return ", and ".join("none" if v is None else f"{v:.4g}{unit}" for v in values)
+        return ", ".join("none" if v is None else f"{v:.4g}{unit}" for v in values)
 
 
 def moved_metrics(

@@ -2,7 +2,7 @@
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -30,8 +30,10 @@ class Run:
     removed with the run: each array is mapped to memory when it is asked for, and cannot be
     written to.
     A run that `is_steered` was changed from outside while it went on. `stopped` says why a run
-    ended before its time, and is empty where it did not; `unresolved` has a sentence for each
-    result that the integrator's step does not resolve.
+    ended before its time, and is empty where it did not. `step` is the longest step of the
+    integrator, s; `unresolved` has a sentence for each result that it does not resolve, and
+    `half_step` what `verify_step` found. `replacements` are the functions that made blocks in place
+    of the scenario's.
     """
 
     scenario: Scenario
@@ -46,6 +48,7 @@ class Run:
     step: float = 0.0
     unresolved: tuple[str, ...] = ()
     half_step: dict[str, Any] | None = None
+    replacements: dict[str, Any] = field(default_factory=dict)
 
     def signal(self, port: str) -> NDArray:
         """The signal of that port name, or of "block.port": (samples, size).
@@ -97,5 +100,5 @@ class RunInterrupted(KeyboardInterrupt):
     """A run was interrupted from the keyboard; `run` holds the signals up to there."""
 
     def __init__(self, run: Run):
-        super().__init__()
+        super().__init__(run.stopped)
         self.run = run

@@ -1,6 +1,7 @@
 """The quantities of a run that metrics and figures are made from."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from itertools import combinations
 
@@ -26,6 +27,8 @@ from drake_nonstop.simulation.separations import (
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
 _CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are small
+_SMALL_TURN = math.cos(0.2)  # of a velocity between two steps
+_TURN = 0.1  # s, over which a turn is measured
 _SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
@@ -100,12 +103,24 @@ class RunQuantities:
 
     @cached_property
     def slowest_speed(self) -> float:
-        """Of any carrier, m/s, also between two steps, where its velocity changes linearly."""
-        velocities = self.carrier_velocities
-        return min(
-            least_length(velocities[i : i + _CHUNK + 1])
-            for i in range(0, max(1, len(velocities) - 1), _CHUNK)
-        )
+        """Of any carrier, m/s, also between two steps.
+
+        Where a velocity turns far in a step it changes linearly there. Elsewhere a chord would be
+        slower than its arc, and the speed between two steps is within 0.5 % of theirs.
+        """
+        velocities, speeds = self.carrier_velocities, self.speeds
+        least = float(np.min(speeds))
+        for start in range(0, len(speeds) - 1, _CHUNK):
+            ends = slice(start, start + _CHUNK), slice(start + 1, start + _CHUNK + 1)
+            after = velocities[ends[1]]
+            before = velocities[ends[0]][: len(after)]
+            products = (before * after).sum(axis=-1)
+            lengths = speeds[ends[0]][: len(after)] * speeds[ends[1]]
+            turns_far = products < _SMALL_TURN * lengths
+            if np.any(turns_far):
+                turning = np.stack([before[turns_far], after[turns_far]])
+                least = min(least, least_length(turning))
+        return least
 
     @cached_property
     def steepest_angle(self) -> float:
@@ -120,48 +135,43 @@ class RunQuantities:
         )
 
     @cached_property
-    def _carrier_turns(self) -> tuple[float, float, float] | None:
-        """The largest acceleration and normal acceleration (m/s²) and curvature (1/m) at 100 Hz.
-
-        None where there are too few samples, or no carrier moves.
-        """
-        time, states = self.run.time, self.run.signal("carrier_state")
-        largest = np.zeros(3)
-        is_moving = False
-        for start in range(0, len(time) if len(time) > 2 else 0, _CHUNK):
-            before = max(start - 1, 0)  # a sample more on either side, for the differences
-            inner = slice(start - before, min(start + _CHUNK, len(time)) - before)
-            rows = slice(before, start + _CHUNK + 1)
-            velocities = CarrierStates.view(states[rows]).velocities
-            if len(velocities) < 2:  # a last sample alone
-                continue
-            accelerations = np.gradient(velocities, time[rows], axis=0)[inner]
-            # v × a is speed × normal acceleration, and stays defined where a carrier stops.
-            crossed, speeds = _norms(np.cross(velocities[inner], accelerations)), _norms(velocities)
-            speeds = speeds[inner]
-            moving = speeds > 0
-            is_moving |= bool(np.any(moving))
-            found = (
-                _norms(accelerations),
-                crossed[moving] / speeds[moving],
-                crossed[moving] / speeds[moving] ** 3,
-            )
-            largest = np.maximum(largest, [np.max(values, initial=0.0) for values in found])
-        acceleration, normal, curvature = largest.tolist()
-        return (acceleration, normal, curvature) if is_moving else None
-
-    @property
     def largest_acceleration(self) -> float | None:
-        """The largest acceleration of a carrier, m/s²; None: unknown."""
-        return None if self._carrier_turns is None else self._carrier_turns[0]
+        """The largest acceleration of a carrier at 100 Hz, m/s²; None: unknown."""
+        parts = [_norms(accelerations) for _, accelerations in self._carrier_motion(1)]
+        return max((float(np.max(part)) for part in parts), default=None)
 
-    @property
+    @cached_property
     def sharpest_turn(self) -> tuple[float | None, float | None]:
         """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
-        if self._carrier_turns is None:
+        time = self.run.time
+        if len(time) < 3:
             return None, None
-        _, acceleration, curvature = self._carrier_turns
+        acceleration = curvature = 0.0
+        is_moving = False
+        apart = max(1, min(round(_TURN / 2 / (time[1] - time[0])), (len(time) - 1) // 2))
+        for velocities, accelerations in self._carrier_motion(apart):
+            # v × a is speed × normal acceleration, and stays defined where a carrier stops.
+            crossed, speeds = _norms(np.cross(velocities, accelerations)), _norms(velocities)
+            moving = speeds > 0
+            is_moving |= bool(np.any(moving))
+            crossed, speeds = crossed[moving], speeds[moving]
+            acceleration = max(acceleration, float(np.max(crossed / speeds, initial=0.0)))
+            curvature = max(curvature, float(np.max(crossed / speeds**3, initial=0.0)))
+        if not is_moving:
+            return None, None
         return acceleration, 1 / curvature if curvature > 0 else None
+
+    def _carrier_motion(self, apart: int) -> Iterator[tuple[NDArray, NDArray]]:
+        """Velocities (k, n, 3), m/s, and accelerations over twice so many samples, in parts."""
+        time, states = self.run.time, self.run.signal("carrier_state")
+        for start in range(apart, len(time) - apart, _CHUNK):
+            rows = slice(start - apart, min(start + _CHUNK, len(time) - apart) + apart)
+            velocities, times = CarrierStates.view(states[rows]).velocities, time[rows]
+            intervals = (times[2 * apart :] - times[: -2 * apart])[:, None, None]
+            yield (
+                velocities[apart:-apart],
+                (velocities[2 * apart :] - velocities[: -2 * apart]) / intervals,
+            )
 
     @cached_property
     def largest_carrier_force(self) -> float | None:

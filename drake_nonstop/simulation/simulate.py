@@ -25,7 +25,6 @@ from drake_nonstop.simulation.interruption import ALL, Interruption, current_int
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.recording import WALL_TIME, Recording, RecordingError, require_room
 from drake_nonstop.simulation.run import (
-    SIGNAL_PERIOD,
     Run,
     RunInterrupted,
     RunStopped,
@@ -66,8 +65,8 @@ def simulate(
         after_step: called with the simulator and the loop's diagram after every step. It may
             change parameters of the context, such as the optimization layer's ε, or the
             simulator's real-time rate, and have the run wait or end.
-        check_step: what is flown again with half the step. A run that is changed from outside
-            does not repeat: of that, give PARTS; what is in doubt then is said to be unresolved.
+        check_step: what is flown again with half the step. With `after_step`, which may change a
+            run, no more than PARTS are; what is in doubt then is said to be unresolved.
         replacements: blocks in place of the scenario's, see `make_nonstop`. Those with a config
             are in the run's scenario.
 
@@ -114,6 +113,7 @@ def _simulate(
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
     for viewer in viewers:
         require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
+    is_second = interruption.collect is not None  # of a run that is there already
     stated = scenario.speed_bound
     scenario, replacements = replaced(scenario, replacements)
     check_scene(scenario.scene)
@@ -124,8 +124,6 @@ def _simulate(
         if chosen.config is not scenario.simulator:  # the steps are the block's own
             shorter = dataclasses.replace(scenario, simulator=chosen.config)
             nonstop = make_nonstop(shorter, **replacements)
-    if after_step is None:  # which may end a run of any duration
-        require_room(nonstop, scenario)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
     recording = Recording(builder, nonstop)
@@ -148,6 +146,7 @@ def _simulate(
             step=simulator.get_integrator().get_maximum_step_size(),
             wall_time=time.perf_counter() - start - monitor.waited,
             stopped=stopped,
+            replacements=replacements,
         )
 
     saved = SavedStates()
@@ -170,11 +169,14 @@ def _simulate(
         set_equilibrium(nonstop, nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
         chosen = chosen or _chosen(scenario, nonstop, nonstop_context)
+        if after_step is None:  # which may end a run of any duration
+            require_room(nonstop, dataclasses.replace(scenario, simulator=chosen.config))
         ApplySimulatorConfig(chosen.config, simulator)
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
-            interruption.collect = lambda: finished(interrupted())
+            if not is_second:
+                interruption.collect = lambda: finished(interrupted())
             simulator.Initialize()
             simulator.AdvanceTo(scenario.duration)
             for visualizer in visualizers:  # the last step may have been skipped
@@ -201,7 +203,8 @@ def _simulate(
         message = f"the run stopped at t = {context.get_time():.4f} s: {cause}"
         raise RunStopped(message, finished(message)) from error
     finally:
-        interruption.collect = None
+        if not is_second:
+            interruption.collect = None
     if interruption.number:
         return finished(interrupted())
     if context.get_time() < scenario.duration:
@@ -211,18 +214,13 @@ def _simulate(
         return dataclasses.replace(run, unresolved=(chosen.unresolved,))
     if check_step is StepCheck.NOTHING or not is_in_doubt(run, saved.states, nonstop_context):
         return run
-    if check_step is StepCheck.PARTS:
-        return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
-    return verify_step(run, progress=progress, after_step=after_step, **replacements)
+    doubt = in_doubt(run)
+    if check_step is StepCheck.PARTS or after_step is not None:
+        return dataclasses.replace(run, unresolved=(doubt,))
+    return _verified(run, progress, doubt)
 
 
-def verify_step(
-    run: Run,
-    *,
-    progress: Callable[[float], None] | None = None,
-    after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
-    **replacements: Any,
-) -> Run:
+def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) -> Run:
     """Flies a run's scenario again with half its steps; the run with what that shows.
 
     `unresolved` has a sentence for each metric that moves, see `moved_metrics`; `half_step` has the
@@ -231,32 +229,33 @@ def verify_step(
     Args:
         run: what is verified; one that was not steered.
         progress: as of `simulate`.
-        after_step: as of `simulate`; it may end the flight.
-        replacements: those that the run was simulated with.
 
     Raises:
         RunInterrupted: Ctrl-C; carries the run.
     """
+    return _verified(run, progress)
+
+
+def _verified(run: Run, progress: Callable[[float], None] | None, doubt: str = "") -> Run:
+    """As `verify_step`; an interrupted run keeps the doubt for which it is flown again."""
     finer = with_half_the_step(run.scenario.simulator, run.step)
     duration = float(run.steps["time"][-1])
     scenario = dataclasses.replace(run.scenario, simulator=finer, duration=duration)
+    doubted = dataclasses.replace(run, unresolved=(*run.unresolved, doubt)) if doubt else run
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), current_interruption() as interruption:
             warnings.simplefilter("ignore", ScenarioWarning)
+            interruption.collect = lambda: doubted
             half = simulate(
-                scenario,
-                progress=progress,
-                after_step=after_step,
-                check_step=StepCheck.NOTHING,
-                **replacements,
+                scenario, progress=progress, check_step=StepCheck.NOTHING, **run.replacements
             )
     except RunInterrupted:
-        raise RunInterrupted(run) from None
+        raise RunInterrupted(doubted) from None
     except (RunStopped, ScenarioError) as error:
         said = f"with half of the steps of {1e3 * run.step:.3g} ms {error}"
         return dataclasses.replace(run, unresolved=(*run.unresolved, said))
-    if half.steps["time"][-1] < duration - SIGNAL_PERIOD / 2:
-        return dataclasses.replace(run, unresolved=(in_doubt(run.step),))
+    finally:
+        interruption.collect = None
     return compared(run, half)
 
 
@@ -277,7 +276,7 @@ def _chosen(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenSte
             f"{chosen.config.max_step_size:.3g} s are taken instead, for the sake of "
             f"{' and '.join(chosen.reasons)}",
             ScenarioWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     return chosen
 
@@ -291,7 +290,7 @@ def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> N
                 f"optimization_layer: the run is judged by the {own:g} m/s of the replacement, "
                 f"not by the scenario's speed bound of {stated:g} m/s"
             )
-            warnings.warn(message, ScenarioWarning, stacklevel=3)
+            warnings.warn(message, ScenarioWarning, stacklevel=4)
 
 
 def _at_equilibrium(nonstop: Diagram) -> Context:
@@ -308,6 +307,7 @@ def _collect(
     step: float,
     wall_time: float,
     stopped: str,
+    replacements: dict[str, Any],
 ) -> Run:
     times, signals, steps = recording.collect()
     solve_times = np.zeros(0)
@@ -326,4 +326,5 @@ def _collect(
         wall_time=wall_time,
         stopped=stopped,
         step=step,
+        replacements=replacements,
     )

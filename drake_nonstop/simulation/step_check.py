@@ -147,19 +147,28 @@ def compared(run: Run, half: Run) -> Run:
         "step_s": half.step,
         "moved": {move.metric.path: [move.value, move.finer] for move in moves},
     }
-    unresolved = [
-        f"the {move.metric.label} is not resolved by steps of {1e3 * run.step:.3g} ms: "
-        f"{move.shown} with half of them"
-        for move in moves
-    ]
+    unresolved = [f"{move} with half the step" for move in moves]
     if unresolved:
-        unresolved[0] += f"; give a shorter simulator.max_step_size, such as {half.step / 2:.2g}"
+        unresolved[0] = f"not resolved by {_steps(run)}: {unresolved[0]}; {_remedy(run)}"
     return dataclasses.replace(run, unresolved=(*run.unresolved, *unresolved), half_step=half_step)
 
 
-def in_doubt(step: float) -> str:
+def in_doubt(run: Run) -> str:
     """What `Run.unresolved` says of a run in doubt that cannot be flown again."""
-    return (
-        f"parts of the run, flown again, differ with half of the steps of {1e3 * step:.3g} ms; "
-        f"give a shorter simulator.max_step_size, such as {step / 4:.2g}"
-    )
+    return f"parts of the run, flown again with half the step, differ from it; {_remedy(run)}"
+
+
+def _steps(run: Run) -> str:
+    if run.scenario.simulator.use_error_control:
+        return f"an accuracy of {run.scenario.simulator.accuracy:g}"
+    return f"steps of {1e3 * run.step:.3g} ms"
+
+
+def _remedy(run: Run) -> str:
+    """What may resolve a run."""
+    if "tensions" in run.steps and np.min(run.steps["tensions"]) <= 0:
+        return "cables that go slack and taut again may be resolved by no step: keep them taut"
+    if run.scenario.simulator.use_error_control:
+        accuracy = run.scenario.simulator.accuracy / 64
+        return f"give a smaller simulator.accuracy, such as {accuracy:.2g}"
+    return f"give a shorter simulator.max_step_size, such as {run.step / 4:.3g}"

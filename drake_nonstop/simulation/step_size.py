@@ -23,7 +23,8 @@ _TRIAL = 0.03  # s, of a trial flight, or longer: three samples of the controlle
 _SMALL_JUMP = 3e-4  # of the cables' length
 _RESOLVED = 0.1  # the largest `difference` of trial flights whose steps are kept
 _HALVINGS = 4  # of the step at most
-_GROWTH, _GROWTH_SHARE = 0.5, 0.1  # 1/s, and of the rate: by which growth may differ
+_GROWN = 2.0  # logarithm of a deviation at the run's end, of a loop that counts as unstable
+_DIFFERENTLY_GROWN = 1.0  # by which that may differ
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ def chosen_step(
         reasons.append("the fastest mode of the loop")
     if chosen.max_step_size < stable.max_step_size:
         reasons.append("the commanded motion between the controllers' samples")
-    return ChosenStep(chosen, tuple(reasons), _hidden_growth(loop, chosen.max_step_size))
+    hidden = _hidden_growth(loop, chosen.max_step_size, duration)
+    return ChosenStep(chosen, tuple(reasons), hidden)
 
 
 def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -> SimulatorConfig:
@@ -107,13 +109,14 @@ def _stable(config: SimulatorConfig, loop: LinearizedLoop) -> SimulatorConfig:
     return with_step(config, SIGNAL_PERIOD / math.ceil(SIGNAL_PERIOD / longest))
 
 
-def _hidden_growth(loop: LinearizedLoop, step: float) -> str:
+def _hidden_growth(loop: LinearizedLoop, step: float, duration: float) -> str:
     """What to say of a step (s) that hides, or causes, that a small deviation grows.
 
     Long steps damp what oscillates, so that an unstable loop may look stable.
     """
     exact, (stepped,) = loop.growths([step])
-    if abs(stepped - exact) <= max(_GROWTH, _GROWTH_SHARE * abs(exact)):
+    grown = duration * max(exact, stepped)
+    if grown < _GROWN or duration * abs(stepped - exact) < _DIFFERENTLY_GROWN:
         return ""
     return (
         f"at the start a small deviation grows by {exact:.2g} 1/s, and by {stepped:.2g} 1/s with "

@@ -156,7 +156,7 @@ def test_level_circles_have_known_figures():
     metrics = compute_metrics(circling_run(radius=0.5, rate=2.0))
     carriers = metrics["carriers"]
     assert carriers["n"] == 4
-    assert carriers["speed_min_m_s"] == pytest.approx(np.cos(0.001), abs=1e-12)  # of a chord
+    assert carriers["speed_min_m_s"] == pytest.approx(1.0, abs=1e-12)
     assert carriers["speed_max_m_s"] == pytest.approx(1.0, abs=1e-12)
     assert carriers["separation_min_m"] == pytest.approx(1.5, abs=1e-12)
     assert carriers["normal_acceleration_max_m_s2"] == pytest.approx(2.0, rel=2e-3)

@@ -1,0 +1,229 @@
+"""Steps that follow from stiffness, damping and motion, and what they do not resolve."""
+
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+
+from drake_nonstop import (
+    StepAction,
+    StepCheck,
+    compute_metrics,
+    load_scenario,
+    make_nonstop,
+    set_equilibrium,
+    simulate,
+    verify_step,
+)
+from drake_nonstop.simulation.equilibrium import on_reference
+from drake_nonstop.simulation.linearized_loop import LinearizedLoop
+from drake_nonstop.simulation.metrics import METRICS
+from drake_nonstop.simulation.moved_metrics import moved_metrics
+from drake_nonstop.simulation.short_flights import SavedState, ShortFlights, difference
+from drake_nonstop.simulation.step_size import with_step
+from drake_nonstop.validation import ScenarioError, ScenarioWarning
+
+CONSTANT = "optimization_layer=ConstantParameters"
+TURN = "load_trajectory.roll_pitch_yaw=[0, 0, 12.566]"
+SLOW_SAMPLES = ("control_period=0.1", "optimization_layer.period=0.1")
+
+
+def on_its_reference(*overrides):
+    scenario = load_scenario("quintic", [CONSTANT, *overrides])
+    nonstop = make_nonstop(scenario)
+    context = nonstop.CreateDefaultContext()
+    on_reference(nonstop, context)
+    return scenario, nonstop, context
+
+
+def at_start(*overrides):
+    scenario = load_scenario("quintic", [CONSTANT, *overrides])
+    nonstop = make_nonstop(scenario)
+    context = nonstop.CreateDefaultContext()
+    set_equilibrium(nonstop, context)
+    return scenario, nonstop, context
+
+
+@pytest.mark.parametrize("stiffness", [200, 2000])
+@pytest.mark.parametrize("exponent", [2, 3.3, 4, 5.2, 6, 7.5, 8.9])
+def test_damping_makes_a_mode_fast(exponent, stiffness):
+    """Of whatever strength: a tension ends at zero at ever smaller speeds."""
+    damping = 10**exponent
+    _, nonstop, context = on_its_reference(
+        f"system.cable_damping={damping}", f"system.cable_stiffness={stiffness}"
+    )
+    mode = LinearizedLoop(nonstop, context, 0.01).fastest_mode
+    # Along a cable the carrier's mass counts, and the load's inertia at its lever the most.
+    if exponent < 7:
+        assert mode == pytest.approx(182 * damping, rel=0.01)
+    assert mode > 1e4
+
+
+@pytest.mark.parametrize("damping", [1e4, 1e5, 1e6, 3e8])
+def test_steps_that_would_take_for_ever_are_refused(damping):
+    with pytest.raises(ScenarioError, match=r"fastest mode = .* less stiffness, damping"):
+        simulate(load_scenario("quintic", [f"system.cable_damping={damping}", "duration=1"]))
+
+
+def test_where_everything_is_resolved_the_step_stays_and_nothing_is_said():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ScenarioWarning)
+        run = simulate(load_scenario("quintic", ["duration=3"]))
+    assert run.step == 0.005
+    assert run.unresolved == ()
+    assert compute_metrics(run)["simulator"]["step_s"] == 0.005
+    assert "half_step" not in compute_metrics(run)
+
+
+def test_slow_samples_shorten_the_step():
+    scenario = load_scenario("quintic", [*SLOW_SAMPLES, "duration=4"])
+    with pytest.warns(ScenarioWarning, match="commanded motion between the controllers' samples"):
+        run = simulate(scenario)
+    assert run.step <= 0.0025
+    finer = with_step(scenario.simulator, run.step / 5)
+    fine = simulate(dataclasses.replace(scenario, simulator=finer), check_step=StepCheck.NOTHING)
+    moves = moved_metrics(compute_metrics(run), compute_metrics(fine))
+    assert not moves or run.unresolved
+
+
+@pytest.mark.parametrize("fused", [False, True])
+def test_what_the_step_does_not_resolve_is_said(fused):
+    overrides = [TURN, "duration=7", CONSTANT, f"fused_plant={str(fused).lower()}"]
+    run = simulate(
+        load_scenario("quintic", overrides),
+        optimization_layer=load_scenario("quintic").optimization_layer,
+    )
+    assert run.unresolved[0].startswith("not resolved by steps of 5 ms: ")
+    assert any("least tension" in line for line in run.unresolved)
+    half_step = compute_metrics(run)["half_step"]
+    assert half_step["step_s"] == pytest.approx(0.0025)
+    value, finer = half_step["moved"]["cables.tension_min_N"]
+    assert value == compute_metrics(run)["cables"]["tension_min_N"]
+    assert abs(finer - value) > 0.02 * value
+
+
+def test_growth_that_the_step_hides_is_said():
+    """With steps of 2.5 ms this run diverges; with 5 ms it seems to fly."""
+    overrides = [CONSTANT, "carrier_trajectory=MeasuredCarrierTrajectory", "duration=0.5"]
+    (said,) = simulate(load_scenario("line", overrides)).unresolved
+    assert said.startswith("at the start a small deviation grows by 11 1/s")
+
+
+def test_growth_of_the_linearized_loop_is_that_of_the_simulated_one():
+    """The carriers hardly orbit, so that the loop stays what it is linearized at."""
+    gains = ["optimization_layer.frequency=0.01", "carrier_trajectory=MeasuredCarrierTrajectory"]
+    step = "simulator.max_step_size=0.001"
+    _, nonstop, context = at_start(*gains, step)
+    exact, (stepped, same) = LinearizedLoop(nonstop, context, 0.01).growths([0.001, 1e-4])
+    assert same == pytest.approx(exact, rel=1e-4)
+    assert stepped == pytest.approx(exact, rel=0.05)
+    scenario = load_scenario("quintic", [CONSTANT, *gains, step, "duration=2.4"])
+    sizes = []
+    for moved in (0.0, 1e-7):
+        move = dataclasses.replace(
+            scenario.load_trajectory, displacement=[moved, 0, 0], roll_pitch_yaw=[0, 0, moved]
+        )
+        run = simulate(
+            dataclasses.replace(scenario, load_trajectory=move), check_step=StepCheck.NOTHING
+        )
+        sizes.append(run.signal("load_state")[:, 4:])
+    apart = np.linalg.norm(sizes[1] - sizes[0], axis=1)
+    late = np.maximum.accumulate(apart)
+    assert np.log(late[-1] / late[-61]) / 0.6 == pytest.approx(exact, rel=0.15)
+
+
+def test_a_live_run_in_doubt_is_said_to_be_without_a_second_flight():
+    flown = []
+
+    def after_step(simulator, nonstop):
+        flown.append(simulator.get_context().get_time())
+        return StepAction.CONTINUE
+
+    scenario = load_scenario("quintic", [TURN, "duration=6"])
+    run = simulate(scenario, after_step=after_step, check_step=StepCheck.PARTS)
+    assert len(run.unresolved) == 1
+    assert "flown again with half the step, differ" in run.unresolved[0]
+    assert np.all(np.diff(flown) >= 0)
+    assert run.half_step is None
+
+
+def test_a_verified_run_says_what_it_was_compared_with():
+    run = verify_step(simulate(load_scenario("quintic", ["duration=0.5"])))
+    assert run.half_step == {"step_s": 0.0025, "moved": {}}
+    assert run.unresolved == ()
+
+
+@pytest.mark.parametrize("scheme", ["explicit_euler", "runge_kutta2"])
+def test_schemes_of_low_order_are_always_verified(scheme):
+    overrides = [
+        "duration=0.3",
+        f"simulator.integration_scheme={scheme}",
+        "simulator.max_step_size=0.001",
+    ]
+    assert simulate(load_scenario("quintic", overrides)).half_step is not None
+
+
+@pytest.mark.parametrize("overrides", [(), ("fused_plant=true",), ("control_period=0",)])
+def test_a_short_flight_repeats_its_part_of_the_run(overrides):
+    scenario = load_scenario(
+        "quintic", ["duration=0.5", "optimization_layer.speed_bound=0.9", *overrides]
+    )
+    states = []
+
+    def after_step(simulator, nonstop):
+        context = nonstop.GetMyContextFromRoot(simulator.get_context())
+        if abs(context.get_time() - 0.2) < 1e-9 and not states:
+            states.append(SavedState.of(context))
+        return StepAction.CONTINUE
+
+    run = simulate(scenario, after_step=after_step, check_step=StepCheck.NOTHING)
+    context = run.diagram.CreateDefaultContext()
+    flights = ShortFlights(run.diagram, context, scenario.simulator, scenario.control_period)
+    for _ in range(2):  # one flight leaves nothing for the next
+        flown = flights.fly(states[0], 0.1)
+        np.testing.assert_allclose(flown.tensions, run.signal("tensions")[21:31], atol=1e-10)
+    finer = flights.fly(states[0], 0.1, 2)
+    assert 0 < difference(flown, finer) < 0.1
+
+
+def test_a_fused_plant_and_separate_blocks_are_refined_alike():
+    flights = []
+    for fused in ("false", "true"):
+        scenario, nonstop, context = at_start(*SLOW_SAMPLES[:1], f"fused_plant={fused}")
+        short = ShortFlights(nonstop, context, scenario.simulator, scenario.control_period)
+        short.context.SetTime(2.0)
+        on_reference(nonstop, short.context)
+        start = SavedState.of(short.context)
+        flights.append([short.fly(start, 0.3, parts) for parts in (1, 2, 4)])
+    for apart, fused in zip(*flights, strict=True):
+        places = np.isclose(apart.time[:, None], fused.time).any(axis=1)
+        np.testing.assert_allclose(fused.tensions, apart.tensions[places], atol=1e-8)
+
+
+def test_what_counts_as_moved():
+    metrics = compute_metrics(simulate(load_scenario("quintic", ["duration=0.1"])))
+
+    def moved(path, change):
+        *groups, name = path.split(".")
+        other = {
+            **metrics,
+            groups[0]: {**metrics[groups[0]], name: metrics[groups[0]][name] + change},
+        }
+        return [move.metric.path for move in moved_metrics(metrics, other)]
+
+    for path, small, large in (
+        ("load.position_error_max_m", 0.9e-3, 1.1e-3),
+        ("carriers.separation_min_m", 0.9e-3, 1.1e-3),
+        ("carriers.speed_max_m_s", 0.01, 0.02),
+        ("cables.tension_min_N", 0.04, 0.07),
+        ("cables.slack_time_s", 0.019, 0.021),
+        ("carriers.time_below_bound_s", 0.019, 0.021),
+        ("load.orientation_error_max_rad", 0.9e-3, 1.1e-3),
+        ("optimizer.solved", 2, 3),
+        ("carriers.turn_radius_min_m", 1e-3, 0.02),
+    ):
+        assert moved(path, small) == []
+        assert moved(path, large) == [path]
+    assert moved_metrics(metrics, {**metrics, "wall_s": 1e3, "simulator": {"step_s": 1.0}}) == []
+    assert all(metric.value(metrics) is not None or "solve" in metric.path for metric in METRICS)
