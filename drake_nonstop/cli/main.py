@@ -75,7 +75,7 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
         finally:
             interruption.patience = ALL
     except ScenarioError as error:
-        message, code = str(error), BAD_INPUT
+        message, code = str(error).replace("\n", "\\n"), BAD_INPUT
     except RunStopped as stopped:
         message, code = str(stopped), FAILED
     except KeyboardInterrupt as interrupted:

@@ -80,7 +80,7 @@ _ENVIRONMENTS: tuple[dict[str, str], ...] = (
     {"PYTHONHASHSEED": "0", "PYTHONDEVMODE": "1"},
     {"TERM": "dumb", "NO_COLOR": "1"},
     {"PATH": ""},
-    {"OMP_NUM_THREADS": "0"},
+    {"OMP_NUM_THREADS": "1"},
     {"TZ": "Nowhere/None"},
     {"BROWSER": "/bin/false"},
     {"PYTHONPATH_EXTRA": "x", "PYTHONSAFEPATH": "1"},
