@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import os
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -11,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
-from drake_nonstop.cli.ending import say_end
+from drake_nonstop.cli.ending import exit_code, say_end
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.interruption import ALL, current_interruption
-from drake_nonstop.simulation.metrics import metrics_table
+from drake_nonstop.simulation.metrics import in_brief, metrics_table
 from drake_nonstop.simulation.moved_metrics import TOLERANCES
 from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped
@@ -31,12 +32,11 @@ from drake_nonstop.studies.results_folder import (
     write_pictures,
 )
 from drake_nonstop.studies.run_all import no_progress
-from drake_nonstop.validation import ScenarioError, one_line, require
+from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
 from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.progress import RunProgress, TaskProgress
 
-_MOST_REASONS = 3  # that are printed
 _EXIT_CODES = {RunOutcome.OK: 0, RunOutcome.STOPPED: FAILED}  # NOT_OK for all others
 
 
@@ -48,7 +48,9 @@ def add_to(commands: Commands) -> None:
         help="run a scenario and write its results",
         epilog=f"Exit codes: 0 where the outcome is ok, {NOT_OK} where it is "
         f"{', '.join(others[:-1])} or {others[-1]}, {FAILED} where the run stopped before its "
-        f"time, {BAD_INPUT} for bad input, {INTERRUPTED} after Ctrl-C.",
+        f"time or results, pictures or the output could not be written, {BAD_INPUT} for bad "
+        f"input, {INTERRUPTED} after Ctrl-C, {exit_code(signal.SIGTERM)} after SIGTERM, "
+        f"{exit_code(signal.SIGHUP)} after SIGHUP.",
     )
     parser.set_defaults(action=_run)
     add_scenario(parser)
@@ -249,7 +251,7 @@ def _report(metrics: dict[str, Any], run: Run, place: str) -> None:
     if metrics["is_steered"]:
         print("steered while it ran: scenario.yaml alone does not repeat it")
     for warning in metrics["warnings"]:
-        print(f"warning: {warning}")
+        show_warning(warning)
     if run.half_step is not None and not run.unresolved:
         print(
             f"with steps of {1e3 * run.half_step['step_s']:.3g} ms no metric moves ({TOLERANCES})"
@@ -258,6 +260,5 @@ def _report(metrics: dict[str, Any], run: Run, place: str) -> None:
 
 
 def _print_outcome(metrics: dict[str, Any]) -> None:
-    shown, rest = metrics["reasons"][:_MOST_REASONS], metrics["reasons"][_MOST_REASONS:]
-    more = [f"{len(rest)} more reasons in metrics.json"] if rest else []
-    print(f"drake-nonstop: {metrics['outcome']}: {'; '.join([*shown, *more])}", file=sys.stderr)
+    reasons = in_brief(metrics["reasons"])
+    print(f"drake-nonstop: {metrics['outcome']}: {reasons}", file=sys.stderr)
