@@ -5,6 +5,7 @@ import difflib
 import math
 import re
 import stat
+import sys
 import types
 import typing
 from collections.abc import Collection, Sequence
@@ -30,8 +31,8 @@ class ScenarioError(ValueError):
 
 
 def show_warning(message: Warning | str, *about: Any, **where: Any) -> None:
-    """Python's `warnings.showwarning` in one line, without the place in the code."""
-    print(f"warning: {message}")
+    """Python's `warnings.showwarning` in one line on stderr, without the place in the code."""
+    print(f"warning: {message}", file=sys.stderr, flush=True)
 
 
 def one_line(error: BaseException) -> str:

@@ -10,9 +10,7 @@ import os
 import sys
 
 from drake_nonstop.cli.ending import CommandInterruption, exit_code, handling_signals, say_end
-from drake_nonstop.cli.exit_codes import BAD_INPUT as BAD_INPUT
-from drake_nonstop.cli.exit_codes import FAILED as FAILED
-from drake_nonstop.cli.exit_codes import INTERRUPTED as INTERRUPTED
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.cli.output import GuardedStream, guarded_output, open_closed_streams
 
 
@@ -69,7 +67,8 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
         try:
             interruption.is_starting = False
             with warnings.catch_warnings():
-                warnings.simplefilter("once", ScenarioWarning)
+                is_quiet = getattr(options, "quiet", False)
+                warnings.simplefilter("ignore" if is_quiet else "once", ScenarioWarning)
                 warnings.showwarning = show_warning
                 return options.action(options)
         finally:

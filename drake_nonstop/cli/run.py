@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import os
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -11,29 +12,31 @@ from pathlib import Path
 from typing import Any
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
-from drake_nonstop.cli.ending import say_end
+from drake_nonstop.cli.ending import exit_code, say_end
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
+from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.interruption import ALL, current_interruption
-from drake_nonstop.simulation.metrics import metrics_table
+from drake_nonstop.simulation.metrics import in_brief, metrics_table
 from drake_nonstop.simulation.moved_metrics import TOLERANCES
 from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped
 from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.files import require_writable
+from drake_nonstop.studies.journal import own_code_of
 from drake_nonstop.studies.results_folder import (
     RUN_FILES,
     default_folder,
+    stopped_folder,
     write_data,
     write_pictures,
 )
 from drake_nonstop.studies.run_all import no_progress
-from drake_nonstop.validation import ScenarioError, one_line, require
+from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
 from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.progress import RunProgress, TaskProgress
 
-_MOST_REASONS = 3  # that are printed
 _EXIT_CODES = {RunOutcome.OK: 0, RunOutcome.STOPPED: FAILED}  # NOT_OK for all others
 
 
@@ -45,7 +48,9 @@ def add_to(commands: Commands) -> None:
         help="run a scenario and write its results",
         epilog=f"Exit codes: 0 where the outcome is ok, {NOT_OK} where it is "
         f"{', '.join(others[:-1])} or {others[-1]}, {FAILED} where the run stopped before its "
-        f"time, {BAD_INPUT} for bad input, {INTERRUPTED} after Ctrl-C.",
+        f"time or results, pictures or the output could not be written, {BAD_INPUT} for bad "
+        f"input, {INTERRUPTED} after Ctrl-C, {exit_code(signal.SIGTERM)} after SIGTERM, "
+        f"{exit_code(signal.SIGHUP)} after SIGHUP.",
     )
     parser.set_defaults(action=_run)
     add_scenario(parser)
@@ -108,10 +113,11 @@ def run_into(
     """Runs a scenario, writes its results and prints its table; returns the exit code.
 
     Args:
-        folder: of the results; a new one is removed where the scenario cannot be run.
+        folder: of the results; a new one is removed where the scenario cannot be run. A run that
+            ends before its time does not replace the results of a whole one: `stopped_folder`.
         scenario: what to run.
         is_live: whether to show the run in Meshcat, with controls, while it goes on; restarts
-            in the page are further runs, whose results replace those of the one before.
+            in the page are further runs; the results of a whole one replace those before.
         realtime_rate: of a live run: simulated s per s, 0 for as fast as it goes.
         port: of the live page; None: any from 7000 that is free.
         figures: whether to write figures/.
@@ -123,6 +129,7 @@ def run_into(
         ScenarioError: the scenario cannot be built, or the folder not be written.
     """
     is_new = not os.path.lexists(folder)
+    own_code = own_code_of(dump_scenario(scenario))  # before somebody edits it
     code = 0
     progress = None if is_quiet else RunProgress(scenario.name, scenario.duration)
 
@@ -137,27 +144,32 @@ def run_into(
         print(f"watch and steer it at {meshcat.web_url()}", flush=True)
         yield from run_live(scenario, meshcat, realtime_rate=realtime_rate, progress=progress)
 
-    def write(run: Run) -> tuple[dict[str, Any], str]:
-        """Writes the results; returns the metrics, and why pictures are missing ("": none is)."""
+    def write(run: Run) -> tuple[dict[str, Any], Path, str]:
+        """Writes the results.
+
+        Returns:
+            The metrics, where the results are, and what of them is missing ("": nothing is).
+        """
         interruption.is_writing = True
-        metrics = _write_somewhere(run, folder)
+        place = stopped_folder(folder) if run.stopped else folder
+        metrics = _write_somewhere(run, place, own_code)
         interruption.is_writing = False
         if interruption.count > 1:
-            return metrics, "without pictures"
+            return metrics, place, "without pictures"
         try:
             with TaskProgress() as task, interruption.patient(0):
                 show = no_progress if is_quiet else task
-                write_pictures(run, folder, figures=figures, replay=replay, progress=show)
+                write_pictures(run, place, figures=figures, replay=replay, progress=show)
         except KeyboardInterrupt:
-            return metrics, "without all pictures"
+            return metrics, place, "without all pictures"
         except Exception as error:  # what was flown is kept
-            return metrics, f"without all pictures ({one_line(error)})"
-        return metrics, ""
+            return metrics, place, f"without all pictures ({one_line(error)})"
+        return metrics, place, ""
 
     def keep(run: Run) -> str:
-        metrics, missing = write(run)
-        lacks = missing and f", {missing}"
-        return f"the results up to {metrics['simulated_s']:.3f} s are in {folder}{lacks}"
+        metrics, place, missing = write(run)
+        said = f"the results up to {metrics['simulated_s']:.3f} s are in {place}"
+        return f"{said}{missing and f', {missing}'}{_unchanged(folder, place)}"
 
     with current_interruption() as interruption, interruption.patient(ALL):
         interruption.keep = keep
@@ -166,22 +178,22 @@ def run_into(
             for run in runs():
                 if progress is not None:
                     progress.close()
-                metrics, missing = write(run)
+                metrics, place, missing = write(run)
                 if interruption.number:
-                    rest = f"the results are in {folder}{missing and f', {missing}'}"
-                    return say_end(interruption, rest)
+                    rest = f"the results are in {place}{missing and f', {missing}'}"
+                    return say_end(interruption, rest + _unchanged(folder, place))
                 outcome = RunOutcome(metrics["outcome"])
                 code = _EXIT_CODES.get(outcome, NOT_OK)
                 if is_live and outcome is RunOutcome.STOPPED:
                     code = 0  # somebody pressed "stop" in the page
                 if not is_quiet:
-                    _report(metrics, run, folder)
+                    _report(metrics, run, f"{place}{_unchanged(folder, place)}")
                 if code != 0:
                     _print_outcome(metrics)
                 if is_live and not is_quiet:
                     print("while a page is open: restart or stop there; Ctrl-C ends it", flush=True)
                 if missing:
-                    message = f"the results are in {folder}, {missing}"
+                    message = f"the results are in {place}, {missing}"
                     print(f"drake-nonstop: {message}", file=sys.stderr)
                     return FAILED
             return code
@@ -204,18 +216,23 @@ def run_into(
                 progress.close()
 
 
-def _write_somewhere(run: Run, folder: Path) -> dict[str, Any]:
+def _unchanged(folder: Path, place: Path) -> str:
+    """The end of a sentence that says where the results are, where that is another folder."""
+    return "" if place == folder else f"; those of an earlier run stay in {folder}"
+
+
+def _write_somewhere(run: Run, folder: Path, own_code: str | None) -> dict[str, Any]:
     """Writes a run's data to the folder and returns the metrics.
 
     Raises:
         ScenarioError: the folder cannot be written; says in what other folder the data are.
     """
     try:
-        return write_data(run, folder)
+        return write_data(run, folder, own_code)
     except ScenarioError as error:
         other = Path(tempfile.mkdtemp(prefix="drake-nonstop-"))
         try:
-            write_data(run, other)
+            write_data(run, other, own_code)
         except ScenarioError:
             shutil.rmtree(other, ignore_errors=True)
             raise error from None
@@ -229,20 +246,19 @@ def _least_size(scenario: Scenario) -> float:
     return 4 * columns * samples
 
 
-def _report(metrics: dict[str, Any], run: Run, folder: Path) -> None:
+def _report(metrics: dict[str, Any], run: Run, place: str) -> None:
     print(metrics_table(metrics))
     if metrics["is_steered"]:
         print("steered while it ran: scenario.yaml alone does not repeat it")
     for warning in metrics["warnings"]:
-        print(f"warning: {warning}")
+        show_warning(warning)
     if run.half_step is not None and not run.unresolved:
         print(
             f"with steps of {1e3 * run.half_step['step_s']:.3g} ms no metric moves ({TOLERANCES})"
         )
-    print(f"results: {folder}", flush=True)
+    print(f"results: {place}", flush=True)
 
 
 def _print_outcome(metrics: dict[str, Any]) -> None:
-    shown, rest = metrics["reasons"][:_MOST_REASONS], metrics["reasons"][_MOST_REASONS:]
-    more = [f"{len(rest)} more reasons in metrics.json"] if rest else []
-    print(f"drake-nonstop: {metrics['outcome']}: {'; '.join([*shown, *more])}", file=sys.stderr)
+    reasons = in_brief(metrics["reasons"])
+    print(f"drake-nonstop: {metrics['outcome']}: {reasons}", file=sys.stderr)

@@ -5,7 +5,7 @@ the table of a run, the tables of an ablation and of a sweep, the quantities of 
 claims.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from importlib.metadata import version
@@ -18,6 +18,7 @@ from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.version import __version__
 
+_MOST_SENTENCES = 3  # of a list, in what is printed
 _NAME_WIDTH = 24  # characters, of a line's name in the table of a run
 
 
@@ -429,6 +430,12 @@ def metric_at(path: str) -> Metric:
     return next(metric for metric in METRICS if metric.path == path)
 
 
+def in_brief(sentences: Sequence[str]) -> str:
+    """The first few of the sentences, and how many more are in metrics.json."""
+    shown, rest = sentences[:_MOST_SENTENCES], sentences[_MOST_SENTENCES:]
+    return "; ".join([*shown, *([f"{len(rest)} more in metrics.json"] if rest else [])])
+
+
 def metrics_table(metrics: Mapping[str, Any]) -> str:
     """The metrics of a run that have a `run_text`, some in each line, for a terminal."""
     lines: dict[str, str] = {}
@@ -438,7 +445,7 @@ def metrics_table(metrics: Mapping[str, Any]) -> str:
         if part is None or value is None or value == []:
             continue
         if metric.is_list:
-            value = "; ".join(value)
+            value = in_brief(value)
         if part.hides_line_at_zero and not value:
             hidden.add(part.line)
         if part.decimals is not None:

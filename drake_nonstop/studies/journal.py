@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from io import FileIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -137,12 +137,27 @@ def settings_of(study: str, *texts: str) -> str:
     The package's version and the modules that the texts name are part of it, so that a study is
     not continued with other code.
     """
-    parts = [study, __version__, *texts]
+    return _hashed([study, __version__, *texts, *_own_code(texts)])
+
+
+def own_code_of(text: str) -> str | None:
+    """A name of the source of the user's own modules that a text names; None: it names none."""
+    code = _own_code([text])
+    return _hashed(code) if code else None
+
+
+def _hashed(parts: Sequence[str]) -> str:
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _own_code(texts: Iterable[str]) -> list[str]:
+    """The contents of the modules that the texts name."""
     names = {match for text in texts for match in _IMPORT_PATH.findall(text)}
+    contents = []
     for file in sorted(file for name in names for file in _sources(name)):
         with contextlib.suppress(OSError):
-            parts.append(file.read_text(encoding="utf-8", errors="replace"))
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+            contents.append(file.read_text(encoding="utf-8", errors="replace"))
+    return contents
 
 
 def _sources(name: str) -> list[Path]:

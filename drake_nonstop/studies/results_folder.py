@@ -1,10 +1,10 @@
 """The folder with the results of one run."""
 
-import contextlib
 import itertools
 import json
+import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -14,9 +14,10 @@ import numpy as np
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import compute_metrics
+from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.studies.files import as_path, replacing_files, require_writable
-from drake_nonstop.studies.journal import journalled_settings
+from drake_nonstop.studies.journal import journalled_settings, own_code_of
 from drake_nonstop.validation import require
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay
@@ -24,23 +25,27 @@ from drake_nonstop.visualization.run_figures import FIGURE_NAMES, make_figure
 
 _FIGURES = "figures"
 _SCENARIO = "scenario.yaml"
+_METRICS = "metrics.json"
+_SIGNALS = "signals.npz"
+_DATA = (_SCENARIO, _METRICS, _SIGNALS)
+_OWN_CODE = "own_code"  # in metrics.json, beside the versions of packages
 
-# All files that may be written; those that a run does not write are removed.
-RUN_FILES = (
-    _SCENARIO,
-    "metrics.json",
-    "signals.npz",
+_PICTURES = (
     "diagram.svg",
     "replay.html",
     *(f"{_FIGURES}/{name}.png" for name in FIGURE_NAMES),
 )
+
+# All files that may be written; those that a run does not write are removed.
+RUN_FILES = (*_DATA, *_PICTURES)
 
 
 def default_folder(folder: Path, settings: str | Scenario) -> Path:
     """Where results go unless the user names a folder: not over those of other settings.
 
     It is the folder itself, or the first of FOLDER_2, FOLDER_3, ... that has no results yet, or
-    those of the same settings.
+    those of the same settings. A run's settings are its scenario and the user's own modules that
+    it names; those of a run that was steered are never the same.
 
     Args:
         folder: the first to be tried.
@@ -48,15 +53,68 @@ def default_folder(folder: Path, settings: str | Scenario) -> Path:
     """
 
     def is_free(place: Path) -> bool:
-        found: str | bytes | None = journalled_settings(place)
-        if found is None:
-            with contextlib.suppress(OSError):  # one that cannot be read cannot be written either
-                found = (place / _SCENARIO).read_bytes()
-        return found in (None, wanted)
+        if not os.path.lexists(place):
+            return True
+        if not place.is_dir():
+            return False
+        journalled = journalled_settings(place)
+        if journalled is not None:
+            return journalled == settings
+        names = [name for name in (_SCENARIO, _METRICS) if os.path.lexists(place / name)]
+        return not names or (isinstance(settings, Scenario) and _is_of(place, names, settings))
 
-    wanted = settings if isinstance(settings, str) else dump_scenario(settings).encode()
-    numbered = (folder.with_name(f"{folder.name}_{k}") for k in itertools.count(2))
-    return next(place for place in itertools.chain([folder], numbered) if is_free(place))
+    return next(place for place in _numbered(folder) if is_free(place))
+
+
+def stopped_folder(folder: Path) -> Path:
+    """Where the results of a run go that ended before its time: not over those of a whole one.
+
+    It is the folder itself, or the first of FOLDER_stopped, FOLDER_stopped_2, ... that has no
+    results yet, or those of another run that was stopped.
+    """
+
+    def is_free(place: Path) -> bool:
+        if not os.path.lexists(place):
+            return True
+        if not place.is_dir():
+            return False
+        has_results = any(os.path.lexists(place / item) for item in RUN_FILES)
+        return not has_results or _metrics_in(place).get("outcome") == RunOutcome.STOPPED.value
+
+    named = folder if folder.name not in ("", "..") else Path(os.path.abspath(folder))
+    others = _numbered(Path(f"{named}_stopped"))
+    return next(place for place in itertools.chain([folder], others) if is_free(place))
+
+
+def _numbered(folder: Path) -> Iterator[Path]:
+    """The folder, and those with 2, 3, ... at the end of its name."""
+    yield folder
+    yield from (folder.with_name(f"{folder.name}_{k}") for k in itertools.count(2))
+
+
+def _is_of(folder: Path, names: Sequence[str], scenario: Scenario) -> bool:
+    """Whether the files of these names in a folder are those of such a run, which repeats them."""
+    text = dump_scenario(scenario)
+    try:
+        if (folder / _SCENARIO).read_text(encoding="utf-8") != text:
+            return False
+    except (OSError, ValueError):
+        return False
+    if _METRICS not in names:
+        return True
+    metrics = _metrics_in(folder)
+    versions = metrics.get("versions")
+    own_code = versions.get(_OWN_CODE) if isinstance(versions, dict) else None
+    return metrics.get("is_steered") is False and own_code == own_code_of(text)
+
+
+def _metrics_in(folder: Path) -> dict[str, Any]:
+    """The metrics in a folder; empty where there are none that can be read."""
+    try:
+        metrics = json.loads((folder / _METRICS).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return metrics if isinstance(metrics, dict) else {}
 
 
 def write_results(
@@ -65,7 +123,8 @@ def write_results(
     """Writes a run's results to the folder and returns its metrics.
 
     scenario.yaml (resolved), metrics.json and signals.npz replace all of the earlier results once
-    they are written; diagram.svg, replay.html and figures/ follow, one by one.
+    they are written; diagram.svg, replay.html and figures/ follow, one by one. Earlier ones that
+    show the same flight stay until then.
 
     Args:
         run: what to write.
@@ -81,18 +140,48 @@ def write_results(
     return metrics
 
 
-def write_data(run: Run, folder: Path | str) -> dict[str, Any]:
-    """Writes all but the pictures, removes the earlier results, and returns the metrics."""
+def write_data(run: Run, folder: Path | str, own_code: str | None = None) -> dict[str, Any]:
+    """Writes all but the pictures, removes the earlier results, and returns the metrics.
+
+    Pictures of an equal flight, with the same scenario and signals to the bit, are not removed.
+
+    Args:
+        run: what to write.
+        folder: as for `write_results`.
+        own_code: what `own_code_of` said of the scenario as it was loaded; None: as it is now.
+    """
     require(isinstance(run, Run), "run", type(run).__name__, "give a Run, which simulate returns")
     folder = as_path(folder)
     require_writable(folder, RUN_FILES)
     metrics = compute_metrics(run)
-    with replacing_files(folder, RUN_FILES) as new:
-        (new / _SCENARIO).write_text(dump_scenario(run.scenario), encoding="utf-8")
+    scenario = dump_scenario(run.scenario)
+    own_code = own_code or own_code_of(scenario)
+    if own_code is not None:
+        metrics["versions"][_OWN_CODE] = own_code
+    with replacing_files(folder, _DATA) as new:
+        (new / _SCENARIO).write_text(scenario, encoding="utf-8")
         text = json.dumps(metrics, indent=2, allow_nan=False)
-        (new / "metrics.json").write_text(text + "\n", encoding="utf-8")
-        _write_signals(new / "signals.npz", run)
+        (new / _METRICS).write_text(text + "\n", encoding="utf-8")
+        _write_signals(new / _SIGNALS, run)
+        is_other = _flight_in(folder) != _flight_in(new)
+    if is_other:
+        _remove(folder, _PICTURES)
     return metrics
+
+
+def _remove(folder: Path, items: Sequence[str]) -> None:
+    with replacing_files(folder, items):
+        pass
+
+
+def _flight_in(folder: Path) -> object:
+    """What pictures show of the data in a folder: equal for equal flights only."""
+    try:
+        with zipfile.ZipFile(folder / _SIGNALS) as archive:
+            signals = [(item.filename, item.file_size, item.CRC) for item in archive.infolist()]
+        return (folder / _SCENARIO).read_bytes(), signals
+    except (OSError, ValueError, zipfile.BadZipFile):
+        return None
 
 
 def write_pictures(
@@ -104,6 +193,8 @@ def write_pictures(
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> None:
     """Writes diagram.svg, replay.html and figures/, each of which appears once it is complete.
+
+    Earlier pictures that are not asked for are removed at the end.
 
     Args:
         run: what to show.
@@ -128,6 +219,8 @@ def write_pictures(
             (new / item).parent.mkdir(exist_ok=True)
             with (new / item).open("wb") as file:
                 write(file)
+    written = {item for item, _ in todo}
+    _remove(folder, [item for item in _PICTURES if item not in written])
 
 
 def _write_figure(run: Run, name: str, file: BinaryIO) -> None:

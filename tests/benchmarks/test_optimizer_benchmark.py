@@ -7,7 +7,8 @@ import pytest
 
 from drake_nonstop.benchmarks import instances as drawn
 from drake_nonstop.benchmarks.optimizer import PEERS
-from drake_nonstop.cli.main import BAD_INPUT, main
+from drake_nonstop.cli.exit_codes import BAD_INPUT
+from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 

@@ -276,5 +276,5 @@ def test_the_command_says_it_in_one_line(capsys, tmp_path):
     settings = ["duration=0.05", CONSTANT, FUSE, "load_plant=MultibodyLoadPlant"]
     arguments = ["run", "line", "--no-figures", "--no-replay", "--out", str(tmp_path)]
     assert main([*arguments, "--set", *settings]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = capsys.readouterr().err.splitlines()
     assert sum(line.startswith("warning: fused_plant = true: load_plant") for line in lines) == 1

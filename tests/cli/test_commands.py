@@ -131,7 +131,7 @@ def test_dangerous_metrics_are_warned_of(tmp_path, capsys):
     )
     assert re.fullmatch(f"outcome +{reasons}", shown.out.splitlines()[0])
     assert re.fullmatch(f"drake-nonstop: {reasons}", shown.err.splitlines()[-1])
-    warnings = [s for s in shown.out.splitlines() if s.startswith("warning: ")]
+    warnings = [s for s in shown.err.splitlines() if s.startswith("warning: ")]
     assert len(warnings) == 2
     assert any("no xi and A kept the constraints" in line for line in warnings)
     assert any(line.endswith(" m/s (limits.speed: 0.1 m/s)") for line in warnings)
@@ -263,3 +263,22 @@ def test_bad_options_of_a_live_run(options, words, tmp_path, capsys):
     assert main(["run", "quintic", "--out", str(folder), *options]) == 2
     assert words in capsys.readouterr().err
     assert not folder.exists()
+
+
+def test_warnings_are_errors_output_and_quiet_silences_them(tmp_path, capsys):
+    settings = ["duration=0.05", "optimization_layer=ConstantParameters", "limits.speed=0.1"]
+    settings += ["fused_plant=true", "load_plant=MultibodyLoadPlant"]
+    arguments = ["run", "line", "--out", str(tmp_path), *BRIEF[1:]]
+    assert main([*arguments, "--set", *settings]) == 0
+    shown = capsys.readouterr()
+    assert "warning" not in shown.out
+    assert sum(line.startswith("warning: ") for line in shown.err.splitlines()) >= 2
+    assert main([*arguments, "--quiet", "--set", *settings]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_run_says_all_its_exit_codes(capsys):
+    with pytest.raises(SystemExit):
+        main(["run", "--help"])
+    said = capsys.readouterr().out.split("Exit codes:")[1]
+    assert set(re.findall(r"\d+", said)) == {"0", "1", "2", "3", "129", "130", "143"}

@@ -303,3 +303,12 @@ def test_closest_two_take_little_memory():
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 3e6  # the distances of all pairs take 12 MB
+
+
+@pytest.mark.parametrize("count", range(1, 7))
+def test_the_table_prints_three_reasons_at_most(count):
+    metrics = compute_metrics(circling_run(radius=0.5, rate=2.0))
+    metrics["reasons"] = [f"reason {k}" for k in range(count)]
+    line = metrics_table(metrics).splitlines()[0]
+    assert line.count("reason ") == min(count, 3)
+    assert line.endswith(f"; {count - 3} more in metrics.json") == (count > 3)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drake_nonstop.cli import main as cli
+from drake_nonstop.cli import exit_codes
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import load_scenario
@@ -32,7 +32,9 @@ from drake_nonstop.studies.ablation import (
     ordered,
     read_grid,
 )
-from drake_nonstop.studies.ablation.page import Curves, write_page
+from drake_nonstop.studies.ablation import runs as ablation_runs
+from drake_nonstop.studies.ablation.page import PAGE, Curves, write_page
+from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, FAILED, UNBUILDABLE
 from drake_nonstop.validation import ScenarioError
 
@@ -309,7 +311,7 @@ def test_table_page_and_terminal_show_the_metrics_of_the_folders(compared):
 
 def test_a_variant_that_cannot_be_built_is_reported_and_spoils_nothing(compared):
     folder, code, shown = compared
-    assert code == cli.FAILED
+    assert code == exit_codes.FAILED
     message = "Nope (unbuildable): phase = !Nope: give one of"
     assert message in shown
     assert message in (folder / "table.md").read_text()
@@ -382,7 +384,7 @@ def test_changes_are_marked_as_better_or_worse(tmp_path):
 )
 def test_bad_input_is_reported_and_leaves_no_folder(tmp_path, capsys, arguments, words):
     folder = tmp_path / "out"
-    assert main(["ablate", "line", "--out", str(folder), *arguments]) == cli.BAD_INPUT
+    assert main(["ablate", "line", "--out", str(folder), *arguments]) == exit_codes.BAD_INPUT
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
@@ -402,8 +404,25 @@ def test_ctrl_c_ends_all_processes_and_leaves_the_earlier_results(tmp_path):
     time.sleep(4)  # the runs are on their way
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
-    assert process.returncode == cli.INTERRUPTED
+    assert process.returncode == exit_codes.INTERRUPTED
     assert error.endswith("drake-nonstop: interrupted\n")
     assert "Traceback" not in error
     assert contents(tmp_path) == {"table.md"}
     assert (tmp_path / "table.md").read_text() == "earlier"
+
+
+def test_an_interrupted_repetition_keeps_table_page_and_plots(tmp_path, monkeypatch):
+    scenario = load_scenario("line", ["duration=0.05", "optimization_layer=ConstantParameters"])
+    earlier = {*PLOTS, "table.md", "table.csv", PAGE}
+    for name in earlier:
+        (tmp_path / name).write_text("earlier")
+
+    def first_only(run, keys, arguments, record, *others, **options):
+        record(keys[0], run(*arguments(keys[0])))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ablation_runs, "run_all", first_only)
+    with pytest.raises(StudyInterrupted, match="1 of 2 variants"):
+        ablate(scenario, {"a": ["system.load_mass=1.1"]}, tmp_path, replay=False)
+    assert (tmp_path / JOURNAL).exists()
+    assert {name for name in earlier if (tmp_path / name).exists()} == earlier

@@ -157,3 +157,27 @@ def test_default_folders_hold_one_kind_of_settings_each(tmp_path):
     (tmp_path / "out_6").mkdir()
     (tmp_path / "out_6" / JOURNAL).write_text(json.dumps({"sweep": "of an earlier version"}))
     assert default_folder(tmp_path / "out", "study c").name == "out_7"
+
+
+def run_folder(folder, scenario, **metrics):
+    folder.mkdir()
+    (folder / "scenario.yaml").write_text(dump_scenario(scenario))
+    (folder / "metrics.json").write_text(
+        json.dumps({"is_steered": False, "versions": {}} | metrics)
+    )
+
+
+def test_what_cannot_be_repeated_or_is_no_results_folder_is_left_alone(tmp_path):
+    scenario = load_scenario("line")
+    run_folder(tmp_path / "out", scenario, is_steered=True)
+    run_folder(tmp_path / "out_2", scenario)
+    (tmp_path / "out_2" / "scenario.yaml").unlink()
+    (tmp_path / "out_3").write_text("a file")
+    (tmp_path / "out_4").symlink_to("nowhere")
+    run_folder(tmp_path / "out_5", scenario)
+    (tmp_path / "out_5" / "metrics.json").write_text("{")
+    assert default_folder(tmp_path / "out", scenario).name == "out_6"
+    assert default_folder(tmp_path / "out", "study").name == "out_6"
+    run_folder(tmp_path / "out_6", scenario)
+    assert default_folder(tmp_path / "out", scenario).name == "out_6"
+    assert default_folder(tmp_path / "out", "study").name == "out_7"

@@ -17,7 +17,8 @@ from distributed import LocalCluster
 
 import drake_nonstop
 from drake_nonstop import SweepInterrupted, SweepSpec, load_scenario, read_sweep
-from drake_nonstop.cli.main import BAD_INPUT, FAILED, INTERRUPTED, main
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED
+from drake_nonstop.cli.main import main
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, UNBUILDABLE, SerialExecutor
 from drake_nonstop.studies.run_all import FAILED as BLOCK_FAILED
 from drake_nonstop.studies.sweep import JOURNAL, TABLE, WALL_TIMES

@@ -50,8 +50,8 @@ def ablate(
 
     The folder gets table.md, table.csv (every metric), plots, and index.html with all replays
     side by side. The results of each variant are in a folder of their own in it, from the end of
-    its run on; tables, plots and page are written once all runs are done, and earlier ones are
-    removed with the first result. Folders of other variants of earlier calls stay. A variant that
+    its run on; tables, plots and page are written once all runs are done, and replace earlier ones
+    only then. Folders of other variants of earlier calls stay. A variant that
     cannot be built, or whose run does not complete, has a row with the reason.
 
     An interrupted comparison continues from the variants that are done when it is called again
@@ -116,9 +116,6 @@ def ablate(
         def record(key: int, result: dict[str, Any]) -> None:
             if key == 0 and not result["has_run"]:
                 raise ScenarioError(result["message"])
-            if len(journal) == 0:
-                for name in _FILES:
-                    (folder / name).unlink(missing_ok=True)
             add(rows[key], result)
             journal.record(key, result)
 

@@ -1,0 +1,145 @@
+"""No run that ended before its time replaces the results of a whole one, nor their pictures."""
+
+import dataclasses
+import json
+import random
+
+import pytest
+
+from drake_nonstop.cli import run as run_command
+from drake_nonstop.cli.main import main
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.run import RunInterrupted, RunStopped
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.studies import results_folder
+
+STEADY = """
+from dataclasses import dataclass
+from pydrake.systems.framework import LeafSystem
+
+@dataclass(kw_only=True)
+class SteadyConfig:
+    speed_bound: float = 0.2
+
+class Steady(LeafSystem):
+    def __init__(self, model, config):
+        super().__init__()
+        self.DeclareVectorOutputPort(
+            "parameters", 2, lambda context, output: output.SetFromVector([1.0, 1.0])
+        )
+"""
+SHORT = ["duration=0.05", "optimization_layer=ConstantParameters"]
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return simulate(load_scenario("line", SHORT))
+
+
+@pytest.fixture
+def end(monkeypatch, whole):
+    """Lets the command end as told; returns its exit code."""
+
+    def ended(how, *arguments, change=()):
+        def flown(scenario, **options):
+            run = dataclasses.replace(whole, scenario=scenario)
+            if how == "whole":
+                return run
+            run.stopped = f"it {how}"
+            raise {"interrupted": RunInterrupted, "stopped": _stopped}[how](run)
+
+        monkeypatch.setattr(run_command, "simulate", flown)
+        return main(["run", "line", *arguments, "--set", *SHORT, *change])
+
+    return ended
+
+
+def _stopped(run):
+    return RunStopped("the run stopped", run)
+
+
+def contents(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def outcome(folder):
+    return json.loads((folder / "metrics.json").read_text())["outcome"]
+
+
+@pytest.mark.parametrize("options", [[], ["--out", "mine"], ["--out", "."]])
+@pytest.mark.parametrize("seed", range(2))
+def test_in_any_order_what_is_whole_stays(tmp_path, monkeypatch, capsys, end, options, seed):
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    folder = work / (options[1] if options else "out/line")
+    stopped = folder.resolve().with_name(f"{folder.resolve().name}_stopped")
+    order = random.Random(seed)
+    kept = None
+    for how in ["interrupted", "whole", *order.choices(["interrupted", "stopped", "whole"], k=5)]:
+        code = end(how, "--no-figures", "--no-replay", *options)
+        said = capsys.readouterr().err
+        assert (how == "whole") == (code == 0)
+        if how == "whole":
+            kept = contents(folder)
+        elif kept is None:
+            assert outcome(folder) == "stopped"
+        else:
+            assert contents(folder) == kept
+            assert outcome(stopped) == "stopped"
+            assert f"{stopped.name}; those of an earlier run stay in " in said
+
+
+def test_a_stopped_run_replaces_only_another(tmp_path, monkeypatch, end):
+    monkeypatch.chdir(tmp_path)
+    brief = ["--no-figures", "--no-replay"]
+    for place in ("a", "a_stopped"):
+        assert end("whole", "--out", place, *brief) == 0
+    (tmp_path / "a_stopped_2").write_text("a file")
+    before = contents(tmp_path)
+    for _ in range(2):
+        end("interrupted", "--out", "a", *brief)
+    after = contents(tmp_path)
+    assert {path: after[path] for path in before} == before
+    assert {path.parts[0] for path in after.keys() - before.keys()} == {"a_stopped_3"}
+
+
+def test_an_interrupt_while_writing_keeps_the_pictures_of_an_equal_run(tmp_path, monkeypatch, end):
+    folder = tmp_path / "a"
+    assert end("whole", "--out", str(folder), "--no-figures", "--no-replay") == 0
+    (folder / "figures").mkdir()
+    for name in ("replay.html", "figures/tensions.png"):
+        (folder / name).write_text("shows it")
+    before = set(contents(folder))
+
+    def interrupted(diagram):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(results_folder, "draw_diagram", interrupted)
+        end("whole", "--out", str(folder))
+        assert set(contents(folder)) == before
+        end("whole", "--out", str(folder), change=["scene.wing_span=0.3"])
+        names = {"scenario.yaml", "metrics.json", "signals.npz"}  # others would not show it
+        assert {path.name for path in contents(folder)} == names
+    (folder / "replay.html").write_text("shows it")
+    assert end("whole", "--out", str(folder), "--no-figures", "--no-replay") == 0
+    assert not (folder / "replay.html").exists()
+
+
+def test_a_run_of_own_code_that_was_edited_is_another(tmp_path, monkeypatch, end):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    places = []
+    for source in (STEADY, STEADY, f"{STEADY}# edited", f"{STEADY}# edited", STEADY):
+        (tmp_path / "my_steady.py").write_text(source)
+        before = contents(tmp_path / "out")
+        options = ["--trust", "--no-figures", "--no-replay", "--quiet"]
+        assert end("whole", *options, change=["optimization_layer=my_steady.Steady"]) == 0
+        after = contents(tmp_path / "out")
+        places.append({path.parts[0] for path in after if before.get(path) != after[path]})
+        versions = json.loads((tmp_path / "out" / "line" / "metrics.json").read_text())["versions"]
+        assert len(versions["own_code"]) == 64
+    assert places[2] == {"line_2"}
+    assert "line_2" not in places[1] | places[4]
+    assert {path.parts[0] for path in after} == {"line", "line_2"}
