@@ -7,8 +7,12 @@ begin with `bench`, that benchmark measures it (`speed_claims`).
 
 The numbers of a paragraph are claims, too, by rows in a comment below it that begins with
 `<!-- measured`; each of these numbers has to stand in the paragraph.
+
+What the integrator's step does not resolve holds for no number, unless the claim is of that step:
+its arguments state it, or the scenario is one of the paper's, which are given at their step.
 """
 
+import dataclasses
 import re
 import shlex
 import subprocess
@@ -47,6 +51,8 @@ _ROW = re.compile(rf"^\| `([^`]+)` \| ([^|]+) \|[^|]*\| ({_PRINTED}) \|$")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _START, _END = "<!-- measured", "-->"  # of the rows of a paragraph
 _LINEARIZED = "stability"  # the first argument of a claim on the linearized loop
+_AT_THEIR_STEP = "paper_"  # how the scenarios begin whose results are those at their step
+_STEP = "simulator.max_step_size="  # an argument that states it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +69,20 @@ class Claim:
         """Whether a benchmark measures it, alone on the machine."""
         return self.arguments.split(" ")[0] == BENCH
 
+    @property
+    def is_of_a_step(self) -> bool:
+        """Whether the number is that at a stated step, resolved or not."""
+        is_stated = any(word.startswith(_STEP) for word in shlex.split(self.arguments))
+        return is_stated or self.arguments.startswith(_AT_THEIR_STEP)
+
+    def fault(self, measured: "Measured") -> str:
+        """Why the claim does not hold, such as "= 0.3, not 0.2"; "" where it does."""
+        if not self.holds(measured.value):
+            return f"= {measured.value:.4g}, not {self.printed}"
+        if not (measured.is_resolved or self.is_of_a_step):
+            return f"= {measured.value:.4g} is not resolved by its step"
+        return ""
+
     def holds(self, value: float) -> bool:
         """Whether the value rounds to what is printed; a bare 0 stands for exactly zero."""
         if self.is_of_speed and not is_exact(self.quantity):
@@ -75,6 +95,14 @@ class Claim:
         if self.printed.startswith("≤"):
             return value <= float(low) + rounding
         return float(low) - rounding <= value <= float(high or low) + rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """The value of a claim's quantity, and whether the integrator's step resolves it."""
+
+    value: float
+    is_resolved: bool = True
 
 
 def read_claims(text: str) -> list[Claim]:
@@ -125,7 +153,7 @@ def read_claims(text: str) -> list[Claim]:
     return claims
 
 
-def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[Claim, float]:
+def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[Claim, Measured]:
     """The value of each claim: from a run per arguments, in a process per core, or a benchmark.
 
     Raises:
@@ -136,9 +164,9 @@ def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[C
     for claim in claims:
         if not claim.is_of_speed:
             quantities.setdefault(claim.arguments, []).append(claim.quantity)
-    values: dict[str, dict[str, float]] = {}
+    values: dict[str, dict[str, Measured]] = {}
 
-    def failed(arguments: str, error: str) -> dict[str, float]:
+    def failed(arguments: str, error: str) -> dict[str, Measured]:
         raise ScenarioError(f"claim on {arguments} = {error}")
 
     run_all(
@@ -193,28 +221,32 @@ def failing_evals(folder: Path) -> list[str]:
     return lines or [f"tests/evals: {(done.stderr or done.stdout).strip()[-300:]}"]
 
 
-def wrong_claims(values: dict[Claim, float]) -> list[str]:
+def wrong_claims(values: dict[Claim, Measured]) -> list[str]:
     """The claims that do not hold, a sentence each."""
     return [
-        f"{claim.arguments}: {claim.quantity} = {value:.4g}, not {claim.printed}"
-        for claim, value in values.items()
-        if not claim.holds(value)
+        f"{claim.arguments}: {claim.quantity} {fault}"
+        for claim, measured in values.items()
+        if (fault := claim.fault(measured))
     ]
 
 
-def as_markdown(values: dict[Claim, float]) -> str:
+def as_markdown(values: dict[Claim, Measured]) -> str:
     """A table of the claims and what was measured."""
     lines = ["| run | quantity | printed | measured | |", "| --- | --- | --- | --- | --- |"]
-    for claim, value in values.items():
-        holds = "holds" if claim.holds(value) else "**fails**"
-        row = (
-            f"| `{claim.arguments}` | {claim.quantity} | {claim.printed} | {value:.4g} | {holds} |"
+    for claim, measured in values.items():
+        holds = "**fails**" if claim.fault(measured) else "holds"
+        cells = (
+            f"`{claim.arguments}`",
+            claim.quantity,
+            claim.printed,
+            f"{measured.value:.4g}",
+            holds,
         )
-        lines.append(row)
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
-def report_text(values: dict[Claim, float], solvers: str, failures: Sequence[str]) -> str:
+def report_text(values: dict[Claim, Measured], solvers: str, failures: Sequence[str]) -> str:
     """The report in Markdown.
 
     Args:
@@ -238,23 +270,46 @@ def _is_linearized(arguments: str) -> bool:
     return arguments.split(" ")[0] == _LINEARIZED
 
 
-def _values(arguments: str, quantities: list[str]) -> dict[str, float]:
+def _values(arguments: str, quantities: list[str]) -> dict[str, Measured]:
     if _is_linearized(arguments):
         found = linearize(_scenario(arguments.removeprefix(_LINEARIZED)))
-        return {name: float(LOOP_QUANTITIES[name](found)) for name in quantities}
+        return {name: Measured(value=float(LOOP_QUANTITIES[name](found))) for name in quantities}
     tried = attempt(lambda: _scenario(arguments))
     run = tried.run
     if run is None or tried.ending != COMPLETED:
         raise ScenarioError(f"claim on {arguments} = {tried.message}") from tried.error
     metrics = compute_metrics(run)
-    return _all_measured(arguments, {name: QUANTITIES[name](run, metrics) for name in quantities})
+    measured = _all_measured(
+        arguments, {name: QUANTITIES[name](run, metrics) for name in quantities}
+    )
+    unresolved = unresolved_quantities(run)
+    return {
+        name: dataclasses.replace(value, is_resolved=name not in unresolved)
+        for name, value in measured.items()
+    }
 
 
-def _all_measured(arguments: str, values: dict[str, float | None]) -> dict[str, float]:
+def unresolved_quantities(run: Run) -> set[str]:
+    """What can be claimed of a run, but for what half its step was seen not to change.
+
+    Only metrics are compared with those at half the step: of the rest nothing is known.
+    """
+    if not run.unresolved:
+        return set()
+    resolved: set[str] = set()
+    if run.half_step is not None:
+        moved = run.half_step["moved"]
+        resolved = {metric.heading for metric in METRICS if metric.path not in moved}
+    return set(QUANTITIES) - resolved
+
+
+def _all_measured(arguments: str, values: dict[str, float | None]) -> dict[str, Measured]:
     for name, value in values.items():
         remedy = "give a quantity that this run measures"
         require(value is not None, f"claim on {arguments}", name, remedy)
-    return {name: float(value) for name, value in values.items() if value is not None}
+    return {
+        name: Measured(value=float(value)) for name, value in values.items() if value is not None
+    }
 
 
 def _first_near_the_bound(

@@ -48,6 +48,7 @@ class Limit:
     unit: str
     measure: Callable[[RunQuantities], float | None]  # None: unknown
     share_of: Callable[[RunQuantities], float] = lambda run: 1.0  # what the limit is a share of
+    whole: str = ""  # the name of that
     is_least: bool = False  # a lower limit
     tolerance: float = 0.0  # of the limit
     outcome: RunOutcome | None = None  # of a run beyond it; None: a warning only
@@ -64,7 +65,8 @@ class Limit:
             return None
         shown, bound = _told_apart(value, limit)
         sentence = self.sentence.format(f"{shown} {self.unit}")
-        return f"{sentence} ({self.path}: {bound} {self.unit})"
+        share = f"{stated:g} of {self.whole}, " if self.whole and math.isfinite(limit) else ""
+        return f"{sentence} ({self.path}: {share}{bound} {self.unit})"
 
     def _stated_in(self, scenario: Scenario) -> float | None:
         try:
@@ -82,6 +84,7 @@ LIMITS = (
         unit="m",
         measure=lambda run: float(np.max(run.position_error)),
         share_of=lambda run: run.reach,
+        whole="the reach",
     ),
     Limit(
         path="limits.orientation_error",
@@ -97,6 +100,7 @@ LIMITS = (
         unit="m",
         measure=lambda run: run.carrier_separation,
         share_of=lambda run: run.reach,
+        whole="the reach",
         is_least=True,
     ),
     Limit(
@@ -106,6 +110,7 @@ LIMITS = (
         unit="m",
         measure=lambda run: run.closest_cables_for_attachments[0],
         share_of=lambda run: run.closest_cables_for_attachments[1],
+        whole="the distance of their attachments",
         is_least=True,
     ),
     Limit(
@@ -140,6 +145,7 @@ LIMITS = (
         unit="N",
         measure=lambda run: float(np.max(run.tensions)),
         share_of=lambda run: run.load_weight,
+        whole="the weight",
     ),
     # What blocks aim at. They command it; what is simulated follows with an error.
     *(

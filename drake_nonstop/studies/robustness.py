@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +28,11 @@ from drake_nonstop.studies.run_all import (
 )
 from drake_nonstop.validation import ScenarioError, require_seed
 
+_REASONS = "reasons"  # paths of metrics that are lists of sentences, kept with those that are not
+_WARNINGS = "warnings"
 _RESULT = {"ending": str, "message": str, "metrics": dict}
+
+_MOST_SAID = 3  # sentences on a case in the table
 
 # Which metrics the table and the figure show.
 POSITION_ERROR_MEAN = metric_at("load.position_error_mean_m")
@@ -52,7 +57,18 @@ class Case:
     overrides: list[str]  # "path=value"
     ending: str = COMPLETED  # or "diverged", or "failed": a block raised an error
     message: str = ""  # why it did not complete
-    metrics: dict[str, Any] = field(default_factory=dict)  # by path, no wall times among them
+    # By path, no wall times among them. "warnings" has those of the step that was chosen, too.
+    metrics: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Such as "load mass -20 %"; "none" for the case without error."""
+        return f"{self.error} {self.level:+g} {self.unit}" if self.unit else self.error
+
+    @property
+    def said(self) -> list[str]:
+        """Why the outcome is not ok, and what else is not as it should be."""
+        return [*self.metrics.get(_REASONS, []), *self.metrics.get(_WARNINGS, [])]
 
     @property
     def speed_margin(self) -> float:
@@ -125,12 +141,11 @@ def robustness_settings(scenario: Scenario, seed: int) -> str:
 
 
 def robustness_table(cases: Sequence[Case]) -> str:
-    """A line per case in aligned columns, for a terminal."""
+    """A line per case in aligned columns, for a terminal, and below it what is said of its run."""
     errors_heading = f"e_p mean / final, {POSITION_ERROR_MEAN.unit}"
     columns = errors_heading, "slowest - bound", "below", "slack"
-    lines = ["{:42} {:>20} {:>16} {:>8} {:>8}".format("error", *columns)]
+    lines = ["{:42} {:>20} {:>16} {:>8} {:>8}  outcome".format("error", *columns)]
     for case in cases:
-        name = f"{case.error} {case.level:+g} {case.unit}" if case.unit else "none"
         mean, final, below, slack = (
             case.shown(metric)
             for metric in (
@@ -142,10 +157,15 @@ def robustness_table(cases: Sequence[Case]) -> str:
         )
         errors = f"{mean:.3g} / {final:.3g}"
         lines.append(
-            f"{name:42} {errors:>20} {case.speed_margin:+12.3f} {_SLOWEST_SPEED.unit} "
+            f"{case.name:42} {errors:>20} {case.speed_margin:+12.3f} {_SLOWEST_SPEED.unit} "
             f"{below:6.3g} {_TIME_BELOW_BOUND.unit} {slack:6.3g} {_SLACK_TIME.unit}"
+            f"  {case.metrics.get('outcome', '-')}"
             f"{'' if case.ending == COMPLETED else f'  {case.ending}'}"
         )
+        said = case.said
+        lines += [f"    {sentence}" for sentence in said[:_MOST_SAID]]
+        if len(said) > _MOST_SAID:
+            lines.append(f"    and {len(said) - _MOST_SAID} more")
     return "\n".join(lines)
 
 
@@ -194,13 +214,22 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
 
 def _measured(text: str, overrides: Sequence[str]) -> dict[str, Any]:
     """How the run of a case ended, and its metrics."""
-    # A copy of a scenario that was trusted when it was loaded.
-    tried = attempt(lambda: changed(parse_scenario(text, trust=True), overrides))
+    with warnings.catch_warnings(record=True) as caught:  # of a case, which they do not name
+        warnings.simplefilter("always")
+        # A copy of a scenario that was trusted when it was loaded.
+        tried = attempt(lambda: changed(parse_scenario(text, trust=True), overrides))
     if tried.ending == UNBUILDABLE:
         raise ScenarioError(tried.message) from tried.error
-    values = {}
+    values: dict[str, Any] = {}
     if tried.run is not None:
         metrics = compute_metrics(tried.run)
-        kept = (metric for metric in METRICS if not metric.is_list and not metric.is_wall_time)
+        kept = (
+            metric
+            for metric in METRICS
+            if not metric.is_wall_time
+            and (not metric.is_list or metric.path in (_REASONS, _WARNINGS))
+        )
         values = {metric.path: metric.value(metrics) for metric in kept}
+    found = [*(str(warning.message) for warning in caught), *values.get(_WARNINGS, [])]
+    values[_WARNINGS] = list(dict.fromkeys(found))
     return {"ending": tried.ending, "message": tried.message, "metrics": values}

@@ -9,8 +9,11 @@ from drake_nonstop.benchmarks.claims import (
     LOOP_QUANTITIES,
     QUANTITIES,
     Claim,
+    Measured,
     measure,
     read_claims,
+    unresolved_quantities,
+    wrong_claims,
     wrong_shares,
 )
 from drake_nonstop.benchmarks.speed_claims import BENCHMARKS, _of_scenario
@@ -80,7 +83,7 @@ def test_numbers_of_a_paragraph_are_claims_of_the_comment_below_it():
 def test_a_claim_on_the_linearized_loop_is_measured_by_linearizing_it():
     arguments = "stability quintic control_period=0"
     claims = [Claim(arguments=arguments, quantity=name, printed="≤ 0") for name in LOOP_QUANTITIES]
-    values = {claim.quantity: value for claim, value in measure(claims).items()}
+    values = {claim.quantity: found.value for claim, found in measure(claims).items()}
     assert values["stable (1: yes)"] == 1
     assert values["growth rate (1/s)"] < 1e-3
     assert values["growth in a turn"] < 1.001
@@ -110,7 +113,7 @@ def test_claims_of_speed_are_measured_by_their_benchmark(monkeypatch):
     monkeypatch.setitem(BENCHMARKS, "viewer", viewer)
     row = ROW.format("bench viewer quintic duration=2", "share of real time (%)", "4")
     (claim,) = read_claims(row)
-    assert measure([claim]) == {claim: 5.0}
+    assert measure([claim]) == {claim: Measured(value=5.0)}
     assert asked == [2.0]
     for arguments in ("bench viewer", "bench nothing quintic", "bench run quintic"):
         with pytest.raises(ScenarioError, match="claim on bench"):
@@ -151,6 +154,47 @@ def test_command_fails_with_a_claim(tmp_path, capsys):
     assert main(arguments) == 1
     assert "final A (N) = 1.2, not 1.4" in capsys.readouterr().err
     assert "**fails**" in (tmp_path / "out" / "report.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "is_of_a_step"),
+    [
+        ("quintic", False),
+        ("line phase=PaperPhase", False),
+        ("line load_trajectory.blend_time=2 simulator.max_step_size=0.001", True),
+        ("paper_line load_trajectory.blend_time=0", True),
+    ],
+)
+def test_what_the_step_does_not_resolve_is_claimed_of_that_step_only(arguments, is_of_a_step):
+    claim = Claim(arguments=arguments, quantity="slack (s)", printed="9")
+    in_doubt = Measured(value=9.0, is_resolved=False)
+    assert wrong_claims({claim: Measured(value=9.0)}) == []
+    assert len(wrong_claims({claim: Measured(value=8.0, is_resolved=False)})) == 1
+    said = f"{arguments}: slack (s) = 9 is not resolved by its step"
+    assert wrong_claims({claim: in_doubt}) == ([] if is_of_a_step else [said])
+
+
+def test_only_what_half_the_step_leaves_is_resolved():
+    moved = METRICS[[metric.heading for metric in METRICS].index("slack (s)")]
+
+    @dataclasses.dataclass
+    class FakeRun:
+        unresolved: tuple = ("the slack is not",)
+        half_step: dict | None = None
+
+    compared = FakeRun(half_step={"step_s": 0.0025, "moved": {moved.path: [9.0, 7.0]}})
+    assert unresolved_quantities(FakeRun(unresolved=())) == set()
+    assert unresolved_quantities(FakeRun()) == set(QUANTITIES)
+    unresolved = unresolved_quantities(compared)
+    assert {"slack (s)", "first within 3 % of the bound (s)"} <= unresolved
+    assert "mean position error (mm)" not in unresolved
+
+
+def test_a_run_that_its_step_does_not_resolve_fails_its_claim():
+    points = "[[0.8,0.75,0],[-0.75,0.7,0],[-0.75,-0.75,0],[0.75,-0.75,0]]"
+    arguments = f"quintic duration=2 simulated.attachments={points}"
+    claim = Claim(arguments=arguments, quantity="slowest final speed (m/s)", printed="1")
+    assert not measure([claim])[claim].is_resolved
 
 
 def test_shares_of_the_solvers_are_compared():

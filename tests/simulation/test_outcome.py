@@ -247,7 +247,11 @@ def test_each_limit_is_kept_up_to_it_and_missed_beyond(limit):
         metrics = compute_metrics(made.run())
         said = metrics["reasons"] if limit.outcome else metrics["warnings"]
         assert any(f"({limit.path}: " in each for each in said) == (not is_kept)
-    said = float(sentence.split(f"({limit.path}: ")[1].split()[0])
+    *share, bound = sentence.split(f"({limit.path}: ")[1].split(", ")
+    assert [float(text.split(" of ")[0]) for text in share] == pytest.approx(
+        [getattr(owner, name)] if limit.share_of(quantities) != 1 else [], rel=1e-5
+    )
+    said = float(bound.split()[0])
     assert said == pytest.approx(getattr(owner, name) * limit.share_of(quantities), rel=5e-3)
 
 

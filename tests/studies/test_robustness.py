@@ -11,6 +11,8 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies import robustness
 
+CASES = ("none", 0.0), ("load mass", 20.0)
+
 
 def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     errors = robustness._errors
@@ -28,6 +30,28 @@ def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     none, *others = (case["metrics"]["load.position_error_mean_m"] for case in cases)
     assert all(error > 1.5 * none for error in others)
     assert Image.open(tmp_path / "robustness.png").width > 300
+
+
+def test_the_outcome_and_the_warnings_of_each_case_are_said_with_it(tmp_path, capfd, monkeypatch):
+    errors = robustness._errors
+    monkeypatch.setattr(
+        robustness, "_errors", lambda *given: [e for e in errors(*given) if e[:2] in CASES]
+    )
+    arguments = ["robustness", "quintic", "--out", str(tmp_path), "--set", "duration=0.5"]
+    # The step is shortened in every case, and a load that is too heavy counts as lost.
+    arguments += ["simulator.max_step_size=0.02", "limits.position_error=0.0002"]
+    assert main(arguments) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert not [line for line in lines if line.startswith("warning")]
+    cases = json.loads((tmp_path / "robustness.json").read_text())["cases"]
+    assert [case["metrics"]["outcome"] for case in cases] == ["ok", "load_lost"]
+    for case, error in zip(cases, CASES, strict=True):
+        (number,) = [k for k, line in enumerate(lines) if line.startswith(error[0])][-1:]
+        assert lines[number].endswith(f"  {case['metrics']['outcome']}")
+        said = case["metrics"]["reasons"] + case["metrics"]["warnings"]
+        assert any("0.02" in sentence for sentence in case["metrics"]["warnings"])
+        assert lines[number + 1] == f"    {said[0]}"
+    assert "the load was" in cases[1]["metrics"]["reasons"][0]
 
 
 def test_each_error_of_the_report_makes_a_scenario():
