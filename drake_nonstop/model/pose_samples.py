@@ -41,7 +41,7 @@ def read_samples(path: str | Path, field: str) -> list[list[float]]:
         field,
         path,
         f"give the columns {', '.join(COLUMNS[:4])} or {', '.join(COLUMNS)} in its first line, "
-        f"not {', '.join(header) or 'none'}",
+        f"not {', '.join(header)[:60] or 'none'}",
     )
     for number, line in enumerate(lines[1:], start=2):
         if not any(line):

@@ -30,7 +30,8 @@ def start_meshcat(port: int | None = None) -> Meshcat:
         ScenarioError: the port is taken, or is not a port number.
     """
     remedy = "give a free port from 1024 to 65535, or 0 for any"
-    require(port is None or port == 0 or 1024 <= port <= 65535, "--port", port, remedy)
+    is_number = type(port) is int and (port == 0 or 1024 <= port <= 65535)
+    require(port is None or is_number, "--port", port, remedy)
     for candidate in _PORTS if port is None else [port]:
         try:
             sockets = _listening(candidate)
