@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import importlib.util
 import math
 import re
 import stat
@@ -44,6 +45,13 @@ def require(condition: Any, field: str, value: Any, remedy: str) -> None:
     """Raises ScenarioError "field = value: remedy", in one line, unless the condition holds."""
     if not condition:
         raise ScenarioError(_printable(f"{_shown(field)} = {_shown(value)}: {remedy}"))
+
+
+def require_installed(what: str, **packages: str) -> None:
+    """Raises ScenarioError unless what needs these packages, by the names of modules, has them."""
+    for module, package in packages.items():
+        is_installed = importlib.util.find_spec(module) is not None
+        require(is_installed, what, f"no {package}", f"install it, `pip install {package}`")
 
 
 def require_positive(owner: str, **values: float) -> None:

@@ -1,21 +1,19 @@
 """A browser without a window, for pictures of pages and tests of them."""
 
 import contextlib
-import importlib.util
 import os
 import shutil
 from collections.abc import Iterator
 from typing import Any
 
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, require_installed
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
 def find_browser() -> str:
     """The path of Chromium; raises ScenarioError where it or Playwright is not installed."""
-    if importlib.util.find_spec("playwright") is None:
-        raise ScenarioError("browser = none: install Playwright, `pip install playwright`")
+    require_installed("browser", playwright="playwright")
     path = next(filter(None, map(shutil.which, _NAMES)), None)
     if path is None:
         raise ScenarioError(

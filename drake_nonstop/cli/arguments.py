@@ -1,7 +1,6 @@
 """Arguments that several subcommands share."""
 
 import argparse
-import importlib.util
 from pathlib import Path
 from typing import TypeAlias
 
@@ -55,13 +54,6 @@ def add_scenario(
         action="store_true",
         help="let it import blocks of your own, such as phase=my_blocks.MyPhase",
     )
-
-
-def require_installed(what: str, **packages: str) -> None:
-    """Raises ScenarioError unless what needs these packages, by the names of modules, has them."""
-    for module, package in packages.items():
-        is_installed = importlib.util.find_spec(module) is not None
-        require(is_installed, what, f"no {package}", f"install it, `pip install {package}`")
 
 
 def add_study(parser: argparse.ArgumentParser, folder: str) -> None:

@@ -3,8 +3,9 @@
 import argparse
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands, require_installed
+from drake_nonstop.cli.arguments import Commands
 from drake_nonstop.studies.files import require_writable
+from drake_nonstop.validation import require_installed
 from drake_nonstop.visualization.progress import TaskProgress
 
 

@@ -4,10 +4,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands, require_installed
+from drake_nonstop.cli.arguments import Commands
 from drake_nonstop.cli.exit_codes import FAILED
 from drake_nonstop.studies.files import replacing_file, require_writable
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, require_installed
 from drake_nonstop.visualization.progress import TaskProgress
 
 

@@ -5,6 +5,7 @@ my_blocks, made with the model and a config of the dataclass MyOptimizerConfig b
 """
 
 import dataclasses
+import difflib
 import importlib
 import sys
 
@@ -41,6 +42,11 @@ def import_config(field: str, path: str) -> type:
             "correct it, or put it into the current folder, the scenario's or PYTHONPATH"
         ) from error
     config = getattr(module, f"{name}Config", None)
+    if config is None and not hasattr(module, name):
+        own = [key.removesuffix("Config") for key in vars(module) if key.endswith("Config")]
+        close = difflib.get_close_matches(name, filter(None, own), n=1)
+        remedy = f"did you mean {close[0]}?" if close else f"give it the block and a {name}Config"
+        require(False, field, f"!{path}", f"{module_name} has no {name}; {remedy}")
     require(
         isinstance(config, type) and dataclasses.is_dataclass(config),
         field,

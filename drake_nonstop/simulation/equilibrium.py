@@ -99,8 +99,8 @@ def _cause_of_motion(nonstop: Diagram, context: Context, load_rate: NDArray) -> 
 
     if not nonstop.HasOutputPort("tensions") or np.any(signal("tensions") > 0):
         return (
-            "give system and simulated cables of about the same length, stiff enough for the "
-            "weight, and an amplitude that keeps them taut"
+            "give system and simulated loads of about the same mass, their cables about the same "
+            "length, stiff enough for the weight, and an amplitude that keeps them taut"
         )
     fall = -LoadReference.view(signal("reference")).acceleration[2]
     if LoadState.view(load_rate).velocity[2] < -fall:

@@ -30,7 +30,7 @@ from drake_nonstop.studies.run_all import (
 )
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, dump_spec
 from drake_nonstop.systems.block import release
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, require, require_installed
 
 TABLE = "runs.parquet"
 WALL_TIMES = "wall_times.parquet"
@@ -269,11 +269,8 @@ def _write_table(path: Path, total: int, row: Callable[[int], Row], types: dict[
 
 def _pyarrow() -> tuple[Any, Any]:
     """The modules pyarrow and pyarrow.parquet."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise ScenarioError(
-            "sweep = pyarrow is not installed: install the extra, drake-nonstop[sweep]"
-        ) from None
+    require_installed("sweep", pyarrow="pyarrow")
+    import pyarrow
+    import pyarrow.parquet
+
     return pyarrow, pyarrow.parquet

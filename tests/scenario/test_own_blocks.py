@@ -179,6 +179,9 @@ def test_pattern_of_its_own(folder):
     ("path", "message"),
     [
         ("no_such_module.Steady", "no_such_module cannot be imported .*No module named"),
+        ("own_test_blocks.Needyy", r"has no Needyy; did you mean Needy\?"),
+        ("own_test_blocks.needy", r"has no needy; did you mean Needy\?"),
+        ("own_test_blocks.Xyz", "own_test_blocks has no Xyz; give it the block and a XyzConfig"),
         ("own_test_blocks.Bare", "give own_test_blocks a dataclass BareConfig"),
         ("own_test_blocks.Orphan", "a LeafSystem or Diagram of the name Orphan"),
         ("own_test_blocks.Boundless", "give BoundlessConfig a field speed_bound"),

@@ -45,6 +45,13 @@ def test_cables_that_are_slack_at_the_start_are_told_by_their_length(length):
         simulate(short(f"simulated.cable_length={length}"))
 
 
+@pytest.mark.parametrize("mass", (10 ** GENERATOR.uniform(3, 6, 2)).tolist())
+def test_a_load_that_is_too_heavy_is_told_by_its_mass_with_a_remedy_that_works(mass):
+    with pytest.raises(ScenarioError, match="system and simulated loads of about the same mass"):
+        simulate(short(f"simulated.load_mass={mass}"))
+    simulate(short("simulated.load_mass=1.3"))
+
+
 @pytest.mark.parametrize("fused", ["true", "false"])
 @pytest.mark.parametrize(
     ("override", "block"),

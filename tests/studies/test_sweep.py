@@ -377,7 +377,7 @@ class TestCommand:
         monkeypatch.setitem(sys.modules, "pyarrow", None)
         spec = self.spec(tmp_path, "grid: {duration: [1]}")
         assert main(["sweep", "line", spec, "--out", str(tmp_path / "out")]) == BAD_INPUT
-        assert "drake-nonstop[sweep]" in capsys.readouterr().err
+        assert "sweep = no pyarrow: install it, `pip install pyarrow`" in capsys.readouterr().err
 
     def test_ctrl_c_keeps_what_is_done(self, tmp_path):
         text = "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 500"
