@@ -3,7 +3,7 @@
 import textwrap
 from typing import Any
 
-from drake_nonstop.scenario.describe import meanings
+from drake_nonstop.scenario.describe import headings, meanings
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import Tree, block_name, to_tree
 from drake_nonstop.scenario.yaml_text import dump_plain
@@ -45,9 +45,16 @@ def _box(name: str, entry: Tree, config: type) -> list[str]:
 
 def _mapping(name: str, tag: str, comment: str, fields: Tree, config: type) -> list[str]:
     """A key with a mapping below it, a line for each field."""
-    about = meanings(config)
+    about, heads = meanings(config), headings(config)
     head = " ".join(filter(None, [f"  {name}:", tag, "" if fields else "{}"]))
-    below = [line for key in fields for line in _field(2, key, fields[key], about.get(key, ""))]
+    below = [
+        line
+        for key in fields
+        for line in (
+            *([*_wrapped(2, heads[key]), ""] if key in heads else []),
+            *_field(2, key, fields[key], about.get(key, "")),
+        )
+    ]
     return [*_wrapped(1, comment), head, *below]
 
 

@@ -15,14 +15,18 @@ class RunLimits(StrictFields):
     weight is that of the simulated load. There is no limit where a distance is 0, or another .inf.
     """
 
-    # Beyond one of these the outcome is not ok.
+    # Beyond one of these the outcome is not ok. The reach is the distance of the load's farthest
+    # attachment from its centre of mass plus the length of a cable.
+
     position_error: float = 0.2  # of the reach; a load farther from its reference is lost
     orientation_error: float = 0.8  # rad; a load turned farther from its reference is lost
     carrier_distance: float = 0.05  # of the reach; two carriers that come closer collide
     cable_distance: float = 0.05  # of two cables' attachments; cables that come closer collide
     slack_time: float = 0.0  # s, for which a cable may be slack
     time_below_bound: float = 0.0  # s, for which a carrier may be below ε
+
     # Beyond one of these the model is not plausible, which is warned about.
+
     speed: float = 100.0  # m/s, of a carrier
     acceleration: float = 100.0  # m/s², of a carrier
     tension: float = 5.0  # of the load's weight, of one cable

@@ -38,6 +38,17 @@ def test_each_number_of_a_box_has_a_unit_or_meaning():
             assert "#" in line or before.strip().startswith("#"), line
 
 
+def test_a_comment_on_several_fields_stands_in_lines_of_its_own():
+    text = commented_scenario(load_scenario("quintic"), "mine")
+    limits = " ".join(text.split("  limits:\n")[1].split("\n\n  # ")[0].replace("#", "").split())
+    assert limits.startswith("Beyond one of these the outcome is not ok. The reach is the distance")
+    assert "plus the length of a cable. of the reach; a load farther" in limits
+    assert (
+        "    # Beyond one of these the model is not plausible, which is warned about.\n\n" in text
+    )
+    assert "    speed: 100.0                              # m/s, of a carrier\n" in text
+
+
 def test_new_writes_a_file_that_runs_and_replaces_none(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["new", "mine.yaml", "--from", "three_carriers"]) == 0
