@@ -1,5 +1,6 @@
 """Attachments, smooth motions, difference quotients and ports, for several test files."""
 
+import signal
 from collections.abc import Callable
 
 import numpy as np
@@ -182,3 +183,10 @@ def circling_run(n=4, duration=0.5, cable_length=0.8):
         solve_times=np.zeros(0),
         wall_time=0.0,
     )
+
+
+def handle_signals_as_a_shell_does() -> None:
+    """For `preexec_fn`: a parent such as nohup may ignore signals, which children inherit."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)

@@ -18,6 +18,7 @@ import pytest
 
 from drake_nonstop.cli import list_scenarios
 from drake_nonstop.cli.main import main
+from tests.helpers import handle_signals_as_a_shell_does
 
 TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
 _DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
@@ -94,7 +95,7 @@ def start(tmp_path):
             text=True,
             cwd=tmp_path,
             start_new_session=True,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+            preexec_fn=handle_signals_as_a_shell_does,
             env=os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
         )
         processes.append(process)

@@ -23,6 +23,7 @@ from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
 from drake_nonstop.studies.margins import find_margins
 from drake_nonstop.studies.robustness import robustness
 from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor
+from tests.helpers import handle_signals_as_a_shell_does
 
 pytestmark = pytest.mark.usefixtures("faulty_blocks")
 
@@ -87,7 +88,7 @@ def begun(folder, arguments):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=handle_signals_as_a_shell_does,
     )
     assert process.stdout.readline() == "begins\n"
     return process
