@@ -1,0 +1,16 @@
+"""Some of the drawn scenarios whose metrics must not move with the step in silence.
+
+`python -m tests.plausible_scenarios --count 300` flies all of them.
+"""
+
+import pytest
+from plausible_scenarios import fly
+
+# A short run of each kind: refused, resolved, shortened, verified and moved, unstable.
+SEEDS = [223, 254, 310, 318, 349, 339, 110, 224]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_metric_moves_in_silence(seed):
+    flight = fly(seed)
+    assert flight.said or not flight.moves, flight.overrides
