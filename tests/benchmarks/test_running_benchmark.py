@@ -18,7 +18,7 @@ from drake_nonstop.benchmarks.block_timers import BlockTimers
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, checked_out, compare
 from drake_nonstop.benchmarks.figures import make_run_time_figure, make_scale_figure
 from drake_nonstop.cli.main import BAD_INPUT, FAILED, main
-from drake_nonstop.simulation.run import RunStopped, StepCheck
+from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.traced_block import _Traced
 from drake_nonstop.validation import ScenarioError
@@ -38,12 +38,7 @@ needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not i
 def timed_run(scenario, timers=None, **replacements):
     timers = timers or BlockTimers()
     with timers.installed():
-        run = simulate(
-            scenario,
-            after_step=timers.after_step,
-            check_step=StepCheck.NOTHING,
-            **replacements,
-        )
+        run = simulate(scenario, after_step=timers.after_step, **replacements)
     return run, timers
 
 
