@@ -125,6 +125,9 @@ def draw(seed: int) -> tuple[str, list[str]]:
     for path, value in further.items():
         if chance({"fused_plant": 0.25}.get(path, 0.06)):
             settings[path] = value
+    if settings.get("system.cable_damping", 0.0) > 1e3:  # what no explicit scheme can fly
+        settings.pop("simulator.integration_scheme", None)
+        settings.pop("simulator.use_error_control", None)
     return (
         "real_scale_spread" if is_large else "quintic",
         [f"{path}={value}" for path, value in settings.items()],

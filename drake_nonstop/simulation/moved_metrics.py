@@ -21,7 +21,7 @@ _GRAINS = {
     "m_s2": 1e-2,
     "rad_s": 2e-3,
     "N": 1e-2,
-    "s": 0.02,
+    "s": 0.02 + 1e-9,  # a step of 10 ms at either end
 }
 _COUNT = 2  # updates
 TOLERANCES = f"lengths by {1e3 * _LENGTH:g} mm, others by {_SHARE:.0%}"

@@ -110,6 +110,16 @@ def test_quiet_prints_nothing(brief_runs):
     assert brief_runs[2] == ""
 
 
+def test_verified_steps_are_reported(tmp_path, capsys):
+    arguments = ["run", "quintic", "--out", str(tmp_path), "--no-figures", "--no-replay"]
+    assert main([*arguments, "--verify-step", "--set", "duration=0.3"]) == 0
+    assert "with steps of 2.5 ms no metric moves" in capsys.readouterr().out
+    half_step = json.loads((tmp_path / "metrics.json").read_text())["half_step"]
+    assert half_step == {"step_s": 0.0025, "moved": {}}
+    assert main([*arguments, "--verify-step", "--live"]) == 2
+    assert "--verify-step = --live" in capsys.readouterr().err
+
+
 def test_bad_input_leaves_no_new_folder(tmp_path):
     assert (
         main(["run", "quintic", "--out", str(tmp_path / "a"), "--set", "pattern.phases=[0]"]) == 2
