@@ -136,7 +136,8 @@ def test_dangerous_metrics_are_warned_of(tmp_path, capsys):
     shown = capsys.readouterr()
     reasons = (
         r"collision: two carriers came within \S+ m of each other "
-        r"\(limits\.carrier_distance: [\d.]+ of the reach, 3\.72 m\); a carrier was below the bound for 0\.\d+ s "
+        r"\(limits\.carrier_distance: [\d.]+ of the reach, 3\.72 m\); "
+        r"a carrier was below the bound for 0\.\d+ s "
         r"\(limits\.time_below_bound: 0 s\)"
     )
     assert re.fullmatch(f"outcome +{reasons}", shown.out.splitlines()[0])
