@@ -30,10 +30,10 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     load's true pose at 100 Hz. The slowest speed, the steepest climb and the least distances are
     also looked for between two steps. A time "below" or "slack" weighs each step's state with
     half of the two intervals beside it. The climb angle is that of the steepest climb or descent;
-    it and the turn radius are not meaningful where a carrier nearly stops. Turns are measured over
-    0.1 s of the path: over less a carrier follows the ripple of its sampled reference. What was not
-    measured, such as the solve times of a layer that solves nothing, is None. `outcome` is a
-    `RunOutcome`, `reasons` and `warnings` are sentences.
+    it and the turn radius are not meaningful where a carrier nearly stops. Turns and accelerations
+    are measured over 0.1 s of the path: over less a carrier follows the ripple of its sampled
+    reference. What was not measured, such as the solve times of a layer that solves nothing, is
+    None. `outcome` is a `RunOutcome`, `reasons` and `warnings` are sentences.
     """
     quantities = RunQuantities(run)
     values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}
@@ -206,7 +206,7 @@ METRICS = (
     ),
     Metric(
         path="load.position_error_max_m",
-        measure=lambda run: float(np.max(run.position_error)),
+        measure=lambda run: run.largest_position_error,
         label="largest position error",
         unit="mm",
         scale=1e3,
@@ -234,7 +234,7 @@ METRICS = (
     ),
     Metric(
         path="load.orientation_error_max_rad",
-        measure=lambda run: float(np.max(run.orientation_error)),
+        measure=lambda run: run.largest_orientation_error,
         label="largest orientation error",
         unit="mrad",
         scale=1e3,
@@ -257,7 +257,7 @@ METRICS = (
     ),
     Metric(
         path="carriers.speed_max_m_s",
-        measure=lambda run: float(np.max(run.speeds)),
+        measure=lambda run: run.peak_speed,
         label="peak speed",
         unit="m/s",
         run_text=RunText(line="carrier speed", text="{:.3f} {unit}", separator=" to "),
@@ -320,7 +320,7 @@ METRICS = (
     ),
     Metric(
         path="cables.tension_min_N",
-        measure=lambda run: float(np.min(run.tensions)),
+        measure=lambda run: run.least_tension,
         label="least tension",
         unit="N",
         better=Better.HIGHER,
@@ -329,7 +329,7 @@ METRICS = (
     ),
     Metric(
         path="cables.tension_max_N",
-        measure=lambda run: float(np.max(run.tensions)),
+        measure=lambda run: run.largest_tension,
         label="largest tension",
         unit="N",
         run_text=RunText(line="tension", text="{:.3g} {unit}", separator=" to "),

@@ -6,7 +6,8 @@ from typing import Any
 
 from drake_nonstop.simulation.metrics import METRICS, Metric
 
-_SHARE = 0.02  # of a value; what a metric may move by
+SHARE = 0.02  # of a value; what a metric may move by
+SPEED_GRAIN, TENSION_GRAIN = 2e-3, 1e-2  # m/s, N; see _GRAINS
 _LENGTH = 1e-3  # m; what a length may move by, whatever its value
 
 # What the other metrics have to move by besides, in the unit that ends their path: less is the
@@ -17,14 +18,14 @@ _GRAINS = {
     "turn_radius_min_m": 1e-3,
     "climb_angle_max_rad": 0.02,
     "rad": 1e-3,
-    "m_s": 2e-3,
+    "m_s": SPEED_GRAIN,
     "m_s2": 1e-2,
     "rad_s": 2e-3,
-    "N": 1e-2,
+    "N": TENSION_GRAIN,
     "s": 0.02 + 1e-9,  # a step of 10 ms at either end
 }
 _COUNT = 2  # updates
-TOLERANCES = f"lengths by {1e3 * _LENGTH:g} mm, others by {_SHARE:.0%}"
+TOLERANCES = f"lengths by {1e3 * _LENGTH:g} mm, others by {SHARE:.0%}"
 _STEP = "simulator.step_s"  # what differs between the two
 
 
@@ -72,7 +73,7 @@ def _tolerance(path: str, value: float, finer: float) -> float:
     name = path.split(".")[-1]
     for ending, grain in _GRAINS.items():
         if name == ending or name.endswith(f"_{ending}"):
-            return max(grain, _SHARE * max(abs(value), abs(finer)))
+            return max(grain, SHARE * max(abs(value), abs(finer)))
     if name.endswith("_m"):
         return _LENGTH
-    return max(_COUNT, _SHARE * max(abs(value), abs(finer)))
+    return max(_COUNT, SHARE * max(abs(value), abs(finer)))

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from enum import Enum
 from operator import attrgetter
 
-import numpy as np
-
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.validation import is_number
@@ -82,7 +80,7 @@ LIMITS = (
         outcome=RunOutcome.LOAD_LOST,
         sentence="the load was {} from its reference",
         unit="m",
-        measure=lambda run: float(np.max(run.position_error)),
+        measure=lambda run: run.largest_position_error,
         share_of=lambda run: run.reach,
         whole="the reach",
     ),
@@ -91,7 +89,7 @@ LIMITS = (
         outcome=RunOutcome.LOAD_LOST,
         sentence="the load was turned by {} from its reference",
         unit="rad",
-        measure=lambda run: float(np.max(run.orientation_error)),
+        measure=lambda run: run.largest_orientation_error,
     ),
     Limit(
         path="limits.carrier_distance",
@@ -131,7 +129,7 @@ LIMITS = (
         path="limits.speed",
         sentence="not plausible: a carrier flew at {}",
         unit="m/s",
-        measure=lambda run: float(np.max(run.speeds)),
+        measure=lambda run: run.peak_speed,
     ),
     Limit(
         path="limits.acceleration",
@@ -143,7 +141,7 @@ LIMITS = (
         path="limits.tension",
         sentence="not plausible: a cable's tension rose to {}",
         unit="N",
-        measure=lambda run: float(np.max(run.tensions)),
+        measure=lambda run: run.largest_tension,
         share_of=lambda run: run.load_weight,
         whole="the weight",
     ),
@@ -156,7 +154,7 @@ LIMITS = (
                 path=f"{box}.min_tension",
                 sentence="a cable's tension fell to {}",
                 unit="N",
-                measure=lambda run: float(np.min(run.tensions)),
+                measure=lambda run: run.least_tension,
                 is_least=True,
                 tolerance=_ROUNDING,
             ),
@@ -164,7 +162,7 @@ LIMITS = (
                 path=f"{box}.max_tension",
                 sentence="a cable's tension rose to {}",
                 unit="N",
-                measure=lambda run: float(np.max(run.tensions)),
+                measure=lambda run: run.largest_tension,
                 tolerance=_ROUNDING,
             ),
         )
@@ -173,7 +171,7 @@ LIMITS = (
         path="optimization_layer.max_speed",
         sentence="a carrier flew at {}",
         unit="m/s",
-        measure=lambda run: float(np.max(run.speeds)),
+        measure=lambda run: run.peak_speed,
         tolerance=_ROUNDING,
     ),
     Limit(

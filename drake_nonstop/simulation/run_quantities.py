@@ -28,7 +28,7 @@ from drake_nonstop.simulation.separations import (
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
 _CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are small
 _SMALL_TURN = math.cos(0.2)  # of a velocity between two steps
-_TURN = 0.1  # s, over which a turn is measured
+_TURN = 0.1  # s, over which a turn and an acceleration are measured
 _SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
@@ -102,6 +102,31 @@ class RunQuantities:
         return self.system.load_mass * self.system.gravity
 
     @cached_property
+    def largest_position_error(self) -> float:
+        """The largest distance of the load from its reference, m."""
+        return float(np.max(self.position_error))
+
+    @cached_property
+    def largest_orientation_error(self) -> float:
+        """The largest angle of the load to its reference, rad."""
+        return float(np.max(self.orientation_error))
+
+    @cached_property
+    def peak_speed(self) -> float:
+        """Of any carrier, m/s."""
+        return float(np.max(self.speeds))
+
+    @cached_property
+    def least_tension(self) -> float:
+        """Of any cable, N."""
+        return float(np.min(self.tensions))
+
+    @cached_property
+    def largest_tension(self) -> float:
+        """Of any cable, N."""
+        return float(np.max(self.tensions))
+
+    @cached_property
     def slowest_speed(self) -> float:
         """Of any carrier, m/s, also between two steps.
 
@@ -136,20 +161,16 @@ class RunQuantities:
 
     @cached_property
     def largest_acceleration(self) -> float | None:
-        """The largest acceleration of a carrier at 100 Hz, m/s²; None: unknown."""
-        parts = [_norms(accelerations) for _, accelerations in self._carrier_motion(1)]
+        """The largest acceleration of a carrier, m/s²; None: unknown."""
+        parts = [_norms(accelerations) for _, accelerations in self._carrier_motion()]
         return max((float(np.max(part)) for part in parts), default=None)
 
     @cached_property
     def sharpest_turn(self) -> tuple[float | None, float | None]:
         """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
-        time = self.run.time
-        if len(time) < 3:
-            return None, None
         acceleration = curvature = 0.0
         is_moving = False
-        apart = max(1, min(round(_TURN / 2 / (time[1] - time[0])), (len(time) - 1) // 2))
-        for velocities, accelerations in self._carrier_motion(apart):
+        for velocities, accelerations in self._carrier_motion():
             # v × a is speed × normal acceleration, and stays defined where a carrier stops.
             crossed, speeds = _norms(np.cross(velocities, accelerations)), _norms(velocities)
             moving = speeds > 0
@@ -161,9 +182,12 @@ class RunQuantities:
             return None, None
         return acceleration, 1 / curvature if curvature > 0 else None
 
-    def _carrier_motion(self, apart: int) -> Iterator[tuple[NDArray, NDArray]]:
-        """Velocities (k, n, 3), m/s, and accelerations over twice so many samples, in parts."""
+    def _carrier_motion(self) -> Iterator[tuple[NDArray, NDArray]]:
+        """Velocities (k, n, 3), m/s, and accelerations, m/s², over 0.1 s of the path, in parts."""
         time, states = self.run.time, self.run.signal("carrier_state")
+        if len(time) < 3:
+            return
+        apart = max(1, min(round(_TURN / 2 / (time[1] - time[0])), (len(time) - 1) // 2))
         for start in range(apart, len(time) - apart, _CHUNK):
             rows = slice(start - apart, min(start + _CHUNK, len(time) - apart) + apart)
             velocities, times = CarrierStates.view(states[rows]).velocities, time[rows]

@@ -16,11 +16,9 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.mechanics.signals import CarrierStates
+from drake_nonstop.simulation.moved_metrics import SHARE, SPEED_GRAIN, TENSION_GRAIN
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 
-# What two flights are compared by: a share of the value, and a least difference that matters.
-_SHARE = 0.02
-_LEAST_SPEED, _LEAST_TENSION = 2e-3, 1e-2  # m/s, N
 _LEAST_LOAD_SPEED = 2e-2  # m/s, of the load: off by that for a second it is off by much more
 
 
@@ -154,9 +152,9 @@ def difference(flight: Flight, finer: Flight) -> float:
 
 def tolerated_tensions(flight: Flight) -> NDArray:
     """By how much a tension may differ, (k, n), N."""
-    return _SHARE * flight.tensions + _LEAST_TENSION
+    return SHARE * flight.tensions + TENSION_GRAIN
 
 
 def tolerated_speeds(flight: Flight) -> NDArray:
     """By how much a carrier's speed may differ, (k, n), m/s."""
-    return _SHARE * flight.speeds + _LEAST_SPEED
+    return SHARE * flight.speeds + SPEED_GRAIN
