@@ -28,7 +28,7 @@ from drake_nonstop.scenario.loading import (
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck

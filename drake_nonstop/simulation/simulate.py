@@ -16,11 +16,12 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
+from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario, check
-from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
-from drake_nonstop.simulation.equilibrium import block_named, set_equilibrium
+from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
+from drake_nonstop.diagrams.equilibrium import block_named, set_equilibrium
 from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.recording import WALL_TIME, Recording, RecordingError, require_room
@@ -117,13 +118,13 @@ def _simulate(
     stated = scenario.speed_bound
     scenario, replacements = replaced(scenario, replacements)
     check_scene(scenario.scene)
-    nonstop = make_nonstop(scenario, **replacements)
+    nonstop = make_nonstop(scenario, at_equilibrium=False, **replacements)
     chosen = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
         chosen = _chosen(scenario, nonstop, _at_equilibrium(nonstop))
         if chosen.config is not scenario.simulator:  # the steps are the block's own
             shorter = dataclasses.replace(scenario, simulator=chosen.config)
-            nonstop = make_nonstop(shorter, **replacements)
+            nonstop = make_nonstop(shorter, at_equilibrium=False, **replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
     recording = Recording(builder, nonstop)
@@ -167,6 +168,7 @@ def _simulate(
     nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
     try:
         set_equilibrium(nonstop, nonstop_context)
+        plant_states(nonstop).declare_defaults(nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
         chosen = chosen or _chosen(scenario, nonstop, nonstop_context)
         if after_step is None:  # which may end a run of any duration

@@ -25,7 +25,7 @@ from drake_nonstop.mechanics.rotation import (
 )
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.simulation.step_size import stable_config
 
 _STEP = 1e-6  # of the differences, in SI units
