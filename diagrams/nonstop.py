@@ -282,13 +282,7 @@ def make_nonstop(
             diagram = _connected(scenario, again)
         context = diagram.CreateDefaultContext()
         set_equilibrium(diagram, context)
-    for name in plant_states(diagram).declare_defaults(context):
-        message = (
-            f"{name} = {type(diagram.GetSubsystemByName(name)).__name__}: new contexts do not "
-            "start at the equilibrium, since its default state cannot be set; call "
-            "set_equilibrium(diagram, context) before each run, or give it a method "
-            "SetDefaultLoadState(value) or SetDefaultCarrierState(value)"
-        )
+    for message in plant_states(diagram).declare_defaults(context):
         warnings.warn(message, ScenarioWarning, stacklevel=2)
     return diagram
 

@@ -102,7 +102,9 @@ class PlantStates:
         entry = int(np.argmax(wrong))
         setter, name = _SETTERS[signal], type(block).__name__
         if hasattr(block, setter):
-            remedy = f"correct {name}.{setter}(context, value), or what changes its state after that"
+            remedy = (
+                f"correct {name}.{setter}(context, value), or what changes its state after that"
+            )
         else:
             remedy = (
                 f"give {name} a method {setter}(context, value) that sets the state for the port "
@@ -149,16 +151,7 @@ class PlantStates:
             remedy = "correct CalcLoadAcceleration(context), which returns 6 numbers"
             require(acceleration.shape == (6,), block.get_name(), type(block).__name__, remedy)
             return acceleration
-        rate = self._shown[LOAD].rate(own)
-        require(
-            rate is not None,
-            block.get_name(),
-            type(block).__name__,
-            "the acceleration that the load starts with follows neither from a continuous state "
-            "nor from a discrete update of one period; give it a method "
-            "CalcLoadAcceleration(context) that returns [ω̇; v̇] (6) in W",
-        )
-        view = LoadState.view(np.asarray(rate))
+        view = LoadState.view(self._shown[LOAD].rate(own))
         return np.concatenate([view.angular_velocity, view.velocity])
 
     def is_continuous(self, context: Context) -> bool:
@@ -191,7 +184,7 @@ class PlantStates:
         }
 
     def declare_defaults(self, context: Context) -> list[str]:
-        """Makes the plant's states those of new contexts; the names of the blocks that differ."""
+        """Makes the plant's states those of new contexts; says of each block that differs so."""
         states = self.states(context)
         for signal, value in states.items():
             block = self._owners[signal]
@@ -207,7 +200,14 @@ class PlantStates:
                 of_block = [self._nonstop.GetSubsystemContext(block, c) for c in (default, context)]
                 given, wanted = map(state_values, of_block)
                 is_declared &= np.allclose(given, wanted, rtol=0, atol=_TOLERANCE)
-            others += [] if is_declared else [block.get_name()]
+            if not is_declared:
+                others.append(
+                    f"{block.get_name()} = {type(block).__name__}: new contexts of the diagram do "
+                    "not start at its equilibrium, since the block's default state cannot be set; "
+                    "call set_equilibrium(diagram, context) before each run, or give it a method "
+                    f"{_DEFAULT_SETTERS[signal]}(value), or have its constructor declare "
+                    f"model.initial_{signal}"
+                )
         return others
 
 
@@ -269,7 +269,7 @@ class _FusedPlantStates:
             np.all(_agree(signal, default[signal], value))
             for signal, value in self.states(context).items()
         )
-        return [] if is_declared else [self._block.get_name()]
+        return [] if is_declared else [f"{self._block.get_name()}: starts from another state"]
 
 
 def plant_states(nonstop: Diagram) -> PlantStates | _FusedPlantStates:

@@ -6,13 +6,16 @@ block may show its state in any other form: what a port shows is all that is kno
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import Context, OutputPort, System
+from pydrake.systems.analysis import InitializeParams, Simulator
+from pydrake.systems.framework import Context, EventStatus, OutputPort, System
 
 _STEP = 2.0**-16  # of the differences: a power of two, so that those of most states are exact
 _PRECISION = 1e-12  # of what a port shows, in SI units or relative to larger values
 _ITERATIONS = 30
 _HALVINGS = 6  # of a step that does not bring the port closer to its value
 _SHARE = 0.1  # of the error that a step with slopes from elsewhere has to leave at most
+_LONGEST_PERIOD = 1.0  # s, between updates of a discrete state
+_MOST_STEPS = 100  # until the second of them
 _SMALLEST = 1e-9  # of the largest singular value: what a port does not show
 
 
@@ -105,33 +108,58 @@ class PortState:
         if self._is_continuous is None:
             count = context.num_continuous_states()
             self._is_continuous = count > 0 and (
-                context.has_only_continuous_state()
-                or bool(np.any(self.slopes(context)[:, :count]))
+                context.has_only_continuous_state() or bool(np.any(self.slopes(context)[:, :count]))
             )
         return self._is_continuous
 
-    def rate(self, context: Context) -> NDArray | None:
-        """The rate of what the port shows, or its change over a period, per second.
+    def rate(self, context: Context) -> NDArray:
+        """The rate of what the port shows, of discrete states its change in one update per second.
 
-        Of continuous states it is the difference of the port along their rate, of discrete ones
-        that over one update. None where the system has no unique period of its discrete updates.
+        Of continuous states it is the difference of the port along their rate. With discrete ones
+        the system is stepped alone, with its inputs held, until the port has changed twice: what
+        lies between the two is the period. A port that does not change has a rate of zero.
         """
-        state, count = state_values(context), context.num_continuous_states()
-        if self.is_continuous(context):
-            rate = np.zeros(len(state))
-            rate[:count] = self._system.EvalTimeDerivatives(context).CopyToVector()
-            before, after, span = state - _STEP * rate, state + _STEP * rate, 2 * _STEP
-        else:
-            timing = self._system.GetUniquePeriodicDiscreteUpdateAttribute()
-            if timing is None:
-                return None
-            updated = self._system.EvalUniquePeriodicDiscreteUpdate(context)
-            groups = [updated.get_vector(i).CopyToVector() for i in range(updated.num_groups())]
-            before, after = state, np.concatenate([state[:count], *groups])
-            span = timing.period_sec()
+        if not self.is_continuous(context):
+            return self._change(context)
+        state = state_values(context)
+        rate = np.zeros(len(state))
+        rate[: context.num_continuous_states()] = self._system.EvalTimeDerivatives(
+            context
+        ).CopyToVector()
         shown = []
-        for values in (before, after):
+        for values in (state - _STEP * rate, state + _STEP * rate):
             set_state_values(context, values)
             shown.append(self._port.Eval(context).copy())
         set_state_values(context, state)
-        return (shown[1] - shown[0]) / span
+        return (shown[1] - shown[0]) / (2 * _STEP)
+
+    def _change(self, context: Context) -> NDArray:
+        alone = self._system.CreateDefaultContext()
+        alone.SetTimeStateAndParametersFrom(context)
+        self._system.FixInputPortsFrom(self._system, context, alone)
+        last, last_time = self._port.Eval(alone).copy(), alone.get_time()
+        updates: list[float] = []  # times in s
+        changes: list[NDArray] = []
+        steps = 0
+
+        def watch(now: Context) -> EventStatus:
+            nonlocal last, last_time, steps
+            shown = self._port.Eval(now).copy()
+            if np.any(shown != last):
+                updates.append(last_time)  # a step begins with its events
+                changes.append(shown - last)
+            last, last_time, steps = shown, now.get_time(), steps + 1
+            is_done = len(changes) == 2 or steps > _MOST_STEPS
+            return (
+                EventStatus.ReachedTermination(self._system, "")
+                if is_done
+                else EventStatus.DidNothing()
+            )
+
+        simulator = Simulator(self._system, alone)
+        simulator.Initialize(InitializeParams(suppress_initialization_events=True))
+        simulator.set_monitor(watch)
+        simulator.AdvanceTo(last_time + _LONGEST_PERIOD)
+        if len(changes) < 2:
+            return np.zeros(self._port.size())
+        return changes[0] / (updates[1] - updates[0])
