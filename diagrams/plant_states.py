@@ -1,22 +1,23 @@
 """The states of load and carriers in a loop: how they are set and read, whatever the blocks are.
 
 A run starts from states that are found on the built diagram. A block that makes `load_state` or
-`carrier_state` may hold its state in any form, continuous or discrete. These methods it may have,
-and none is needed; `context` is the block's own, whose input ports can be evaluated:
+`carrier_state` may hold its state in any form, continuous or discrete. It may have these methods;
+none is needed. `context` is the block's own, in which its input ports can be evaluated.
 
-| method | what it does | without it |
-| --- | --- | --- |
-| `SetLoadState(context, value)` | has `load_state` show the value (13) | found through the port |
-| `SetCarrierState(context, value)` | has `carrier_state` show the value (6n) | likewise |
-| `CalcLoadAcceleration(context)` | returns the load's [ω̇; v̇] (6) in W | from the state's rate, or \
-from one discrete update over its period |
-| `TrimLoad(context)`, `TrimCarriers(context)` | sets further states, such as a pendulum's angle or \
-an aircraft's attitude, once load and carriers are where they start | they keep their values |
-| `SetDefaultLoadState(value)`, `SetDefaultCarrierState(value)` | makes the value the one of new \
-contexts | defaults of Drake's Integrator, AffineSystem and MultibodyPlant in the block, or what \
-the constructor declares of `model.initial_load_state`, `model.initial_carrier_state` |
+- `SetLoadState(context, value)`, `SetCarrierState(context, value)`: has the port show the value (13,
+  or 6n). Without it the state is found through the port.
+- `CalcLoadAcceleration(context)`: returns the load's [ω̇; v̇] (6) in W. Without it that follows from
+  the rate of the continuous state, or from one update of the discrete one.
+- `TrimLoad(context)`, `TrimCarriers(context)`: sets further states, such as a pendulum's angle or an
+  aircraft's attitude, each time that load and carriers have been set, the carriers' first. What
+  the ports show must stay. Without it further states keep their values.
+- `SetDefaultLoadState(value)`, `SetDefaultCarrierState(value)`: makes the value that of new contexts.
+  Without it the defaults of Drake's Integrator, AffineSystem and MultibodyPlant (its positions) in
+  the block are set. A LeafSystem, whose defaults are fixed once it is made, may declare
+  `model.initial_load_state` or `model.initial_carrier_state` in its constructor.
 
-What a port then does not show is an error that names the block: no run starts from another state.
+Where a port then does not show what was set, an error names the block: no run starts from another
+state.
 """
 
 from typing import Any
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, System
-from pydrake.systems.primitives import Integrator, AffineSystem
+from pydrake.systems.primitives import AffineSystem, Integrator
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.mechanics.signals import LoadState

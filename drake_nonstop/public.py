@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -28,7 +29,6 @@ from drake_nonstop.scenario.loading import (
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck

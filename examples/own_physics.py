@@ -24,9 +24,8 @@ def carriers(model: Model, time_step: float) -> Diagram:
     """The carriers, without weight as in the paper: all positions come before all velocities."""
     plant = MultibodyPlant(time_step)
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
-    inertia = SpatialInertia.SolidSphereWithMass(model.carrier_mass, 0.05)
-    bodies = [plant.AddRigidBody(f"carrier_{i}", inertia) for i in range(model.n)]
-    n = model.n
+    inertia, n = SpatialInertia.SolidSphereWithMass(model.carrier_mass, 0.05), model.n
+    bodies = [plant.AddRigidBody(f"carrier_{i}", inertia) for i in range(n)]
     rows = [7 * i + k for i in range(n) for k in (4, 5, 6)]
     rows += [7 * n + 6 * i + k for i in range(n) for k in (3, 4, 5)]
     forces = PointForces(bodies, np.zeros((n, 3)))

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.diagrams.nonstop import SAMPLE_AND_HOLD
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, LoadState
 from drake_nonstop.diagrams.equilibrium import copied_context
+from drake_nonstop.diagrams.nonstop import SAMPLE_AND_HOLD
 from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, LoadState
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 
 _STEPS = (1e-6, 1e-8, 1e-10)  # SI units; one after the other, where the rates have a kink

@@ -15,13 +15,12 @@ from pydrake.systems.analysis import (
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.diagrams.equilibrium import block_named, set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario, check
-from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
-from drake_nonstop.diagrams.equilibrium import block_named, set_equilibrium
 from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.recording import WALL_TIME, Recording, RecordingError, require_room
@@ -34,6 +33,7 @@ from drake_nonstop.simulation.run import (
 )
 from drake_nonstop.simulation.step_check import SavedStates, compared, in_doubt, is_in_doubt
 from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_half_the_step
+from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 

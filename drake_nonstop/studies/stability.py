@@ -16,6 +16,7 @@ from drake_nonstop.blocks.load_feedback import NoisyFeedbackConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
 from drake_nonstop.mechanics.rotation import (
     quaternion_conjugate,
@@ -25,7 +26,6 @@ from drake_nonstop.mechanics.rotation import (
 )
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.simulation.step_size import stable_config
 
 _STEP = 1e-6  # of the differences, in SI units

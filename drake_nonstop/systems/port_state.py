@@ -123,9 +123,8 @@ class PortState:
             return self._change(context)
         state = state_values(context)
         rate = np.zeros(len(state))
-        rate[: context.num_continuous_states()] = self._system.EvalTimeDerivatives(
-            context
-        ).CopyToVector()
+        derivatives = self._system.EvalTimeDerivatives(context)
+        rate[: context.num_continuous_states()] = derivatives.CopyToVector()
         shown = []
         for values in (state - _STEP * rate, state + _STEP * rate):
             set_state_values(context, values)
@@ -134,6 +133,7 @@ class PortState:
         return (shown[1] - shown[0]) / (2 * _STEP)
 
     def _change(self, context: Context) -> NDArray:
+        """The change per second of the port in the first update of a discrete state."""
         alone = self._system.CreateDefaultContext()
         alone.SetTimeStateAndParametersFrom(context)
         self._system.FixInputPortsFrom(self._system, context, alone)
@@ -149,12 +149,9 @@ class PortState:
                 updates.append(last_time)  # a step begins with its events
                 changes.append(shown - last)
             last, last_time, steps = shown, now.get_time(), steps + 1
-            is_done = len(changes) == 2 or steps > _MOST_STEPS
-            return (
-                EventStatus.ReachedTermination(self._system, "")
-                if is_done
-                else EventStatus.DidNothing()
-            )
+            if len(changes) == 2 or steps > _MOST_STEPS:
+                return EventStatus.ReachedTermination(self._system, "")
+            return EventStatus.DidNothing()
 
         simulator = Simulator(self._system, alone)
         simulator.Initialize(InitializeParams(suppress_initialization_events=True))
