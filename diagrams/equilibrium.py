@@ -83,6 +83,7 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
             break
     else:
         cause = _cause_of_motion(nonstop, trial, plant.load_acceleration(trial))
+        cause += plant.acceleration_source(trial)
         raise ScenarioError(
             f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2 beside that of the "
             f"reference: the cables do not hold the load near its reference; {cause}"

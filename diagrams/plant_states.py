@@ -4,17 +4,17 @@ A run starts from states that are found on the built diagram. A block that makes
 `carrier_state` may hold its state in any form, continuous or discrete. It may have these methods;
 none is needed. `context` is the block's own, in which its input ports can be evaluated.
 
-- `SetLoadState(context, value)`, `SetCarrierState(context, value)`: has the port show the value (13,
-  or 6n). Without it the state is found through the port.
-- `CalcLoadAcceleration(context)`: returns the load's [ω̇; v̇] (6) in W. Without it that follows from
-  the rate of the continuous state, or from one update of the discrete one.
-- `TrimLoad(context)`, `TrimCarriers(context)`: sets further states, such as a pendulum's angle or an
-  aircraft's attitude, each time that load and carriers have been set, the carriers' first. What
-  the ports show must stay. Without it further states keep their values.
-- `SetDefaultLoadState(value)`, `SetDefaultCarrierState(value)`: makes the value that of new contexts.
-  Without it the defaults of Drake's Integrator, AffineSystem and MultibodyPlant (its positions) in
-  the block are set. A LeafSystem, whose defaults are fixed once it is made, may declare
-  `model.initial_load_state` or `model.initial_carrier_state` in its constructor.
+- `SetLoadState(context, value)`, `SetCarrierState(context, value)`: has the port show the value
+  (13, or 6n). Without it the state is found through the port.
+- `CalcLoadAcceleration(context)`: returns the load's [ω̇; v̇] (6) in W. Without it that follows
+  from the rate of the continuous state, or from one update of the discrete one.
+- `TrimLoad(context)`, `TrimCarriers(context)`: sets further states, such as a pendulum's angle or
+  an aircraft's attitude, each time that load and carriers have been set, the carriers' first.
+  What the ports show must stay. Without it further states keep their values.
+- `SetDefaultLoadState(value)`, `SetDefaultCarrierState(value)`: makes the value that of new
+  contexts. Without it the defaults of Drake's Integrator, AffineSystem and MultibodyPlant (its
+  positions) in the block are set. A LeafSystem, whose defaults are fixed once it is made, may
+  declare `model.initial_load_state` or `model.initial_carrier_state` in its constructor.
 
 Where a port then does not show what was set, an error names the block: no run starts from another
 state.
@@ -80,10 +80,14 @@ class PlantStates:
         """Looks for the state that the port shows; a quaternion's sign may be the port's own."""
         before = state_values(context)
         self._shown[signal].show(context, value)
-        shown = self._owners[signal].GetOutputPort(signal).Eval(context)
-        if signal == LOAD and not np.all(_agree(signal, shown, value)):
-            set_state_values(context, before)
-            self._shown[signal].show(context, _flipped(value))
+        port = self._owners[signal].GetOutputPort(signal)
+        if signal != LOAD or np.all(_agree(signal, port.Eval(context), value)):
+            return
+        closest = state_values(context)
+        set_state_values(context, before)
+        self._shown[signal].show(context, _flipped(value))
+        if not np.all(_agree(signal, port.Eval(context), value)):
+            set_state_values(context, closest)
 
     def try_to_set(self, context: Context, **states: NDArray) -> None:
         """As `set_states`, but changes nothing where a port does not show what was set."""
@@ -103,9 +107,7 @@ class PlantStates:
         entry = int(np.argmax(wrong))
         setter, name = _SETTERS[signal], type(block).__name__
         if hasattr(block, setter):
-            remedy = (
-                f"correct {name}.{setter}(context, value), or what changes its state after that"
-            )
+            remedy = f"correct {name}.{setter}(context, value), after which the port has to show it"
         else:
             remedy = (
                 f"give {name} a method {setter}(context, value) that sets the state for the port "
@@ -114,7 +116,7 @@ class PlantStates:
         require(
             False,
             f"{block.get_name()}.{signal}[{entry}]",
-            float(shown[entry]),
+            f"{shown[entry]:.6g}",
             f"its initial state was set to {value[entry]:.6g}; {remedy}",
         )
 
@@ -154,6 +156,16 @@ class PlantStates:
             return acceleration
         view = LoadState.view(self._shown[LOAD].rate(own))
         return np.concatenate([view.angular_velocity, view.velocity])
+
+    def acceleration_source(self, context: Context) -> str:
+        """What to say of where the load's acceleration comes from; empty where a block tells it."""
+        own, block = self._context(LOAD, context), self._owners[LOAD]
+        if hasattr(block, "CalcLoadAcceleration") or self._shown[LOAD].is_continuous(own):
+            return ""
+        return (
+            f"; if the load does not move with the first update of its discrete state, give "
+            f"{type(block).__name__} a method CalcLoadAcceleration(context)"
+        )
 
     def is_continuous(self, context: Context) -> bool:
         """Whether the load's state, and the carriers' where they have one, are continuous."""
@@ -238,6 +250,10 @@ class _FusedPlantStates:
         """As of `PlantStates`."""
         rate = LoadState.view(self._block.rates(self._context(context))[LOAD])
         return np.concatenate([rate.angular_velocity, rate.velocity])
+
+    def acceleration_source(self, context: Context) -> str:
+        """As of `PlantStates`."""
+        return ""
 
     def is_continuous(self, context: Context) -> bool:
         """Whether the states are continuous in separate blocks."""
