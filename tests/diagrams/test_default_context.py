@@ -58,7 +58,10 @@ def test_a_plain_simulator_flies_as_simulate_does_and_again_after_a_reset(overri
             simulator.AdvanceTo(0.3)
             for signal in SIGNALS:
                 shown = output(flown, simulator.get_context(), signal)
-                np.testing.assert_array_equal(shown, run.signal(signal)[-1], err_msg=signal)
+                # Without samples of the controllers the steps differ by the rounding of instants.
+                tolerance = 0 if scenario.control_period else 1e-10
+                expected = run.signal(signal)[-1]
+                np.testing.assert_allclose(shown, expected, 0, tolerance, err_msg=signal)
             simulator.reset_context(flown.CreateDefaultContext())
 
 
@@ -83,7 +86,7 @@ def test_clones_keep_the_defaults_of_the_carriers():
 
 
 def test_a_loop_without_an_equilibrium_is_refused_unless_none_is_asked_for():
-    scenario = load_scenario("quintic", [CONSTANT, "simulated.load_mass=1000"])
+    scenario = load_scenario("quintic", [CONSTANT, "simulated.load_mass=1e5"])
     with pytest.raises(ScenarioError, match="the cables do not hold the load"):
         make_nonstop(scenario)
     diagram = make_nonstop(scenario, at_equilibrium=False)
