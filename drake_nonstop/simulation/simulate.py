@@ -111,8 +111,10 @@ def _simulate(
     )
     for name, block in replacements.items():
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
+    remedy = "give a list of functions, such as [show_in(meshcat)]"
+    require(isinstance(viewers, (list, tuple)), "viewers", viewers, remedy)
     for viewer in viewers:
-        require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
+        require(callable(viewer), "viewers", viewer, remedy)
     is_second = interruption.collect is not None  # of a run that is there already
     stated = scenario.speed_bound
     scenario, replacements = replaced(scenario, replacements)
