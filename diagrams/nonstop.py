@@ -223,7 +223,7 @@ class LoopConfig(Protocol):
     pattern: PatternConfig
     control_period: float
     fused_plant: bool
-    simulator: SimulatorConfig
+    simulator_config: SimulatorConfig
 
     def check(self) -> None:
         """Raises ScenarioError for the first field that cannot be used."""
@@ -264,6 +264,8 @@ def make_nonstop(
             replacement do not fit, or there is no equilibrium; the message names the field, the
             value and the remedy.
     """
+    is_scenario = callable(getattr(scenario, "check", None))
+    require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
     scenario, others = replaced(scenario, replacements)
     scenario.check()
     parts = _made_parts(scenario, others)
@@ -338,7 +340,11 @@ def _made_parts(
             "give a block's config, a function that takes the model and returns a system, or "
             "None to leave the box out",
         )
-        blocks[name] = make(simulated if box.is_simulated else believed)
+        try:
+            blocks[name] = make(simulated if box.is_simulated else believed)
+        except SystemExit:
+            remedy = "give a function that returns a system, and does not exit"
+            raise ScenarioError(f"replacement {name} = SystemExit: {remedy}") from None
         require(
             isinstance(blocks[name], System),
             f"replacement {name}",
@@ -353,7 +359,7 @@ def _connected(scenario: LoopConfig, parts: _Parts) -> Diagram:
     """The loop of a scenario's blocks, which may be fused, and sampled."""
     believed, blocks, outside = parts
     if scenario.fused_plant:
-        config = scenario.simulator
+        config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
     replaced_signals = {}
     if scenario.control_period > 0:

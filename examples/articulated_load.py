@@ -38,7 +38,7 @@ def load(model: Model) -> Diagram:
 
 def main(duration: float = 15.0) -> None:
     """Flies the quintic task with the pendulum below the load."""
-    scenario = load_scenario("quintic", [f"duration={duration}"])
+    scenario = load_scenario("quintic", [f"simulation_duration={duration}"])
     run = simulate(scenario, load_plant=load)
     angle, _ = run.signal("pendulum_state").T
     error = 1e3 * compute_metrics(run)["load"]["position_error_mean_m"]

@@ -47,7 +47,9 @@ def block(plant: MultibodyPlant, forces: PointForces, reads: str, makes: str, sh
 
 def main(duration: float = 15.0) -> None:
     """Flies the quintic task in both ways."""
-    scenario = load_scenario("quintic", [f"duration={duration}", "simulated.load_drag=0.0"])
+    scenario = load_scenario(
+        "quintic", [f"simulation_duration={duration}", "simulated.load_drag=0.0"]
+    )
     for name, step in (("continuous", 0.0), ("discrete", 0.002)):
         plants = {"load_plant": partial(load, time_step=step)}
         plants["carrier_dynamics"] = partial(carriers, time_step=step)

@@ -47,13 +47,13 @@ def test_every_signal_is_finite_and_load_and_carriers_are_where_they_start(name,
 
 @pytest.mark.parametrize("overrides", [[], ["control_period=0", CONSTANT], ["fused_plant=true"]])
 def test_a_plain_simulator_flies_as_simulate_does_and_again_after_a_reset(overrides):
-    scenario = load_scenario("quintic", ["duration=0.3", *overrides])
+    scenario = load_scenario("quintic", ["simulation_duration=0.3", *overrides])
     run = simulate(scenario)
-    assert run.step == scenario.simulator.max_step_size
+    assert run.step == scenario.simulator_config.max_step_size
     diagram = make_nonstop(scenario)
     for flown in (diagram, run.diagram) if not scenario.fused_plant else (diagram,):
         simulator = Simulator(flown)
-        ApplySimulatorConfig(scenario.simulator, simulator)
+        ApplySimulatorConfig(scenario.simulator_config, simulator)
         for _ in range(2):
             simulator.AdvanceTo(0.3)
             for signal in SIGNALS:

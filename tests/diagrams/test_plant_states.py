@@ -25,7 +25,7 @@ SIGNALS = ("load_state", "carrier_state", "tensions")
 
 def short(duration, *overrides):
     layer = "optimization_layer=ConstantParameters"
-    return load_scenario("quintic", [f"duration={duration}", layer, *overrides])
+    return load_scenario("quintic", [f"simulation_duration={duration}", layer, *overrides])
 
 
 def own_plants(step, **also):
@@ -41,7 +41,7 @@ def distance(run, other):
 
 @pytest.fixture(scope="module")
 def without_drag():
-    scenario = short(0.3, "simulated.load_drag=0.0")
+    scenario = short(0.15, "simulated.load_drag=0.0")
     return scenario, simulate(scenario)
 
 
@@ -336,7 +336,7 @@ def test_a_block_that_declares_what_the_model_tells_flies_from_its_defaults():
     scenario = short(0.3)
     diagram = make_nonstop(scenario, carrier_dynamics=DeclaredCarriers)
     simulator = Simulator(diagram)
-    ApplySimulatorConfig(scenario.simulator, simulator)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
     simulator.AdvanceTo(0.3)
     run = simulate(scenario, carrier_dynamics=DeclaredCarriers)
     for name in SIGNALS:
@@ -350,7 +350,7 @@ def test_a_block_whose_defaults_cannot_be_set_is_named_and_set_equilibrium_helps
     with pytest.warns(ScenarioWarning, match="carrier_dynamics = MappedCarriers: new contexts"):
         diagram = make_nonstop(scenario, **own)
     simulator = Simulator(diagram)
-    ApplySimulatorConfig(scenario.simulator, simulator)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
     set_equilibrium(diagram, simulator.get_mutable_context())
     simulator.AdvanceTo(0.1)
     shown = diagram.GetOutputPort("load_state").Eval(simulator.get_context())
