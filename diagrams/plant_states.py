@@ -71,7 +71,7 @@ class PlantStates:
             if own.is_stateless() and signal == CARRIERS:
                 continue
             if hasattr(block, _SETTERS[signal]):
-                getattr(block, _SETTERS[signal])(own, value)
+                getattr(block, _SETTERS[signal])(own, value.copy())
             else:
                 self._show(signal, own, value)
             self._check(signal, own, value)
@@ -202,7 +202,7 @@ class PlantStates:
         for signal, value in states.items():
             block = self._owners[signal]
             if hasattr(block, _DEFAULT_SETTERS[signal]):
-                getattr(block, _DEFAULT_SETTERS[signal])(value)
+                getattr(block, _DEFAULT_SETTERS[signal])(value.copy())
             else:
                 _declare_defaults(block, self._nonstop.GetSubsystemContext(block, context))
         default, others = self._nonstop.CreateDefaultContext(), []

@@ -47,13 +47,11 @@ def block(plant: MultibodyPlant, forces: PointForces, reads: str, makes: str, sh
 
 def main(duration: float = 15.0) -> None:
     """Flies the quintic task in both ways."""
-    scenario = load_scenario(
-        "quintic", [f"simulation_duration={duration}", "simulated.load_drag=0.0"]
-    )
+    settings = [f"simulation_duration={duration}", "simulated.load_drag=0"]
+    scenario = load_scenario("quintic", settings)
     for name, step in (("continuous", 0.0), ("discrete", 0.002)):
-        plants = {"load_plant": partial(load, time_step=step)}
-        plants["carrier_dynamics"] = partial(carriers, time_step=step)
-        run = simulate(scenario, **plants)
+        plants = partial(load, time_step=step), partial(carriers, time_step=step)
+        run = simulate(scenario, load_plant=plants[0], carrier_dynamics=plants[1])
         error = 1e3 * compute_metrics(run)["load"]["position_error_mean_m"]
         print(f"{name:10} mean load error {error:.3f} mm")
 
