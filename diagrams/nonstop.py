@@ -219,7 +219,7 @@ class LoopConfig(Protocol):
     pattern: PatternConfig
     control_period: float
     fused_plant: bool
-    simulator: SimulatorConfig
+    simulator_config: SimulatorConfig
 
     def check(self) -> None:
         """Raises ScenarioError for the first field that cannot be used."""
@@ -282,7 +282,7 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         )
         wiring.check_outputs(name, blocks[name], required, optional)
     if scenario.fused_plant:
-        config = scenario.simulator
+        config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
     replaced_signals = {}
     if scenario.control_period > 0:
