@@ -221,8 +221,12 @@ class LoopConfig(Protocol):
     fused_plant: bool
     simulator_config: SimulatorConfig
 
-    def check(self) -> None:
-        """Raises ScenarioError for the first field that cannot be used."""
+    def sampled(self) -> Any:
+        """What it is with numbers drawn for its distributions.
+
+        Raises:
+            ScenarioError: a field cannot be used.
+        """
         ...
 
 
@@ -234,7 +238,8 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
     that is not possible a ScenarioWarning tells why, and the separate blocks are built.
 
     Args:
-        scenario: the system, the pattern and one config per box.
+        scenario: the system, the pattern and one config per box; where fields hold distributions,
+            numbers are drawn with its `random_seed`.
         replacements: by the name of a box, what to put in its place: a block's config; a block
             class with the dataclass of its parameters beside it, to which parameters go as in a
             swap by `--set` (see `replaced`); a function that takes the `Model` and returns a
@@ -247,7 +252,7 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
             replacement do not fit; the message names the field, the value and the remedy.
     """
     scenario, others = replaced(scenario, replacements)
-    scenario.check()
+    scenario = scenario.sampled()
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
     plant = overridden(scenario.system, scenario.simulated)
     require(

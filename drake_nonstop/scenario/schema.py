@@ -1,5 +1,6 @@
 """What one run is: a tree of dataclasses."""
 
+import copy
 import dataclasses
 import functools
 import operator
@@ -8,6 +9,7 @@ import typing
 from dataclasses import dataclass, field
 from typing import Any
 
+from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.diagrams.box import block_class, import_path
@@ -19,6 +21,7 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
+from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.run_limits import RunLimits, check_limits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import (
@@ -56,6 +59,7 @@ class _Common(StrictFields):
 
     name: str = "unnamed"
     description: str = ""
+    random_seed: int = 0  # of the numbers that are drawn where fields hold distributions
     simulation_duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
     fused_plant: bool = False  # load, cables, carriers and their controller in one fast block
@@ -116,6 +120,25 @@ class Scenario(_Boxes):
         """Checks all fields' types, and the ranges of those that belong to no box; see `check`."""
         check(self)
 
+    def sampled(self, generator: RandomGenerator | None = None) -> "Scenario":
+        """The scenario with a number drawn for each distribution that its fields hold.
+
+        The numbers are drawn by a generator of their own, whose seed is `random_seed`, in the
+        order of the fields in `dump_scenario`, and in that of a list's entries. A whole number is
+        the whole part of what is drawn.
+
+        Args:
+            generator: what the result's `random_seed` is taken from, one number of it; None:
+                that is the scenario's own.
+
+        Returns:
+            A copy; this scenario itself where it holds no distributions and no generator is given.
+
+        Raises:
+            ScenarioError: a field cannot be used, or what is drawn for it.
+        """
+        return sample(self, generator)[0]
+
 
 PATTERNS: tuple[type, ...] = typing.get_args(typing.get_type_hints(_Common)[PATTERN])
 
@@ -133,6 +156,7 @@ _PARTS = (RunLimits, SystemParameters, SystemOverrides, SimulatorConfig)
 
 _MAX_STEPS = 1e8  # of a run, which takes days
 _LONGEST_PERIOD = 10.0  # s, of the controllers
+_LARGEST_SEED = 2**32 - 1  # of Drake's RandomGenerator; larger ones repeat its numbers
 
 
 def check(scenario: Scenario) -> None:
@@ -145,6 +169,10 @@ def check(scenario: Scenario) -> None:
     require(is_scenario, "scenario", scenario, 'give a Scenario, such as load_scenario("quintic")')
     require_type("scenario.name", scenario.name, str)
     check_name(scenario.name)
+    seed = scenario.random_seed
+    is_drawn = distributions.is_distribution(seed)
+    require(not is_drawn, "random_seed", "a distribution", "give the whole number to draw with")
+    scenario = distributions.mapped(scenario, Scenario, "", distributions.mean)
     for field_ in dataclasses.fields(scenario):
         kind: Any = field_.type
         path, value = field_.name, getattr(scenario, field_.name)
@@ -159,6 +187,8 @@ def check(scenario: Scenario) -> None:
     for owner in ("system", "simulated"):
         _check_is_read(owner, getattr(scenario, owner))
     require_positive(scenario.name, simulation_duration=scenario.simulation_duration)
+    is_seed = 0 <= seed <= _LARGEST_SEED
+    require(is_seed, f"{scenario.name}.random_seed", seed, f"give 0 to {_LARGEST_SEED}")
     check_limits(scenario.limits)
     config = scenario.simulator_config
     require_positive(
@@ -185,6 +215,38 @@ def check(scenario: Scenario) -> None:
         scenario.simulation_duration,
         f"give at most {_MAX_STEPS * step:g} s, which are {_MAX_STEPS:.0e} steps of {step:g} s",
     )
+
+
+def sample(
+    scenario: Scenario, generator: RandomGenerator | None = None
+) -> tuple[Scenario, dict[str, Any]]:
+    """The scenario `sampled`, and what was drawn by its path: numbers, those of lists one by one.
+
+    Raises:
+        ScenarioError: see `Scenario.sampled`.
+    """
+    check(scenario)
+    if generator is not None:
+        remedy = "give a pydrake.common.RandomGenerator, or None"
+        is_generator = isinstance(generator, RandomGenerator)
+        require(is_generator, "generator", generator, remedy)
+        scenario = copy.copy(scenario)
+        scenario.random_seed = generator()
+    random = RandomGenerator(scenario.random_seed)
+    values: dict[str, Any] = {}
+
+    def draw(path: str, distribution: Any, kind: Any) -> Any:
+        drawn = distributions.draw(distribution, kind, random)
+        if isinstance(drawn, list):
+            values.update({f"{path}[{i}]": number for i, number in enumerate(drawn)})
+        else:
+            values[path] = drawn
+        return drawn
+
+    scenario = distributions.mapped(scenario, Scenario, "", draw)
+    if values:
+        check(scenario)
+    return scenario, values
 
 
 def check_name(name: str) -> None:

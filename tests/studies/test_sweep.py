@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow.parquet as parquet
 import pytest
 from distributed import LocalCluster
+from pydrake.common import RandomGenerator
 
 import drake_nonstop
 from drake_nonstop import SweepInterrupted, SweepSpec, load_scenario, read_sweep
@@ -84,6 +85,7 @@ class TestSpec:
         assert first.overrides == [
             *("phase=!PaperPhase {}", "simulation_duration=2", "a.b=1", "phase=!PaperPhase {}"),
             *(f"c={first.values['c']!r}", f"d={first.seed}"),
+            f"random_seed={RandomGenerator(7)()}",
         ]
         assert second.values["a.b"] == 1
         assert second.values["c"] != first.values["c"]
@@ -93,8 +95,8 @@ class TestSpec:
     @pytest.mark.parametrize(
         ("text", "words"),
         [
-            ("", "give grid, draws or both"),
-            ("seed: 1", "give grid, draws or both"),
+            ("", "give grid, draws or runs"),
+            ("seed: 1", "give grid, draws, or runs"),
             ("grids: {a: [1]}", "mine.yaml.grids = "),
             ("seed: -1\ngrid: {a: [1]}", "mine.yaml.seed = -1"),
             ("seed: 1.5\ngrid: {a: [1]}", "mine.yaml.seed = 1.5"),
@@ -104,7 +106,9 @@ class TestSpec:
             ("grid: [1]", "give a mapping from paths to lists"),
             ("grid: {a: 1}", "mine.yaml.grid.a = 1: give a list of values"),
             ("grid: {a: [1, 1]}", "give each value once"),
-            ("grid: {a: [1]}\nruns: 3", "leave it out"),
+            ("grid: {a: [1]}\nruns: 0", "mine.yaml.runs = 0"),
+            ("grid: {random_seed: [1]}\nruns: 3", "path = random_seed: leave it out"),
+            ("overrides: [random_seed=1]\nruns: 3", "path = random_seed: leave it out"),
             ("draws: [1]\nruns: 1", "give a mapping from paths to distributions"),
             ("draws: {a: {uniform: [0, 1]}}", "mine.yaml.runs = None"),
             ("draws: {a: {uniform: [0, 1]}}\nruns: 0", "mine.yaml.runs = 0"),
