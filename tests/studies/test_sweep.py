@@ -366,7 +366,7 @@ class TestCommand:
         [
             ("grid: {system.lode_mass: [1, 2]}", "there is no lode_mass"),
             ("grid: {phase: [my_own.Phase]}", "--trust"),
-            ("grid: {}", "give grid, draws or both"),
+            ("grid: {}", "give grid, draws, or runs"),
         ],
     )
     def test_bad_input_is_reported_and_leaves_no_folder(self, tmp_path, capsys, text, words):

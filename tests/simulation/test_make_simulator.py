@@ -1,0 +1,82 @@
+"""A Simulator of a scenario with distributions, as Drake's Monte Carlo functions take it."""
+
+import functools
+import os
+
+import numpy as np
+import pyarrow.parquet as parquet
+import pytest
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import MonteCarloSimulation, RandomSimulation
+
+from drake_nonstop import ScenarioError, SweepSpec, load_scenario, make_simulator, simulate, sweep
+from drake_nonstop.studies.run_all import SerialExecutor
+
+DURATION = 0.3
+# The whole comparison: 50.
+RUNS = int(os.environ.get("DRAKE_NONSTOP_RANDOM_RUNS", "3"))
+DRAWN = (
+    f"simulation_duration={DURATION}",
+    "simulated.load_mass=!Gaussian {mean: 1, stddev: 0.1}",
+    "load_disturbance=!Wind {force: !GaussianVector {mean: [0, 0, 0], stddev: [0.2]}, "
+    "gust_force: !Uniform {min: 0, max: 0.3}, seed: !Uniform {min: 0, max: 1e9}}",
+    "wrench_controller.position_gain=!Uniform {min: 4, max: 6}",
+)
+
+
+def position_error(system, context):
+    """As the metric of that name."""
+    load, reference = (
+        system.GetOutputPort(name).Eval(context) for name in ("load_state", "reference")
+    )
+    return float(np.linalg.norm(load[4:7] - reference[4:7]))
+
+
+@pytest.fixture(scope="module", params=["control_period=0.01", "control_period=0"])
+def scenario(request):
+    return load_scenario("quintic", [*DRAWN, request.param])
+
+
+def test_monte_carlo_gives_what_a_sweep_gives_to_the_bit(scenario, tmp_path):
+    spec = SweepSpec(seed=5, runs=RUNS)
+    done = sweep(scenario, spec, tmp_path, executor=SerialExecutor())
+    rows = parquet.read_table(done.table).to_pylist()
+    make = functools.partial(make_simulator, scenario)
+    results = MonteCarloSimulation(make, position_error, DURATION, RUNS, RandomGenerator(5))
+    outputs = [result.output for result in results]
+    assert outputs == [row["load.position_error_final_m"] for row in rows]
+    assert len(set(outputs)) == RUNS
+    again = RandomSimulation(make, position_error, DURATION, results[1].generator_snapshot)
+    assert again == outputs[1]
+
+
+class TestSimulator:
+    @pytest.fixture(scope="class")
+    def flown(self, scenario):
+        """A simulator that was reset to its defaults and flown, and the run of its scenario."""
+        simulator = make_simulator(scenario, RandomGenerator(8))
+        system, context = simulator.get_system(), simulator.get_mutable_context()
+        system.SetRandomContext(context, RandomGenerator(1))
+        simulator.AdvanceTo(DURATION)
+        return simulator, simulate(scenario.sampled(RandomGenerator(8)))
+
+    def test_it_flies_as_simulate_does(self, flown):
+        simulator, run = flown
+        for name in ("load_state", "carrier_state", "tensions", "wrench"):
+            port = simulator.get_system().GetOutputPort(name)
+            np.testing.assert_array_equal(port.Eval(simulator.get_context()), run.signal(name)[-1])
+        assert simulator.get_integrator().get_maximum_step_size() == run.step
+
+    def test_without_a_generator_it_is_the_scenarios_own(self, scenario):
+        simulator = make_simulator(scenario)
+        simulator.AdvanceTo(0.02)
+        run = simulate(scenario)
+        load_state = simulator.get_system().GetOutputPort("load_state")
+        index = np.argmin(np.abs(run.time - 0.02))
+        expected = run.signal("load_state")[index]
+        np.testing.assert_array_equal(load_state.Eval(simulator.get_context()), expected)
+
+
+def test_a_box_cannot_be_left_out():
+    with pytest.raises(ScenarioError, match="replacement cables = None: give a block"):
+        make_simulator(load_scenario("quintic"), cables=None)
