@@ -63,7 +63,8 @@ class LinearBlock(DiagramBlock):
         matrix = _matrix(self.equations)
         builder = DiagramBuilder()
         shown = made or ([state_port] if state_port else [])
-        is_one_system = len(read) == len(shown) == 1 and not (made and state_port)
+        # Not with a state: a LinearSystem draws one from the generator of a Monte Carlo study.
+        is_one_system = len(read) == len(shown) == 1 and state_size == 0
         if is_one_system and matrix.size <= _LARGEST_DENSE:
             _build_dense(builder, matrix, state_size, *read, *shown)
             builder.BuildInto(self)

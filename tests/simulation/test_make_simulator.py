@@ -9,7 +9,16 @@ import pytest
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import MonteCarloSimulation, RandomSimulation
 
-from drake_nonstop import ScenarioError, SweepSpec, load_scenario, make_simulator, simulate, sweep
+from drake_nonstop import (
+    Model,
+    ScenarioError,
+    SweepSpec,
+    load_scenario,
+    make_simulator,
+    simulate,
+    sweep,
+)
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.studies.run_all import SerialExecutor
 
 DURATION = 0.3
@@ -51,20 +60,15 @@ def test_monte_carlo_gives_what_a_sweep_gives_to_the_bit(scenario, tmp_path):
 
 
 class TestSimulator:
-    @pytest.fixture(scope="class")
-    def flown(self, scenario):
-        """A simulator that was reset to its defaults and flown, and the run of its scenario."""
+    def test_it_flies_as_simulate_does(self, scenario):
         simulator = make_simulator(scenario, RandomGenerator(8))
         system, context = simulator.get_system(), simulator.get_mutable_context()
-        system.SetRandomContext(context, RandomGenerator(1))
+        system.SetRandomContext(context, RandomGenerator(1))  # to the defaults
         simulator.AdvanceTo(DURATION)
-        return simulator, simulate(scenario.sampled(RandomGenerator(8)))
-
-    def test_it_flies_as_simulate_does(self, flown):
-        simulator, run = flown
+        run = simulate(scenario.sampled(RandomGenerator(8)))
         for name in ("load_state", "carrier_state", "tensions", "wrench"):
-            port = simulator.get_system().GetOutputPort(name)
-            np.testing.assert_array_equal(port.Eval(simulator.get_context()), run.signal(name)[-1])
+            value = system.GetOutputPort(name).Eval(context)
+            np.testing.assert_array_equal(value, run.signal(name)[-1])
         assert simulator.get_integrator().get_maximum_step_size() == run.step
 
     def test_without_a_generator_it_is_the_scenarios_own(self, scenario):
@@ -80,3 +84,13 @@ class TestSimulator:
 def test_a_box_cannot_be_left_out():
     with pytest.raises(ScenarioError, match="replacement cables = None: give a block"):
         make_simulator(load_scenario("quintic"), cables=None)
+
+
+@pytest.mark.parametrize("block", [block for box in BOXES.values() for block in box.variants])
+def test_no_block_draws_from_the_generator(block):
+    """Or the next call of make_simulator would not get what a sweep's next run gets."""
+    scenario = load_scenario("quintic")
+    system = block(Model(scenario.system, scenario.pattern, scenario.control_period))
+    generator = RandomGenerator(3)
+    system.SetRandomContext(system.CreateDefaultContext(), generator)
+    assert generator() == RandomGenerator(3)()
