@@ -5,6 +5,7 @@ object of `pydrake.common.schema`.
 """
 
 import copy
+import copyreg
 import dataclasses
 import math
 import types
@@ -16,19 +17,23 @@ import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.common.schema import (
     Deterministic,
+    DeterministicVector,
     DeterministicVectorX,
     Distribution,
     DistributionVector,
     Gaussian,
+    GaussianVector,
     GaussianVectorX,
     Sample,
     ToDistribution,
     ToDistributionVector,
     Uniform,
     UniformDiscrete,
+    UniformVector,
     UniformVectorX,
 )
 
+from drake_nonstop.scenario.by_fields import reduced
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.validation import fields_of, require, require_known, require_type
 
@@ -44,6 +49,11 @@ _KINDS: dict[str, Any] = {
     "UniformVector": UniformVectorX,
     "UniformDiscrete": UniformDiscrete,
 }
+_SIZED = (DeterministicVector, GaussianVector, UniformVector)  # by the sizes 1 to 6
+
+for _class in (*_KINDS.values(), *(vector[size] for vector in _SIZED for size in range(1, 7))):
+    copyreg.pickle(_class, reduced)
+
 _FIELDS: dict[str, tuple[str, ...]] = {
     "Deterministic": ("value",),
     "Gaussian": ("mean", "stddev"),

@@ -9,7 +9,7 @@ from typing import Any
 
 from drake_nonstop.diagrams.box import kept_parameters
 from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.scenario.schema import CHOICES, FORMER_FIELDS, Scenario
+from drake_nonstop.scenario.schema import CHOICES, Scenario, require_current
 from drake_nonstop.scenario.tree import (
     Tree,
     Trusted,
@@ -97,8 +97,8 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
     require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
     value = parse_plain(text, f"--set {path}", path)
     *parents, last = path.split(".")
-    former = path.partition(".")[0]
-    require(former not in FORMER_FIELDS, "--set", override, FORMER_FIELDS.get(former, ""))
+    if parents:
+        require_current(parents[0], "--set", override)
     branch: Any = tree
     for i, key in enumerate(parents):
         parts = [part for part in branch if part != "_tag"]

@@ -1,6 +1,8 @@
 """Drake's distributions in a scenario's fields, and what is drawn for them."""
 
+import copy
 import dataclasses
+import pickle
 import re
 
 import numpy as np
@@ -15,6 +17,7 @@ from pydrake.common.schema import (
     UniformDiscrete,
     UniformVector,
 )
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
 from drake_nonstop import (
     RunLimits,
@@ -167,6 +170,25 @@ class TestPython:
         assert np.all(np.floor(sampled.load_disturbance.torque) == [1, 2, 3])
         again = parse_scenario(dump_scenario(scenario))
         assert dump_scenario(again.sampled()) == dump_scenario(sampled)
+
+    def test_pickles_copies_and_equality(self):
+        scenario = Scenario()
+        scenario.system.load_mass = Uniform(min=1, max=2)
+        scenario.load_disturbance = WindConfig(
+            force=GaussianVectorX(mean=[1, 2, 3], stddev=[0.1]),
+            torque=UniformVector[3](min=[1, 2, 3], max=[2, 3, 4]),
+        )
+        for again in (pickle.loads(pickle.dumps(scenario)), copy.deepcopy(scenario)):
+            assert again == scenario
+            assert again.sampled() == scenario.sampled()
+            again.system.load_mass = Uniform(min=1, max=3)
+            assert again != scenario
+
+    def test_typed_yaml_is_for_numbers(self, scenario):
+        with pytest.raises(ScenarioError, match="write it with dump_scenario"):
+            yaml_dump_typed(scenario)
+        sampled = scenario.sampled()
+        assert yaml_load_typed(schema=Scenario, data=yaml_dump_typed(sampled)) == sampled
 
     def test_what_is_no_generator(self, scenario):
         with pytest.raises(ScenarioError, match="generator = 3: give a pydrake"):

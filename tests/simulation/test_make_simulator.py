@@ -39,7 +39,7 @@ def position_error(system, context):
     load, reference = (
         system.GetOutputPort(name).Eval(context) for name in ("load_state", "reference")
     )
-    return float(np.linalg.norm(load[4:7] - reference[4:7]))
+    return float(np.linalg.norm([load[4:7] - reference[4:7]], axis=1)[0])
 
 
 @pytest.fixture(scope="module")
