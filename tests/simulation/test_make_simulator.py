@@ -69,6 +69,7 @@ def test_it_flies_as_simulate_does(scenario, override):
     system.SetRandomContext(context, RandomGenerator(1))
     simulator.AdvanceTo(DURATION)
     run = simulate(scenario)
+    assert run.scenario == scenario.sampled()
     for name in ("load_state", "carrier_state", "tensions", "wrench"):
         value = system.GetOutputPort(name).Eval(context)
         np.testing.assert_array_equal(value, run.signal(name)[-1])
