@@ -251,6 +251,8 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         ScenarioError: the scenario or a replacement cannot be built, or the ports of a
             replacement do not fit; the message names the field, the value and the remedy.
     """
+    is_scenario = callable(getattr(scenario, "check", None))
+    require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
     scenario, others = replaced(scenario, replacements)
     scenario = scenario.sampled()
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
@@ -278,7 +280,11 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
             "give a block's config, a function that takes the model and returns a system, or "
             "None to leave the box out",
         )
-        blocks[name] = make(simulated if box.is_simulated else believed)
+        try:
+            blocks[name] = make(simulated if box.is_simulated else believed)
+        except SystemExit:
+            remedy = "give a function that returns a system, and does not exit"
+            raise ScenarioError(f"replacement {name} = SystemExit: {remedy}") from None
         require(
             isinstance(blocks[name], System),
             f"replacement {name}",

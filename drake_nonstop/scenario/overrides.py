@@ -19,7 +19,7 @@ from drake_nonstop.scenario.tree import (
     to_tree,
 )
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
-from drake_nonstop.validation import number_text, read_text, require, require_known
+from drake_nonstop.validation import number_text, read_text, require, require_known, require_type
 
 
 def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False) -> Scenario:
@@ -30,6 +30,7 @@ def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False
     Raises:
         ScenarioError: a path or value cannot be used.
     """
+    require_type("trust", trust, bool)
     is_list = isinstance(overrides, Iterable) and not isinstance(overrides, str)
     require(
         is_list, "overrides", overrides, 'give a list of texts, such as ["simulation_duration=5"]'
@@ -97,6 +98,7 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
     require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
     value = parse_plain(text, f"--set {path}", path)
     *parents, last = path.split(".")
+    require("_tag" not in path.split("."), "--set", path, "choose a block by its name, phase=X")
     if parents:
         require_current(parents[0], "--set", override)
     branch: Any = tree
