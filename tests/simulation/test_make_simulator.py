@@ -62,7 +62,7 @@ def test_monte_carlo_gives_what_a_sweep_gives_to_the_bit(scenario, tmp_path):
 
 @pytest.mark.parametrize(
     "overrides",
-    [("control_period=0", "simulator_config.max_step_size=0.0041"), ("fused_plant=true",)],
+    [("control_period=0", "simulator_config.max_step_size=0.0023"), ("fused_plant=true",)],
 )
 def test_it_flies_as_simulate_does(scenario, overrides):
     """With the scenario's own random_seed, once the context was reset to its defaults."""
