@@ -23,6 +23,7 @@ from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.run_all import SerialExecutor
 
 DURATION = 0.3
+_STEP = "simulator_config.max_step_size"
 # 50 of them agree; the suite flies a few, since a loop is traced for each.
 RUNS = int(os.environ.get("DRAKE_NONSTOP_RANDOM_RUNS", "2"))
 DRAWN = (
@@ -62,7 +63,10 @@ def test_monte_carlo_gives_what_a_sweep_gives_to_the_bit(scenario, tmp_path):
 
 @pytest.mark.parametrize(
     "overrides",
-    [("control_period=0", "simulator_config.max_step_size=0.0023"), ("fused_plant=true",)],
+    [
+        ("control_period=0", "optimization_layer=ConstantParameters", f"{_STEP}=0.0023"),
+        ("fused_plant=true",),
+    ],
 )
 def test_it_flies_as_simulate_does(scenario, overrides):
     """With the scenario's own random_seed, once the context was reset to its defaults."""
