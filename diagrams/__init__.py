@@ -1,4 +1,4 @@
-"""Compositions as data: the boxes and wires of the figure, scenarios, grids; no equations."""
+"""Compositions as data: boxes, wires, scenarios, grids, and where loops start; no equations."""
 
 from pathlib import Path
 

@@ -47,7 +47,7 @@ def fuse(
             reason = f"{_named(error.args[1][0], blocks)} reads what is made from its own outputs"
     if reason:
         message = f"fused_plant = true: {reason}; the separate blocks are used instead"
-        warnings.warn(message, ScenarioWarning, stacklevel=3)
+        warnings.warn(message, ScenarioWarning, stacklevel=4)
         return dict(blocks)
     others = {box: block for box, block in blocks.items() if box not in fused}
     return others | {name: FusedPlant(ordered, period=control_period, steps=steps)}

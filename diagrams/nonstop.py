@@ -12,10 +12,12 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
 
 import copy
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
+from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Diagram, System
 
@@ -44,7 +46,9 @@ from drake_nonstop.diagrams.box import (
     import_path,
     kept_parameters,
 )
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.fusing import fuse
+from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -57,7 +61,7 @@ from drake_nonstop.model.system import Model, PatternConfig, SystemParameters, o
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
-from drake_nonstop.validation import ScenarioError, one_line, require
+from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
 # The boxes of the figure, in its order.
 BOXES: dict[str, Box] = {
@@ -230,31 +234,86 @@ class LoopConfig(Protocol):
         ...
 
 
-def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System] | Any) -> Diagram:
+def make_nonstop(
+    scenario: LoopConfig,
+    *,
+    at_equilibrium: bool = True,
+    **replacements: Callable[[Model], System] | Any,
+) -> Diagram:
     """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
 
     Every signal is exported under its name: `diagram.GetOutputPort("load_state")`. With
     `fused_plant` one subsystem, `plant`, takes the place of the boxes that are `is_fused`; where
     that is not possible a ScenarioWarning tells why, and the separate blocks are built.
 
+    New contexts of the diagram start at its equilibrium, see `set_equilibrium`. Where a block's
+    default state cannot be set once it is built (`diagrams/plant_states.py` says how it can), all
+    of them are made a second time, with the equilibrium in the plant's `Model`; a ScenarioWarning
+    names a block that starts from another state nevertheless. Where a box is left out there may be
+    no equilibrium before its signals are connected: load and carriers then are at the origin.
+
     Args:
         scenario: the system, the pattern and one config per box; where fields hold distributions,
             numbers are drawn with its `random_seed`.
+        at_equilibrium: whether the equilibrium is looked for. If not, as where a load is to start
+            from the ground, load and carriers are at the origin in new contexts.
         replacements: by the name of a box, what to put in its place: a block's config; a block
             class with the dataclass of its parameters beside it, to which parameters go as in a
             swap by `--set` (see `replaced`); a function that takes the `Model` and returns a
-            LeafSystem or Diagram with ports named after the signals it reads and makes; or
-            None to leave the box out: the signals that it has to make become input ports of
-            the diagram, for a bigger one to connect.
+            LeafSystem or Diagram with ports named after the signals it reads and makes, anew at
+            each call; or None to leave the box out: the signals that it has to make become input
+            ports of the diagram, for a bigger one to connect.
 
     Raises:
         ScenarioError: the scenario or a replacement cannot be built, or the ports of a
-            replacement do not fit; the message names the field, the value and the remedy.
+            replacement do not fit, or there is no equilibrium; the message names the field, the
+            value and the remedy.
     """
-    is_scenario = callable(getattr(scenario, "check", None))
+    is_scenario = callable(getattr(scenario, "sampled", None))
     require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
     scenario, others = replaced(scenario, replacements)
     scenario = scenario.sampled()
+    parts = _made_parts(scenario, others)
+    diagram = _connected(scenario, parts)
+    if not at_equilibrium or diagram.num_input_ports() > 0:
+        return diagram
+    context = diagram.CreateDefaultContext()
+    set_equilibrium(diagram, context)
+    if not plant_states(diagram).declare_defaults(context):
+        return diagram
+    again = _made_parts(scenario, others, plant_states(diagram).states(context))
+    taken = [*parts.blocks.values()]
+    if not any(block is other for block in again.blocks.values() for other in taken):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ScenarioWarning)  # told already
+            diagram = _connected(scenario, again)
+        context = diagram.CreateDefaultContext()
+        set_equilibrium(diagram, context)
+    for message in plant_states(diagram).declare_defaults(context):
+        warnings.warn(message, ScenarioWarning, stacklevel=2)
+    return diagram
+
+
+class _Parts(NamedTuple):
+    """What a loop is connected from."""
+
+    model: Model  # that the controllers believe
+    blocks: dict[str, System]  # by the names of their boxes
+    outside: dict[str, int]  # sizes of the signals of boxes that are left out
+
+
+def _made_parts(
+    scenario: LoopConfig,
+    others: Mapping[str, Any],
+    initial_states: Mapping[str, NDArray] | None = None,
+) -> _Parts:
+    """The blocks of a scenario that has been checked.
+
+    Args:
+        scenario: what they are made from.
+        others: the replacements that are no configs.
+        initial_states: of the plant, by the names of the signals that show them.
+    """
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
     plant = overridden(scenario.system, scenario.simulated)
     require(
@@ -263,7 +322,13 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         plant.attachments,
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
-    simulated = Model(plant, scenario.pattern, scenario.control_period, field="simulated")
+    simulated = Model(
+        plant,
+        scenario.pattern,
+        scenario.control_period,
+        field="simulated",
+        initial_states=initial_states,
+    )
     blocks: dict[str, System] = {}
     outside: dict[str, int] = {}
     for name, box in BOXES.items():
@@ -292,12 +357,19 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
             "return a LeafSystem or Diagram from the function",
         )
         wiring.check_outputs(name, blocks[name], required, optional)
+    return _Parts(believed, blocks, outside)
+
+
+def _connected(scenario: LoopConfig, parts: _Parts) -> Diagram:
+    """The loop of a scenario's blocks, which may be fused, and sampled."""
+    believed, blocks, outside = parts
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
     replaced_signals = {}
     if scenario.control_period > 0:
-        blocks[SAMPLE_AND_HOLD] = SampleAndHold(believed)
+        hold = SampleAndHold(believed, _first_samples(blocks))
+        blocks = blocks | {SAMPLE_AND_HOLD: hold}
         replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
     diagram = wiring.connect(blocks, name=LOOP, replaced_signals=replaced_signals, outside=outside)
     if all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
@@ -308,6 +380,18 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
                 "built; correct the list or the ports"
             )
     return diagram
+
+
+def _first_samples(blocks: Mapping[str, System]) -> dict[str, NDArray]:
+    """What the sample-and-hold holds before its first sample: the reference, and a load on it."""
+    trajectory = blocks.get("load_trajectory")
+    if trajectory is None or trajectory.num_input_ports() > 0:
+        return {}
+    try:
+        reference = trajectory.GetOutputPort("reference").Eval(trajectory.CreateDefaultContext())
+    except Exception:  # the start of the run tells it, with the block's name
+        return {}
+    return {"reference": reference.copy(), "measured_load_state": reference[:LOAD_STATE_SIZE]}
 
 
 _Loop = TypeVar("_Loop", bound=LoopConfig)

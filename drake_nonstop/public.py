@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -28,7 +29,6 @@ from drake_nonstop.scenario.loading import (
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.make_simulator import make_simulator
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.outcome import RunOutcome
@@ -39,6 +39,7 @@ from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
+from drake_nonstop.systems.point_forces import PointForces
 from drake_nonstop.systems.traced_block import Equations, TracedBlock
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.version import __version__
@@ -68,6 +69,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "FusedPlant",
     "Outcome",
     "SampleAndHold",
+    "PointForces",
     "TracedBlock",
     # put together, simulated, judged
     "make_nonstop",

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from numpy.typing import NDArray
+from pydrake.systems.framework import Context
 from pydrake.systems.primitives import Integrator, Selector
 
 from drake_nonstop.mechanics.carrier import double_integrator_rate, loaded_carrier_rate
@@ -37,9 +39,12 @@ class CarrierDynamics(LinearBlock):
         super().__init__(
             lambda state, forces: double_integrator_rate(state, forces, mass=model.carrier_mass),
             inputs={"carrier_forces": 3 * model.n},
-            state_size=6 * model.n,
+            initial_state=model.initial_carrier_state,
             state_port="carrier_state",
         )
+
+    def SetCarrierState(self, context: Context, value: NDArray) -> None:
+        context.SetContinuousState(value)
 
 
 @dataclass(kw_only=True)
@@ -93,9 +98,11 @@ class LoadedCarrierDynamics(TracedBlock):
                 max_force=limit,
             ),
             inputs={"carrier_forces": 3 * n, "cable_forces": 3 * n},
-            state=Integrator(6 * n),
+            state=Integrator(model.initial_carrier_state),
             state_port="carrier_state",
         )
+
+    SetCarrierState = CarrierDynamics.SetCarrierState
 
 
 @dataclass(kw_only=True)

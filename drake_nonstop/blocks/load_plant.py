@@ -52,9 +52,16 @@ class LoadPlant(TracedBlock):
         super().__init__(
             rate,
             inputs={"cable_forces": 3 * model.n, "disturbance_wrench": WRENCH_SIZE},
-            state=Integrator(np.eye(LOAD_STATE_SIZE)[0]),
+            state=Integrator(model.initial_load_state),
             state_port="load_state",
         )
+
+    def SetLoadState(self, context: Context, value: NDArray) -> None:
+        context.SetContinuousState(value)
+
+    def CalcLoadAcceleration(self, context: Context) -> NDArray:
+        rate = LoadState.view(self.EvalTimeDerivatives(context).CopyToVector())
+        return np.concatenate([rate.angular_velocity, rate.velocity])
 
 
 @dataclass(kw_only=True)
@@ -104,6 +111,9 @@ class MultibodyLoadPlant(DiagramBlock):
             builder.ExportInput(forces.GetInputPort(name), name)
         builder.ExportOutput(plant.get_state_output_port(), "load_state")
         builder.BuildInto(self)
+
+    SetLoadState = LoadPlant.SetLoadState
+    CalcLoadAcceleration = LoadPlant.CalcLoadAcceleration
 
 
 class _LoadForces(InnerBlock):

@@ -1,5 +1,9 @@
 """The inputs of sampled controllers, held from one sample to the next."""
 
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.framework import Context, State
 
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE
@@ -31,14 +35,20 @@ class SampleAndHold(LeafBlock):
 
     `measured_load_state` (13) and `reference` (22) are SI, in W, and so are the held ones;
     `sample_time` (1) is the time of the sample in s.
+
+    Args:
+        model: its control period.
+        initial_values: the signals that are held before the first sample, by their names; those
+            that are not given are a load at rest at the origin.
     """
 
-    def __init__(self, model: Model):
+    def __init__(self, model: Model, initial_values: Mapping[str, NDArray] | None = None):
         super().__init__()
         self._inputs = []
         for name, size in HELD_SIGNALS.items():
             self._inputs.append(self.DeclareVectorInputPort(name, size))
-            self.DeclareStateOutputPort(f"held_{name}", self.DeclareDiscreteState(size))
+            initial = (initial_values or {}).get(name, np.eye(size)[0])  # an upright load
+            self.DeclareStateOutputPort(f"held_{name}", self.DeclareDiscreteState(initial))
         self.DeclareStateOutputPort("sample_time", self.DeclareDiscreteState(1))
         period = model.control_period
         self.DeclareInitializationUnrestrictedUpdateEvent(self._sample)

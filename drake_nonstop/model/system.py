@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Optional, Protocol
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.rigid_load import RigidLoad, gravity_wrench
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
 from drake_nonstop.model.pattern import InternalForcePattern, check_pattern
 from drake_nonstop.validation import (
     StrictFields,
@@ -80,13 +82,16 @@ class Model:
     """The system as arrays, checked, with the constants that follow from it.
 
     Blocks take one: the controllers that of the scenario's `system`, the plant that of
-    `simulated`. All arrays are in the load frame.
+    `simulated`. All arrays are in the load frame, but for the states that the plant's blocks
+    declare: `initial_load_state` (13,) and `initial_carrier_state` (6n,), SI, in W, of the load at
+    rest at the origin and of carriers there where the equilibrium is not known yet.
 
     Args:
         system: the physical parameters.
         pattern: the internal-force pattern, for instance HamiltonianCycleConfig().
         control_period: the controllers' sample time in s, 0 for continuous.
         field: the system's name in error messages.
+        initial_states: of the load and the carriers, by the names of the signals that show them.
 
     Raises:
         ScenarioError: a parameter is out of range, there are fewer than 3 attachments,
@@ -100,6 +105,7 @@ class Model:
         control_period: float = 0.0,
         *,
         field: str = "system",
+        initial_states: Mapping[str, NDArray] | None = None,
     ):
         require_positive(
             field,
@@ -160,6 +166,9 @@ class Model:
             "on one line",
         )
         self.pseudo_inverse = np.linalg.pinv(grasp)  # (3n, 6)
+        initial = initial_states or {}
+        self.initial_load_state = initial.get("load_state", np.eye(LOAD_STATE_SIZE)[0])
+        self.initial_carrier_state = initial.get("carrier_state", np.zeros(6 * self.n))
         self.pattern = pattern.make(self.attachments)
         self.m = len(self.pattern.phases)
         weight = gravity_wrench(self.load.mass, self.gravity)

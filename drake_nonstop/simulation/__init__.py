@@ -1,1 +1,1 @@
-"""One run: its equilibrium, its steps, its signals and its metrics; no files, no pictures."""
+"""One run: its steps, its signals and its metrics; no files, no pictures."""

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.diagrams.equilibrium import copied_context
 from drake_nonstop.diagrams.nonstop import SAMPLE_AND_HOLD
+from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, LoadState
-from drake_nonstop.simulation.equilibrium import copied_context, plant_states
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 
 _STEPS = (1e-6, 1e-8, 1e-10)  # SI units; one after the other, where the rates have a kink
@@ -32,6 +33,9 @@ class LinearizedLoop:
         nonstop: the loop.
         context: at the start.
         control_period: the controllers' sample time in s; 0: continuous.
+
+    Attributes:
+        is_continuous: whether the states of load and carriers are; others have steps of their own.
     """
 
     def __init__(self, nonstop: Diagram, context: Context, control_period: float):
@@ -43,7 +47,8 @@ class LinearizedLoop:
         carriers = nonstop.GetOutputPort("carrier_state").Eval(trial).copy()
         positions, velocities = CarrierStates.view(carriers)
         velocities[:] = load.velocity + np.cross(load.angular_velocity, positions - load.position)
-        self._plant.set_states(trial, carrier_state=carriers)
+        self._plant.try_to_set(trial, carrier_state=carriers)
+        self.is_continuous = self._plant.is_continuous(trial)
         self._start = self._plant.state(trial)
         self._is_sampled = control_period > 0
         self._dynamics = _slopes(self._rate, self._start)
@@ -51,7 +56,7 @@ class LinearizedLoop:
     @property
     def fastest_mode(self) -> float:
         """The largest magnitude (rad/s) of the eigenvalues of A."""
-        return float(np.max(np.abs(np.linalg.eigvals(self._dynamics))))
+        return float(np.max(np.abs(np.linalg.eigvals(self._dynamics)), initial=0.0))
 
     def growths(self, steps: list[float]) -> tuple[float, list[float]]:
         """How fast the least stable deviation grows, in 1/s: exactly, and with steps of these s.
@@ -83,26 +88,33 @@ class LinearizedLoop:
 
     def _feedback(self) -> NDArray:
         """G, by forward differences."""
-        feedback = np.zeros_like(self._dynamics)
         if not self._is_sampled:
-            return feedback
+            return np.zeros_like(self._dynamics)
         trial, plant = self._trial, self._plant
-        load = self._nonstop.GetOutputPort("load_state").Eval(trial).copy()
-        plant.set_state(trial, self._start)
-        places = []  # of the load's state among all
-        for direction in np.eye(LOAD_STATE_SIZE):
-            plant.set_states(trial, load_state=load + direction)
-            places.append(int(np.argmax(np.abs(plant.state(trial) - self._start))))
+        port = self._nonstop.GetOutputPort("load_state")
+
+        def load_state(state: NDArray) -> NDArray:
+            plant.set_state(trial, state)
+            return port.Eval(trial).copy()
+
+        steps = _STEPS[0] * np.eye(len(self._start))
+        shown = np.column_stack(  # (13, states), what the port shows of them
+            [
+                (load_state(self._start + step) - load_state(self._start - step)) / (2 * _STEPS[0])
+                for step in steps
+            ]
+        )
         plant.set_state(trial, self._start)
         hold = self._nonstop.GetSubsystemByName(SAMPLE_AND_HOLD)
         samples = self._nonstop.GetMutableSubsystemContext(hold, trial)
         held = samples.get_discrete_state(0).CopyToVector()  # the measured load state
         trial.SetTime(trial.get_time() + self._period / 2)
         middle = plant.rate(trial)
-        for place, direction in zip(places, np.eye(LOAD_STATE_SIZE), strict=True):
+        columns = []
+        for direction in np.eye(LOAD_STATE_SIZE):
             samples.SetDiscreteState(0, held + _STEPS[0] * direction)
-            feedback[:, place] = (plant.rate(trial) - middle) / _STEPS[0]
-        return feedback
+            columns.append((plant.rate(trial) - middle) / _STEPS[0])
+        return np.column_stack(columns) @ shown
 
 
 def _series(matrix: NDArray, order: int) -> NDArray:
@@ -132,4 +144,4 @@ def _slopes(function: Callable[[NDArray], NDArray], at: NDArray) -> NDArray:
         else:
             steeper = max(above, below, key=lambda side: float(np.max(np.abs(side))))
             columns.append(steeper / step)
-    return np.column_stack(columns)
+    return np.column_stack(columns) if columns else np.zeros((0, 0))

@@ -12,7 +12,7 @@ from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.monitor import SampleInstants
-from drake_nonstop.simulation.simulate import at_equilibrium, with_chosen_step
+from drake_nonstop.simulation.simulate import with_chosen_step
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import require
 
@@ -46,7 +46,7 @@ def make_simulator(
     scenario, replacements = replaced(scenario, replacements)
     scenario, _ = sample(scenario, generator)
     nonstop = make_nonstop(scenario, **replacements)
-    config = with_chosen_step(scenario, nonstop, at_equilibrium(nonstop)).config
+    config = with_chosen_step(scenario, nonstop, nonstop.CreateDefaultContext()).config
     if scenario.fused_plant and config is not scenario.simulator_config:  # its own steps
         shorter = dataclasses.replace(scenario, simulator_config=config)
         nonstop = make_nonstop(shorter, **replacements)

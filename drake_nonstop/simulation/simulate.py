@@ -15,12 +15,12 @@ from pydrake.systems.analysis import (
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.diagrams.equilibrium import block_named, set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
+from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario, check
-from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
-from drake_nonstop.simulation.equilibrium import block_named, set_equilibrium
 from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.recording import WALL_TIME, Recording, RecordingError, require_room
@@ -33,6 +33,7 @@ from drake_nonstop.simulation.run import (
 )
 from drake_nonstop.simulation.step_check import SavedStates, compared, in_doubt, is_in_doubt
 from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_half_the_step
+from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
@@ -121,13 +122,13 @@ def _simulate(
     scenario, replacements = replaced(scenario, replacements)
     scenario = scenario.sampled()
     check_scene(scenario.scene)
-    nonstop = make_nonstop(scenario, **replacements)
+    nonstop = make_nonstop(scenario, at_equilibrium=False, **replacements)
     chosen = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
-        chosen = with_chosen_step(scenario, nonstop, at_equilibrium(nonstop))
+        chosen = with_chosen_step(scenario, nonstop, _at_equilibrium(nonstop))
         if chosen.config is not scenario.simulator_config:  # the steps are the block's own
             shorter = dataclasses.replace(scenario, simulator_config=chosen.config)
-            nonstop = make_nonstop(shorter, **replacements)
+            nonstop = make_nonstop(shorter, at_equilibrium=False, **replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
     recording = Recording(builder, nonstop)
@@ -171,6 +172,7 @@ def _simulate(
     nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
     try:
         set_equilibrium(nonstop, nonstop_context)
+        plant_states(nonstop).declare_defaults(nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
         chosen = chosen or with_chosen_step(scenario, nonstop, nonstop_context)
         if after_step is None:  # which may end a run of any duration
@@ -297,8 +299,7 @@ def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> N
             warnings.warn(message, ScenarioWarning, stacklevel=4)
 
 
-def at_equilibrium(nonstop: Diagram) -> Context:
-    """A context of the loop at its equilibrium; see `set_equilibrium`."""
+def _at_equilibrium(nonstop: Diagram) -> Context:
     context = nonstop.CreateDefaultContext()
     set_equilibrium(nonstop, context)
     return context

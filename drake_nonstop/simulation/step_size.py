@@ -8,8 +8,8 @@ import numpy as np
 from pydrake.systems.analysis import Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.diagrams.equilibrium import on_reference
 from drake_nonstop.mechanics.signals import CarrierStates, LoadReference, LoadState
-from drake_nonstop.simulation.equilibrium import on_reference
 from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.simulation.short_flights import SavedState, ShortFlights, difference
@@ -95,7 +95,7 @@ def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -
 
 def _stable(config: SimulatorConfig, loop: LinearizedLoop) -> SimulatorConfig:
     mode = loop.fastest_mode
-    longest = _STABLE_STEP / mode
+    longest = _STABLE_STEP / mode if mode > 0 else math.inf
     require(
         longest >= SHORTEST_STEP,
         "fastest mode",
@@ -114,6 +114,8 @@ def _hidden_growth(loop: LinearizedLoop, step: float, duration: float) -> str:
 
     Long steps damp what oscillates, so that an unstable loop may look stable.
     """
+    if not loop.is_continuous:
+        return ""
     exact, (stepped,) = loop.growths([step])
     grown = duration * max(exact, stepped)
     if grown < _GROWN or duration * abs(stepped - exact) < _DIFFERENTLY_GROWN:

@@ -16,6 +16,7 @@ from drake_nonstop.blocks.load_feedback import NoisyFeedbackConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
 from drake_nonstop.mechanics.rotation import (
     quaternion_conjugate,
@@ -25,8 +26,8 @@ from drake_nonstop.mechanics.rotation import (
 )
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.step_size import stable_config
+from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
 
 _STEP = 1e-6  # of the differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized
@@ -107,7 +108,7 @@ def linearize(scenario: Scenario) -> Stability:
     """
     scenario = scenario.sampled()
     resting = at_rest(scenario)
-    nonstop = make_nonstop(resting)
+    nonstop = make_nonstop(resting, at_equilibrium=False)
     context = nonstop.CreateDefaultContext()
     set_equilibrium(nonstop, context)
     sample = scenario.control_period or 0.01
@@ -115,7 +116,7 @@ def linearize(scenario: Scenario) -> Stability:
     samples = max(1, round(turn / sample))
     config = stable_config(resting.simulator_config, nonstop, context)
 
-    coordinates = _Coordinates(nonstop)
+    coordinates = _Coordinates(nonstop, context)
     simulator = Simulator(nonstop, context)
     ApplySimulatorConfig(config, simulator)
 
@@ -194,16 +195,27 @@ def _sample_map(
 
 
 class _Coordinates:
-    """Small deviations of a diagram's states; that of the load's attitude is a rotation vector."""
+    """Small deviations of a diagram's states; that of the load's attitude is a rotation vector.
 
-    def __init__(self, nonstop: Diagram):
+    The load's state may have another form than `load_state`, or more entries. The deviations are
+    then those of the state, but for the one that changes the norm of the quaternion.
+
+    Args:
+        nonstop: the loop.
+        context: at the start.
+    """
+
+    def __init__(self, nonstop: Diagram, context: Context):
         self._nonstop = nonstop
         blocks = [block for block in nonstop.GetSystems() if block.get_name() not in _EXOGENOUS]
-        values = [_values(nonstop, block, nonstop.CreateDefaultContext()) for block in blocks]
-        sizes = [
-            len(value) - (block.get_name() == _LOAD)
-            for block, value in zip(blocks, values, strict=True)
-        ]
+        sizes = [len(self._values(block, context)) for block in blocks]
+        self._directions: NDArray | None = None  # (states, coordinates) of a load of another form
+        if _LOAD in (names := [block.get_name() for block in blocks]):
+            place = names.index(_LOAD)
+            self._directions = _directions(blocks[place], self._own(blocks[place], context))
+            sizes[place] = (
+                sizes[place] - 1 if self._directions is None else self._directions.shape[1]
+            )
         ends = np.cumsum(sizes)
         self._blocks = {
             block.get_name(): (block, slice(end - size, end))
@@ -213,31 +225,30 @@ class _Coordinates:
         self.places = {name: place for name, (_, place) in self._blocks.items()}
         self.size = int(ends[-1])
 
+    def _own(self, block: System, context: Context) -> Context:
+        return self._nonstop.GetMutableSubsystemContext(block, context)
+
+    def _values(self, block: System, context: Context) -> NDArray:
+        return state_values(self._own(block, context))
+
     def move(self, context: Context, change: NDArray) -> None:
         """Moves the states of a context by a small change (k,)."""
         for name, (block, place) in self._blocks.items():
-            values = _values(self._nonstop, block, context)
+            values = self._values(block, context)
             by = change[place]
-            if name == _LOAD:
+            if name != _LOAD:
+                values += by
+            elif self._directions is not None:
+                values += self._directions @ by
+            else:
                 quaternion, *others = LoadState.view(values)
                 rotated = rotate_quaternion(quaternion, by[:3])
                 values = np.concatenate([rotated, np.concatenate(others) + by[3:]])
-            else:
-                values += by
-            own = self._nonstop.GetMutableSubsystemContext(block, context)
-            count = own.num_continuous_states()
-            own.SetContinuousState(values[:count])
-            for i in range(own.num_discrete_state_groups()):
-                size = own.get_discrete_state(i).size()
-                own.SetDiscreteState(i, values[count : count + size])
-                count += size
+            set_state_values(self._own(block, context), values)
 
     def read(self, context: Context) -> dict[str, NDArray]:
         """The states, an array per block."""
-        return {
-            name: _values(self._nonstop, block, context)
-            for name, (block, _) in self._blocks.items()
-        }
+        return {name: self._values(block, context) for name, (block, _) in self._blocks.items()}
 
     def difference(self, after: dict[str, NDArray], before: dict[str, NDArray]) -> NDArray:
         """The small change (k,) that leads from one reading to another."""
@@ -245,6 +256,9 @@ class _Coordinates:
         for name in self._blocks:
             if name != _LOAD:
                 changes.append(after[name] - before[name])
+                continue
+            if self._directions is not None:
+                changes.append(self._directions.T @ (after[name] - before[name]))
                 continue
             (start, *start_others), (end, *end_others) = (
                 LoadState.view(reading[name]) for reading in (before, after)
@@ -254,10 +268,19 @@ class _Coordinates:
         return np.concatenate(changes)
 
 
-def _values(nonstop: Diagram, block: System, context: Context) -> NDArray:
-    """All of a block's states in one array, the continuous ones first."""
-    own = nonstop.GetSubsystemContext(block, context)
-    discrete = [
-        own.get_discrete_state(i).CopyToVector() for i in range(own.num_discrete_state_groups())
-    ]
-    return np.concatenate([own.get_continuous_state_vector().CopyToVector(), *discrete])
+def _directions(load: System, context: Context) -> NDArray | None:
+    """Orthonormal deviations (states, coordinates) of a load's state, but for its norm's.
+
+    None where the state is the `load_state` itself.
+    """
+    port = load.GetOutputPort("load_state")
+    slopes = PortState(load, port).slopes(context)
+    if slopes.shape[0] == slopes.shape[1] and np.allclose(slopes, np.eye(len(slopes)), atol=1e-9):
+        return None
+    stretched = np.zeros(len(slopes))
+    LoadState.view(stretched).quaternion[:] = LoadState.view(port.Eval(context)).quaternion
+    direction = np.linalg.pinv(slopes) @ stretched
+    if not np.allclose(slopes @ direction, stretched, atol=1e-6):
+        return np.eye(slopes.shape[1])  # the port shows no norm of a quaternion
+    _, _, rows = np.linalg.svd(direction[None])
+    return rows[1:].T

@@ -15,7 +15,7 @@ from pydrake.systems.primitives import (
     Adder,
     Gain,
     Integrator,
-    LinearSystem,
+    MatrixGain,
     Selector,
     SelectorParams,
 )
@@ -41,6 +41,7 @@ class LinearBlock(DiagramBlock):
         inputs: the names of the input ports and their sizes.
         outputs: the names of the output ports and their sizes.
         state_size: the size of the continuous state, which begins at zero; 0: there is none.
+        initial_state: the continuous state at the start, instead of `state_size`.
         state_port: the name of the output port that shows the state; none: no port does.
 
     Raises:
@@ -54,19 +55,22 @@ class LinearBlock(DiagramBlock):
         inputs: Mapping[str, int],
         outputs: Mapping[str, int] | None = None,
         state_size: int = 0,
+        initial_state: NDArray | None = None,
         state_port: str = "",
     ):
         super().__init__()
         read, made = dict(inputs), dict(outputs or {})
-        initial = np.zeros(state_size)
+        initial = np.zeros(state_size) if initial_state is None else initial_state
+        state_size = len(initial)
         self.equations = Equations(function, dict(inputs), dict(made), initial, state_port)
         matrix = _matrix(self.equations)
         builder = DiagramBuilder()
-        shown = made or ([state_port] if state_port else [])
         # Not with a state: a LinearSystem draws one from the generator of a Monte Carlo study.
-        is_one_system = len(read) == len(shown) == 1 and state_size == 0
-        if is_one_system and matrix.size <= _LARGEST_DENSE:
-            _build_dense(builder, matrix, state_size, *read, *shown)
+        is_one_product = len(read) == len(made) == 1 and state_size == 0
+        if is_one_product and matrix.size <= _LARGEST_DENSE:
+            product = builder.AddNamedSystem("linear", MatrixGain(matrix))
+            builder.ExportInput(product.get_input_port(), *read)
+            builder.ExportOutput(product.get_output_port(), *made)
             builder.BuildInto(self)
             return
         terms = _terms(matrix)
@@ -95,28 +99,12 @@ class LinearBlock(DiagramBlock):
             if name != _STATE:
                 builder.ExportOutput(outputs_of(i), name)
         if state_size > 0:
-            state = builder.AddNamedSystem("state", Integrator(state_size))
+            state = builder.AddNamedSystem("state", Integrator(initial))
             builder.Connect(state.get_output_port(), chosen.get_input_port(len(read) - 1))
             builder.Connect(outputs_of(0), state.get_input_port())
             if state_port:
                 builder.ExportOutput(state.get_output_port(), state_port)
         builder.BuildInto(self)
-
-
-def _build_dense(
-    builder: DiagramBuilder, matrix: NDArray, states: int, input_name: str, output_name: str
-) -> None:
-    """One LinearSystem with one input, and one output: that of the matrix, or else the state."""
-    columns = matrix.shape[1] - states
-    rates, outputs = np.split(matrix, [states])
-    if not len(outputs):
-        outputs = np.eye(states, columns + states, columns)
-    system = LinearSystem(
-        A=rates[:, columns:], B=rates[:, :columns], C=outputs[:, columns:], D=outputs[:, :columns]
-    )
-    builder.AddNamedSystem("linear", system)
-    builder.ExportInput(system.get_input_port(), input_name)
-    builder.ExportOutput(system.get_output_port(), output_name)
 
 
 def _matrix(equations: Equations) -> NDArray:

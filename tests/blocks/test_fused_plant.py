@@ -132,7 +132,9 @@ class Hover(LeafSystem):
 
 def test_a_block_of_ones_own_stays_apart():
     with pytest.warns(ScenarioWarning, match="carrier_dynamics = Hover has no equations"):
-        make_nonstop(load_scenario("line", [CONSTANT, FUSE]), carrier_dynamics=Hover)
+        make_nonstop(
+            load_scenario("line", [CONSTANT, FUSE]), at_equilibrium=False, carrier_dynamics=Hover
+        )
 
 
 class Impatient(TracedBlock):
@@ -227,7 +229,7 @@ class Wandering(TracedBlock):
 def test_what_changes_between_samples_stays_apart(box, block, words):
     settings = [CONSTANT, FUSE, "phase=PaperPhase"]
     with pytest.warns(ScenarioWarning, match=words):
-        make_nonstop(load_scenario("line", settings), **{box: block})
+        make_nonstop(load_scenario("line", settings), at_equilibrium=False, **{box: block})
 
 
 class Leading(TracedBlock):

@@ -6,10 +6,10 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop.blocks.optimization_layer import ConstantParameters
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.visualization.canvas import ROOT

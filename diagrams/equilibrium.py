@@ -1,4 +1,4 @@
-"""The equilibrium that a run starts from, and the plant's states."""
+"""The equilibrium that a run starts from."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -10,10 +10,9 @@ from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.blocks.fused_plant import FusedPlant
-from drake_nonstop.diagrams.nonstop import box_of
+from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadReference, LoadState, Wrench
-from drake_nonstop.simulation.diagnosis import source_of_fault
+from drake_nonstop.systems.diagnosis import source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioError
 
@@ -30,17 +29,17 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     cables, lower or higher where they do not. Newton's method on the built diagram, with its
     initialization events, finds the pose, whatever the blocks are. Inputs of the loop, where a
     box was left out, are held at their values at the start. A load whose reference moves at the
-    start has that velocity and that acceleration. Further states of the carriers keep their
-    defaults.
+    start has that velocity and that acceleration. Further states keep their values, but for those
+    that a block trims: what a block of one's own may offer is in `diagrams/plant_states.py`.
 
     Raises:
-        ScenarioError: the cables cannot hold the load, or a block makes a value that is not
-            finite, or is far too large.
+        ScenarioError: the cables cannot hold the load, a block does not show the state that is
+            set, or makes a value that is not finite, or is far too large.
     """
     trial = copied_context(nonstop, context)
     with block_named(nonstop, trial):
-        settled = _settled(nonstop, trial)
-    plant_states(nonstop).set_states(context, **settled)
+        _settle(nonstop, trial)
+    plant_states(nonstop).take_over(context, trial)
 
 
 @contextlib.contextmanager
@@ -57,8 +56,8 @@ def block_named(nonstop: Diagram, context: Context) -> Iterator[None]:
         ) from None
 
 
-def _settled(nonstop: Diagram, trial: Context) -> dict[str, NDArray]:
-    """The load's and the carriers' states at the equilibrium; changes the context."""
+def _settle(nonstop: Diagram, trial: Context) -> None:
+    """Sets a context of the loop alone to the equilibrium, with all that is sampled or held."""
     plant = plant_states(nonstop)
     start = trial.Clone()
     simulator = Simulator(nonstop, trial)
@@ -73,25 +72,25 @@ def _settled(nonstop: Diagram, trial: Context) -> dict[str, NDArray]:
         settled["load_state"] = _moved(reference[:LOAD_STATE_SIZE], offset)
         plant.set_states(trial, **settled)
         simulator.Initialize()  # whatever samples or holds takes its first value
-        settled["carrier_state"] = nonstop.GetOutputPort("carrier_reference").Eval(trial)
+        settled["carrier_state"] = nonstop.GetOutputPort("carrier_reference").Eval(trial).copy()
         plant.set_states(trial, **settled)
-        rate = LoadState.view(plant.load_rate(trial))
-        return np.concatenate([rate.angular_velocity, rate.velocity]) - desired_rate
+        plant.trim(trial, **settled)
+        return plant.load_acceleration(trial) - desired_rate
 
     for drop in _DROPS:
         residual = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
         if np.max(np.abs(residual)) < _REST:
             break
     else:
-        cause = _cause_of_motion(nonstop, trial, plant.load_rate(trial))
+        cause = _cause_of_motion(nonstop, trial, plant.load_acceleration(trial))
+        cause += plant.acceleration_source(trial)
         raise ScenarioError(
             f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2 beside that of the "
             f"reference: the cables do not hold the load near its reference; {cause}"
         )
-    return settled
 
 
-def _cause_of_motion(nonstop: Diagram, context: Context, load_rate: NDArray) -> str:
+def _cause_of_motion(nonstop: Diagram, context: Context, acceleration: NDArray) -> str:
     """Why no cables can hold the load at its reference, and what to change."""
 
     def signal(name: str) -> NDArray:
@@ -103,7 +102,7 @@ def _cause_of_motion(nonstop: Diagram, context: Context, load_rate: NDArray) -> 
             "length, stiff enough for the weight, and an amplitude that keeps them taut"
         )
     fall = -LoadReference.view(signal("reference")).acceleration[2]
-    if LoadState.view(load_rate).velocity[2] < -fall:
+    if acceleration[5] < -fall:
         return (
             "all of them are slack, so that it falls; give simulated.cable_length close to "
             "system.cable_length"
@@ -131,87 +130,6 @@ def on_reference(nonstop: Diagram, context: Context) -> None:
     simulator.Initialize()
     carriers = nonstop.GetOutputPort("carrier_reference").Eval(context)
     plant.set_states(context, carrier_state=carriers)
-
-
-class _SeparatePlantStates:
-    """Access to the plant's states in a loop of separate blocks."""
-
-    def __init__(self, nonstop: Diagram):
-        self._nonstop = nonstop
-        self._owners = {
-            signal: nonstop.GetSubsystemByName(box_of(signal))
-            for signal in ("load_state", "carrier_state")
-        }
-
-    def _context(self, port: str, context: Context) -> Context:
-        return self._nonstop.GetMutableSubsystemContext(self._owners[port], context)
-
-    def set_states(self, context: Context, **states: NDArray) -> None:
-        """Sets the states that the ports of these names show; further ones stay."""
-        for port, value in states.items():
-            own = self._context(port, context)
-            state = own.get_continuous_state_vector().CopyToVector()
-            count = min(len(state), len(value))
-            state[:count] = value[:count]
-            own.SetContinuousState(state)
-
-    def load_rate(self, context: Context) -> NDArray:
-        """The rate (13,) of the load's state."""
-        own = self._context("load_state", context)
-        return self._owners["load_state"].EvalTimeDerivatives(own).CopyToVector()
-
-    def state(self, context: Context) -> NDArray:
-        """All continuous states."""
-        return context.get_continuous_state_vector().CopyToVector()
-
-    def set_state(self, context: Context, values: NDArray) -> None:
-        """Sets all continuous states."""
-        context.SetContinuousState(values)
-
-    def rate(self, context: Context) -> NDArray:
-        """The rate of all continuous states."""
-        return self._nonstop.EvalTimeDerivatives(context).CopyToVector()
-
-
-class _FusedPlantStates:
-    """The same for a loop with a `FusedPlant`."""
-
-    def __init__(self, nonstop: Diagram, block: FusedPlant):
-        self._nonstop, self._block = nonstop, block
-
-    def _context(self, context: Context) -> Context:
-        return self._nonstop.GetMutableSubsystemContext(self._block, context)
-
-    def set_states(self, context: Context, **states: NDArray) -> None:
-        """As of `_SeparatePlantStates`."""
-        self._block.set_states(self._context(context), **states)
-
-    def load_rate(self, context: Context) -> NDArray:
-        """As of `_SeparatePlantStates`."""
-        return self._block.rates(self._context(context))["load_state"]
-
-    def state(self, context: Context) -> NDArray:
-        """All states that are continuous in separate blocks."""
-        return np.concatenate([*self._block.states(self._context(context)).values()])
-
-    def set_state(self, context: Context, values: NDArray) -> None:
-        """Sets all states that are continuous in separate blocks."""
-        own = self._context(context)
-        names, parts = zip(*self._block.states(own).items(), strict=True)
-        ends = np.cumsum([len(part) for part in parts])
-        self._block.set_states(own, **dict(zip(names, np.split(values, ends[:-1]), strict=True)))
-
-    def rate(self, context: Context) -> NDArray:
-        """The rate of all states that are continuous in separate blocks."""
-        return np.concatenate([*self._block.rates(self._context(context)).values()])
-
-
-def plant_states(nonstop: Diagram) -> _SeparatePlantStates | _FusedPlantStates:
-    """Access to the plant's states, whether its blocks are fused or not."""
-    for block in nonstop.GetSystems():
-        if isinstance(block, FusedPlant):
-            return _FusedPlantStates(nonstop, block)
-    return _SeparatePlantStates(nonstop)
 
 
 def copied_context(nonstop: Diagram, context: Context) -> Context:

@@ -1,0 +1,345 @@
+"""The states of load and carriers in a loop: how they are set and read, whatever the blocks are.
+
+A run starts from states that are found on the built diagram. A block that makes `load_state` or
+`carrier_state` may hold its state in any form, continuous or discrete. It may have these methods;
+none is needed. `context` is the block's own, in which its input ports can be evaluated.
+
+- `SetLoadState(context, value)`, `SetCarrierState(context, value)`: has the port show the value
+  (13, or 6n). Without it the state is found through the port.
+- `CalcLoadAcceleration(context)`: returns the load's [ω̇; v̇] (6) in W. Without it that follows
+  from the rate of the continuous state, or from one update of the discrete one.
+- `TrimLoad(context)`, `TrimCarriers(context)`: sets further states, such as a pendulum's angle or
+  an aircraft's attitude, each time that load and carriers have been set, the carriers' first.
+  What the ports show must stay. Without it further states keep their values.
+- `SetDefaultLoadState(value)`, `SetDefaultCarrierState(value)`: makes the value that of new
+  contexts. Without it the defaults of Drake's Integrator, AffineSystem and MultibodyPlant (its
+  positions) in the block are set. A LeafSystem, whose defaults are fixed once it is made, may
+  declare `model.initial_load_state` or `model.initial_carrier_state` in its constructor.
+
+Where a port then does not show what was set, an error names the block: no run starts from another
+state.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context, Diagram, System
+from pydrake.systems.primitives import AffineSystem, Integrator
+
+from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
+from drake_nonstop.validation import ScenarioError, require
+
+LOAD, CARRIERS = "load_state", "carrier_state"  # the signals that show the plant's states
+_SETTERS = {LOAD: "SetLoadState", CARRIERS: "SetCarrierState"}
+_DEFAULT_SETTERS = {LOAD: "SetDefaultLoadState", CARRIERS: "SetDefaultCarrierState"}
+_TRIMS = {CARRIERS: "TrimCarriers", LOAD: "TrimLoad"}  # in the order of their calls
+_TOLERANCE = 1e-6  # of what a port shows, in SI units or relative to larger values
+
+
+class PlantStates:
+    """Access to the plant's states in a loop of separate blocks.
+
+    Raises:
+        ScenarioError: the loop has no block with an output port `load_state` or `carrier_state`.
+    """
+
+    def __init__(self, nonstop: Diagram):
+        self._nonstop = nonstop
+        self._owners = {signal: _owner(nonstop, signal) for signal in _SETTERS}
+        self._shown = {
+            signal: PortState(block, block.GetOutputPort(signal))
+            for signal, block in self._owners.items()
+        }
+
+    def _context(self, signal: str, context: Context) -> Context:
+        return self._nonstop.GetMutableSubsystemContext(self._owners[signal], context)
+
+    def set_states(self, context: Context, **states: NDArray) -> None:
+        """Sets the states that the ports of these names show; further ones stay.
+
+        Carriers without a state are where their port shows them.
+
+        Raises:
+            ScenarioError: a port does not show what was set.
+        """
+        for signal, value in states.items():
+            own, block = self._context(signal, context), self._owners[signal]
+            if own.is_stateless() and signal == CARRIERS:
+                continue
+            if hasattr(block, _SETTERS[signal]):
+                getattr(block, _SETTERS[signal])(own, value.copy())
+            else:
+                self._show(signal, own, value)
+            self._check(signal, own, value)
+
+    def _show(self, signal: str, context: Context, value: NDArray) -> None:
+        """Looks for the state that the port shows; a quaternion's sign may be the port's own."""
+        before = state_values(context)
+        self._shown[signal].show(context, value)
+        port = self._owners[signal].GetOutputPort(signal)
+        if signal != LOAD or np.all(_agree(signal, port.Eval(context), value)):
+            return
+        closest = state_values(context)
+        set_state_values(context, before)
+        self._shown[signal].show(context, _flipped(value))
+        if not np.all(_agree(signal, port.Eval(context), value)):
+            set_state_values(context, closest)
+
+    def try_to_set(self, context: Context, **states: NDArray) -> None:
+        """As `set_states`, but changes nothing where a port does not show what was set."""
+        before = state_values(context)
+        try:
+            self.set_states(context, **states)
+        except ScenarioError:
+            set_state_values(context, before)
+
+    def _check(self, signal: str, context: Context, value: NDArray) -> None:
+        """Raises ScenarioError where a port shows something else than was set."""
+        block = self._owners[signal]
+        shown = block.GetOutputPort(signal).Eval(context)
+        wrong = ~_agree(signal, shown, value)
+        if not np.any(wrong):
+            return
+        entry = int(np.argmax(wrong))
+        setter, name = _SETTERS[signal], type(block).__name__
+        if hasattr(block, setter):
+            remedy = f"correct {name}.{setter}(context, value), after which the port has to show it"
+        else:
+            remedy = (
+                f"give {name} a method {setter}(context, value) that sets the state for the port "
+                "to show the value"
+            )
+        require(
+            False,
+            f"{block.get_name()}.{signal}[{entry}]",
+            f"{shown[entry]:.6g}",
+            f"its initial state was set to {value[entry]:.6g}; {remedy}",
+        )
+
+    def trim(self, context: Context, **states: NDArray) -> None:
+        """Has the blocks set their further states, which must not change these.
+
+        Raises:
+            ScenarioError: a port does not show its state any more.
+        """
+        trimmed = False
+        for signal, name in _TRIMS.items():
+            if hasattr(self._owners[signal], name):
+                getattr(self._owners[signal], name)(self._context(signal, context))
+                trimmed = True
+        for signal, value in states.items() if trimmed else ():
+            own = self._context(signal, context)
+            if not own.is_stateless():
+                self._check(signal, own, value)
+
+    def take_over(self, context: Context, settled: Context) -> None:
+        """Sets all states of the plant's blocks to those in another context of the loop."""
+        for signal, block in self._owners.items():
+            own = self._context(signal, context)
+            own.SetStateAndParametersFrom(self._nonstop.GetSubsystemContext(block, settled))
+
+    def load_acceleration(self, context: Context) -> NDArray:
+        """The load's angular acceleration and acceleration (6,), rad/s² and m/s², in W.
+
+        Raises:
+            ScenarioError: the block does not tell.
+        """
+        own, block = self._context(LOAD, context), self._owners[LOAD]
+        if hasattr(block, "CalcLoadAcceleration"):
+            acceleration = np.asarray(block.CalcLoadAcceleration(own), dtype=float)
+            remedy = "correct CalcLoadAcceleration(context), which returns 6 numbers"
+            require(acceleration.shape == (6,), block.get_name(), type(block).__name__, remedy)
+            return acceleration
+        view = LoadState.view(self._shown[LOAD].rate(own))
+        return np.concatenate([view.angular_velocity, view.velocity])
+
+    def acceleration_source(self, context: Context) -> str:
+        """What to say of where the load's acceleration comes from; empty where a block tells it."""
+        own, block = self._context(LOAD, context), self._owners[LOAD]
+        if hasattr(block, "CalcLoadAcceleration") or self._shown[LOAD].is_continuous(own):
+            return ""
+        return (
+            f"; if the load does not move with the first update of its discrete state, give "
+            f"{type(block).__name__} a method CalcLoadAcceleration(context)"
+        )
+
+    def is_continuous(self, context: Context) -> bool:
+        """Whether the load's state, and the carriers' where they have one, are continuous."""
+        return all(
+            self._context(signal, context).is_stateless()
+            or shown.is_continuous(self._context(signal, context))
+            for signal, shown in self._shown.items()
+        )
+
+    def state(self, context: Context) -> NDArray:
+        """All continuous states."""
+        return context.get_continuous_state_vector().CopyToVector()
+
+    def set_state(self, context: Context, values: NDArray) -> None:
+        """Sets all continuous states."""
+        if len(values):
+            context.SetContinuousState(values)
+
+    def rate(self, context: Context) -> NDArray:
+        """The rate of all continuous states."""
+        return self._nonstop.EvalTimeDerivatives(context).CopyToVector()
+
+    def states(self, context: Context) -> dict[str, NDArray]:
+        """What the ports show, by their names, of the blocks that have a state."""
+        return {
+            signal: self._owners[signal].GetOutputPort(signal).Eval(own).copy()
+            for signal in self._owners
+            if not (own := self._context(signal, context)).is_stateless()
+        }
+
+    def declare_defaults(self, context: Context) -> list[str]:
+        """Makes the plant's states those of new contexts; says of each block that differs so."""
+        states = self.states(context)
+        for signal, value in states.items():
+            block = self._owners[signal]
+            if hasattr(block, _DEFAULT_SETTERS[signal]):
+                getattr(block, _DEFAULT_SETTERS[signal])(value.copy())
+            else:
+                _declare_defaults(block, self._nonstop.GetSubsystemContext(block, context))
+        default, others = self._nonstop.CreateDefaultContext(), []
+        for signal, value in self.states(default).items():
+            block = self._owners[signal]
+            is_declared = np.all(_agree(signal, value, states[signal]))
+            if hasattr(block, _TRIMS[signal]):
+                of_block = [self._nonstop.GetSubsystemContext(block, c) for c in (default, context)]
+                given, wanted = map(state_values, of_block)
+                is_declared &= np.allclose(given, wanted, rtol=0, atol=_TOLERANCE)
+            if not is_declared:
+                others.append(
+                    f"{block.get_name()} = {type(block).__name__}: new contexts of the diagram do "
+                    "not start at its equilibrium, since the block's default state cannot be set; "
+                    "call set_equilibrium(diagram, context) before each run, or give it a method "
+                    f"{_DEFAULT_SETTERS[signal]}(value), or have its constructor declare "
+                    f"model.initial_{signal}"
+                )
+        return others
+
+
+class _FusedPlantStates:
+    """The same for a loop with a `FusedPlant`."""
+
+    def __init__(self, nonstop: Diagram, block: FusedPlant):
+        self._nonstop, self._block = nonstop, block
+
+    def _context(self, context: Context) -> Context:
+        return self._nonstop.GetMutableSubsystemContext(self._block, context)
+
+    def set_states(self, context: Context, **states: NDArray) -> None:
+        """As of `PlantStates`."""
+        self._block.set_states(self._context(context), **states)
+
+    try_to_set = set_states
+
+    def trim(self, context: Context, **states: NDArray) -> None:
+        """Does nothing: there are no further states."""
+
+    def take_over(self, context: Context, settled: Context) -> None:
+        """As of `PlantStates`."""
+        self.set_states(context, **self._block.states(self._context(settled)))
+
+    def load_acceleration(self, context: Context) -> NDArray:
+        """As of `PlantStates`."""
+        rate = LoadState.view(self._block.rates(self._context(context))[LOAD])
+        return np.concatenate([rate.angular_velocity, rate.velocity])
+
+    def acceleration_source(self, context: Context) -> str:
+        """As of `PlantStates`."""
+        return ""
+
+    def is_continuous(self, context: Context) -> bool:
+        """Whether the states are continuous in separate blocks."""
+        return True
+
+    def state(self, context: Context) -> NDArray:
+        """All states that are continuous in separate blocks."""
+        return np.concatenate([*self._block.states(self._context(context)).values()])
+
+    def set_state(self, context: Context, values: NDArray) -> None:
+        """Sets all states that are continuous in separate blocks."""
+        own = self._context(context)
+        names, parts = zip(*self._block.states(own).items(), strict=True)
+        ends = np.cumsum([len(part) for part in parts])
+        self._block.set_states(own, **dict(zip(names, np.split(values, ends[:-1]), strict=True)))
+
+    def rate(self, context: Context) -> NDArray:
+        """The rate of all states that are continuous in separate blocks."""
+        return np.concatenate([*self._block.rates(self._context(context)).values()])
+
+    def states(self, context: Context) -> dict[str, NDArray]:
+        """As of `PlantStates`."""
+        states = self._block.states(self._context(context))
+        return {signal: states[signal] for signal in _SETTERS if signal in states}
+
+    def declare_defaults(self, context: Context) -> list[str]:
+        """As of `PlantStates`, but nothing can be declared once the block is built."""
+        default = self.states(self._nonstop.CreateDefaultContext())
+        is_declared = all(
+            np.all(_agree(signal, default[signal], value))
+            for signal, value in self.states(context).items()
+        )
+        return [] if is_declared else [f"{self._block.get_name()}: starts from another state"]
+
+
+def plant_states(nonstop: Diagram) -> PlantStates | _FusedPlantStates:
+    """Access to the plant's states, whether its blocks are fused or not.
+
+    Raises:
+        ScenarioError: as `PlantStates`.
+    """
+    for block in nonstop.GetSystems():
+        if isinstance(block, FusedPlant):
+            return _FusedPlantStates(nonstop, block)
+    return PlantStates(nonstop)
+
+
+def _owner(nonstop: Diagram, signal: str) -> System:
+    """The block of the loop that makes a signal."""
+    for block in nonstop.GetSystems():
+        if block.HasOutputPort(signal):
+            return block
+    raise ScenarioError(
+        f"{nonstop.get_name() or 'loop'}.{signal} = no output port: none of its blocks shows a "
+        f"state under that name; give one an output port {signal}"
+    )
+
+
+def _agree(signal: str, shown: NDArray, value: NDArray) -> NDArray:
+    """Whether the entries are the same; a quaternion and its negative are one attitude."""
+
+    def agrees(other: NDArray) -> NDArray:
+        return np.abs(shown - other) <= _TOLERANCE * np.maximum(1.0, np.abs(other))
+
+    same = agrees(value)
+    if signal == LOAD and not np.all(same):
+        flipped = agrees(_flipped(value))
+        return flipped if np.all(flipped) else same
+    return same
+
+
+def _flipped(load_state: NDArray) -> NDArray:
+    """The same load state with the other quaternion of its attitude."""
+    flipped = load_state.copy()
+    LoadState.view(flipped).quaternion[:] *= -1
+    return flipped
+
+
+def _declare_defaults(system: Any, context: Context) -> None:
+    """Makes the states in a context the defaults of Drake's systems that hold them."""
+    if isinstance(system, Diagram):
+        for inner in system.GetSystems():
+            _declare_defaults(inner, system.GetSubsystemContext(inner, context))
+    elif isinstance(system, Integrator):
+        system.set_default_integral_value(context.get_continuous_state_vector().CopyToVector())
+    elif isinstance(system, AffineSystem):
+        system.configure_default_state(state_values(context))
+    elif isinstance(system, MultibodyPlant):
+        system.SetDefaultPositions(system.GetPositions(context))

@@ -1,0 +1,62 @@
+"""Forces at points of bodies, as a MultibodyPlant takes them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.common.value import AbstractValue
+from pydrake.multibody.math import SpatialForce
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce
+from pydrake.multibody.tree import RigidBody
+from pydrake.systems.framework import Context
+
+from drake_nonstop.systems.block import InnerBlock
+from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+
+
+class PointForces(InnerBlock):
+    """Forces at points of the bodies of a MultibodyPlant, for blocks with physics of one's own.
+
+    .. pydrake_system::
+
+        name: PointForces
+        input_ports:
+        - forces
+        output_ports:
+        - spatial_forces
+
+    `forces` (3k) in N, in W, such as the signals `cable_forces` and `carrier_forces`;
+    `spatial_forces` is abstract, for the plant's `get_applied_spatial_force_input_port()`.
+
+    Args:
+        bodies: k bodies of the plant; one may be among them more than once.
+        points: (k, 3), m, in the bodies' frames.
+
+    Raises:
+        NotFiniteError: a force is not finite, or is far too large.
+    """
+
+    def __init__(self, bodies: Sequence[RigidBody], points: ArrayLike):
+        super().__init__()
+        self._places = [
+            (body.index(), point) for body, point in zip(bodies, np.asarray(points), strict=True)
+        ]
+        self._forces = self.DeclareVectorInputPort("forces", 3 * len(bodies))
+        self.DeclareAbstractOutputPort(
+            "spatial_forces",
+            lambda: AbstractValue.Make([ExternallyAppliedSpatialForce()]),
+            self._calc,
+            {self.all_input_ports_ticket()},
+        )
+
+    def _calc(self, context: Context, output: AbstractValue) -> None:
+        forces = self._forces.Eval(context)
+        if not forces @ forces < LARGEST**2:
+            raise NotFiniteError(self.box(), was_given=True)
+        applied = []
+        for (body, point), force in zip(self._places, forces.reshape(-1, 3), strict=True):
+            entry = ExternallyAppliedSpatialForce()
+            entry.body_index, entry.p_BoBq_B = body, point
+            entry.F_Bq_W = SpatialForce(np.zeros(3), force)
+            applied.append(entry)
+        output.set_value(applied)

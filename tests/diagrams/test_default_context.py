@@ -1,0 +1,100 @@
+"""New contexts of a loop start at its equilibrium, and fly as `simulate` does."""
+
+import numpy as np
+import pytest
+from helpers import output
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import Diagram
+
+from drake_nonstop import load_scenario, make_nonstop, scenario_names, simulate
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
+from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.validation import ScenarioError
+
+SIGNALS = ("load_state", "carrier_state", "tensions", "parameters", "phase")
+CONSTANT = "optimization_layer=ConstantParameters"
+
+
+def signals(diagram: Diagram) -> list[str]:
+    return [diagram.get_output_port(k).get_name() for k in range(diagram.num_output_ports())]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        *((name, []) for name in scenario_names()),
+        ("quintic", ["control_period=0", CONSTANT]),
+        ("quintic", ["fused_plant=true", CONSTANT]),
+        ("quintic", ["load_feedback=!NoisyFeedback {delay: 0.02}", CONSTANT]),
+        ("quintic", ["carrier_dynamics=IdealCarriers", CONSTANT]),
+        ("quintic", ["load_trajectory.start_roll_pitch_yaw=[0.2,-0.1,2.5]", CONSTANT]),
+    ],
+)
+def test_every_signal_is_finite_and_load_and_carriers_are_where_they_start(name, overrides):
+    diagram = make_nonstop(load_scenario(name, overrides))
+    default, settled = diagram.CreateDefaultContext(), diagram.CreateDefaultContext()
+    for signal in signals(diagram):
+        assert np.all(np.isfinite(output(diagram, default, signal))), signal
+    set_equilibrium(diagram, settled)
+    for signal in ("load_state", "carrier_state"):
+        expected = output(diagram, settled, signal)
+        np.testing.assert_array_equal(output(diagram, default, signal), expected)
+    load = LoadState.view(output(diagram, default, "load_state"))
+    reference = LoadState.view(output(diagram, default, "reference"))
+    np.testing.assert_allclose(load.position, reference.position, rtol=0, atol=0.05)
+
+
+@pytest.mark.parametrize("overrides", [[], ["control_period=0", CONSTANT], ["fused_plant=true"]])
+def test_a_plain_simulator_flies_as_simulate_does_and_again_after_a_reset(overrides):
+    scenario = load_scenario("quintic", ["simulation_duration=0.3", *overrides])
+    run = simulate(scenario)
+    assert run.step == scenario.simulator_config.max_step_size
+    diagram = make_nonstop(scenario)
+    for flown in (diagram, run.diagram) if not scenario.fused_plant else (diagram,):
+        simulator = Simulator(flown)
+        ApplySimulatorConfig(scenario.simulator_config, simulator)
+        for _ in range(2):
+            simulator.AdvanceTo(0.3)
+            for signal in SIGNALS:
+                shown = output(flown, simulator.get_context(), signal)
+                # Without samples of the controllers the steps differ by the rounding of instants.
+                tolerance = 0 if scenario.control_period else 1e-10
+                expected = run.signal(signal)[-1]
+                np.testing.assert_allclose(shown, expected, 0, tolerance, err_msg=signal)
+            simulator.reset_context(flown.CreateDefaultContext())
+
+
+def test_drakes_default_integrator_flies_too():
+    diagram = make_nonstop(load_scenario("quintic", [CONSTANT]))
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(0.2)
+    state, reference = (
+        output(diagram, simulator.get_context(), name)[4:7] for name in ("load_state", "reference")
+    )
+    assert np.linalg.norm(state - reference) < 1e-3
+
+
+def test_clones_keep_the_defaults_of_the_carriers():
+    block = make_nonstop(load_scenario("quintic", [CONSTANT])).GetSubsystemByName(
+        "carrier_dynamics"
+    )
+    copy = block.Clone()
+    shown = [output(each, each.CreateDefaultContext(), "carrier_state") for each in (block, copy)]
+    assert np.abs(shown[0]).max() > 0.1
+    np.testing.assert_array_equal(*shown)
+
+
+def test_a_loop_without_an_equilibrium_is_refused_unless_none_is_asked_for():
+    scenario = load_scenario("quintic", [CONSTANT, "simulated.load_mass=1e5"])
+    with pytest.raises(ScenarioError, match="the cables do not hold the load"):
+        make_nonstop(scenario)
+    diagram = make_nonstop(scenario, at_equilibrium=False)
+    start = output(diagram, diagram.CreateDefaultContext(), "load_state")
+    np.testing.assert_array_equal(start, np.eye(13)[0])
+
+
+def test_a_loop_with_a_box_left_out_starts_at_the_origin():
+    diagram = make_nonstop(load_scenario("quintic", [CONSTANT]), load_disturbance=None)
+    start = output(diagram, diagram.CreateDefaultContext(), "load_state")
+    np.testing.assert_array_equal(start, np.eye(13)[0])

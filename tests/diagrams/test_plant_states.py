@@ -1,0 +1,396 @@
+"""Where runs start whose load and carriers are blocks of the user's own."""
+
+import warnings
+from functools import partial
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
+
+from drake_nonstop import ScenarioError, ScenarioWarning, load_scenario, make_nonstop, simulate
+from drake_nonstop.blocks.load_plant import LoadPlant
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
+from drake_nonstop.mechanics.carrier import double_integrator_rate
+from drake_nonstop.mechanics.rigid_load import load_state_rate
+from drake_nonstop.studies.stability import _Coordinates, at_rest
+from drake_nonstop.systems.tracing import NotFiniteError
+from examples import articulated_load, own_physics
+
+SIGNALS = ("load_state", "carrier_state", "tensions")
+
+
+def short(duration, *overrides):
+    layer = "optimization_layer=ConstantParameters"
+    return load_scenario("quintic", [f"simulation_duration={duration}", layer, *overrides])
+
+
+def own_plants(step, **also):
+    return {
+        "load_plant": partial(own_physics.load, time_step=step),
+        "carrier_dynamics": partial(own_physics.carriers, time_step=step),
+    } | also
+
+
+def distance(run, other):
+    return {name: np.abs(run.signal(name) - other.signal(name)).max() for name in SIGNALS}
+
+
+@pytest.fixture(scope="module")
+def without_drag():
+    scenario = short(0.15, "simulated.load_drag=0.0")
+    return scenario, simulate(scenario)
+
+
+def test_multibody_plants_fly_as_our_blocks(without_drag):
+    scenario, ours = without_drag
+    assert max(distance(simulate(scenario, **own_plants(0.0)), ours).values()) < 1e-10
+
+
+def test_discrete_multibody_plants_approach_our_blocks_with_the_first_order_of_their_step(
+    without_drag,
+):
+    scenario, ours = without_drag
+    apart = [distance(simulate(scenario, **own_plants(step)), ours) for step in (2e-3, 1e-3)]
+    for name in SIGNALS:
+        assert apart[1][name] < 5e-3
+        assert apart[0][name] / apart[1][name] == pytest.approx(2, rel=0.2)
+
+
+class MappedLoad(LeafSystem):
+    """Our load in the state z = M (x - c), continuous, or stepped by Euler's method."""
+
+    def __init__(self, model, seed, period=0.0):
+        super().__init__()
+        generator = np.random.default_rng(seed)
+        self.map, self.shift = generator.normal(size=(13, 13)), generator.normal(size=13)
+        self.model, self.period = model, period
+        start = self.map @ (np.eye(13)[0] - self.shift)
+        self.DeclareVectorInputPort("cable_forces", 3 * model.n)
+        ticket = self.all_state_ticket()
+        if period:
+            self.DeclareDiscreteState(start)
+            self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self.update)
+        else:
+            self.DeclareContinuousState(13)
+        self.DeclareVectorOutputPort("load_state", 13, self.calc, {ticket})
+
+    def state(self, context):
+        vector = context.get_discrete_state_vector() if self.period else None
+        vector = vector or context.get_continuous_state_vector()
+        return np.linalg.solve(self.map, vector.CopyToVector()) + self.shift
+
+    def rate(self, context):
+        forces, model = self.GetInputPort("cable_forces").Eval(context), self.model
+        return self.map @ load_state_rate(
+            model.load, self.state(context), forces, np.zeros(6), attachments=model.attachments
+        )
+
+    def calc(self, context, output):
+        output.SetFromVector(self.state(context))
+
+    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
+        if not self.period:
+            derivatives.get_mutable_vector().SetFromVector(self.rate(context))
+
+    def update(self, context, discrete):
+        state = context.get_discrete_state_vector().value()
+        discrete.set_value(state + self.period * self.rate(context))
+
+
+class MappedCarriers(LeafSystem):
+    """Our carriers in a state z = M x."""
+
+    def __init__(self, model, seed):
+        super().__init__()
+        size = 6 * model.n
+        self.map, self.mass = (
+            np.random.default_rng(seed).normal(size=(size, size)),
+            model.carrier_mass,
+        )
+        self.DeclareVectorInputPort("carrier_forces", 3 * model.n)
+        self.DeclareContinuousState(size)
+        self.DeclareVectorOutputPort("carrier_state", size, self.calc, {self.xc_ticket()})
+
+    def state(self, context):
+        return np.linalg.solve(self.map, context.get_continuous_state_vector().CopyToVector())
+
+    def calc(self, context, output):
+        output.SetFromVector(self.state(context))
+
+    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
+        forces = self.GetInputPort("carrier_forces").Eval(context)
+        rate = double_integrator_rate(self.state(context), forces, mass=self.mass)
+        derivatives.get_mutable_vector().SetFromVector(self.map @ rate)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_drawn_maps_of_the_state_fly_as_our_blocks(seed):
+    scenario = short(0.1, f"load_trajectory.start_roll_pitch_yaw=[0.1,0.2,{seed}]")
+    own = {
+        "load_plant": lambda model: MappedLoad(model, seed),
+        "carrier_dynamics": lambda model: MappedCarriers(model, 10 + seed),
+    }
+    assert max(distance(simulate(scenario, **own), simulate(scenario)).values()) < 1e-7
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_drawn_map_of_a_discrete_state_starts_at_the_same_equilibrium(seed):
+    scenario = short(0.05)
+    ours = simulate(scenario).signal("load_state")
+    own = simulate(scenario, load_plant=lambda model: MappedLoad(model, seed, period=1e-3))
+    np.testing.assert_allclose(own.signal("load_state")[0], ours[0], rtol=0, atol=1e-7)
+    assert np.abs(own.signal("load_state") - ours).max() < 5e-4  # of a first-order scheme
+
+
+class ClippedLoad(MappedLoad):
+    """A load whose port cannot show what is set."""
+
+    def state(self, context):
+        return np.minimum(super().state(context), [*np.full(6, 9.0), -0.5, *np.full(6, 9.0)])
+
+
+class ShiftedLoad(MappedLoad):
+    """A load that sets its state 1 mm away from what it is told."""
+
+    def SetLoadState(self, context, value):  # noqa: N802
+        state = self.map @ (value + 0.001 * np.eye(13)[4] - self.shift)
+        context.SetContinuousState(state)
+
+
+class FrozenCarriers(LeafSystem):
+    """Carriers that show another state than they have."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareDiscreteState(6 * model.n)
+        self.DeclareVectorOutputPort("carrier_state", 6 * model.n, self.calc)
+
+    def calc(self, context, output):
+        output.SetFromVector(np.zeros(output.size()))
+
+
+@pytest.mark.parametrize("period", ["0.0", "0.01"])
+@pytest.mark.parametrize(
+    ("own", "said"),
+    [
+        (
+            {"load_plant": lambda model: ClippedLoad(model, 3)},
+            r"load_plant\.load_state\[6\] = -0\.5: its initial state was set to .*; give "
+            r"ClippedLoad a method SetLoadState\(context, value\)",
+        ),
+        (
+            {"load_plant": lambda model: ShiftedLoad(model, 3)},
+            r"load_plant\.load_state\[4\] = 0\.001: its initial state was set to 0; correct "
+            r"ShiftedLoad\.SetLoadState\(context, value\)",
+        ),
+        (
+            {"carrier_dynamics": FrozenCarriers},
+            r"carrier_dynamics\.carrier_state\[\d+\] = 0: its initial state was set to .*; "
+            r"give FrozenCarriers a method SetCarrierState\(context, value\)",
+        ),
+    ],
+)
+def test_a_state_that_the_port_does_not_show_is_refused_by_name(own, said, period):
+    with pytest.raises(ScenarioError, match=said):
+        simulate(short(0.1, f"control_period={period}"), **own)
+    with pytest.raises(ScenarioError, match=said):
+        make_nonstop(short(0.1), **own)
+
+
+class HiddenLoad(MappedLoad):
+    """A load with an abstract state, which nobody can find."""
+
+    def __init__(self, model):
+        super().__init__(model, 4)
+        self.kept = self.DeclareAbstractState(Value[object](np.eye(13)[0]))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(1e-3, 0.0, self.step)
+
+    def state(self, context):
+        return context.get_abstract_state(self.kept).get_value()
+
+    def step(self, context, state):
+        rate = np.linalg.solve(self.map, self.rate(context))
+        stepped = self.state(context) + 1e-3 * rate
+        state.get_mutable_abstract_state(self.kept).set_value(stepped)
+
+
+class SettableLoad(HiddenLoad):
+    """The same with what the error asks for."""
+
+    def SetLoadState(self, context, value):  # noqa: N802
+        context.SetAbstractState(self.kept, value)
+
+
+def test_the_remedy_works():
+    scenario = short(0.05)
+    with pytest.raises(ScenarioError, match=r"give HiddenLoad a method SetLoadState"):
+        simulate(scenario, load_plant=HiddenLoad)
+    own, ours = simulate(scenario, load_plant=SettableLoad), simulate(scenario)
+    apart = np.abs(own.signal("load_state") - ours.signal("load_state"))
+    assert apart[0].max() < 1e-7
+    assert apart.max() < 5e-4  # of a first-order scheme
+
+
+def test_an_acceleration_of_another_size_is_refused():
+    class Wrong(LoadPlant):
+        def CalcLoadAcceleration(self, context):  # noqa: N802
+            return np.zeros(3)
+
+    with pytest.raises(ScenarioError, match="load_plant = Wrong: correct CalcLoadAcceleration"):
+        simulate(short(0.05), load_plant=Wrong)
+
+
+def test_a_loop_without_the_ports_is_told_which_one_it_lacks():
+    builder = DiagramBuilder()
+    source = builder.AddSystem(ConstantVectorSource(np.eye(22)[0]))
+    builder.ExportOutput(source.get_output_port(), "reference")
+    loop = builder.Build()
+    with pytest.raises(ScenarioError, match="load_state = no output port"):
+        set_equilibrium(loop, loop.CreateDefaultContext())
+
+
+def hinge_rates(diagram, context):
+    """The accelerations (7,) of platform and pendulum, from Drake's own rates."""
+    block = diagram.GetSubsystemByName("load_plant")
+    own = diagram.GetMyContextFromRoot(context) if diagram.get_name() != "nonstop" else context
+    own = diagram.GetSubsystemContext(block, own)
+    return block.EvalTimeDerivatives(own).CopyToVector()[8:]
+
+
+def test_an_articulated_load_starts_where_the_whole_hangs_at_rest():
+    scenario = short(0.1)
+    diagram = make_nonstop(scenario, load_plant=articulated_load.load)
+    context = diagram.CreateDefaultContext()
+    Simulator(diagram, context).Initialize()
+    assert np.abs(hinge_rates(diagram, context)).max() < 1e-6
+    tensions = diagram.GetOutputPort("cable_forces").Eval(context).reshape(-1, 3)
+    np.testing.assert_allclose(tensions.sum(0), [0, 0, 9.81], rtol=0, atol=1e-6)  # of 1 kg
+
+
+def test_a_load_trims_its_further_states():
+    """A tilted platform: the pendulum does not hang straight down in its default state."""
+    tilt = 0.3
+    scenario = short(0.1, f"load_trajectory.start_roll_pitch_yaw=[0,{tilt},0]")
+
+    def trimmed(model):
+        block = articulated_load.load(model)
+
+        def trim(context):
+            (plant,) = (s for s in block.GetSystems() if isinstance(s, MultibodyPlant))
+            own = block.GetMutableSubsystemContext(plant, context)
+            w, _, y, _ = plant.GetPositions(own)[:4]
+            plant.GetJointByName("hinge").set_angle(own, -2 * np.arctan2(y, w))
+
+        block.TrimLoad = trim
+        return block
+
+    for make, hangs in ((articulated_load.load, False), (trimmed, True)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error" if hangs else "ignore", ScenarioWarning)
+            diagram = make_nonstop(scenario, load_plant=make)
+        context = diagram.CreateDefaultContext()
+        Simulator(diagram, context).Initialize()
+        assert (np.abs(hinge_rates(diagram, context)).max() < 1e-5) == hangs
+
+
+def test_small_deviations_of_a_mapped_load_are_counted_without_the_norm_of_its_quaternion():
+    resting = at_rest(short(0.1))
+    sizes = {}
+    for name, own in (("ours", {}), ("own", {"load_plant": lambda m: MappedLoad(m, 5)})):
+        diagram = make_nonstop(resting, at_equilibrium=False, **own)
+        context = diagram.CreateDefaultContext()
+        set_equilibrium(diagram, context)
+        coordinates = _Coordinates(diagram, context)
+        sizes[name] = coordinates.size
+        before = coordinates.read(context)
+        change = 1e-4 * np.random.default_rng(6).normal(size=coordinates.size)
+        coordinates.move(context, change)
+        after = coordinates.read(context)
+        np.testing.assert_allclose(coordinates.difference(after, before), change, atol=1e-8)
+    assert sizes["own"] == sizes["ours"]
+
+
+class DeclaredCarriers(LeafSystem):
+    """Double integrators that declare the initial state which the model tells."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.mass = model.carrier_mass
+        self.DeclareVectorInputPort("carrier_forces", 3 * model.n)
+        state = self.DeclareContinuousState(BasicVector(model.initial_carrier_state))
+        self.DeclareStateOutputPort("carrier_state", state)
+
+    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
+        forces = self.GetInputPort("carrier_forces").Eval(context)
+        state = context.get_continuous_state_vector().CopyToVector()
+        rate = double_integrator_rate(state, forces, mass=self.mass)
+        derivatives.get_mutable_vector().SetFromVector(rate)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_block_that_declares_what_the_model_tells_flies_from_its_defaults():
+    scenario = short(0.3)
+    diagram = make_nonstop(scenario, carrier_dynamics=DeclaredCarriers)
+    simulator = Simulator(diagram)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    simulator.AdvanceTo(0.3)
+    run = simulate(scenario, carrier_dynamics=DeclaredCarriers)
+    for name in SIGNALS:
+        shown = diagram.GetOutputPort(name).Eval(simulator.get_context())
+        np.testing.assert_array_equal(shown, run.signal(name)[-1])
+
+
+def test_a_block_whose_defaults_cannot_be_set_is_named_and_set_equilibrium_helps():
+    scenario = short(0.1)
+    own = {"carrier_dynamics": lambda model: MappedCarriers(model, 7)}
+    with pytest.warns(ScenarioWarning, match="carrier_dynamics = MappedCarriers: new contexts"):
+        diagram = make_nonstop(scenario, **own)
+    simulator = Simulator(diagram)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    set_equilibrium(diagram, simulator.get_mutable_context())
+    simulator.AdvanceTo(0.1)
+    shown = diagram.GetOutputPort("load_state").Eval(simulator.get_context())
+    expected = simulate(scenario, **own).signal("load_state")[-1]
+    np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-12)
+
+
+def test_a_replacement_that_returns_the_same_block_again_is_not_asked_twice():
+    made = []
+
+    def once(model):
+        made.append(made[0] if made else MappedCarriers(model, 7))
+        return made[0]
+
+    with pytest.warns(ScenarioWarning, match="carrier_dynamics = MappedCarriers: new contexts"):
+        make_nonstop(short(0.1), carrier_dynamics=once)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_block_may_set_its_own_defaults():
+    told = []
+
+    class Own(LoadPlant):
+        def SetDefaultLoadState(self, value):  # noqa: N802
+            told.append(value)
+            self.GetSubsystemByName("(state)").set_default_integral_value(value)
+
+    diagram = make_nonstop(short(0.1), load_plant=Own)
+    shown = diagram.GetOutputPort("load_state").Eval(diagram.CreateDefaultContext())
+    np.testing.assert_array_equal(shown, told[0])
+
+
+def test_a_force_that_is_not_finite_is_told_by_the_block_that_makes_it():
+    class Mad(LeafSystem):
+        def __init__(self, model):
+            super().__init__()
+            self.DeclareVectorOutputPort("carrier_forces", 3 * model.n, self.calc)
+
+        def calc(self, context, output):
+            output.SetFromVector(np.full(output.size(), np.nan))
+
+    with pytest.raises((ScenarioError, NotFiniteError), match="carrier_controller"):
+        simulate(short(0.1), **own_plants(0.0, carrier_controller=Mad))
