@@ -225,8 +225,12 @@ class LoopConfig(Protocol):
     fused_plant: bool
     simulator_config: SimulatorConfig
 
-    def check(self) -> None:
-        """Raises ScenarioError for the first field that cannot be used."""
+    def sampled(self) -> Any:
+        """What it is with numbers drawn for its distributions.
+
+        Raises:
+            ScenarioError: a field cannot be used.
+        """
         ...
 
 
@@ -249,7 +253,8 @@ def make_nonstop(
     no equilibrium before its signals are connected: load and carriers then are at the origin.
 
     Args:
-        scenario: the system, the pattern and one config per box.
+        scenario: the system, the pattern and one config per box; where fields hold distributions,
+            numbers are drawn with its `random_seed`.
         at_equilibrium: whether the equilibrium is looked for. If not, as where a load is to start
             from the ground, load and carriers are at the origin in new contexts.
         replacements: by the name of a box, what to put in its place: a block's config; a block
@@ -264,10 +269,10 @@ def make_nonstop(
             replacement do not fit, or there is no equilibrium; the message names the field, the
             value and the remedy.
     """
-    is_scenario = callable(getattr(scenario, "check", None))
+    is_scenario = callable(getattr(scenario, "sampled", None))
     require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
     scenario, others = replaced(scenario, replacements)
-    scenario.check()
+    scenario = scenario.sampled()
     parts = _made_parts(scenario, others)
     diagram = _connected(scenario, parts)
     if not at_equilibrium or diagram.num_input_ports() > 0:

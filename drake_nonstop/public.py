@@ -29,6 +29,7 @@ from drake_nonstop.scenario.loading import (
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.make_simulator import make_simulator
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
@@ -74,6 +75,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "make_nonstop",
     "set_equilibrium",
     "simulate",
+    "make_simulator",
     "verify_step",
     "StepAction",
     "StepCheck",

@@ -43,7 +43,7 @@ def add_to(commands: Commands) -> None:
 
 def _ablate(options: argparse.Namespace) -> int:
     require(options.grid or options.swap, "--grid, --swap", "none", "give at least one of them")
-    scenario = read_scenario(options)
+    scenario = read_scenario(options, sampled=False)
     variants: list[tuple[str, list[str]]] = []
     name, title = scenario.name, scenario.name
     if options.grid:

@@ -83,6 +83,10 @@ def require_repeats(options: argparse.Namespace) -> None:
     require(options.repeats > 0, "--repeats", options.repeats, "give at least 1")
 
 
-def read_scenario(options: argparse.Namespace) -> Scenario:
-    """The scenario that the arguments of `add_scenario` name; raises ScenarioError."""
-    return load_scenario(options.scenario, options.set, trust=options.trust)
+def read_scenario(options: argparse.Namespace, *, sampled: bool = True) -> Scenario:
+    """The scenario that the arguments of `add_scenario` name; raises ScenarioError.
+
+    Where it is `sampled`, numbers have been drawn for its distributions.
+    """
+    scenario = load_scenario(options.scenario, options.set, trust=options.trust)
+    return scenario.sampled() if sampled else scenario

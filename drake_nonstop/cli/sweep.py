@@ -39,14 +39,14 @@ def add_to(commands: Commands) -> None:
 
 
 def _sweep(options: argparse.Namespace) -> int:
-    scenario = read_scenario(options)
+    scenario = read_scenario(options, sampled=False)
     spec = read_sweep(options.spec)
     name = f"{scenario.name}_{options.spec.stem}"
     folder = study_folder(options, name, sweep_settings(scenario, spec))
     if options.run is not None:
         planned = spec.run(options.run)
         print(f"run {planned.number}: {', '.join(planned.overrides)}", flush=True)
-        scenario = changed(scenario, planned.overrides, trust=options.trust)
+        scenario = changed(scenario, planned.overrides, trust=options.trust).sampled()
         return run_into(options.out or folder / f"run_{planned.number}", scenario)
     with TaskProgress() as progress:
         done = sweep(

@@ -4,6 +4,7 @@ import textwrap
 from typing import Any
 
 from drake_nonstop.scenario.describe import headings, meanings
+from drake_nonstop.scenario.distributions import is_entry
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import Tree, block_name, to_tree
 from drake_nonstop.scenario.yaml_text import dump_plain
@@ -25,7 +26,7 @@ def commented_scenario(scenario: Scenario, name: str) -> str:
     lines = [f"{name}:"]
     for key, value in to_tree(scenario).items():
         config = getattr(scenario, key)
-        if not isinstance(value, dict):
+        if not isinstance(value, dict) or is_entry(value):
             lines += _field(1, key, value, about.get(key, ""))
         elif key in CHOICES:
             lines += ["", *_box(key, value, type(config))]

@@ -1,5 +1,6 @@
 """What one run is: a tree of dataclasses."""
 
+import copy
 import copyreg
 import dataclasses
 import functools
@@ -9,6 +10,7 @@ import typing
 from dataclasses import dataclass, field
 from typing import Any
 
+from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.diagrams.box import block_class, import_path
@@ -20,6 +22,7 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
+from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.by_fields import comparable, reduced
 from drake_nonstop.scenario.run_limits import RunLimits, check_limits
 from drake_nonstop.scenario.scene_config import SceneConfig
@@ -70,6 +73,7 @@ class _Common(StrictFields):
 
     name: str = "unnamed"
     description: str = ""
+    random_seed: int = 0  # of the numbers that are drawn where fields hold distributions
     simulation_duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
     fused_plant: bool = False  # load, cables, carriers and their controller in one fast block
@@ -105,8 +109,9 @@ class Scenario(_Boxes):
     """The system, a config per box of the figure, and how to simulate them.
 
     It can be copied and pickled, and equals another one whose fields are all equal. Drake's
-    `yaml_dump_typed` writes it, where its blocks are the package's, and `yaml_load_typed` with
-    `schema=Scenario` reads that back; what it reads is checked where it is used, or by `check`.
+    `yaml_dump_typed` writes it, where its blocks are the package's and its numbers are drawn, and
+    `yaml_load_typed` with `schema=Scenario` reads that back; what it reads is checked where it is
+    used, or by `check`. Its numbers and lists of numbers may be distributions; see `sampled`.
     """
 
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -137,8 +142,12 @@ class Scenario(_Boxes):
         It would take a config of the user's own for that of the package which it inherits from.
 
         Raises:
-            ScenarioError: the field's value is of a class that `yaml_load_typed` would not make.
+            ScenarioError: the field's value is of a class that `yaml_load_typed` would not make, or
+                holds a distribution in the place of a number.
         """
+        has_none = not distributions.has_distributions(getattr(self, name))
+        remedy = "write it with dump_scenario, which can write distributions"
+        require(has_none, name, "a distribution, or a part with one", remedy)
         if name in CHOICES:
             config = getattr(self, name)
             _check_choice(name, config)
@@ -154,6 +163,25 @@ class Scenario(_Boxes):
     def check(self) -> None:
         """Checks all fields' types, and the ranges of those that belong to no box; see `check`."""
         check(self)
+
+    def sampled(self, generator: RandomGenerator | None = None) -> "Scenario":
+        """The scenario with a number drawn for each distribution that its fields hold.
+
+        The numbers are drawn by a generator of their own, whose seed is `random_seed`, in the
+        order of the fields in `dump_scenario`, and in that of a list's entries. A whole number is
+        the whole part of what is drawn.
+
+        Args:
+            generator: what the result's `random_seed` is taken from, one number of it; None:
+                that is the scenario's own.
+
+        Returns:
+            A copy; this scenario itself where it holds no distributions and no generator is given.
+
+        Raises:
+            ScenarioError: a field cannot be used, or what is drawn for it.
+        """
+        return sample(self, generator)[0]
 
 
 PATTERNS: tuple[type, ...] = typing.get_args(typing.get_type_hints(_Common)[PATTERN])
@@ -172,6 +200,7 @@ _PARTS = (RunLimits, SystemParameters, SystemOverrides, SimulatorConfig)
 
 _MAX_STEPS = 1e8  # of a run, which takes days
 _LONGEST_PERIOD = 10.0  # s, of the controllers
+_LARGEST_SEED = 2**32 - 1  # of Drake's RandomGenerator; larger ones repeat its numbers
 
 
 def check(scenario: Scenario) -> None:
@@ -184,6 +213,10 @@ def check(scenario: Scenario) -> None:
     require(is_scenario, "scenario", scenario, 'give a Scenario, such as load_scenario("quintic")')
     require_type("scenario.name", scenario.name, str)
     check_name(scenario.name)
+    seed = scenario.random_seed
+    is_drawn = distributions.is_distribution(seed)
+    require(not is_drawn, "random_seed", "a distribution", "give the whole number to draw with")
+    scenario = distributions.mapped(scenario, Scenario, "", distributions.mean)
     for field_ in dataclasses.fields(scenario):
         kind: Any = field_.type
         path, value = field_.name, getattr(scenario, field_.name)
@@ -198,6 +231,8 @@ def check(scenario: Scenario) -> None:
     for owner in ("system", "simulated"):
         _check_is_read(owner, getattr(scenario, owner))
     require_positive(scenario.name, simulation_duration=scenario.simulation_duration)
+    is_seed = 0 <= seed <= _LARGEST_SEED
+    require(is_seed, f"{scenario.name}.random_seed", seed, f"give 0 to {_LARGEST_SEED}")
     check_limits(scenario.limits)
     config = scenario.simulator_config
     require_positive(
@@ -224,6 +259,38 @@ def check(scenario: Scenario) -> None:
         scenario.simulation_duration,
         f"give at most {_MAX_STEPS * step:g} s, which are {_MAX_STEPS:.0e} steps of {step:g} s",
     )
+
+
+def sample(
+    scenario: Scenario, generator: RandomGenerator | None = None
+) -> tuple[Scenario, dict[str, Any]]:
+    """The scenario `sampled`, and what was drawn by its path: numbers, those of lists one by one.
+
+    Raises:
+        ScenarioError: see `Scenario.sampled`.
+    """
+    check(scenario)
+    if generator is not None:
+        remedy = "give a pydrake.common.RandomGenerator, or None"
+        is_generator = isinstance(generator, RandomGenerator)
+        require(is_generator, "generator", generator, remedy)
+        scenario = copy.copy(scenario)
+        scenario.random_seed = generator()
+    random = RandomGenerator(scenario.random_seed)
+    values: dict[str, Any] = {}
+
+    def draw(path: str, distribution: Any, kind: Any) -> Any:
+        drawn = distributions.draw(distribution, kind, random)
+        if isinstance(drawn, list):
+            values.update({f"{path}[{i}]": number for i, number in enumerate(drawn)})
+        else:
+            values[path] = drawn
+        return drawn
+
+    scenario = distributions.mapped(scenario, Scenario, "", draw)
+    if values:
+        check(scenario)
+    return scenario, values
 
 
 def check_name(name: str) -> None:

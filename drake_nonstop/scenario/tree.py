@@ -15,6 +15,7 @@ from pydrake.systems.analysis import SimulatorConfig
 from drake_nonstop.diagrams.box import import_path
 from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.own_blocks import import_config, is_import_path
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import CHOICES, Scenario, check, check_name, require_current
@@ -103,6 +104,8 @@ def from_tree(
 
 def _plain(value: Any, kind: Any) -> Any:
     """A value of a field of that type as it stands in YAML."""
+    if distributions.is_distribution(value):
+        return distributions.to_entry(value)
     if dataclasses.is_dataclass(value) or isinstance(value, SimulatorConfig):
         fields = [(f, getattr(value, f.name)) for f in fields_of(type(value))]
         return {f.name: _plain(part, f.type) for f, part in fields if part is not None}
@@ -180,8 +183,11 @@ def _checked_entry(name: str, entry: Any, trusted: Trusted) -> tuple[type, Tree]
 
 def _loaded(name: str, schema: type, fields: Tree, defaults: Any) -> Any:
     """The dataclass of these fields, the others as in the defaults."""
+    data = yaml_dump(distributions.with_stand_ins(fields))
     try:
-        return yaml_load_typed(schema=schema, data=yaml_dump(fields), defaults=defaults)
+        config = yaml_load_typed(schema=schema, data=data, defaults=defaults)
+        distributions.restore(config, fields)
+        return config
     except Exception as error:  # what a user's own dataclass does not take
         remedy = f"give its fields values of their types ({one_line(error)})"
         raise ScenarioError(f"{name} = {block_name(schema)}: {remedy}") from error
@@ -198,4 +204,9 @@ def _check_fields(name: str, tree: Any, schema: Any, *other_keys: str) -> None:
     for key, value in tree.items():
         require_known(key, [*types, *other_keys], f"{name}.{key}", value)
         if key in types:
-            require_type(f"{name}.{key}", value, types[key])
+            path = f"{name}.{key}"
+            if schema is SimulatorConfig:
+                remedy = "give what is no distribution; Drake's SimulatorConfig takes none"
+                is_plain = not distributions.is_entry(value)
+                require(is_plain, path, "a distribution", remedy)
+            require_type(path, distributions.with_means(path, value, types[key]), types[key])

@@ -58,7 +58,8 @@ def simulate(
     move.
 
     Args:
-        scenario: what to run.
+        scenario: what to run; where fields hold distributions, numbers are drawn with its
+            `random_seed`, and are in the run's scenario.
         progress: called with the simulated time now and then.
         viewers: functions that show the run while it goes on, such as `show_in(meshcat)`. Each
             adds a system to the builder, connected to the loop's diagram, and returns it. A
@@ -117,13 +118,14 @@ def _simulate(
     for viewer in viewers:
         require(callable(viewer), "viewers", viewer, remedy)
     is_second = interruption.collect is not None  # of a run that is there already
-    stated = scenario.speed_bound
+    stated = scenario.sampled().speed_bound
     scenario, replacements = replaced(scenario, replacements)
+    scenario = scenario.sampled()
     check_scene(scenario.scene)
     nonstop = make_nonstop(scenario, at_equilibrium=False, **replacements)
     chosen = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
-        chosen = _chosen(scenario, nonstop, _at_equilibrium(nonstop))
+        chosen = with_chosen_step(scenario, nonstop, _at_equilibrium(nonstop))
         if chosen.config is not scenario.simulator_config:  # the steps are the block's own
             shorter = dataclasses.replace(scenario, simulator_config=chosen.config)
             nonstop = make_nonstop(shorter, at_equilibrium=False, **replacements)
@@ -172,7 +174,7 @@ def _simulate(
         set_equilibrium(nonstop, nonstop_context)
         plant_states(nonstop).declare_defaults(nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
-        chosen = chosen or _chosen(scenario, nonstop, nonstop_context)
+        chosen = chosen or with_chosen_step(scenario, nonstop, nonstop_context)
         if after_step is None:  # which may end a run of any duration
             require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
         ApplySimulatorConfig(chosen.config, simulator)
@@ -263,8 +265,8 @@ def _verified(run: Run, progress: Callable[[float], None] | None, doubt: str = "
     return compared(run, half)
 
 
-def _chosen(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenStep:
-    """The scenario's configuration, or one with a shorter step, which a warning tells."""
+def with_chosen_step(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenStep:
+    """The scenario's `simulator_config`, or one with a shorter step, which a warning tells."""
     with block_named(nonstop, context):
         chosen = chosen_step(
             scenario.simulator_config,

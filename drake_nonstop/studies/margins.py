@@ -11,7 +11,7 @@ from drake_nonstop.blocks.load_feedback import NoisyFeedbackConfig
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.studies.journal import open_journal, settings_of
 from drake_nonstop.studies.processes import require_main
 from drake_nonstop.studies.run_all import Progress, no_progress, run_all
@@ -90,6 +90,7 @@ def find_margins(
         StudyInterrupted: Ctrl-C; what is found stays in the folder.
     """
     require_main()
+    scenario, _ = sample(scenario)
     axes = {axis.name: axis for axis in _axes(scenario)}
     resting = dump_scenario(at_rest(scenario))  # as text, which can be sent to a process
     measured = {

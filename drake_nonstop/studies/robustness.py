@@ -13,7 +13,7 @@ import numpy as np
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics, metric_at
 from drake_nonstop.studies.journal import open_journal, settings_of
 from drake_nonstop.studies.processes import require_main
@@ -113,6 +113,7 @@ def robustness(
     """
     require_main()
     require_seed("seed", seed)
+    scenario, _ = sample(scenario)
     text = dump_scenario(scenario)  # which can be sent to a process
     cases = [
         Case(error=error, level=level, unit=unit, overrides=overrides)

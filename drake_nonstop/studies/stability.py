@@ -106,6 +106,7 @@ def linearize(scenario: Scenario) -> Stability:
     Raises:
         ScenarioError: the scenario cannot be built.
     """
+    scenario = scenario.sampled()
     resting = at_rest(scenario)
     nonstop = make_nonstop(resting, at_equilibrium=False)
     context = nonstop.CreateDefaultContext()

@@ -1,5 +1,6 @@
 """Many runs of one scenario, a row each in one table."""
 
+import contextlib
 import gc
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -10,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.scenario.distributions import has_distributions
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened
 from drake_nonstop.studies.files import as_path, replacing_file
@@ -39,7 +41,7 @@ _CHECKED_RUNS = 20  # one of them has to make a scenario before any run is simul
 _ROW_GROUP = 10_000  # rows of a table that are held in memory at a time
 _MAX_MESSAGES = 1000  # that are counted
 _WALL_TIME_PATHS = {metric.path for metric in METRICS if metric.is_wall_time}
-_RESULT = {"ending": str, "error": str, "metrics": dict, "wall_times": dict}
+_RESULT = {"drawn": dict, "ending": str, "error": str, "metrics": dict, "wall_times": dict}
 
 Result = dict[str, Any]  # of a run, with the fields of _RESULT
 Row = dict[str, Any]  # values by their columns
@@ -73,10 +75,11 @@ def sweep(
     """Simulates all runs of a sweep and writes a table with a row for each.
 
     The folder gets runs.parquet: per run its number, the seed of its draws, the values that were
-    swept, its ending ("completed", "diverged", "failed" where a block raised an error or the
-    process died, or "unbuildable"), the error, and every metric that is one value, by its path
-    in metrics.json. Rows are in the order of the runs and, to the bit, the same with any
-    executor; metrics measured with a clock are therefore in wall_times.parquet.
+    swept, those drawn for the scenario's distributions and their `random_seed`, its ending
+    ("completed", "diverged", "failed" where a block raised an error or the process died, or
+    "unbuildable"), the error, and every metric that is one value, by its path in metrics.json.
+    Rows are in the order of the runs and, to the bit, the same with any executor; metrics
+    measured with a clock are therefore in wall_times.parquet.
 
     The result of each run is appended to journal.jsonl as it comes. An interrupted sweep
     continues from there when it is called again with the same scenario, spec and folder.
@@ -147,10 +150,16 @@ def _require_runnable(scenario: Scenario, spec: SweepSpec, trust: bool) -> None:
     step = max(1, len(spec) // _CHECKED_RUNS)
     for number in range(0, len(spec), step):
         try:
-            changed(scenario, spec.run(number).overrides, trust=trust)
+            made = changed(scenario, spec.run(number).overrides, trust=trust)
         except ScenarioError as error:
             first_error = first_error or error
         else:
+            remedy = (
+                "all runs of a combination would be the same; leave it out, give draws, or give a "
+                "field of the scenario a distribution, such as !Uniform {min: 0.8, max: 1.2}"
+            )
+            is_random = spec.draws or spec.runs is None or has_distributions(made)
+            require(is_random, f"{spec.source}.runs", spec.runs, remedy)
             return
     assert first_error is not None
     raise first_error
@@ -170,7 +179,7 @@ def _require_unusable(scenario: Scenario, planned: PlannedRun, trust: bool, erro
 
 
 def _without_run(ending: str, error: str) -> Result:
-    return {"ending": ending, "error": error, "metrics": {}, "wall_times": {}}
+    return {"drawn": {}, "ending": ending, "error": error, "metrics": {}, "wall_times": {}}
 
 
 def _simulated(text: str, overrides: Sequence[str], trust: bool) -> tuple[bool, Result]:
@@ -180,9 +189,15 @@ def _simulated(text: str, overrides: Sequence[str], trust: bool) -> tuple[bool, 
         scenario = changed(base, overrides, trust=trust)
     except ScenarioError as error:
         return False, _without_run(UNBUILDABLE, str(error))
+    drawn: dict[str, Any] = {}
+    if has_distributions(scenario):
+        drawn["random_seed"] = scenario.random_seed
+        with contextlib.suppress(ScenarioError):  # which the run ends with
+            drawn |= sample(scenario)[1]
     tried = attempt(lambda: scenario)
     metrics = {} if tried.run is None else flattened(compute_metrics(tried.run))
     result = {
+        "drawn": drawn,
         "ending": tried.ending,
         "error": tried.message,
         "metrics": {path: value for path, value in metrics.items() if path not in _WALL_TIME_PATHS},
@@ -206,7 +221,11 @@ def _write_tables(folder: Path, spec: SweepSpec, journal: Journal) -> Sweep:
         planned, result = spec.run(number), journal.result(number)
         about = {"run": number, "seed": planned.seed}
         ending = {"ending": result["ending"], "error": result["error"]}
-        return {**about, **planned.values, **ending, **result["metrics"]}
+        drawn = {
+            f"{path} (drawn)" if path in planned.values else path: value
+            for path, value in result["drawn"].items()
+        }
+        return {**about, **planned.values, **drawn, **ending, **result["metrics"]}
 
     def counted_row(number: int) -> Row:
         counted = row(number)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydrake.common import RandomGenerator
 
 from drake_nonstop.scenario.overrides import (
     as_override,
@@ -21,6 +22,7 @@ from drake_nonstop.validation import StrictFields, is_number, require, require_s
 
 _LARGEST = 1e12  # of the numbers of a distribution
 _MAX_RUNS = 100_000  # of a sweep
+_RANDOM_SEED = "random_seed"  # the scenario's field
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +30,8 @@ class PlannedRun:
     """One run of a sweep: the seed of its draws, and how it changes the scenario.
 
     `seed` is also the value of a path that is drawn as `{seed: true}`; `values` are those of the
-    grid and the draws by their paths, and `overrides` all changes of the scenario.
+    grid and the draws by their paths, and `overrides` all changes of the scenario. With `runs`
+    its `random_seed` is among these.
     """
 
     number: int
@@ -41,9 +44,12 @@ class PlannedRun:
 class SweepSpec(StrictFields):
     """The runs of a sweep.
 
-    Every combination of the values in `grid` is run; where there are `draws`, it is run `runs`
-    times with values drawn at random. Draw k depends on `seed` and k only and is the same in
-    every combination, so that combinations can be compared.
+    Every combination of the values in `grid` is run, or `runs` times each, with values drawn at
+    random: those of `draws`, and those of the distributions that the scenario's fields hold. Draw
+    k depends on `seed` and k only and is the same in every combination, so that combinations can
+    be compared. Its `random_seed`, for the scenario's distributions, is the k-th number of
+    `RandomGenerator(seed)`: what the k-th call of `make_simulator` takes from that generator.
+    Without `runs` the scenario's own `random_seed` holds for all of them.
 
     A path is one of the resolved scenario, as in `load_scenario`. Its distribution is one
     of `{uniform: [low, high]}`, `{normal: [mean, standard deviation]}`,
@@ -79,7 +85,9 @@ class SweepSpec(StrictFields):
             remedy = f"give a mapping from paths to {what}"
             is_mapping = isinstance(entries, dict) and "_tag" not in entries
             require(is_mapping, f"{source}.{name}", entries, remedy)
-        require(self.grid or self.draws, source, "neither", "give grid, draws or both")
+        is_given = self.grid or self.draws or self.runs is not None
+        remedy = "give grid, draws, or runs of a scenario with distributions"
+        require(is_given, source, "none of them", remedy)
         for path, values in self.grid.items():
             require(isinstance(path, str), f"{source}.grid", path, "give paths as texts")
             require_choices(values, f"{source}.grid.{path}")
@@ -89,11 +97,12 @@ class SweepSpec(StrictFields):
             require(path not in self.grid, where, "in grid too", "give it in one of the two")
             _require_distribution(distribution, where)
         where, runs = f"{source}.runs", self.runs
-        if self.draws:
+        if self.draws or runs is not None:
             is_count = isinstance(runs, int) and not isinstance(runs, bool) and runs > 0
             require(is_count, where, runs, "give the number of draws, 1 or more")
-        else:
-            require(runs is None, where, runs, "leave it out where there are no draws")
+            paths = [*self.grid, *self.draws, *(text.split("=")[0] for text in self.overrides)]
+            remedy = "leave it out: each of the runs has a seed of its own, which follows from seed"
+            require(_RANDOM_SEED not in paths, f"{source}, path", _RANDOM_SEED, remedy)
         count = math.prod(map(len, self.grid.values())) * (runs or 1)
         require(count <= _MAX_RUNS, source, f"{count} runs", f"give at most {_MAX_RUNS}")
 
@@ -118,7 +127,14 @@ class SweepSpec(StrictFields):
             ((kind, parameters),) = distribution.items()
             values[path] = seed if kind == "seed" else _DRAW[kind](random, parameters)
         overrides = [*self.overrides, *(as_override(*item) for item in values.items())]
+        if self.runs is not None:
+            overrides.append(as_override(_RANDOM_SEED, self._random_seeds[draw]))
         return PlannedRun(number=number, seed=seed, values=values, overrides=overrides)
+
+    @cached_property
+    def _random_seeds(self) -> list[int]:
+        generator = RandomGenerator(self.seed)
+        return [generator() for _ in range(self.runs or 0)]
 
     @cached_property
     def _combinations(self) -> list[dict[str, Any]]:
@@ -133,7 +149,7 @@ def read_sweep(file: str | Path) -> SweepSpec:
     """
     path = Path(file)
     known = ("description", "seed", "runs", "overrides", "grid", "draws")
-    remedy = f"give grid, draws or both, and if needed {', '.join(known[:4])}"
+    remedy = f"give grid, draws or runs, and if needed {', '.join(known[:4])}"
     return SweepSpec(**read_mapping(path, "SPEC", known, remedy), source=path.name)
 
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     Adder,
-    AffineSystem,
     Gain,
     Integrator,
+    MatrixGain,
     Selector,
     SelectorParams,
 )
@@ -65,10 +65,12 @@ class LinearBlock(DiagramBlock):
         self.equations = Equations(function, dict(inputs), dict(made), initial, state_port)
         matrix = _matrix(self.equations)
         builder = DiagramBuilder()
-        shown = made or ([state_port] if state_port else [])
-        is_one_system = len(read) == len(shown) == 1 and not (made and state_port)
-        if is_one_system and matrix.size <= _LARGEST_DENSE:
-            _build_dense(builder, matrix, initial, *read, *shown)
+        # Not with a state: a LinearSystem draws one from the generator of a Monte Carlo study.
+        is_one_product = len(read) == len(made) == 1 and state_size == 0
+        if is_one_product and matrix.size <= _LARGEST_DENSE:
+            product = builder.AddNamedSystem("linear", MatrixGain(matrix))
+            builder.ExportInput(product.get_input_port(), *read)
+            builder.ExportOutput(product.get_output_port(), *made)
             builder.BuildInto(self)
             return
         terms = _terms(matrix)
@@ -103,33 +105,6 @@ class LinearBlock(DiagramBlock):
             if state_port:
                 builder.ExportOutput(state.get_output_port(), state_port)
         builder.BuildInto(self)
-
-
-def _build_dense(
-    builder: DiagramBuilder, matrix: NDArray, initial: NDArray, input_name: str, output_name: str
-) -> None:
-    """One AffineSystem with one input, and one output: that of the matrix, or else the state.
-
-    Unlike a LinearSystem it keeps the default of its state where it is cloned or converted.
-    """
-    states = len(initial)
-    columns = matrix.shape[1] - states
-    rates, outputs = np.split(matrix, [states])
-    if not len(outputs):
-        outputs = np.eye(states, columns + states, columns)
-    system = AffineSystem(
-        A=rates[:, columns:],
-        B=rates[:, :columns],
-        f0=np.zeros(states),
-        C=outputs[:, columns:],
-        D=outputs[:, :columns],
-        y0=np.zeros(len(outputs)),
-    )
-    if states:
-        system.configure_default_state(initial)
-    builder.AddNamedSystem("linear", system)
-    builder.ExportInput(system.get_input_port(), input_name)
-    builder.ExportOutput(system.get_output_port(), output_name)
 
 
 def _matrix(equations: Equations) -> NDArray:

@@ -10,7 +10,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
 from drake_nonstop.optimization.problem_config import LEAST_BOUND
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.interruption import current_interruption
 from drake_nonstop.simulation.run import (
     Run,
@@ -73,6 +73,7 @@ def run_live(
         realtime_rate,
         "give a finite number that is not negative, 0 for as fast as possible",
     )
+    scenario, _ = sample(scenario)
     controls = _Controls(meshcat, scenario, realtime_rate)
     try:
         while True:

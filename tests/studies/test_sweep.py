@@ -14,11 +14,13 @@ import numpy as np
 import pyarrow.parquet as parquet
 import pytest
 from distributed import LocalCluster
+from pydrake.common import RandomGenerator
 
 import drake_nonstop
 from drake_nonstop import SweepInterrupted, SweepSpec, load_scenario, read_sweep
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED
 from drake_nonstop.cli.main import main
+from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, UNBUILDABLE, SerialExecutor
 from drake_nonstop.studies.run_all import FAILED as BLOCK_FAILED
 from drake_nonstop.studies.sweep import JOURNAL, TABLE, WALL_TIMES
@@ -84,6 +86,7 @@ class TestSpec:
         assert first.overrides == [
             *("phase=!PaperPhase {}", "simulation_duration=2", "a.b=1", "phase=!PaperPhase {}"),
             *(f"c={first.values['c']!r}", f"d={first.seed}"),
+            f"random_seed={RandomGenerator(7)()}",
         ]
         assert second.values["a.b"] == 1
         assert second.values["c"] != first.values["c"]
@@ -93,8 +96,8 @@ class TestSpec:
     @pytest.mark.parametrize(
         ("text", "words"),
         [
-            ("", "give grid, draws or both"),
-            ("seed: 1", "give grid, draws or both"),
+            ("", "give grid, draws or runs"),
+            ("seed: 1", "give grid, draws, or runs"),
             ("grids: {a: [1]}", "mine.yaml.grids = "),
             ("seed: -1\ngrid: {a: [1]}", "mine.yaml.seed = -1"),
             ("seed: 1.5\ngrid: {a: [1]}", "mine.yaml.seed = 1.5"),
@@ -104,7 +107,9 @@ class TestSpec:
             ("grid: [1]", "give a mapping from paths to lists"),
             ("grid: {a: 1}", "mine.yaml.grid.a = 1: give a list of values"),
             ("grid: {a: [1, 1]}", "give each value once"),
-            ("grid: {a: [1]}\nruns: 3", "leave it out"),
+            ("grid: {a: [1]}\nruns: 0", "mine.yaml.runs = 0"),
+            ("grid: {random_seed: [1]}\nruns: 3", "path = random_seed: leave it out"),
+            ("overrides: [random_seed=1]\nruns: 3", "path = random_seed: leave it out"),
             ("draws: [1]\nruns: 1", "give a mapping from paths to distributions"),
             ("draws: {a: {uniform: [0, 1]}}", "mine.yaml.runs = None"),
             ("draws: {a: {uniform: [0, 1]}}\nruns: 0", "mine.yaml.runs = 0"),
@@ -217,6 +222,43 @@ class TestTable:
         assert str(schema.field("optimization_layer.frequency").type) == "int64"
         assert rows(tmp_path)[0]["pattern.phases"] == "[0.0, 1.5, 0.0, 1.5]"
         assert rows(tmp_path)[0]["carriers.n"] == 4
+
+    def test_distributions_of_the_scenario_are_drawn_for_each_run(self, scenario, tmp_path):
+        wind = "!Wind {force: !UniformVector {min: [0, 0, 0], max: [1, 1, 0]}}"
+        base = changed(scenario, ["simulated.load_mass=!Gaussian {mean: 1, stddev: 0}"])
+        path = "simulated.load_mass.stddev"
+        spec = SweepSpec(
+            seed=4, runs=2, grid={path: [0.0, 0.1]}, overrides=[f"load_disturbance={wind}"]
+        )
+        sweep(base, spec, tmp_path, executor=SerialExecutor())
+        table = rows(tmp_path)
+        generator = RandomGenerator(4)
+        seeds = [generator() for _ in range(2)]
+        assert [row["random_seed"] for row in table] == 2 * seeds
+        for k, row in enumerate(table):
+            alone = changed(base, spec.run(k).overrides).sampled()
+            assert row["simulated.load_mass"] == alone.simulated.load_mass
+            force = [row[f"load_disturbance.force[{i}]"] for i in range(3)]
+            assert force == alone.load_disturbance.force
+        masses = [row["simulated.load_mass"] for row in table]
+        assert masses[:2] == [1, 1]
+        assert 1 != masses[2] != masses[3]
+        assert table[0]["load_disturbance.force[0]"] == table[2]["load_disturbance.force[0]"]
+
+    def test_runs_without_anything_to_draw_are_refused(self, scenario, tmp_path):
+        spec = SweepSpec(runs=3, grid={"system.load_mass": [1, 2]})
+        with pytest.raises(ScenarioError, match=r"spec.runs = 3: all runs of a combination would"):
+            sweep(scenario, spec, tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+
+    def test_a_number_that_cannot_be_used_is_a_row(self, scenario, tmp_path):
+        path = "simulated.load_mass"
+        spec = SweepSpec(runs=1, overrides=[f"{path}=!Deterministic {{value: -1}}"])
+        sweep(scenario, spec, tmp_path, executor=SerialExecutor())
+        (row,) = rows(tmp_path)
+        assert row["ending"] == UNBUILDABLE
+        assert f"{path} = -1.0: give" in row["error"]
+        assert row[path] == -1
 
     def test_wall_times_stand_apart(self, serial):
         names = parquet.read_schema(serial / WALL_TIMES).names
@@ -362,7 +404,7 @@ class TestCommand:
         [
             ("grid: {system.lode_mass: [1, 2]}", "there is no lode_mass"),
             ("grid: {phase: [my_own.Phase]}", "--trust"),
-            ("grid: {}", "give grid, draws or both"),
+            ("grid: {}", "give grid, draws, or runs"),
         ],
     )
     def test_bad_input_is_reported_and_leaves_no_folder(self, tmp_path, capsys, text, words):

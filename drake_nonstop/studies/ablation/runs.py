@@ -85,7 +85,8 @@ def ablate(
     texts, first_error = {}, None
     for k, row in enumerate(rows):
         try:
-            texts[k] = dump_scenario(changed(scenario, row.overrides, trust=trust))
+            variant = changed(scenario, row.overrides, trust=trust)
+            texts[k] = dump_scenario(variant.sampled())
         except ScenarioError as error:
             if k == 0:
                 raise

@@ -1,0 +1,267 @@
+"""Drake's distributions in the place of a scenario's numbers, and the numbers drawn from them.
+
+In YAML a distribution is a tagged mapping such as `!Uniform {min: 0.7, max: 1.3}`, in Python an
+object of `pydrake.common.schema`.
+"""
+
+import copy
+import copyreg
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pydrake.common import RandomGenerator
+from pydrake.common.schema import (
+    Deterministic,
+    DeterministicVector,
+    DeterministicVectorX,
+    Distribution,
+    DistributionVector,
+    Gaussian,
+    GaussianVector,
+    GaussianVectorX,
+    Sample,
+    ToDistribution,
+    ToDistributionVector,
+    Uniform,
+    UniformDiscrete,
+    UniformVector,
+    UniformVectorX,
+)
+
+from drake_nonstop.scenario.by_fields import reduced
+from drake_nonstop.scenario.yaml_text import dump_plain
+from drake_nonstop.validation import fields_of, require, require_known, require_type
+
+# Called with the path, the distribution and the type of the field; returns what takes its place.
+Change = Callable[[str, Any, Any], Any]
+
+_KINDS: dict[str, Any] = {
+    "Deterministic": Deterministic,
+    "DeterministicVector": DeterministicVectorX,
+    "Gaussian": Gaussian,
+    "GaussianVector": GaussianVectorX,
+    "Uniform": Uniform,
+    "UniformVector": UniformVectorX,
+    "UniformDiscrete": UniformDiscrete,
+}
+_SIZED = (DeterministicVector, GaussianVector, UniformVector)  # by the sizes 1 to 6
+
+for _class in (*_KINDS.values(), *(vector[size] for vector in _SIZED for size in range(1, 7))):
+    copyreg.pickle(_class, reduced)
+
+_FIELDS: dict[str, tuple[str, ...]] = {
+    "Deterministic": ("value",),
+    "Gaussian": ("mean", "stddev"),
+    "Uniform": ("min", "max"),
+    "UniformDiscrete": ("values",),
+}
+_NUMBER = "give a number, or a distribution of one, such as !Uniform {min: 0, max: 1}"
+_NUMBERS = (
+    "give a list in [ ], whose entries may be distributions, or a distribution of a list, such as "
+    "!UniformVector {min: [0, 0], max: [1, 1]}"
+)
+_WHOLE = (
+    "give whole numbers, !UniformDiscrete {values: [1, 2]}, or !Uniform {min: 0, max: 10}, of "
+    "whose numbers the whole part is taken"
+)
+
+
+def is_distribution(value: Any) -> bool:
+    """Whether a value is a distribution of `pydrake.common.schema`."""
+    return isinstance(value, (Distribution, DistributionVector))
+
+
+def is_entry(value: Any) -> bool:
+    """Whether a value of a scenario's tree stands for a distribution."""
+    return isinstance(value, dict) and str(value.get("_tag")).removeprefix("!") in _KINDS
+
+
+def to_entry(distribution: Any) -> dict[str, Any]:
+    """A distribution as it stands in a scenario's tree."""
+    name = _name(distribution)
+    values = {field: getattr(distribution, field) for field in _FIELDS[name.replace("Vector", "")]}
+    return {
+        "_tag": f"!{name}",
+        **{field: np.asarray(value).tolist() for field, value in values.items()},
+    }
+
+
+def from_entry(path: str, entry: dict[str, Any]) -> Any:
+    """The distribution that an entry of a scenario's tree stands for.
+
+    Raises:
+        ScenarioError: a field of it is missing, unknown, or not of its type.
+    """
+    name = entry["_tag"].removeprefix("!")
+    fields = _FIELDS[name.replace("Vector", "")]
+    is_list = "Vector" in name or name == "UniformDiscrete"
+    values = {field: value for field, value in entry.items() if field != "_tag"}
+    for field, value in values.items():
+        require_known(field, fields, f"{path}.{field}", value)
+        require_type(f"{path}.{field}", value, list[float] if is_list else float)
+    is_whole = set(values) == set(fields)
+    require(is_whole, path, dump_plain(entry), f"give {' and '.join(fields)}")
+    return _KINDS[name](**values)
+
+
+def require_usable(path: str, distribution: Any, kind: Any) -> None:
+    """Raises ScenarioError for a distribution that nothing can be drawn from for such a field.
+
+    Args:
+        path: of the field.
+        distribution: what stands in it.
+        kind: the field's type.
+    """
+    kind = _without_none(kind)
+    entry = to_entry(distribution)
+    text = dump_plain(entry)
+    is_vector = isinstance(distribution, DistributionVector)
+    if kind in (float, int):
+        require(not is_vector, path, text, _NUMBER)
+    elif kind is np.ndarray or kind == list[float]:
+        require(is_vector, path, text, _NUMBERS)
+    elif typing.get_origin(kind) is list:
+        require(False, path, text, "give a list in [ ]; its entries may be distributions")
+    else:
+        only = "a distribution may stand for a number or a list of numbers only"
+        require(False, path, text, f"give what is no distribution; {only}")
+    values = {name: np.atleast_1d(value) for name, value in entry.items() if name != "_tag"}
+    for name, numbers in values.items():
+        field, shown = f"{path}.{name}", dump_plain(entry[name])
+        require(numbers.size > 0, field, shown, "give at least one number")
+        require(np.all(np.isfinite(numbers)), field, shown, "give finite numbers")
+    if "stddev" in values:
+        field, shown = f"{path}.stddev", dump_plain(entry["stddev"])
+        least = np.min(values["stddev"])
+        require(least >= 0, field, shown, "give a standard deviation from 0 on")
+        sizes = values["mean"].size, 1
+        remedy = f"give as many numbers as mean has, {sizes[0]}, or one for all of them"
+        require(values["stddev"].size in sizes, field, shown, remedy)
+    if "min" in values:
+        field, shown = f"{path}.min", dump_plain(entry["min"])
+        size = values["max"].size
+        remedy = f"give as many numbers as max has, {size}"
+        require(values["min"].size == size, field, shown, remedy)
+        is_below = np.all(values["min"] <= values["max"])
+        remedy = f"give at most max, which is {dump_plain(entry['max'])}"
+        require(is_below, field, shown, remedy)
+    if kind is int:
+        are_whole = all(np.all(numbers == np.floor(numbers)) for numbers in values.values())
+        fits = isinstance(distribution, Uniform) or (are_whole and "stddev" not in values)
+        require(fits, path, text, _WHOLE)
+
+
+def mean(path: str, distribution: Any, kind: Any) -> Any:
+    """The mean of a distribution for a field of that type.
+
+    Raises:
+        ScenarioError: see `require_usable`.
+    """
+    require_usable(path, distribution, kind)
+    if isinstance(distribution, DistributionVector):
+        return ToDistributionVector(distribution).Mean().tolist()
+    value = ToDistribution(distribution).Mean()
+    return math.floor(value) if _without_none(kind) is int else value
+
+
+def draw(distribution: Any, kind: Any, generator: RandomGenerator) -> Any:
+    """A number, or a list of numbers, for a field of that type; for int its whole part."""
+    if isinstance(distribution, DistributionVector):
+        return ToDistributionVector(distribution).Sample(generator).tolist()
+    value = Sample(distribution, generator)
+    return math.floor(value) if _without_none(kind) is int else value
+
+
+def mapped(value: Any, kind: Any, path: str, change: Change) -> Any:
+    """A value of a field of that type with `change` of each distribution in it.
+
+    Dataclasses and lists are gone through in the order of their fields and entries; those
+    without any distribution are not copied.
+    """
+    if is_distribution(value):
+        return change(path, value, kind)
+    if isinstance(value, list):
+        options = typing.get_args(_without_none(kind))
+        item = options[0] if options else Any
+        items = [mapped(part, item, f"{path}[{i}]", change) for i, part in enumerate(value)]
+        return items if any(a is not b for a, b in zip(items, value, strict=True)) else value
+    if not dataclasses.is_dataclass(value) or isinstance(value, type):
+        return value
+    copied = value
+    for field in fields_of(type(value)):
+        old = getattr(value, field.name, None)
+        if isinstance(old, (int, float, str)):
+            continue
+        new = mapped(old, field.type, f"{path}.{field.name}".removeprefix("."), change)
+        if new is not old:
+            copied = copy.copy(value) if copied is value else copied
+            setattr(copied, field.name, new)
+    return copied
+
+
+def has_distributions(config: Any) -> bool:
+    """Whether a field of a dataclass holds a distribution."""
+    return mapped(config, type(config), "", lambda *_: 0) is not config
+
+
+def with_stand_ins(tree: Any) -> Any:
+    """A part of a scenario's tree with 0 or [] in place of its distributions."""
+    if is_entry(tree):
+        return [] if "Vector" in tree["_tag"] else 0
+    if isinstance(tree, dict):
+        return {key: with_stand_ins(value) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [with_stand_ins(value) for value in tree]
+    return tree
+
+
+def with_means(path: str, tree: Any, kind: Any) -> Any:
+    """The tree's value of a field of that type with the means of its distributions.
+
+    Raises:
+        ScenarioError: see `from_entry` and `require_usable`.
+    """
+    if is_entry(tree):
+        return mean(path, from_entry(path, tree), kind)
+    if isinstance(tree, list):
+        options = typing.get_args(_without_none(kind))
+        item = options[0] if options else Any
+        return [with_means(f"{path}[{i}]", part, item) for i, part in enumerate(tree)]
+    if isinstance(tree, dict) and "_tag" in tree and _without_none(kind) in (int, float):
+        remedy = f"give a number, or a distribution: {', '.join(f'!{name}' for name in _KINDS)}"
+        require(False, path, dump_plain(tree), remedy)
+    return tree
+
+
+def restore(config: Any, tree: dict[str, Any]) -> None:
+    """Puts the distributions of a tree into what was made of the tree `with_stand_ins`."""
+    for key, value in tree.items():
+        if isinstance(value, dict) and not is_entry(value):
+            restore(getattr(config, key, None), value)
+        elif with_stand_ins(value) != value:
+            setattr(config, key, _objects(value))
+
+
+def _objects(tree: Any) -> Any:
+    if isinstance(tree, list):
+        return [_objects(value) for value in tree]
+    return from_entry("distribution", tree) if is_entry(tree) else tree
+
+
+def _name(distribution: Any) -> str:
+    """Its tag: the class's name, without the size of a vector."""
+    name, vector, _ = type(distribution).__name__.partition("Vector")
+    return name + vector
+
+
+def _without_none(kind: Any) -> Any:
+    """The type of a field that may be None as well."""
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        options = [option for option in typing.get_args(kind) if option is not types.NoneType]
+        return options[0] if len(options) == 1 else kind
+    return kind

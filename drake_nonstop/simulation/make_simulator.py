@@ -1,0 +1,61 @@
+"""A scenario to a Simulator of Drake's, which is ready to run."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import DiagramBuilder, System
+
+from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
+from drake_nonstop.model.system import Model
+from drake_nonstop.scenario.schema import Scenario, sample
+from drake_nonstop.simulation.monitor import SampleInstants
+from drake_nonstop.simulation.simulate import with_chosen_step
+from drake_nonstop.systems.wiring import output_names
+from drake_nonstop.validation import require
+
+
+def make_simulator(
+    scenario: Scenario,
+    generator: RandomGenerator | None = None,
+    **replacements: Callable[[Model], System] | Any,
+) -> Simulator:
+    """A Simulator of a scenario's loop, which flies as `simulate` does, without its records.
+
+    `functools.partial(make_simulator, scenario)` is what `MonteCarloSimulation` and
+    `RandomSimulation` of pydrake.systems.analysis take as `make_simulator`. What is drawn for the
+    scenario's distributions, and the equilibrium that follows, are the declared defaults of the
+    loop: both functions reset the context to them. Its k-th call with a generator of seed s flies
+    what run k of a sweep with `seed: s` does, to the bit.
+
+    The root diagram has each signal of the loop as an output port of its name.
+
+    Args:
+        scenario: what to run.
+        generator: as of `Scenario.sampled`: one number of it is the `random_seed` of this
+            simulator. None: the scenario's own.
+        replacements: as of `make_nonstop`.
+
+    Raises:
+        ScenarioError: the scenario cannot be built, or what was drawn for it.
+    """
+    for name, block in replacements.items():
+        require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
+    scenario, replacements = replaced(scenario, replacements)
+    scenario, _ = sample(scenario, generator)
+    nonstop = make_nonstop(scenario, **replacements)
+    config = with_chosen_step(scenario, nonstop, nonstop.CreateDefaultContext()).config
+    if scenario.fused_plant and config is not scenario.simulator_config:  # its own steps
+        shorter = dataclasses.replace(scenario, simulator_config=config)
+        nonstop = make_nonstop(shorter, **replacements)
+    builder = DiagramBuilder()
+    builder.AddSystem(nonstop)
+    builder.AddNamedSystem("sample_instants", SampleInstants())
+    for name in output_names(nonstop):
+        builder.ExportOutput(nonstop.GetOutputPort(name), name)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    ApplySimulatorConfig(config, simulator)
+    return simulator
