@@ -7,6 +7,7 @@ from pydrake.systems.framework import (
     Diagram,
     DiagramBuilder,
     InputPort,
+    InputPortIndex,
     OutputPort,
     PortDataType,
     System,
@@ -285,10 +286,10 @@ def unconnected(diagram: Diagram, context: Context) -> str:
         if not port.HasValue(context):
             name = port.get_name()
             return f"{name} = no value: connect the diagram's input port, or fix its value"
-    connected = {(reader.get_name(), index) for reader, index in diagram.connection_map()}
+    connected = {(reader.get_name(), int(index)) for reader, index in diagram.connection_map()}
     for i in range(diagram.num_input_ports()):
-        for reader, index in diagram.GetInputPortLocators(i):
-            connected.add((reader.get_name(), index))
+        for reader, index in diagram.GetInputPortLocators(InputPortIndex(i)):
+            connected.add((reader.get_name(), int(index)))
     for block in diagram.GetSystems():
         for index, port in enumerate(input_names(block)):
             is_optional = port in getattr(block, "optional_inputs", ())
