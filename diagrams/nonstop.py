@@ -219,7 +219,7 @@ class LoopConfig(Protocol):
     pattern: PatternConfig
     control_period: float
     fused_plant: bool
-    simulator: SimulatorConfig
+    simulator_config: SimulatorConfig
 
     def check(self) -> None:
         """Raises ScenarioError for the first field that cannot be used."""
@@ -321,7 +321,7 @@ def make_blocks(
         made = sizes.keys() & wiring.output_sizes(block).keys()
         wiring.check_outputs(name, block, {signal: sizes[signal] for signal in made}, {})
     if scenario.fused_plant:
-        config = scenario.simulator
+        config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
     if scenario.control_period > 0:
         blocks[SAMPLE_AND_HOLD] = SampleAndHold(believed)

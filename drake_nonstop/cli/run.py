@@ -131,7 +131,7 @@ def run_into(
     is_new = not os.path.lexists(folder)
     own_code = own_code_of(dump_scenario(scenario))  # before somebody edits it
     code = 0
-    progress = None if is_quiet else RunProgress(scenario.name, scenario.duration)
+    progress = None if is_quiet else RunProgress(scenario.name, scenario.simulation_duration)
 
     def runs() -> Iterator[Run]:
         if not is_live:
@@ -242,7 +242,7 @@ def _write_somewhere(run: Run, folder: Path, own_code: str | None) -> dict[str, 
 def _least_size(scenario: Scenario) -> float:
     """Bytes that the results of a scenario take at least, roughly: its signals, compressed."""
     columns = 126 + 27 * len(scenario.system.attachments)
-    samples = scenario.duration / SIGNAL_PERIOD
+    samples = scenario.simulation_duration / SIGNAL_PERIOD
     return 4 * columns * samples
 
 

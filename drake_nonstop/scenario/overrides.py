@@ -9,7 +9,7 @@ from typing import Any
 
 from drake_nonstop.diagrams.box import kept_parameters
 from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.scenario.schema import CHOICES, Scenario
+from drake_nonstop.scenario.schema import CHOICES, FORMER_FIELDS, Scenario
 from drake_nonstop.scenario.tree import (
     Tree,
     Trusted,
@@ -31,7 +31,9 @@ def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False
         ScenarioError: a path or value cannot be used.
     """
     is_list = isinstance(overrides, Iterable) and not isinstance(overrides, str)
-    require(is_list, "overrides", overrides, 'give a list of texts, such as ["duration=5"]')
+    require(
+        is_list, "overrides", overrides, 'give a list of texts, such as ["simulation_duration=5"]'
+    )
     tree = to_tree(scenario)
     before = copy.deepcopy(tree)
     trusted = True if trust else own_tags(tree)
@@ -95,6 +97,8 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
     require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
     value = parse_plain(text, f"--set {path}", path)
     *parents, last = path.split(".")
+    former = path.partition(".")[0]
+    require(former not in FORMER_FIELDS, "--set", override, FORMER_FIELDS.get(former, ""))
     branch: Any = tree
     for i, key in enumerate(parents):
         parts = [part for part in branch if part != "_tag"]

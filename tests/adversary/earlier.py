@@ -22,7 +22,10 @@ def finished() -> Path:
 
     folder = Path(tempfile.mkdtemp(prefix="adversary-finished-"))
     write_results(
-        simulate(load_scenario("line", ["duration=0.05"])), folder, figures=False, replay=False
+        simulate(load_scenario("line", ["simulation_duration=0.05"])),
+        folder,
+        figures=False,
+        replay=False,
     )
     (folder / "notes.txt").write_text("mine")
     return folder
