@@ -374,7 +374,9 @@ def _checked_extra(extra: Mapping[str, Any] | None) -> Mapping[str, Any]:
             remedy = "the loop has a block of that name; give another one"
         require(not taken, "extra", name, remedy)
         remedy = "name each block by a text without colons and dots"
-        require(isinstance(name, str) and name and not {":", "."} & set(name), "extra", name, remedy)
+        require(
+            isinstance(name, str) and name and not {":", "."} & set(name), "extra", name, remedy
+        )
     return extra or {}
 
 

@@ -1,6 +1,7 @@
 """Builds a Diagram from named blocks: wires follow from the names of the ports."""
 
 from collections.abc import Collection, Mapping
+from itertools import pairwise
 
 from pydrake.systems.framework import (
     Context,
@@ -265,18 +266,27 @@ def require_signals(diagram: Diagram, sizes: Sizes, field: str) -> None:
         )
 
 
+def nested(diagram: Diagram, signals: Collection[str]) -> list[Diagram]:
+    """A diagram that exports signals, and those inside of it that make all of them.
+
+    The outermost is the first, and the last is that whose own subsystems make them.
+    """
+    found = [diagram]
+    while True:
+        maker = maker_of(found[-1], next(iter(signals)))
+        if type(maker) is not Diagram or not all(map(maker.HasOutputPort, signals)):
+            return found
+        found.append(maker)
+
+
 def innermost(
     diagram: Diagram, context: Context, signals: Collection[str]
 ) -> tuple[Diagram, Context]:
-    """The diagram whose own subsystems make signals, and its context.
-
-    It is the diagram itself, or one inside of it all of whose signals it exports.
-    """
-    maker = maker_of(diagram, next(iter(signals)))
-    while type(maker) is Diagram and all(maker.HasOutputPort(signal) for signal in signals):
-        context = diagram.GetMutableSubsystemContext(maker, context)
-        diagram, maker = maker, maker_of(maker, next(iter(signals)))
-    return diagram, context
+    """The last of the diagrams that are `nested`, and its context in that of the first."""
+    diagrams = nested(diagram, signals)
+    for outer, inner in pairwise(diagrams):
+        context = outer.GetMutableSubsystemContext(inner, context)
+    return diagrams[-1], context
 
 
 def unconnected(diagram: Diagram, context: Context) -> str:

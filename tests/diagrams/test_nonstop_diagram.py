@@ -301,10 +301,7 @@ def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wro
     start = f"load_disturbance = Ports with inputs {given}: {wrong} not among the signals "
     signals = {s: k for box in BOXES.values() for s, k in box.sizes(4, 4).items()}
     unknown = [name for name in inputs if name not in signals]
-    end = (
-        "; rename or resize the ports, or give make_nonstop or connect_by_name "
-        f"inputs={unknown}"
-    )
+    end = f"; rename or resize the ports, or give make_nonstop or connect_by_name inputs={unknown}"
     assert message.startswith(start)
     assert message.endswith(end)
     absent = {"diagnostics", "solve_time"}  # of the optimizer, which is not there
