@@ -159,6 +159,7 @@ BOXES: dict[str, Box] = {
 # Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
 # plant in place of its boxes.
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
+EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
 PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
     SAMPLE_AND_HOLD: Place(1, 2, 1, Kind.ADDITION),
     FUSED_PLANT: Place(2, 3, -1, Kind.PLANT),
@@ -399,7 +400,7 @@ def replaced(scenario: _Loop, replacements: Mapping[str, Any]) -> tuple[_Loop, d
 
     A block class whose module has the dataclass of its parameters, and that dataclass itself,
     stand for a config: the parameters that the block in the box has, too, stay as they are. All
-    others are as in `make_nonstop`.
+    others are as in `make_nonstop`, with `extra` among them.
 
     Raises:
         ScenarioError: there is no box of a name.
@@ -407,6 +408,9 @@ def replaced(scenario: _Loop, replacements: Mapping[str, Any]) -> tuple[_Loop, d
     configs: dict[str, Any] = {}
     others: dict[str, Any] = {}
     for name, entry in replacements.items():
+        if name == EXTRA:
+            others[name] = entry
+            continue
         require(name in BOXES, "replacement", name, f"give one of {', '.join(BOXES)}")
         config = _config_class(entry)
         if config is not None:

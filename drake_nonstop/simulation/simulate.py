@@ -135,9 +135,7 @@ def _simulate(
         require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
     is_second = interruption.collect is not None  # of a run that is there already
     stated = scenario.speed_bound
-    extra = {"extra": replacements.pop("extra")} if "extra" in replacements else {}
     scenario, replacements = replaced(scenario, replacements)
-    replacements |= extra
     arguments = (
         replacements if make_loop is make_nonstop else {"make_loop": make_loop, **replacements}
     )
