@@ -295,6 +295,8 @@ def make_blocks(
     Raises:
         ScenarioError: as `make_nonstop`, but for what concerns the blocks' inputs.
     """
+    is_scenario = callable(getattr(scenario, "check", None))
+    require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
     scenario, others = replaced(scenario, replacements)
     scenario.check()
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
@@ -319,8 +321,9 @@ def make_blocks(
         blocks[name] = _made(f"extra {name}", _maker(name, entry), believed, "")
     sizes = _figure_sizes(believed)
     for name, block in blocks.items():
-        made = sizes.keys() & wiring.output_sizes(block).keys()
-        wiring.check_outputs(name, block, {signal: sizes[signal] for signal in made}, {})
+        made = wiring.output_sizes(block)
+        known = {signal: size for signal, size in sizes.items() if signal in made}
+        wiring.check_outputs(name, block, known, {})
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
@@ -333,7 +336,11 @@ def _made(field: str, make: Any, model: Model, besides: str) -> System:
     """The block that a function makes of a model."""
     remedy = f"give a block's config, a function that takes the model and returns a system{besides}"
     require(callable(make), field, make, remedy)
-    block = make(model)
+    try:
+        block = make(model)
+    except SystemExit:
+        remedy = "give a function that returns a system, and does not exit"
+        raise ScenarioError(f"{field} = SystemExit: {remedy}") from None
     require(
         isinstance(block, System), field, block, "return a LeafSystem or Diagram from the function"
     )

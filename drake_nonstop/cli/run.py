@@ -151,6 +151,8 @@ def run_into(
             The metrics, where the results are, and what of them is missing ("": nothing is).
         """
         interruption.is_writing = True
+        if progress is not None:
+            progress.close()
         place = stopped_folder(folder) if run.stopped else folder
         metrics = _write_somewhere(run, place, own_code)
         interruption.is_writing = False
@@ -176,8 +178,6 @@ def run_into(
         try:
             require_writable(folder, RUN_FILES, room=_least_size(scenario))
             for run in runs():
-                if progress is not None:
-                    progress.close()
                 metrics, place, missing = write(run)
                 if interruption.number:
                     rest = f"the results are in {place}{missing and f', {missing}'}"

@@ -1,5 +1,6 @@
 """What one run is: a tree of dataclasses."""
 
+import copyreg
 import dataclasses
 import functools
 import operator
@@ -19,6 +20,7 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
+from drake_nonstop.scenario.by_fields import comparable, reduced
 from drake_nonstop.scenario.run_limits import RunLimits, check_limits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import (
@@ -31,8 +33,10 @@ from drake_nonstop.validation import (
     require_type,
 )
 
+PATTERN = "pattern"  # the field that is chosen like a box's block, and belongs to several
+
 # What earlier versions had as fields of a scenario, and what has taken their place.
-FORMER_FIELDS = {
+_FORMER_FIELDS = {
     "duration": "duration is called simulation_duration now",
     "simulator": "simulator is called simulator_config now",
     "safe_carrier_distance": "give limits.carrier_distance instead, a share of the reach: of the "
@@ -41,7 +45,17 @@ FORMER_FIELDS = {
     "the two cables' attachments",
 }
 
-PATTERN = "pattern"  # the field that is chosen like a box's block, and belongs to several
+
+def require_current(name: Any, field: str, value: Any) -> None:
+    """Raises ScenarioError for the name of a field that only earlier versions had.
+
+    `field` is what the error message calls it, and `value` what it was to be.
+    """
+    if name in _FORMER_FIELDS:
+        require(False, field, value, _FORMER_FIELDS[name])
+
+
+copyreg.pickle(SimulatorConfig, reduced)
 
 
 def _default_simulator_config() -> SimulatorConfig:
@@ -88,24 +102,49 @@ _Boxes: Any = dataclasses.make_dataclass(
 
 @_dataclass
 class Scenario(_Boxes):
-    """The system, a config per box of the figure, and how to simulate them."""
+    """The system, a config per box of the figure, and how to simulate them.
+
+    It can be copied and pickled, and equals another one whose fields are all equal. Drake's
+    `yaml_dump_typed` writes it, where its blocks are the package's, and `yaml_load_typed` with
+    `schema=Scenario` reads that back; what it reads is checked where it is used, or by `check`.
+    """
 
     scene: SceneConfig = field(default_factory=SceneConfig)
 
     def __new__(cls, *_: Any, **fields: Any) -> "Scenario":
         """Raises ScenarioError for a field of an earlier version, which __init__ would not name."""
-        for name in FORMER_FIELDS.keys() & fields.keys():
-            require(False, f"Scenario.{name}", fields[name], FORMER_FIELDS[name])
+        for name, value in fields.items():
+            require_current(name, f"Scenario.{name}", value)
         return super().__new__(cls)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        require(name not in FORMER_FIELDS, f"Scenario.{name}", value, FORMER_FIELDS.get(name, ""))
+        require_current(name, f"Scenario.{name}", value)
         super().__setattr__(name, value)
 
     def __getattr__(self, name: str) -> Any:
         """Raises AttributeError for what is no attribute."""
-        remedy = FORMER_FIELDS.get(name, f"there is no {name}")
+        remedy = _FORMER_FIELDS.get(name, f"there is no {name}")
         raise AttributeError(f"Scenario.{name}: {remedy}", name=name, obj=self)
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return bool(comparable(self) == comparable(other))
+
+    def _rewrite_yaml_dump_attr_name(self, name: str) -> str:
+        """Drake's `yaml_dump_typed` asks for the attribute that a field's value is in.
+
+        It would take a config of the user's own for that of the package which it inherits from.
+
+        Raises:
+            ScenarioError: the field's value is of a class that `yaml_load_typed` would not make.
+        """
+        if name in CHOICES:
+            config = getattr(self, name)
+            _check_choice(name, config)
+            remedy = "write it with dump_scenario, which can name a block of your own"
+            require(type(config) in CHOICES[name], name, import_path(type(config)), remedy)
+        return name
 
     @property
     def speed_bound(self) -> float:

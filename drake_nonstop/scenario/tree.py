@@ -17,7 +17,7 @@ from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.own_blocks import import_config, is_import_path
 from drake_nonstop.scenario.run_limits import RunLimits
-from drake_nonstop.scenario.schema import CHOICES, FORMER_FIELDS, Scenario, check, check_name
+from drake_nonstop.scenario.schema import CHOICES, Scenario, check, check_name, require_current
 from drake_nonstop.validation import (
     ScenarioError,
     fields_of,
@@ -70,8 +70,8 @@ def from_tree(
         scenario = copy.deepcopy(defaults)
         for key in tree.keys() & vars(scenario).keys():
             setattr(scenario, key, getattr(Scenario(), key))
-    for field_name, remedy in FORMER_FIELDS.items():
-        require(field_name not in tree, f"{name}.{field_name}", tree.get(field_name), remedy)
+    for key, value in tree.items():
+        require_current(key, f"{name}.{key}", value)
     _check_fields(name, tree, Scenario, BASE)
     require("name" not in tree, f"{name}.name", tree.get("name"), "leave it to the file's one key")
     own = {}

@@ -131,8 +131,10 @@ def _simulate(
     )
     remedy = "give a function that takes a scenario and returns a Diagram, such as make_nonstop"
     require(callable(make_loop), "make_loop", make_loop, remedy)
+    remedy = "give a list of functions, such as [show_in(meshcat)]"
+    require(isinstance(viewers, (list, tuple)), "viewers", viewers, remedy)
     for viewer in viewers:
-        require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
+        require(callable(viewer), "viewers", viewer, remedy)
     is_second = interruption.collect is not None  # of a run that is there already
     stated = scenario.speed_bound
     scenario, replacements = replaced(scenario, replacements)
@@ -204,8 +206,6 @@ def _simulate(
             simulator.AdvanceTo(scenario.simulation_duration)
             for visualizer in visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
-    except KeyboardInterrupt:
-        raise RunInterrupted(finished(interrupted())) from None
     except NotFiniteError as error:
         message = (
             f"the run diverged at t = {context.get_time():.4f} s: "
@@ -217,8 +217,8 @@ def _simulate(
     except RecordingError as error:
         message = f"the run stopped at t = {context.get_time():.4f} s: {error}"
         raise RunStopped(message, finished(message)) from None
-    except BaseException as error:  # such as the SystemExit of a block
-        if interruption.number:  # a KeyboardInterrupt that went through C++
+    except BaseException as error:  # such as the SystemExit or KeyboardInterrupt of a block
+        if interruption.number:  # which may have become another error on its way through C++
             raise RunInterrupted(finished(interrupted())) from None
         if isinstance(error, ScenarioError) and context.get_time() == 0:
             raise

@@ -214,7 +214,11 @@ def _judge_work(
 ) -> None:
     """What was finished before the signal has to be there."""
     if name.startswith("run"):
-        if out.exists():
+        stopped = out.with_name("out_stopped")
+        if stopped.exists():  # beside the earlier results, which stay as they are
+            earlier.judge_results(verdict, stopped, flown if times == 1 else 0.0)
+            earlier.judge_results(verdict, out, 0.0)
+        elif out.exists():
             earlier.judge_results(verdict, out, flown if times == 1 else 0.0)
         elif flown > 0 and times == 1:
             verdict.add(LOST_WORK, f"{flown:.3g} s were flown, but there is no folder")
@@ -260,6 +264,7 @@ def _judge_continued(
         if sorted(numbers) != list(range(30)):
             verdict.add(LOST_WORK, f"{name} again: runs {numbers}")
     repeated = [path.parent.name for path, t in variants.items() if path.stat().st_mtime_ns != t]
-    if repeated:
+    # A complete comparison is run again, and so is what the journal did not have yet.
+    if kept and len(repeated) > len(variants) - (len(kept) - 1):
         verdict.add(LOST_WORK, f"{name} again: finished variants {repeated} were run again")
     earlier.judge_tidiness(verdict, out)

@@ -114,9 +114,8 @@ def test_equilibrium_and_fastest_mode_are_those_of_the_separate_blocks():
 )
 def test_what_cannot_be_fused_stays_apart_and_says_why(setting, words):
     scenario = load_scenario("line", [CONSTANT, FUSE, setting])
-    with pytest.warns(ScenarioWarning, match=words) as warned:
+    with pytest.warns(ScenarioWarning, match=f"{words}.*the separate blocks are used instead"):
         nonstop = make_nonstop(scenario)
-    assert "the separate blocks are used instead" in str(warned[0].message)
     assert {block.get_name() for block in nonstop.GetSystems()} >= {
         name for name, box in BOXES.items() if box.is_fused
     }

@@ -162,6 +162,18 @@ def test_what_limits_have_replaced_is_said(capsys):
         assert load_scenario("quintic", [f"{field}=0.3"])
 
 
+def test_the_former_name_of_a_field_is_refused_with_its_name_of_today(capsys):
+    for setting, field, now in (
+        ("duration=5", "quintic.duration = 5: duration", "simulation_duration"),
+        ("simulator.accuracy=0.1", "--set = simulator.accuracy=0.1: simulator", "simulator_config"),
+        ("simulator={}", "quintic.simulator = {}: simulator", "simulator_config"),
+    ):
+        assert main(["run", "quintic", "--set", setting]) == BAD_INPUT
+        assert capsys.readouterr().err == f"drake-nonstop: {field} is called {now} now\n"
+        former = setting.partition("=")[0].partition(".")[0]
+        assert load_scenario("quintic", [setting.replace(former, now, 1)])
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

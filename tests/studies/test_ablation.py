@@ -276,7 +276,8 @@ def test_all_results_are_there_and_nothing_of_the_users_is_lost(compared):
     assert contents(folder / "as_it_is") == RUN | {"notes.txt"}
     assert contents(folder / "without_optimization") == RUN
     for name in PLOTS:
-        assert Image.open(folder / name).width > 1000
+        with Image.open(folder / name) as picture:
+            assert picture.width > 1000
 
 
 def test_the_csv_holds_every_metric_to_the_last_digit(compared):

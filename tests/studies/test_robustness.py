@@ -29,7 +29,8 @@ def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     assert all(case["ending"] == "completed" for case in cases)
     none, *others = (case["metrics"]["load.position_error_mean_m"] for case in cases)
     assert all(error > 1.5 * none for error in others)
-    assert Image.open(tmp_path / "robustness.png").width > 300
+    with Image.open(tmp_path / "robustness.png") as picture:
+        assert picture.width > 300
 
 
 def test_the_outcome_and_the_warnings_of_each_case_are_said_with_it(tmp_path, capfd, monkeypatch):
