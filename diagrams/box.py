@@ -144,4 +144,5 @@ def kept_parameters(
 
 def import_path(config: type) -> str:
     """The name of a block outside the package: "module.X" for the dataclass XConfig."""
-    return f"{config.__module__}.{config.__name__.removesuffix('Config')}"
+    module = config.__module__.replace("__mp_main__", "__main__")  # in a process of a study
+    return f"{module}.{config.__name__.removesuffix('Config')}"

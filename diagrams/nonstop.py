@@ -13,13 +13,13 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
 import copy
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import is_dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
-from pydrake.systems.framework import Diagram, System
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from drake_nonstop.blocks import (
     cables,
@@ -36,7 +36,7 @@ from drake_nonstop.blocks import (
     phase,
     wrench_controller,
 )
-from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.box import (
     Box,
     Kind,
@@ -163,6 +163,7 @@ BOXES: dict[str, Box] = {
 # Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
 # plant in place of its boxes.
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
+EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
 PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
     SAMPLE_AND_HOLD: Place(1, 2, 1, Kind.ADDITION),
     FUSED_PLANT: Place(2, 3, -1, Kind.PLANT),
@@ -234,11 +235,16 @@ class LoopConfig(Protocol):
         ...
 
 
+Maker = Callable[[Model], System]  # of a block, such as its class
+
+
 def make_nonstop(
     scenario: LoopConfig,
     *,
     at_equilibrium: bool = True,
-    **replacements: Callable[[Model], System] | Any,
+    extra: Mapping[str, Maker | Any] | None = None,
+    inputs: Collection[str] = (),
+    **replacements: Maker | Any,
 ) -> Diagram:
     """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
 
@@ -249,44 +255,45 @@ def make_nonstop(
     New contexts of the diagram start at its equilibrium, see `set_equilibrium`. Where a block's
     default state cannot be set once it is built (`diagrams/plant_states.py` says how it can), all
     of them are made a second time, with the equilibrium in the plant's `Model`; a ScenarioWarning
-    names a block that starts from another state nevertheless. Where a box is left out there may be
-    no equilibrium before its signals are connected: load and carriers then are at the origin.
+    names a block that starts from another state nevertheless. Where the diagram has inputs there
+    may be no equilibrium before they are connected: load and carriers then are at the origin.
 
     Args:
         scenario: the system, the pattern and one config per box; where fields hold distributions,
             numbers are drawn with its `random_seed`.
         at_equilibrium: whether the equilibrium is looked for. If not, as where a load is to start
             from the ground, load and carriers are at the origin in new contexts.
+        extra: blocks beyond the figure's by names of their own, each as a replacement. They read
+            and make signals by the names of their ports.
+        inputs: signals that no block makes, which become input ports of the diagram.
         replacements: by the name of a box, what to put in its place: a block's config; a block
             class with the dataclass of its parameters beside it, to which parameters go as in a
             swap by `--set` (see `replaced`); a function that takes the `Model` and returns a
             LeafSystem or Diagram with ports named after the signals it reads and makes, anew at
-            each call; or None to leave the box out: the signals that it has to make become input
-            ports of the diagram, for a bigger one to connect.
+            each call; or None to leave the box out: another block makes its signals (one block for
+            two boxes), or those that the box has to make become input ports of the diagram, for a
+            bigger one to connect.
 
     Raises:
         ScenarioError: the scenario or a replacement cannot be built, or the ports of a
             replacement do not fit, or there is no equilibrium; the message names the field, the
             value and the remedy.
     """
-    is_scenario = callable(getattr(scenario, "sampled", None))
-    require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
-    scenario, others = replaced(scenario, replacements)
-    scenario = scenario.sampled()
-    parts = _made_parts(scenario, others)
-    diagram = _connected(scenario, parts)
+    scenario, others = _resolved(scenario, replacements)
+    parts = _made_parts(scenario, others, extra)
+    diagram = _connected(scenario, parts, inputs, has_extra=bool(extra))
     if not at_equilibrium or diagram.num_input_ports() > 0:
         return diagram
     context = diagram.CreateDefaultContext()
     set_equilibrium(diagram, context)
     if not plant_states(diagram).declare_defaults(context):
         return diagram
-    again = _made_parts(scenario, others, plant_states(diagram).states(context))
+    again = _made_parts(scenario, others, extra, plant_states(diagram).states(context))
     taken = [*parts.blocks.values()]
     if not any(block is other for block in again.blocks.values() for other in taken):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ScenarioWarning)  # told already
-            diagram = _connected(scenario, again)
+            diagram = _connected(scenario, again, inputs, has_extra=bool(extra))
         context = diagram.CreateDefaultContext()
         set_equilibrium(diagram, context)
     for message in plant_states(diagram).declare_defaults(context):
@@ -294,17 +301,51 @@ def make_nonstop(
     return diagram
 
 
+def make_blocks(
+    scenario: LoopConfig,
+    *,
+    extra: Mapping[str, Maker | Any] | None = None,
+    **replacements: Maker | Any,
+) -> dict[str, System]:
+    """The blocks of a scenario's loop by the names of their boxes, for `connect_by_name`.
+
+    With a control period the `sample_and_hold` of the controllers' inputs is among them, and with
+    `fused_plant` the `plant`, as in `make_nonstop`. `set_equilibrium` sets a context of their
+    diagram.
+
+    Args:
+        scenario: as of `make_nonstop`, and so are the others.
+        extra: blocks beyond the figure's.
+        replacements: what to put in the places of boxes.
+
+    Raises:
+        ScenarioError: as `make_nonstop`, but for what concerns the blocks' inputs.
+    """
+    scenario, others = _resolved(scenario, replacements)
+    return _completed(scenario, _made_parts(scenario, others, extra))
+
+
+def _resolved(
+    scenario: LoopConfig, replacements: Mapping[str, Any]
+) -> tuple[LoopConfig, dict[str, Any]]:
+    """The scenario, checked, with drawn numbers and replaced configs; the other replacements."""
+    is_scenario = callable(getattr(scenario, "sampled", None))
+    require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
+    scenario, others = replaced(scenario, replacements)
+    return scenario.sampled(), others
+
+
 class _Parts(NamedTuple):
     """What a loop is connected from."""
 
     model: Model  # that the controllers believe
     blocks: dict[str, System]  # by the names of their boxes
-    outside: dict[str, int]  # sizes of the signals of boxes that are left out
 
 
 def _made_parts(
     scenario: LoopConfig,
     others: Mapping[str, Any],
+    extra: Mapping[str, Any] | None,
     initial_states: Mapping[str, NDArray] | None = None,
 ) -> _Parts:
     """The blocks of a scenario that has been checked.
@@ -312,6 +353,7 @@ def _made_parts(
     Args:
         scenario: what they are made from.
         others: the replacements that are no configs.
+        extra: blocks beyond the figure's.
         initial_states: of the plant, by the names of the signals that show them.
     """
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
@@ -329,50 +371,47 @@ def _made_parts(
         field="simulated",
         initial_states=initial_states,
     )
+    sizes = _figure_sizes(believed)
     blocks: dict[str, System] = {}
-    outside: dict[str, int] = {}
     for name, box in BOXES.items():
-        required, optional = box.required_and_optional(believed)
         entry = others.get(name, getattr(scenario, name))
         if entry is None:
-            outside |= required
             continue
         make = _constructor(name, entry) if is_dataclass(entry) else entry
-        require(
-            callable(make),
-            f"replacement {name}",
-            entry,
-            "give a block's config, a function that takes the model and returns a system, or "
-            "None to leave the box out",
-        )
-        try:
-            blocks[name] = make(simulated if box.is_simulated else believed)
-        except SystemExit:
-            remedy = "give a function that returns a system, and does not exit"
-            raise ScenarioError(f"replacement {name} = SystemExit: {remedy}") from None
-        require(
-            isinstance(blocks[name], System),
-            f"replacement {name}",
-            blocks[name],
-            "return a LeafSystem or Diagram from the function",
-        )
-        wiring.check_outputs(name, blocks[name], required, optional)
-    return _Parts(believed, blocks, outside)
+        model = simulated if box.is_simulated else believed
+        blocks[name] = _made(f"replacement {name}", make, model, ", or None to leave the box out")
+        made = wiring.check_outputs(name, blocks[name], *box.required_and_optional(believed))
+        _check_others(name, blocks[name], made.keys() - box.signals.keys(), sizes)
+    for name, entry in _checked_extra(extra).items():
+        blocks[name] = _made(f"extra {name}", _maker(name, entry), believed, "")
+        _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
+    return _Parts(believed, blocks)
 
 
-def _connected(scenario: LoopConfig, parts: _Parts) -> Diagram:
-    """The loop of a scenario's blocks, which may be fused, and sampled."""
-    believed, blocks, outside = parts
+def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
+    """The blocks, which may be fused, with the hold in front of sampled ones."""
+    believed, blocks = parts
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
-    replaced_signals = {}
     if scenario.control_period > 0:
         hold = SampleAndHold(believed, _first_samples(blocks))
         blocks = blocks | {SAMPLE_AND_HOLD: hold}
-        replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
-    diagram = wiring.connect(blocks, name=LOOP, replaced_signals=replaced_signals, outside=outside)
-    if all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
+    return blocks
+
+
+def _connected(
+    scenario: LoopConfig, parts: _Parts, inputs: Collection[str], *, has_extra: bool
+) -> Diagram:
+    """The loop of a scenario's blocks."""
+    blocks = _completed(scenario, parts)
+    outside = _signals_left_out(parts.model, blocks) | wiring.sizes_of_inputs(blocks, inputs)
+    builder = DiagramBuilder()
+    wiring.connect_by_name(builder, blocks, inputs=outside)
+    diagram = builder.Build()
+    diagram.set_name(LOOP)
+    is_default = all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items())
+    if is_default and not has_extra:
         difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
         if difference:
             raise wiring.WiringError(
@@ -380,6 +419,80 @@ def _connected(scenario: LoopConfig, parts: _Parts) -> Diagram:
                 "built; correct the list or the ports"
             )
     return diagram
+
+
+def _made(field: str, make: Any, model: Model, besides: str) -> System:
+    """The block that a function makes of a model."""
+    remedy = f"give a block's config, a function that takes the model and returns a system{besides}"
+    require(callable(make), field, make, remedy)
+    try:
+        block = make(model)
+    except SystemExit:
+        remedy = "give a function that returns a system, and does not exit"
+        raise ScenarioError(f"{field} = SystemExit: {remedy}") from None
+    require(
+        isinstance(block, System), field, block, "return a LeafSystem or Diagram from the function"
+    )
+    return block
+
+
+def _check_others(name: str, block: System, made: set[str], sizes: Mapping[str, int]) -> None:
+    """Checks the sizes of those signals of the figure that a block makes in place of others."""
+    known = {signal: size for signal, size in sizes.items() if signal in made}
+    if known:
+        wiring.check_outputs(name, block, known, {})
+
+
+def _figure_sizes(model: Model) -> dict[str, int]:
+    """The sizes of all the figure's signals."""
+    return {
+        signal: size
+        for box in BOXES.values()
+        for signal, size in box.sizes(model.n, model.m).items()
+    }
+
+
+def _signals_left_out(model: Model, blocks: Mapping[str, System]) -> dict[str, int]:
+    """The signals, with their sizes, of boxes left out that no block makes in their place."""
+    if all(name in blocks for name in BOXES):
+        return {}
+    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    missing = [
+        signal
+        for box in BOXES.values()
+        for signal in box.signals
+        if signal not in box.optional and signal not in made
+    ]
+    sizes = _figure_sizes(model)
+    return {signal: sizes[signal] for signal in missing}
+
+
+def _checked_extra(extra: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """The blocks beyond the figure's."""
+    remedy = 'give a mapping from names to blocks, such as {"estimator": Estimator}'
+    require(extra is None or isinstance(extra, Mapping), "extra", extra, remedy)
+    for name in extra or {}:
+        taken = name in BOXES or name in (SAMPLE_AND_HOLD, FUSED_PLANT)
+        remedy = f"it is a box of the figure; give it as {name}=..., or its block another name"
+        if name in (SAMPLE_AND_HOLD, FUSED_PLANT):
+            remedy = "the loop has a block of that name; give another one"
+        require(not taken, "extra", name, remedy)
+        remedy = "name each block by a text without colons and dots"
+        require(
+            isinstance(name, str) and name and not {":", "."} & set(name), "extra", name, remedy
+        )
+    return extra or {}
+
+
+def _maker(name: str, entry: Any) -> Any:
+    """What makes an extra block of a model."""
+    config = _config_class(entry)
+    if config is not None:
+        entry = config()
+    if not is_dataclass(entry) or isinstance(entry, type):
+        return entry
+    block: Any = block_class(f"extra {name}", type(entry))
+    return lambda model: block(model, entry)
 
 
 def _first_samples(blocks: Mapping[str, System]) -> dict[str, NDArray]:
@@ -402,7 +515,7 @@ def replaced(scenario: _Loop, replacements: Mapping[str, Any]) -> tuple[_Loop, d
 
     A block class whose module has the dataclass of its parameters, and that dataclass itself,
     stand for a config: the parameters that the block in the box has, too, stay as they are. All
-    others are as in `make_nonstop`.
+    others are as in `make_nonstop`, with `extra` among them.
 
     Raises:
         ScenarioError: there is no box of a name.
@@ -410,6 +523,9 @@ def replaced(scenario: _Loop, replacements: Mapping[str, Any]) -> tuple[_Loop, d
     configs: dict[str, Any] = {}
     others: dict[str, Any] = {}
     for name, entry in replacements.items():
+        if name == EXTRA:
+            others[name] = entry
+            continue
         require(name in BOXES, "replacement", name, f"give one of {', '.join(BOXES)}")
         config = _config_class(entry)
         if config is not None:

@@ -301,10 +301,11 @@ def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wro
         make_nonstop(plain(period), load_disturbance=block)
     message = str(error.value)
     start = f"load_disturbance = Ports with inputs {given}: {wrong} not among the signals "
-    end = "; rename or resize the ports"
+    signals = {s: k for box in BOXES.values() for s, k in box.sizes(4, 4).items()}
+    unknown = [name for name in inputs if name not in signals]
+    end = f"; rename or resize the ports, or give make_nonstop or connect_by_name inputs={unknown}"
     assert message.startswith(start)
     assert message.endswith(end)
-    signals = {s: k for box in BOXES.values() for s, k in box.sizes(4, 4).items()}
     absent = {"diagnostics", "solve_time"}  # of the optimizer, which is not there
     if period > 0:
         signals |= {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
