@@ -209,7 +209,11 @@ def run_into(
             return FAILED
         except RunInterrupted as interrupted:
             kept = keep(interrupted.run) if len(interrupted.run.time) > 0 else ""
-            return say_end(interruption, kept)
+            if interruption.number:
+                return say_end(interruption, kept)
+            message = f"the run was stopped by a KeyboardInterrupt in its code; {kept}"
+            print(f"drake-nonstop: {message}", file=sys.stderr)
+            return FAILED
         finally:
             interruption.keep = None
             if progress is not None:

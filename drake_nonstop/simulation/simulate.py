@@ -34,7 +34,13 @@ from drake_nonstop.simulation.run import (
     StepAction,
     StepCheck,
 )
-from drake_nonstop.simulation.step_check import SavedStates, compared, in_doubt, is_in_doubt
+from drake_nonstop.simulation.step_check import (
+    SavedStates,
+    compared,
+    growth_in_doubt,
+    in_doubt,
+    is_in_doubt,
+)
 from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_half_the_step
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
@@ -210,6 +216,8 @@ def _simulate(
             simulator.AdvanceTo(scenario.simulation_duration)
             for visualizer in visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
+    except KeyboardInterrupt:
+        raise RunInterrupted(finished(interrupted())) from None
     except NotFiniteError as error:
         message = (
             f"the run diverged at t = {context.get_time():.4f} s: "
@@ -221,7 +229,7 @@ def _simulate(
     except RecordingError as error:
         message = f"the run stopped at t = {context.get_time():.4f} s: {error}"
         raise RunStopped(message, finished(message)) from None
-    except BaseException as error:  # such as the SystemExit or KeyboardInterrupt of a block
+    except BaseException as error:  # such as the SystemExit of a block
         if interruption.number:  # which may have become another error on its way through C++
             raise RunInterrupted(finished(interrupted())) from None
         if isinstance(error, ScenarioError) and context.get_time() == 0:
@@ -239,9 +247,14 @@ def _simulate(
     run = finished()
     if chosen.unresolved and check_step is not StepCheck.NOTHING:
         return dataclasses.replace(run, unresolved=(chosen.unresolved,))
-    if check_step is StepCheck.NOTHING or not is_in_doubt(run, saved.states, nonstop_context):
+    if check_step is StepCheck.NOTHING:
         return run
-    doubt = in_doubt(run)
+    if is_in_doubt(run, saved.states, nonstop_context):
+        doubt = in_doubt(run)
+    elif chosen.is_in_doubt:
+        doubt = growth_in_doubt(run)
+    else:
+        return run
     if check_step is StepCheck.PARTS or after_step is not None:
         return dataclasses.replace(run, unresolved=(doubt,))
     return _verified(run, progress, doubt)

@@ -158,6 +158,11 @@ def in_doubt(run: Run) -> str:
     return f"parts of the run, flown again with half the step, differ from it; {_remedy(run)}"
 
 
+def growth_in_doubt(run: Run) -> str:
+    """The same of a run whose loop is unstable, so that what a step changes grows."""
+    return f"a small deviation at the start grows, and so may what the step changes; {_remedy(run)}"
+
+
 def _steps(run: Run) -> str:
     if run.scenario.simulator_config.use_error_control:
         return f"an accuracy of {run.scenario.simulator_config.accuracy:g}"

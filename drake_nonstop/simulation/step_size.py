@@ -24,7 +24,7 @@ _SMALL_JUMP = 3e-4  # of the cables' length
 _RESOLVED = 0.1  # the largest `difference` of trial flights whose steps are kept
 _HALVINGS = 4  # of the step at most
 _GROWN = 2.0  # logarithm of a deviation at the run's end, of a loop that counts as unstable
-_DIFFERENTLY_GROWN = 1.0  # by which that may differ
+_DIFFERENTLY_GROWN = 1.0  # by which that may differ, with a deviation of no more than _GROWN
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,14 @@ class ChosenStep:
     """A configuration with a step.
 
     `reasons` are what the step is shorter for than the one that was asked for; `unresolved` says
-    what it does not resolve, if anything.
+    what it does not resolve, if anything. `is_in_doubt` where a small deviation grows so much that
+    a step which is resolved by itself may change the end of the run.
     """
 
     config: SimulatorConfig
     reasons: tuple[str, ...] = ()
     unresolved: str = ""
+    is_in_doubt: bool = False
 
 
 def chosen_step(
@@ -74,8 +76,8 @@ def chosen_step(
         reasons.append("the fastest mode of the loop")
     if chosen.max_step_size < stable.max_step_size:
         reasons.append("the commanded motion between the controllers' samples")
-    hidden = _hidden_growth(loop, chosen.max_step_size, duration)
-    return ChosenStep(chosen, tuple(reasons), hidden)
+    hidden, is_in_doubt = _hidden_growth(loop, chosen.max_step_size, duration)
+    return ChosenStep(chosen, tuple(reasons), hidden, is_in_doubt)
 
 
 def stable_config(config: SimulatorConfig, nonstop: Diagram, context: Context) -> SimulatorConfig:
@@ -109,22 +111,25 @@ def _stable(config: SimulatorConfig, loop: LinearizedLoop) -> SimulatorConfig:
     return with_step(config, SIGNAL_PERIOD / math.ceil(SIGNAL_PERIOD / longest))
 
 
-def _hidden_growth(loop: LinearizedLoop, step: float, duration: float) -> str:
+def _hidden_growth(loop: LinearizedLoop, step: float, duration: float) -> tuple[str, bool]:
     """What to say of a step (s) that hides, or causes, that a small deviation grows.
 
-    Long steps damp what oscillates, so that an unstable loop may look stable.
+    Long steps damp what oscillates, so that an unstable loop may look stable. The second value
+    tells whether there may be a difference though nothing is said.
     """
     if not loop.is_continuous:
-        return ""
+        return "", False
     exact, (stepped,) = loop.growths([step])
-    grown = duration * max(exact, stepped)
-    if grown < _GROWN or duration * abs(stepped - exact) < _DIFFERENTLY_GROWN:
-        return ""
-    return (
+    grown, difference = duration * max(exact, stepped), duration * abs(stepped - exact)
+    if grown < _GROWN or difference < _DIFFERENTLY_GROWN:
+        amplified = difference * math.exp(min(grown, 100.0) - _GROWN)
+        return "", grown >= _GROWN and amplified >= _DIFFERENTLY_GROWN
+    said = (
         f"at the start a small deviation grows by {exact:.2g} 1/s, and by {stepped:.2g} 1/s with "
         f"steps of {1e3 * step:.3g} ms, which do not show whether the loop is stable; give a "
         f"shorter simulator_config.max_step_size, such as {step / 8:.2g}"
     )
+    return said, False
 
 
 def _resolving(

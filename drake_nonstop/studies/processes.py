@@ -55,10 +55,12 @@ def require_main() -> None:
     guard, it ends the process without a word: the parent tells why.
 
     Raises:
-        ScenarioError: the script is in no file.
+        ScenarioError: the script is in no file, or the process may start none.
     """
     if getattr(current_process(), "_inheriting", False):
         os._exit(1)
+    remedy = "it may start no processes; call the study from a process that is none"
+    require(not current_process().daemon, "process", "daemonic, as a pool's", remedy)
     main = sys.modules["__main__"]
     file = getattr(main, "__file__", None)
     if getattr(main, "__spec__", None) is None and file and not Path(file).exists():

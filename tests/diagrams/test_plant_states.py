@@ -249,7 +249,7 @@ def test_a_loop_without_the_ports_is_told_which_one_it_lacks():
     source = builder.AddSystem(ConstantVectorSource(np.eye(22)[0]))
     builder.ExportOutput(source.get_output_port(), "reference")
     loop = builder.Build()
-    with pytest.raises(ScenarioError, match="load_state = no output port"):
+    with pytest.raises(ScenarioError, match="without output ports load_state, carrier_state"):
         set_equilibrium(loop, loop.CreateDefaultContext())
 
 
