@@ -20,7 +20,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from drake_nonstop.validation import ScenarioError, one_line, show_warning
+from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
 
 PROCESS_DIED = "its process died: it crashed or ran out of memory"
 
