@@ -6,12 +6,15 @@ this size. CasADi is used here, and for comparison in `benchmarks.peers`, and no
 """
 
 import pickle
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.autodiffutils import AutoDiffXd, ExtractValue
+from pydrake.symbolic import Variable
 
 _MAX_TRACES = 32
 _traces: dict[bytes, casadi.Function] = {}  # by their keys; the most recently used is the last
@@ -40,7 +43,7 @@ class TracedFunction:
 
     Args:
         function: takes one flat array per entry of `input_sizes` and returns an array
-            or a tuple of arrays of any shape.
+            or a tuple of arrays of any shape. It may be a trace already, see `_traced`.
         input_sizes: the length of each input.
         name: tells what evaluates the function, for the error.
         largest: an output whose norm exceeds it counts as a divergence; SI units.
@@ -51,7 +54,7 @@ class TracedFunction:
             that can be pickled: a second function with an equal key is not traced again.
 
     A call returns the outputs in a tuple, each flat but for the Jacobian. They are views
-    of buffers that the next call overwrites; copy them to keep them.
+    of buffers that the thread's next call overwrites; copy them to keep them.
 
     Raises:
         NotFiniteError: an output is NaN, infinite or beyond `largest`. Fixed-step
@@ -68,21 +71,11 @@ class TracedFunction:
         jacobian_of: int | None = None,
         key: Any = None,
     ):
-        self._function = _traced(function, input_sizes, jacobian_of, key)
-        self._count = count = self._function.n_out() - (2 if jacobian_of is not None else 1)
-        # The buffer borrows the function and the arrays: all must live as long as it.
-        self._buffer, self._evaluate = self._function.buffer()
-        self._input = np.zeros(sum(input_sizes))
-        self._outputs = [
-            np.zeros(self._function.size_out(i), order="F") for i in range(self._function.n_out())
-        ]
-        self._buffer.set_arg(0, self._input.data)
-        for i, array in enumerate(self._outputs):
-            self._buffer.set_res(i, array.reshape(-1, order="F").data)
-        self._results = tuple(
-            [array[:, 0] for array in self._outputs[:count]] + self._outputs[count + 1 :]
-        )
-        self._squared_norm = self._outputs[count][:, 0]
+        self._function = function
+        if not isinstance(function, casadi.Function):
+            self._function = _traced(function, input_sizes, jacobian_of, key)
+        self._count = self._function.n_out() - (2 if jacobian_of is not None else 1)
+        self._scratch = _Scratch(self._function, self._count)
         self._largest, self._largest_squared = largest, largest**2
         self._name = name
 
@@ -97,15 +90,102 @@ class TracedFunction:
 
     def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs for flat inputs of the declared sizes."""
+        vector, evaluate, squared_norm, results = self._scratch.parts
         if len(inputs) == 1:
-            self._input[:] = inputs[0]
+            vector[:] = inputs[0]
         else:
-            np.concatenate(inputs, out=self._input)
-        self._evaluate()
-        if not self._squared_norm[0] < self._largest_squared:
-            was_given = not np.all(np.abs(self._input) < self._largest)
+            np.concatenate(inputs, out=vector)
+        evaluate()
+        if not squared_norm[0] < self._largest_squared:
+            was_given = not np.all(np.abs(vector) < self._largest)
             raise NotFiniteError(self._name(), was_given=was_given)
-        return self._results
+        return results
+
+
+class _Scratch(threading.local):
+    """The memory in which a thread evaluates a function: each thread has its own.
+
+    `parts` are the input, what evaluates it, the square of the outputs' norm, and the results.
+    """
+
+    def __init__(self, function: casadi.Function, count: int):
+        # The buffer borrows the function and the arrays: all must live as long as it.
+        self._function = function
+        self._buffer, evaluate = function.buffer()
+        vector = np.zeros(function.size1_in(0))
+        outputs = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
+        self._buffer.set_arg(0, vector.data)
+        for i, array in enumerate(outputs):
+            self._buffer.set_res(i, array.reshape(-1, order="F").data)
+        results = tuple([array[:, 0] for array in outputs[:count]] + outputs[count + 1 :])
+        self.parts = vector, evaluate, outputs[count][:, 0], results
+
+
+class Trace:
+    """A function, traced once, and its parts: some of its outputs of some of its inputs.
+
+    Args:
+        function: as of `TracedFunction`.
+        input_sizes: the length of each input.
+        key: as of `TracedFunction`.
+
+    Attributes:
+        input_sizes: as given.
+        output_sizes: the length of each output, flat.
+        dependence: for each output the inputs, by their numbers, on which an entry depends.
+    """
+
+    def __init__(self, function: Callable, input_sizes: Sequence[int], *, key: Any = None):
+        self._function, self.input_sizes = function, list(input_sizes)
+        self._traced = _traced(function, input_sizes, None, key)
+        ends = np.cumsum(self.input_sizes)
+        count = self._traced.n_out() - 1  # the last is the square of their norm
+        self.output_sizes = [self._traced.size1_out(i) for i in range(count)]
+        self.dependence: list[set[int]] = []
+        for i in range(count):
+            _, columns = self._traced.jac_sparsity(i, 0).get_triplet()
+            self.dependence.append({int(k) for k in np.searchsorted(ends, columns, "right")})
+
+    def compiled(
+        self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
+    ) -> TracedFunction:
+        """The function of the inputs `reads` to the outputs `makes`, stacked, on floats.
+
+        Where it reads none, it takes a number (1,), and leaves that alone.
+        """
+        symbols = [casadi.SX.sym("input", size) for size in self.input_sizes]
+        outputs = self._traced(casadi.vertcat(*symbols))
+        stacked = casadi.vertcat(*[outputs[i] for i in makes])
+        read = casadi.vertcat(*[symbols[i] for i in reads] or [casadi.SX.sym("nothing")])
+        expressions = [stacked, casadi.densify(casadi.sumsqr(stacked))]
+        function = casadi.Function("mechanics", [read], expressions)
+        return TracedFunction(function, [read.numel()], name=name)
+
+    def on_arrays(
+        self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
+    ) -> Callable[..., tuple[NDArray]]:
+        """The same on object arrays: of AutoDiffXd or Expression."""
+        ends = np.cumsum([self.input_sizes[i] for i in reads])
+
+        def evaluate(*inputs: NDArray) -> tuple[NDArray]:
+            flat = np.concatenate(inputs)
+            scalar = type(flat[0])
+            unread = scalar(np.nan) if scalar is AutoDiffXd else scalar(Variable("unread"))
+            given = [np.full(size, unread) for size in self.input_sizes]
+            for i, values in zip(reads, np.split(flat, ends[:-1]), strict=False):
+                given[i] = values
+            with np.errstate(invalid="ignore"):  # Expression raises the flag without a cause
+                outputs = self._function(*given)
+            if not isinstance(outputs, tuple):
+                outputs = (outputs,)
+            stacked = np.concatenate([np.ravel(outputs[i]) for i in makes])
+            stacked = np.array([scalar(value) for value in stacked])
+            if scalar is AutoDiffXd and not np.linalg.norm(ExtractValue(stacked)) < LARGEST:
+                was_given = not np.all(np.abs(ExtractValue(flat)) < LARGEST)
+                raise NotFiniteError(name(), was_given=was_given)
+            return (stacked,)
+
+        return evaluate
 
 
 def _traced(
@@ -114,8 +194,9 @@ def _traced(
     """The outputs, the square of their norm and the Jacobian that was asked for, of one input."""
     if key is not None:
         pickled = pickle.dumps((list(input_sizes), jacobian_of, key))
-        if pickled in _traces:
-            _traces[pickled] = found = _traces.pop(pickled)
+        found = _traces.pop(pickled, None)
+        if found is not None:
+            _traces[pickled] = found
             return found
     symbol = casadi.SX.sym("inputs", sum(input_sizes))
     ends = np.cumsum([0, *input_sizes])
@@ -133,7 +214,7 @@ def _traced(
     if key is not None:
         _traces[pickled] = result
         if len(_traces) > _MAX_TRACES:
-            del _traces[next(iter(_traces))]
+            _traces.pop(next(iter(_traces)), None)
     return result
 
 

@@ -76,7 +76,7 @@ def test_a_held_input_is_not_evaluated_again(monkeypatch, reads_time, count):
     holds = [builder.AddSystem(ZeroOrderHold(1.0, 1)) for _ in range(2)]
     block = builder.AddSystem(
         TracedBlock(
-            lambda a, b, *time: (a + b, a - b),
+            lambda a, b, *time: (a + b + sum(time), a - b),
             inputs={"a": 1, "b": 1},
             outputs={"sum": 1, "difference": 1},
             reads_time=reads_time,
