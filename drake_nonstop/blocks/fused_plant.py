@@ -155,6 +155,7 @@ class _Stepped(InnerBlock):
         self._sizes = together.states
         self._size = size = sum(together.states.values())
         input_size, output_size = sum(together.inputs.values()), sum(together.outputs.values())
+        self.require_floats("set fused_plant = false")
         self._at = at = TracedFunction(together, [size, input_size, WRENCH_SIZE], name=self.box)
 
         def stepped(inputs: NDArray, memory: NDArray, time: NDArray) -> NDArray:

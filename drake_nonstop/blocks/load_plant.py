@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
-from pydrake.multibody.math import SpatialForce
-from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
+from pydrake.multibody.math import SpatialForce_
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce_, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, SpatialInertia, UnitInertia
+from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import Integrator
 
@@ -115,28 +116,30 @@ class _LoadForces(InnerBlock):
         self._cable_forces = self.DeclareVectorInputPort("cable_forces", 3 * model.n)
         self._disturbance_wrench = self.DeclareVectorInputPort("disturbance_wrench", WRENCH_SIZE)
         self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
+        scalar = self.scalar
         self._body, self._points = body, [*model.attachments, np.zeros(3)]
         self.DeclareAbstractOutputPort(
             "spatial_forces",
-            lambda: AbstractValue.Make([ExternallyAppliedSpatialForce()]),
+            lambda: AbstractValue.Make([ExternallyAppliedSpatialForce_[scalar]()]),
             self._calc,
             {self.all_input_ports_ticket()},
         )
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
         state = self._load_state.Eval(context)
-        wrench = self._disturbance_wrench.Eval(context).copy()
+        wrench = self._disturbance_wrench.Eval(context)
         load, (torque, force) = LoadState.view(state), Wrench.view(wrench)
-        torque -= self._load.angular_drag * load.angular_velocity
-        force -= self._load.drag * load.velocity
+        torque = torque - self._load.angular_drag * load.angular_velocity
+        force = force - self._load.drag * load.velocity
         cables = self._cable_forces.Eval(context).reshape(-1, 3)
-        values = np.concatenate([state, wrench, cables.ravel()])
-        if not values @ values < LARGEST**2:
+        values = np.concatenate([state, torque, force, cables.ravel()])
+        if self.scalar is not Expression and not values @ values < LARGEST**2:
             raise NotFiniteError(self.box(), was_given=True)
-        spatial = [SpatialForce(np.zeros(3), cable) for cable in cables]
+        make = SpatialForce_[self.scalar]
+        spatial = [make(np.zeros(3), cable) for cable in cables]
         applied = []
-        for point, part in zip(self._points, [*spatial, SpatialForce(torque, force)], strict=True):
-            entry = ExternallyAppliedSpatialForce()
+        for point, part in zip(self._points, [*spatial, make(torque, force)], strict=True):
+            entry = ExternallyAppliedSpatialForce_[self.scalar]()
             entry.body_index, entry.p_BoBq_B, entry.F_Bq_W = self._body, point, part
             applied.append(entry)
         output.set_value(applied)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydrake.systems.framework import (
     BasicVector,
+    BasicVector_,
     Context,
     DiscreteValues,
     NumericParameterIndex,
@@ -67,6 +68,9 @@ class NonstopOptimizer(LeafBlock):
     bound rises gradually, and a layer that is switched off leads ξ and A back to their initial
     values, both within about `change_time`.
 
+    Of AutoDiffXd or Expression the layer holds ξ and A, and an update raises ScenarioError: it solves
+    with floating-point numbers only.
+
     .. pydrake_system::
 
         name: NonstopOptimizer
@@ -125,7 +129,8 @@ class NonstopOptimizer(LeafBlock):
         super().__init__()
         config = config or NonstopOptimizerConfig()
         check_problem(_BOX, config, model)
-        self.solver = UpdateSolver(model, config, self.get_name)
+        if self.scalar is float:
+            self.solver = UpdateSolver(model, config, self.get_name)
         self._measured_load_state = self.DeclareVectorInputPort(
             "measured_load_state", LOAD_STATE_SIZE
         )
@@ -139,8 +144,10 @@ class NonstopOptimizer(LeafBlock):
         self._last_wrench_rate = self.DeclareDiscreteState(WRENCH_SIZE)
         self._bound_in_force = self.DeclareDiscreteState([config.speed_bound])
         self._is_changing = self.DeclareDiscreteState(1)
-        self._speed_bound = self.DeclareNumericParameter(BasicVector([config.speed_bound]))
-        self._enabled = self.DeclareNumericParameter(BasicVector([1.0]))
+        self._speed_bound = self.DeclareNumericParameter(
+            BasicVector_[self.scalar]([config.speed_bound])
+        )
+        self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
         self.highest_speed_bound = highest_speed_bound(config)
         self._initial = np.array([config.frequency, config.amplitude])
         self._largest_step = self._initial * config.period / config.change_time
@@ -187,13 +194,14 @@ class NonstopOptimizer(LeafBlock):
         context.get_mutable_numeric_parameter(self._enabled).SetFromVector([float(enabled)])
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_numeric_parameter(self._speed_bound).value())
+        output.SetFromVector(context.get_numeric_parameter(self._speed_bound).CopyToVector())
 
     def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
         if round(context.get_time() / self._sample_period) % self._samples_per_update == 0:
             self._update(context, discrete_state)
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
+        self.require_floats("give ConstantParameters with its frequency and amplitude in its place")
         previous = context.get_discrete_state(self._parameters).CopyToVector()
         wrench_rate = self._wrench_rate.Eval(context)
         if not context.get_numeric_parameter(self._enabled).value()[0]:
@@ -284,7 +292,9 @@ class ConstantParameters(LeafBlock):
         self.DeclareVectorOutputPort(
             "parameters", PARAMETERS_SIZE, self._calc_parameters, {self.nothing_ticket()}
         )
-        self._speed_bound = self.DeclareNumericParameter(BasicVector([config.speed_bound]))
+        self._speed_bound = self.DeclareNumericParameter(
+            BasicVector_[self.scalar]([config.speed_bound])
+        )
         self.DeclareVectorOutputPort(
             "speed_bound",
             1,
@@ -301,7 +311,7 @@ class ConstantParameters(LeafBlock):
         output.SetFromVector(self._parameters)
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_numeric_parameter(self._speed_bound).value())
+        output.SetFromVector(context.get_numeric_parameter(self._speed_bound).CopyToVector())
 
 
 # The blocks that the box can be, the default first.

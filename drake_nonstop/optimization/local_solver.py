@@ -1,5 +1,6 @@
 """Drake's nonlinear solvers on the problem of one update, each from one start."""
 
+import threading
 from collections.abc import Callable
 from typing import ClassVar
 
@@ -22,8 +23,10 @@ from drake_nonstop.systems.tracing import TracedFunction
 _CONSTRAINT_TOLERANCE = 1e-7  # on a margin
 
 
-class LocalSolver:
+class LocalSolver(threading.local):
     """Two MathematicalPrograms over [ξ, A], built once: the nearest and the fastest point.
+
+    Each thread has its own, built of the same arguments.
 
     Args:
         name: of the solver, one of `NAMES`.

@@ -199,11 +199,15 @@ def number(value: Any) -> float:
     """The value of a number of any scalar type.
 
     Raises:
-        RuntimeError: it is an Expression with variables.
+        ScenarioError: it is an Expression with variables.
     """
     if isinstance(value, AutoDiffXd):
         return float(value.value())
     if isinstance(value, Expression):
+        if value.GetVariables():
+            raise ScenarioError(
+                f"time or state = {value}: a block needs its value; give the context a number"
+            )
         return float(value.Evaluate())
     return float(value)
 

@@ -179,7 +179,7 @@ class Trace:
             if not isinstance(outputs, tuple):
                 outputs = (outputs,)
             stacked = np.concatenate([np.ravel(outputs[i]) for i in makes])
-            stacked = np.array([scalar(value) for value in stacked])
+            stacked = np.array([v if isinstance(v, scalar) else scalar(v) for v in stacked])
             if scalar is AutoDiffXd and not np.linalg.norm(ExtractValue(stacked)) < LARGEST:
                 was_given = not np.all(np.abs(ExtractValue(flat)) < LARGEST)
                 raise NotFiniteError(name(), was_given=was_given)
