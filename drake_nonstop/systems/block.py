@@ -101,6 +101,19 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
         """Makes the block; a box's takes a `model` and a `config` (None: the default values)."""
         super().__init__(_CONVERTER)
 
+    # Drake's own give a block by itself a shell, whose ports have other names.
+    def ToAutoDiffXd(self) -> Any:  # noqa: N802
+        """As LeafSystem's."""
+        return _converted(AutoDiffXd, self)
+
+    def ToSymbolic(self) -> Any:  # noqa: N802
+        """As LeafSystem's."""
+        return _converted(Expression, self)
+
+    def Clone(self) -> Any:  # noqa: N802
+        """As LeafSystem's."""
+        return _converted(float, self)
+
     def require_floats(self, remedy: str) -> None:
         """Raises ScenarioError, with the remedy, where the scalar type is not float."""
         if self.scalar is not float:

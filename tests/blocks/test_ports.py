@@ -9,7 +9,10 @@ import re
 import numpy as np
 import pytest
 import yaml
-from helpers import Motion, fix, model, output
+from helpers import Motion, difference, fix, model, output
+from pydrake.autodiffutils import AutoDiffXd, ExtractValue
+from pydrake.symbolic import Expression
+from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop import blocks
 from drake_nonstop.blocks.cables import Cables, IndividualCables
@@ -65,6 +68,7 @@ from drake_nonstop.blocks.wrench_controller import (
 from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.describe import parameters
+from drake_nonstop.validation import ScenarioError
 
 
 def moving_reference(model):
@@ -394,6 +398,79 @@ def test_what_feeds_through_changes_the_output(make, period):
     for source, target in feedthrough(block):
         after = fresh(block, inputs | {source: values(source, 2, 4)}, 1, 5.5)
         assert not np.array_equal(before[target], after[target]), (source, target)
+
+
+def made_values(block, scalar, vary):
+    """All that the block makes, rates last, where `vary` makes numbers of the scalar type."""
+    context = block.CreateDefaultContext()
+    context.SetTime(scalar(5.5))
+    rng = np.random.default_rng(1)
+    context.SetContinuousState(vary(rng.uniform(0.2, 1.0, context.num_continuous_states())))
+    for i in range(context.num_discrete_state_groups()):
+        size = context.get_discrete_state(i).size()
+        context.SetDiscreteState(i, vary(rng.uniform(0.2, 1.0, size)))
+    for name in input_names(block):
+        block.GetInputPort(name).FixValue(context, vary(values(name, 1, 4)))
+    parts = [block.GetOutputPort(name).Eval(context) for name in output_names(block)]
+    if context.num_continuous_states() > 0:
+        parts.append(block.EvalTimeDerivatives(context).CopyToVector())
+    return np.concatenate(parts)
+
+
+def along(scale):
+    """Numbers plus `scale` times a smooth function of them."""
+    return lambda given: given + scale * np.sin(7 * given)
+
+
+CONVERTIBLE = pytest.mark.parametrize(
+    ("make", "period"), [case for case in CASES if case[0] is not bounded_distribution]
+)
+
+
+@CONVERTIBLE
+def test_of_autodiff_values_are_those_of_floats_and_gradients_differences(make, period):
+    block = built(make, 4, period)
+    result = made_values(block.ToAutoDiffXd(), AutoDiffXd, along(AutoDiffXd(0.0, [1.0])))
+    expected = made_values(block, float, along(0.0))
+    scale = max(1.0, np.max(np.abs(expected)))
+    np.testing.assert_allclose(ExtractValue(result)[:, 0], expected, rtol=0, atol=1e-12 * scale)
+    gradient = np.array([value.derivatives()[0] if value.derivatives().size else 0.0 for value in result])
+    slope = difference(lambda step: made_values(block, float, along(step)), 0.0, 1e-4)
+    scale = max(1.0, np.max(np.abs(slope)))
+    np.testing.assert_allclose(gradient, slope, rtol=0, atol=1e-7 * scale)
+
+
+@CONVERTIBLE
+def test_of_expressions_values_are_those_of_floats(make, period):
+    block = built(make, 4, period)
+    expected = made_values(block, float, along(0.0))
+    result = made_values(
+        block.ToSymbolic(), Expression, lambda given: np.array([Expression(v) for v in given])
+    )
+    scale = max(1.0, np.max(np.abs(expected)))
+    numbers = [value.Evaluate() for value in result]
+    np.testing.assert_allclose(numbers, expected, rtol=0, atol=1e-12 * scale)
+
+
+@cases
+def test_a_clone_makes_the_same_to_the_bit(make, period):
+    block = built(make, 4, period)
+    expected = made_values(block, float, along(0.0))
+    np.testing.assert_array_equal(made_values(block.Clone(), float, along(0.0)), expected)
+
+
+def test_a_quadratic_program_is_solved_on_floats_only():
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("force_distribution", bounded_distribution(model()))
+    loop = builder.Build()
+    loop.set_name("nonstop")
+    block = loop.ToAutoDiffXd().GetSubsystemByName("force_distribution")
+    with pytest.raises(ScenarioError) as error:
+        made_values(block, AutoDiffXd, along(AutoDiffXd(0.0, [1.0])))
+    assert str(error.value) == (
+        "force_distribution = _TensionBounds of AutoDiffXd: it computes with floating-point "
+        "numbers only; give CableForceDistribution in its place"
+    )
 
 
 @pytest.mark.parametrize("n", [3, 6])
