@@ -112,7 +112,7 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
 
     def Clone(self) -> Any:  # noqa: N802
         """As LeafSystem's."""
-        return _converted(float, self)
+        return _converted(self.scalar, self)
 
     def require_floats(self, remedy: str) -> None:
         """Raises ScenarioError, with the remedy, where the scalar type is not float."""

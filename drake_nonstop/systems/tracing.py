@@ -170,7 +170,7 @@ class Trace:
         def evaluate(*inputs: NDArray) -> tuple[NDArray]:
             flat = np.concatenate(inputs)
             scalar = type(flat[0])
-            unread = scalar(np.nan) if scalar is AutoDiffXd else scalar(Variable("unread"))
+            unread = scalar(1.0) if scalar is AutoDiffXd else scalar(Variable("unread"))
             given = [np.full(size, unread) for size in self.input_sizes]
             for i, values in zip(reads, np.split(flat, ends[:-1]), strict=False):
                 given[i] = values
