@@ -193,14 +193,12 @@ class _TensionBounds(InnerBlock):
         output.SetFromVector(self._bounded(context, forces, np.zeros(forces.shape))[0].ravel())
 
     def _calc_rates(self, context: Context, output: BasicVector) -> None:
-        forces, rates = (
-            port.Eval(context).reshape(-1, 3) for port in (self._forces, self._rates)
-        )
+        forces, rates = (port.Eval(context).reshape(-1, 3) for port in (self._forces, self._rates))
         output.SetFromVector(self._bounded(context, forces, rates)[1].ravel())
 
     def _calc_active(self, context: Context, value: AbstractValue) -> None:
-        """The directions of the forces, in L, and what `_active_bounds` finds; () if it need not."""
-        self.require_floats("give CableForceDistribution in its place")
+        """The forces' directions, in L, and `_active_bounds`; () where no bound is violated."""
+        self.require_floats("give CableForceDistribution in place of BoundedTensionDistribution")
         forces = self._forces.Eval(context).reshape(-1, 3)
         tensions = np.linalg.norm(forces, axis=1)
         low, high = self._config.min_tension - tensions, self._config.max_tension - tensions

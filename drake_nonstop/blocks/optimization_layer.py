@@ -68,8 +68,8 @@ class NonstopOptimizer(LeafBlock):
     bound rises gradually, and a layer that is switched off leads ξ and A back to their initial
     values, both within about `change_time`.
 
-    Of AutoDiffXd or Expression the layer holds ξ and A, and an update raises ScenarioError: it solves
-    with floating-point numbers only.
+    Converted to AutoDiffXd or Expression the layer holds ξ and A, and an update raises
+    ScenarioError: it solves with floating-point numbers only.
 
     .. pydrake_system::
 
@@ -201,7 +201,10 @@ class NonstopOptimizer(LeafBlock):
             self._update(context, discrete_state)
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        self.require_floats("give ConstantParameters with its frequency and amplitude in its place")
+        self.require_floats(
+            "give ConstantParameters, with its frequency and amplitude, in place of "
+            "NonstopOptimizer"
+        )
         previous = context.get_discrete_state(self._parameters).CopyToVector()
         wrench_rate = self._wrench_rate.Eval(context)
         if not context.get_numeric_parameter(self._enabled).value()[0]:

@@ -118,8 +118,8 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
         """Raises ScenarioError, with the remedy, where the scalar type is not float."""
         if self.scalar is not float:
             raise ScenarioError(
-                f"{self.box()} = {type(self).__name__} of {self.scalar.__name__}: it computes "
-                f"with floating-point numbers only; {remedy}"
+                f"scalar type of {self.box()} = {self.scalar.__name__}: it computes with "
+                f"floating-point numbers only; {remedy}"
             )
 
     def box(self) -> str:
@@ -182,9 +182,7 @@ def _with_super_of(owner: type, method: Any) -> Any:
     if not isinstance(method, types.FunctionType) or not method.__closure__:
         return method
     cells = zip(method.__code__.co_freevars, method.__closure__, strict=True)
-    closure = tuple(
-        types.CellType(owner) if name == "__class__" else cell for name, cell in cells
-    )
+    closure = tuple(types.CellType(owner) if name == "__class__" else cell for name, cell in cells)
     made = types.FunctionType(
         method.__code__, method.__globals__, method.__name__, method.__defaults__, closure
     )

@@ -42,8 +42,11 @@ class Equations:
 class TracedBlock(DiagramBlock):
     """A block whose outputs are a traced function of its inputs and its state.
 
-    An output feeds through those inputs that the trace of it reads, the state's port none. Outputs
-    that read other inputs than others are calls of their own into Python. `equations` can be a part of a larger trace; they are None where the state is not continuous
+    What feeds through to an output are the inputs that its trace reads. Outputs that do not read
+    the same inputs are made by calls of their own into Python. On AutoDiffXd and Expression the
+    function itself is evaluated, on object arrays.
+
+    `equations` can be a part of a larger trace; they are None where the state is not continuous
     or the time is read.
 
     Args:
@@ -231,9 +234,7 @@ def _splitting_of(sizes: Mapping[str, int], inputs: Mapping[str, Sequence[int]])
             places[number] = [(i, start + k) for k in range(counts[number])]
             start += counts[number]
     return SelectorParams(
-        inputs=_inputs(
-            {name: sum(counts[i] for i in chosen) for name, chosen in inputs.items()}
-        ),
+        inputs=_inputs({name: sum(counts[i] for i in chosen) for name, chosen in inputs.items()}),
         outputs=[_output(name, places[i]) for i, name in enumerate(sizes)],
     )
 

@@ -71,7 +71,7 @@ class TracedFunction:
         jacobian_of: int | None = None,
         key: Any = None,
     ):
-        self._function = function
+        self._function: casadi.Function = function
         if not isinstance(function, casadi.Function):
             self._function = _traced(function, input_sizes, jacobian_of, key)
         self._count = self._function.n_out() - (2 if jacobian_of is not None else 1)

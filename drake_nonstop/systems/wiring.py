@@ -172,8 +172,8 @@ def connect(
         else:
             builder.ExportInput(port, signal)
             exported.add(signal)
-    # Drake's FirstOrderTaylorApproximation takes the first output, and crashes where that depends on
-    # no state, as the signals of a block without inputs do.
+    # Drake's FirstOrderTaylorApproximation takes the first output, and crashes where that depends
+    # on no state, as the signals of a block without inputs.
     for block in sorted(blocks.values(), key=lambda block: block.num_input_ports() == 0):
         for signal in output_names(block):
             builder.ExportOutput(block.GetOutputPort(signal), signal)

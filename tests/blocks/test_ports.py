@@ -434,7 +434,8 @@ def test_of_autodiff_values_are_those_of_floats_and_gradients_differences(make, 
     expected = made_values(block, float, along(0.0))
     scale = max(1.0, np.max(np.abs(expected)))
     np.testing.assert_allclose(ExtractValue(result)[:, 0], expected, rtol=0, atol=1e-12 * scale)
-    gradient = np.array([value.derivatives()[0] if value.derivatives().size else 0.0 for value in result])
+    slopes = [value.derivatives() for value in result]
+    gradient = np.array([slope[0] if slope.size else 0.0 for slope in slopes])
     slope = difference(lambda step: made_values(block, float, along(step)), 0.0, 1e-4)
     scale = max(1.0, np.max(np.abs(slope)))
     np.testing.assert_allclose(gradient, slope, rtol=0, atol=1e-7 * scale)
@@ -468,8 +469,8 @@ def test_a_quadratic_program_is_solved_on_floats_only():
     with pytest.raises(ScenarioError) as error:
         made_values(block, AutoDiffXd, along(AutoDiffXd(0.0, [1.0])))
     assert str(error.value) == (
-        "force_distribution = _TensionBounds of AutoDiffXd: it computes with floating-point "
-        "numbers only; give CableForceDistribution in its place"
+        "scalar type of force_distribution = AutoDiffXd: it computes with floating-point numbers "
+        "only; give CableForceDistribution in place of BoundedTensionDistribution"
     )
 
 

@@ -19,7 +19,10 @@ SWAPS = [
     ["control_period=0", "carrier_trajectory=MeasuredCarrierTrajectory"],
     ["load_plant=MultibodyLoadPlant", "load_disturbance=!Wind {gust_force: 1.0}"],
     ["load_feedback=!NoisyFeedback {delay: 0.02, position_noise: 0.01}"],
-    ["carrier_dynamics=!LoadedCarrierDynamics {max_force: 9}", "carrier_controller=LoadedCarrierPid"],
+    [
+        "carrier_dynamics=!LoadedCarrierDynamics {max_force: 9}",
+        "carrier_controller=LoadedCarrierPid",
+    ],
     ["carrier_controller=!FeedforwardCarrierPid {integral_gain: 3}", "cables=IndividualCables"],
     ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
     ["fused_plant=true"],
@@ -80,7 +83,9 @@ def test_rates_are_those_of_floats(overrides):
         copy = converted.CreateDefaultContext()
         copy.SetTimeStateAndParametersFrom(context)
         if "fused_plant=true" in overrides:
-            with pytest.raises(ScenarioError, match=r"^plant = .*; set fused_plant = false$"):
+            with pytest.raises(
+                ScenarioError, match=r"^scalar type of plant = .*; set fused_plant = false$"
+            ):
                 converted.GetOutputPort("load_state").Eval(copy)
             continue
         values = [number(value) for value in rate(converted, copy)]
@@ -91,7 +96,7 @@ def test_rates_are_those_of_floats(overrides):
 def flown(config, loop, context, time):
     """All states at that time of a flight from the context on."""
     simulator = Simulator(loop, context)
-    ApplySimulatorConfig(config.simulator, simulator)
+    ApplySimulatorConfig(config.simulator_config, simulator)
     simulator.AdvanceTo(time)
     groups = [context.get_discrete_state(i) for i in range(context.num_discrete_state_groups())]
     parts = [group.CopyToVector() for group in groups if group.size() != 1]  # not the wall times
@@ -118,8 +123,9 @@ def test_the_optimizer_holds_its_parameters_and_refuses_to_update():
     with pytest.raises(ScenarioError) as error:
         Simulator_[AutoDiffXd](converted, copy).Initialize()
     assert str(error.value) == (
-        "optimization_layer = NonstopOptimizer of AutoDiffXd: it computes with floating-point "
-        "numbers only; give ConstantParameters with its frequency and amplitude in its place"
+        "scalar type of optimization_layer = AutoDiffXd: it computes with floating-point numbers "
+        "only; give ConstantParameters, with its frequency and amplitude, in place of "
+        "NonstopOptimizer"
     )
 
 
@@ -133,7 +139,7 @@ class PlainPhase(LeafSystem):
 
 def test_a_block_of_the_users_that_does_not_convert_is_named():
     loop = make_nonstop(load_scenario("quintic", [CONSTANT]), phase=PlainPhase)
-    with pytest.raises(RuntimeError, match="::nonstop::phase of type .*PlainPhase does not support"):
+    with pytest.raises(RuntimeError, match=r"::phase of type .*PlainPhase does not support"):
         loop.ToAutoDiffXd()
 
 
@@ -146,7 +152,7 @@ def test_gradient_of_a_flight_equals_central_differences():
 
     def error(loop, context, simulator, start):
         context.SetContinuousState(start)
-        ApplySimulatorConfig(config.simulator, simulator)
+        ApplySimulatorConfig(config.simulator_config, simulator)
         simulator.AdvanceTo(0.1)
         load = loop.GetOutputPort("load_state").Eval(context)[4:7]
         gap = load - loop.GetOutputPort("reference").Eval(context)[4:7]

@@ -28,7 +28,7 @@ def flown(config, loop, start):
     """The states, but for wall times, after a flight from the start on; an error's text."""
     try:
         simulator = Simulator(loop, start.Clone())
-        ApplySimulatorConfig(config.simulator, simulator)
+        ApplySimulatorConfig(config.simulator_config, simulator)
         simulator.AdvanceTo(start.get_time() + 0.1)
     except Exception as error:
         return repr(error)
