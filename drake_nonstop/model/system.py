@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Optional, Protocol
 
@@ -20,6 +21,7 @@ from drake_nonstop.validation import (
     require_positive,
 )
 
+OFFSET = "pattern_offset"  # N, in L, among the parameters of a block
 _MAX_CARRIERS = 100  # whose blocks take ten seconds to trace
 
 
@@ -86,6 +88,7 @@ class Model:
         pattern: the internal-force pattern, for instance HamiltonianCycleConfig().
         control_period: the controllers' sample time in s, 0 for continuous.
         field: the system's name in error messages.
+        overridden: the fields that `simulated` replaces.
 
     Raises:
         ScenarioError: a parameter is out of range, there are fewer than 3 attachments,
@@ -99,7 +102,10 @@ class Model:
         control_period: float = 0.0,
         *,
         field: str = "system",
+        overridden: Iterable[str] = (),
     ):
+        self.system, self.pattern_config, self.field = system, pattern, field
+        self.overridden = frozenset(overridden)
         require_positive(
             field,
             load_mass=system.load_mass,
@@ -167,7 +173,17 @@ class Model:
     @property
     def load_mass(self) -> float:
         """The load's mass in kg, that of `load`."""
-        return self.load.mass
+        return self.system.load_mass
+
+    @property
+    def offset_parameter(self) -> tuple[str, ...]:
+        """The name of the pattern's offset among a block's parameters; none where it has none."""
+        has_offset = hasattr(self.pattern_config, "offset") or bool(np.any(self.pattern.offset))
+        return (OFFSET,) if has_offset else ()
+
+    def number(self, name: str) -> Any:
+        """A field of the system, or the offset (3n,) of the pattern, by its name `OFFSET`."""
+        return self.pattern.offset if name == OFFSET else getattr(self.system, name)
 
 
 def _checked_inertia(name: str, value: list[list[float]]) -> NDArray:
