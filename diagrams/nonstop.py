@@ -42,6 +42,7 @@ from drake_nonstop.diagrams.box import (
     block_class,
     block_of,
     import_path,
+    is_of_package,
     kept_parameters,
 )
 from drake_nonstop.diagrams.fusing import fuse
@@ -53,7 +54,13 @@ from drake_nonstop.mechanics.signals import (
     TRACKING_ERROR_SIZE,
     WRENCH_SIZE,
 )
-from drake_nonstop.model.system import Model, PatternConfig, SystemParameters, overridden
+from drake_nonstop.model.system import (
+    Model,
+    PatternConfig,
+    SystemParameters,
+    WatchedModel,
+    overridden,
+)
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
@@ -256,8 +263,12 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         plant.attachments,
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
-    simulated = Model(plant, scenario.pattern, scenario.control_period, field="simulated")
+    given = [name for name, value in vars(scenario.simulated).items() if value is not None]
+    simulated = Model(
+        plant, scenario.pattern, scenario.control_period, field="simulated", overridden=given
+    )
     blocks: dict[str, System] = {}
+    watched: dict[str, WatchedModel] = {}  # what blocks read of their models
     outside: dict[str, int] = {}
     for name, box in BOXES.items():
         required, optional = box.required_and_optional(believed)
@@ -273,7 +284,8 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
             "give a block's config, a function that takes the model and returns a system, or "
             "None to leave the box out",
         )
-        blocks[name] = make(simulated if box.is_simulated else believed)
+        watched[name] = WatchedModel(simulated if box.is_simulated else believed)
+        blocks[name] = make(watched[name])
         require(
             isinstance(blocks[name], System),
             f"replacement {name}",
@@ -289,6 +301,8 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         blocks[SAMPLE_AND_HOLD] = SampleAndHold(believed)
         replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
     diagram = wiring.connect(blocks, name=LOOP, replaced_signals=replaced_signals, outside=outside)
+    own = {name: model for name, model in watched.items() if not is_of_package(blocks.get(name))}
+    diagram.watched_models = own  # type: ignore[attr-defined]
     if all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
         difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
         if difference:

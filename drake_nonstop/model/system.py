@@ -173,7 +173,7 @@ class Model:
     @property
     def load_mass(self) -> float:
         """The load's mass in kg, that of `load`."""
-        return self.system.load_mass
+        return self.load.mass
 
     @property
     def offset_parameter(self) -> tuple[str, ...]:
@@ -185,6 +185,35 @@ class Model:
         """A field of the system, or the offset (3n,) of the pattern, by its name `OFFSET`."""
         return self.pattern.offset if name == OFFSET else getattr(self.system, name)
 
+
+class WatchedModel(Model):
+    """A model that notes which numbers have been read, for a block that does not declare any.
+
+    Attributes:
+        read: the names of fields of the system, and `OFFSET`.
+    """
+
+    def __init__(self, model: Model):
+        self.__dict__.update(vars(model), read=set())
+
+    def __getattribute__(self, name: str) -> Any:
+        if name in _READ_WITH:
+            object.__getattribute__(self, "read").update(_READ_WITH[name])
+        return object.__getattribute__(self, name)
+
+
+# The fields of the system that follow from attributes of a model.
+_READ_WITH = {
+    "load": ("load_mass", "load_inertia", "load_drag", "load_angular_drag", "gravity"),
+    "load_mass": ("load_mass",),
+    "cable_length": ("cable_length",),
+    "cable_stiffness": ("cable_stiffness",),
+    "cable_compliance": ("cable_stiffness",),
+    "cable_damping": ("cable_damping",),
+    "carrier_mass": ("carrier_mass",),
+    "gravity": ("gravity",),
+    "pattern": (OFFSET,),
+}
 
 def _checked_inertia(name: str, value: list[list[float]]) -> NDArray:
     inertia = require_array(name, value, [3, 3], "rows of the inertia matrix")

@@ -4,16 +4,40 @@ A block that follows them has them as its attribute `parameters`. The vector is 
 numeric parameter: the first of the block, or of its subsystem `PARAMETERS`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.systems.framework import BasicVector, BasicVector_, Context
+from pydrake.systems.framework import BasicVector, BasicVector_, Context, Diagram, System
 
 from drake_nonstop.systems.block import InnerBlock, LeafBlock
 
 PARAMETERS = "parameters"  # the subsystem of a block that is a Diagram
+
+
+def declared(system: System, first: int = 0) -> Iterator[tuple[System, "NumericParameters", int]]:
+    """The systems in a system, itself included, that have parameters.
+
+    Each with these, and with the index of their vector among the numeric parameters of the
+    system's context, counted from `first` on.
+    """
+    own = getattr(system, "parameters", None)
+    if isinstance(own, NumericParameters):
+        yield system, own, first + _groups_before_parameters(system)
+    if isinstance(system, Diagram):
+        for part in system.GetSystems():
+            yield from declared(part, first)
+            first += part.num_numeric_parameter_groups()
+
+
+def _groups_before_parameters(system: System) -> int:
+    count = 0
+    for part in system.GetSystems() if isinstance(system, Diagram) else []:
+        if part.get_name() == PARAMETERS:
+            break
+        count += part.num_numeric_parameter_groups()
+    return count
 
 
 class NumericParameters:
