@@ -159,12 +159,15 @@ _GIVEN = _Law(_as_given, _check)
 
 
 @dataclass(kw_only=True)
-class CarrierPidConfig(StrictFields):
-    """Gains on each axis; the paper gives 1000 and 1.5 and no integral gain."""
-
+class _Gains(StrictFields):
     position_gain: float = 1000.0  # N/m
     velocity_gain: float = 10.0  # N s/m; the paper's 1.5 is a damping ratio of 0.075
     integral_gain: float = 0.0  # N/(m s)
+
+
+@dataclass(kw_only=True)
+class CarrierPidConfig(_Gains):
+    """Gains on each axis; the paper gives 1000 and 1.5 and no integral gain."""
 
 
 class CarrierPid(_PositionPid):
@@ -252,7 +255,7 @@ class _FeedforwardPid(_PositionPid):
 
 
 @dataclass(kw_only=True)
-class FeedforwardCarrierPidConfig(CarrierPidConfig):
+class FeedforwardCarrierPidConfig(_Gains):
     """Gains on each axis."""
 
 
@@ -313,12 +316,15 @@ _TUNED = _Law(_tuned, _check_tuned, ("carrier_mass",))
 
 
 @dataclass(kw_only=True)
-class TunedCarrierPidConfig(StrictFields):
-    """The desired poles of every carrier; the default is that of `CarrierPid`'s gains."""
-
+class _Poles(StrictFields):
     frequency: float = 100.0  # rad/s, natural frequency of a carrier about its reference
     damping: float = 0.5  # damping ratio
     integral_rate: float = 0.0  # rad/s, of the pole that an integral adds; 0: no integral
+
+
+@dataclass(kw_only=True)
+class TunedCarrierPidConfig(_Poles):
+    """The desired poles of every carrier; the default is that of `CarrierPid`'s gains."""
 
 
 class TunedCarrierPid(_PositionPid):
@@ -353,7 +359,7 @@ class TunedCarrierPid(_PositionPid):
 
 
 @dataclass(kw_only=True)
-class TunedFeedforwardCarrierPidConfig(TunedCarrierPidConfig):
+class TunedFeedforwardCarrierPidConfig(_Poles):
     """The desired poles of every carrier."""
 
 
