@@ -308,7 +308,7 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
     diagram = wiring.connect(blocks, name=LOOP, replaced_signals=replaced_signals, outside=outside)
     own = {name: model for name, model in watched.items() if not is_of_package(blocks.get(name))}
-    diagram.watched_models = own  # type: ignore[attr-defined]
+    diagram.watched_models = own
     if all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
         difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
         if difference:

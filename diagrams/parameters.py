@@ -7,7 +7,7 @@ otherwise; `simulated.load_mass` is the plant's alone; `pattern.spread` belongs 
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -202,7 +202,9 @@ class _Loop:
         """The models with the value, by their roles."""
         if scope in (_SYSTEM, _SIMULATED):
             require_known(field, list(_FIELDS), "parameter", path)
-            require(field not in _GEOMETRY, path, value, f"it is fixed as the loop is built; {_BUILD}")
+            require(
+                field not in _GEOMETRY, path, value, f"it is fixed as the loop is built; {_BUILD}"
+            )
             require_type(path, _plain(value), _FIELDS[field])
             roles = [scope]
             if scope == _SYSTEM and self._follows(field):
@@ -245,8 +247,7 @@ class _Loop:
         rules.check(model, config)
         value = [*own.values()] or [getattr(model.system, path.partition(".")[2], None)]
         require(
-            rules.structure(model, config)
-            == rules.structure(parameters.model, parameters.config),
+            rules.structure(model, config) == rules.structure(parameters.model, parameters.config),
             path,
             value[0],
             f"{holder.box} = {type(holder.block).__name__} is built in another way for it, with "
@@ -271,9 +272,7 @@ class _Loop:
             f"{holder.box} = {block} keeps what it was built with; {_BUILD}",
         )
 
-    def _require_unread(
-        self, models: dict[str, Model], name: str, path: str, value: Any
-    ) -> None:
+    def _require_unread(self, models: dict[str, Model], name: str, path: str, value: Any) -> None:
         """Raises ScenarioError where a block of the user's own has read the field."""
         for box, watched in getattr(self._loop, "watched_models", {}).items():
             follows = any(h.box == box and h.goes_by(name) for h in self._holders)
@@ -391,5 +390,10 @@ def _floats(vector: Iterable[Any]) -> NDArray:
 
 
 @functools.cache
-def _meanings(config: type) -> dict[str, str]:
+def _cached_meanings(config: Hashable) -> dict[str, str]:
+    assert isinstance(config, type)
     return meanings(config)
+
+
+def _meanings(config: Any) -> dict[str, str]:
+    return _cached_meanings(config)

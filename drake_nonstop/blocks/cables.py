@@ -13,7 +13,6 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import StrictFields, is_number, require, require_array
 
-
 # What the cables are made of, and the fields of the system that say it.
 _OF_SYSTEM = {
     "rest_length": "cable_length",

@@ -65,11 +65,13 @@ class CableForceDistribution(TracedBlock):
     is_sampled = True
 
     def __init__(self, model: Model, config: CableForceDistributionConfig | None = None):
-        pseudo_inverse, basis, none = model.pseudo_inverse, model.pattern.basis, np.zeros(3 * model.n)
+        pseudo_inverse, basis, none = (
+            model.pseudo_inverse,
+            model.pattern.basis,
+            np.zeros(3 * model.n),
+        )
 
-        def distribute(
-            *inputs: NDArray, pattern_offset: NDArray = none
-        ) -> tuple[NDArray, NDArray]:
+        def distribute(*inputs: NDArray, pattern_offset: NDArray = none) -> tuple[NDArray, NDArray]:
             return cable_forces_and_rates(
                 *inputs, pseudo_inverse=pseudo_inverse, basis=basis, offset=pattern_offset
             )

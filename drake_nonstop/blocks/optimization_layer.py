@@ -11,6 +11,7 @@ from pydrake.systems.framework import (
     DiscreteValues,
 )
 
+from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -18,7 +19,6 @@ from drake_nonstop.mechanics.signals import (
     PHASE_SIZE,
     WRENCH_SIZE,
 )
-from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.diagnostics import (

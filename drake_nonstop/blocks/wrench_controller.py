@@ -81,9 +81,9 @@ class _WrenchPid(TracedBlock):
         super().__init__(
             outputs
             if integrates
-            else lambda *inputs, **numbers: outputs(
-                np.zeros(_INTEGRALS_SIZE), *inputs, **numbers
-            )[1:],
+            else lambda *inputs, **numbers: outputs(np.zeros(_INTEGRALS_SIZE), *inputs, **numbers)[
+                1:
+            ],
             inputs={"measured_load_state": LOAD_STATE_SIZE, "reference": LOAD_REFERENCE_SIZE},
             outputs={
                 "wrench": WRENCH_SIZE,

@@ -98,7 +98,9 @@ def pid_forces(
     return position_gain * position + velocity_gain * velocity + integral_gain * integral
 
 
-def double_integrator_rate(carrier_state: NDArray, forces: NDArray, *, mass: float | NDArray) -> NDArray:
+def double_integrator_rate(
+    carrier_state: NDArray, forces: NDArray, *, mass: float | NDArray
+) -> NDArray:
     """The rate (6n,) of [positions, velocities] of free masses under forces (3n,), in W.
 
     It is linear in both arguments.
@@ -152,6 +154,8 @@ def loaded_carrier_rate(
     if max_force is not None:
         excess = positive_part(norm(applied) - max_force)
         applied = applied * max_force / (max_force + excess)
-    acceleration = (applied - cable_forces.reshape(-1, 3)) / mass - gravity * np.array([0.0, 0.0, 1.0])
+    acceleration = (applied - cable_forces.reshape(-1, 3)) / mass - gravity * np.array(
+        [0.0, 0.0, 1.0]
+    )
     _, velocities = np.split(carrier_state, 2)
     return np.concatenate([velocities, acceleration.ravel()])

@@ -168,13 +168,13 @@ class Model:
         self.pseudo_inverse = np.linalg.pinv(grasp)  # (3n, 6)
         self.pattern = pattern.make(self.attachments)
         self.m = len(self.pattern.phases)
-        weight = gravity_wrench(self.load.mass, self.gravity)
+        weight = gravity_wrench(system.load_mass, self.gravity)
         check_pattern(self.pattern, self.attachments, (self.pseudo_inverse @ weight).reshape(-1, 3))
 
     @property
     def load_mass(self) -> float:
         """The load's mass in kg, that of `load`."""
-        return self.load.mass
+        return self.system.load_mass
 
     @property
     def offset_parameter(self) -> tuple[str, ...]:
@@ -215,6 +215,7 @@ _READ_WITH = {
     "gravity": ("gravity",),
     "pattern": (OFFSET,),
 }
+
 
 def _checked_inertia(name: str, value: list[list[float]]) -> NDArray:
     inertia = require_array(name, value, [3, 3], "rows of the inertia matrix")

@@ -49,8 +49,9 @@ class SpeedTerms(NamedTuple):
 class TracedProblem:
     """What all updates of one model and config share.
 
-    Three traced functions of x = [ξ, A] (2,) and the flat vector of an `UpdateData`: `terms`, `margins` and `cost`. `margins` are in the order of `ConstraintMargins`, without that
-    of the separation.
+    Three traced functions of x = [ξ, A] (2,) and the flat vector of an `UpdateData`: `terms`,
+    `margins` and `cost`. `margins` are in the order of `ConstraintMargins`, without that of the
+    separation. `data_size` is that of the vector.
 
     Args:
         model: what the controllers believe.

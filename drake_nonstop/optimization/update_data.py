@@ -17,8 +17,9 @@ from drake_nonstop.mechanics.signals import (
 class UpdateData(NamedTuple):
     """The parts of the data of one update, all in W.
 
-    The numbers of `beliefs` are those of its view as `Beliefs`. `np.concatenate` of an instance is the flat vector that the traced functions take, and `view` of
-    that gives the parts. The parts are for reading: some are shared between updates.
+    `np.concatenate` of an instance is the flat vector that the traced functions take, and `view` of
+    that gives the parts. The parts are for reading: some are shared between updates. The numbers of
+    `beliefs` are those of its view as `Beliefs`.
     """
 
     previous: NDArray  # (2,), [ξ⁻, A⁻], rad/s and N
@@ -37,7 +38,7 @@ class UpdateData(NamedTuple):
     @classmethod
     def view(cls, vector: NDArray) -> "UpdateData":
         """The parts of a flat vector, of numbers or symbols: views, not copies."""
-        return cls(*[vector[part] for part in _PARTS], vector[_ENDS[-1] :])
+        return cls._make([*(vector[part] for part in _PARTS), vector[_ENDS[-1] :]])
 
 
 class Beliefs(NamedTuple):
@@ -58,7 +59,8 @@ class Beliefs(NamedTuple):
     @classmethod
     def view(cls, vector: NDArray) -> "Beliefs":
         """The parts of a flat vector, of numbers or symbols: views, not copies."""
-        return cls(*[vector[part] for part in _BELIEFS], vector[_BELIEFS[-1].stop :])
+        end = _BELIEFS[-1].stop
+        return cls._make([*(vector[part] for part in _BELIEFS), vector[end:]])
 
 
 _SIZES = (  # of the parts, in their order

@@ -147,9 +147,7 @@ class UpdateProblem:
         constraint = self._traced.separation
         if constraint.min_separation == 0:
             return None
-        return Separation(
-            constraint, self._terms.forces, self._terms.levers, **self._cables
-        )
+        return Separation(constraint, self._terms.forces, self._terms.levers, **self._cables)
 
     @property
     def _cables(self) -> dict[str, float]:
