@@ -145,3 +145,8 @@ def kept_parameters(
 def import_path(config: type) -> str:
     """The name of a block outside the package: "module.X" for the dataclass XConfig."""
     return f"{config.__module__}.{config.__name__.removesuffix('Config')}"
+
+
+def is_of_package(block: Any) -> bool:
+    """Whether a block is one of this package's, and not a user's own."""
+    return type(block).__module__.split(".")[0] == __name__.split(".")[0]

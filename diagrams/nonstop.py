@@ -42,6 +42,7 @@ from drake_nonstop.diagrams.box import (
     block_class,
     block_of,
     import_path,
+    is_of_package,
     kept_parameters,
 )
 from drake_nonstop.diagrams.fusing import fuse
@@ -53,7 +54,13 @@ from drake_nonstop.mechanics.signals import (
     TRACKING_ERROR_SIZE,
     WRENCH_SIZE,
 )
-from drake_nonstop.model.system import Model, PatternConfig, SystemParameters, overridden
+from drake_nonstop.model.system import (
+    Model,
+    PatternConfig,
+    SystemParameters,
+    WatchedModel,
+    overridden,
+)
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
@@ -258,8 +265,12 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         plant.attachments,
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
-    simulated = Model(plant, scenario.pattern, scenario.control_period, field="simulated")
+    given = [name for name, value in vars(scenario.simulated).items() if value is not None]
+    simulated = Model(
+        plant, scenario.pattern, scenario.control_period, field="simulated", overridden=given
+    )
     blocks: dict[str, System] = {}
+    watched: dict[str, WatchedModel] = {}  # what blocks read of their models
     outside: dict[str, int] = {}
     for name, box in BOXES.items():
         required, optional = box.required_and_optional(believed)
@@ -275,8 +286,9 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
             "give a block's config, a function that takes the model and returns a system, or "
             "None to leave the box out",
         )
+        watched[name] = WatchedModel(simulated if box.is_simulated else believed)
         try:
-            blocks[name] = make(simulated if box.is_simulated else believed)
+            blocks[name] = make(watched[name])
         except SystemExit:
             remedy = "give a function that returns a system, and does not exit"
             raise ScenarioError(f"replacement {name} = SystemExit: {remedy}") from None
@@ -295,6 +307,8 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         blocks[SAMPLE_AND_HOLD] = SampleAndHold(believed)
         replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
     diagram = wiring.connect(blocks, name=LOOP, replaced_signals=replaced_signals, outside=outside)
+    own = {name: model for name, model in watched.items() if not is_of_package(blocks.get(name))}
+    diagram.watched_models = own
     if all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
         difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
         if difference:

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE
+from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import StrictFields
@@ -22,19 +24,31 @@ class _TrajectoryAboveLoad(TracedBlock):
         model: attachments and cables.
         pose: the signal with the load's pose, and its size: a load state, or what begins with
             one.
-        compliance: the cables' 1/K_c (m/N).
+        stretches: whether the cables do, by their stiffness.
     """
 
     is_sampled = True
 
-    def __init__(self, model: Model, *, pose: tuple[str, int], compliance: float):
-        def motion(state: NDArray, forces: NDArray, rates: NDArray, *times: NDArray) -> NDArray:
+    def __init__(self, model: Model, *, pose: tuple[str, int], stretches: bool = True):
+        attachments = model.attachments
+
+        def motion(
+            state: NDArray,
+            forces: NDArray,
+            rates: NDArray,
+            *times: NDArray,
+            cable_length: NDArray,
+            cable_stiffness: NDArray | None = None,
+        ) -> NDArray:
+            compliance = np.zeros(1)
+            if cable_stiffness is not None:
+                compliance = compliance_of(cable_stiffness)
             positions, velocities = carrier_motion(
                 state,
                 forces.reshape(-1, 3),
                 rates.reshape(-1, 3),
-                attachments=model.attachments,
-                rest_length=model.cable_length,
+                attachments=attachments,
+                rest_length=cable_length,
                 compliance=compliance,
             )
             if times:
@@ -52,6 +66,10 @@ class _TrajectoryAboveLoad(TracedBlock):
             inputs=inputs,
             outputs={"carrier_reference": 6 * model.n},
             reads_time=is_sampled,
+            parameters=BlockParameters(
+                model, ("cable_length", "cable_stiffness") if stretches else ("cable_length",)
+            ),
+            key=("carrier trajectory", pose, is_sampled, stretches, attachments),
         )
 
 
@@ -82,9 +100,7 @@ class CarrierTrajectory(_TrajectoryAboveLoad):
     """
 
     def __init__(self, model: Model, config: CarrierTrajectoryConfig | None = None):
-        super().__init__(
-            model, pose=("reference", LOAD_REFERENCE_SIZE), compliance=model.cable_compliance
-        )
+        super().__init__(model, pose=("reference", LOAD_REFERENCE_SIZE))
 
 
 @dataclass(kw_only=True)
@@ -115,7 +131,7 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveLoad):
     """
 
     def __init__(self, model: Model, config: InextensibleCarrierTrajectoryConfig | None = None):
-        super().__init__(model, pose=("reference", LOAD_REFERENCE_SIZE), compliance=0.0)
+        super().__init__(model, pose=("reference", LOAD_REFERENCE_SIZE), stretches=False)
 
 
 @dataclass(kw_only=True)
@@ -145,9 +161,7 @@ class MeasuredCarrierTrajectory(_TrajectoryAboveLoad):
     """
 
     def __init__(self, model: Model, config: MeasuredCarrierTrajectoryConfig | None = None):
-        super().__init__(
-            model, pose=("measured_load_state", LOAD_STATE_SIZE), compliance=model.cable_compliance
-        )
+        super().__init__(model, pose=("measured_load_state", LOAD_STATE_SIZE))
 
 
 # The blocks that the box can be, the default first.

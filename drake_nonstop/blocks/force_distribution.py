@@ -21,6 +21,7 @@ from drake_nonstop.mechanics.grasp import (
 )
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadState
+from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock, weakly
 from drake_nonstop.systems.traced_block import TracedBlock
@@ -64,12 +65,15 @@ class CableForceDistribution(TracedBlock):
     is_sampled = True
 
     def __init__(self, model: Model, config: CableForceDistributionConfig | None = None):
-        def distribute(*inputs: NDArray) -> tuple[NDArray, NDArray]:
+        pseudo_inverse, basis, none = (
+            model.pseudo_inverse,
+            model.pattern.basis,
+            np.zeros(3 * model.n),
+        )
+
+        def distribute(*inputs: NDArray, pattern_offset: NDArray = none) -> tuple[NDArray, NDArray]:
             return cable_forces_and_rates(
-                *inputs,
-                pseudo_inverse=model.pseudo_inverse,
-                basis=model.pattern.basis,
-                offset=model.pattern.offset,
+                *inputs, pseudo_inverse=pseudo_inverse, basis=basis, offset=pattern_offset
             )
 
         super().__init__(
@@ -81,7 +85,8 @@ class CableForceDistribution(TracedBlock):
                 "internal_force": 2 * model.m,
             },
             outputs=dict.fromkeys(_OUTPUTS, 3 * model.n),
-            key=("distribution", vars(model)),
+            parameters=BlockParameters(model, model.offset_parameter),
+            key=("distribution", pseudo_inverse, basis, model.offset_parameter),
         )
 
 

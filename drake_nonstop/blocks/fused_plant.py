@@ -1,6 +1,6 @@
 """Load, cables, carriers and their controller in one block, stepped from sample to sample."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from pydrake.systems.primitives import Selector
 
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
+from drake_nonstop.systems.parameters import NumericParameters
 from drake_nonstop.systems.traced_block import Equations, splitting, stacking
 from drake_nonstop.systems.tracing import TracedFunction
 
@@ -48,10 +49,17 @@ class FusedPlant(DiagramBlock):
         parts: the equations of the blocks by their names, each after its sources.
         period: the controllers' sample time in s.
         steps: the integrator's steps in a period.
+
+    Attributes:
+        kept_parameters: by the names of the parts, the parameters of their blocks, whose values it
+            keeps as they were.
     """
+
+    kept_parameters: Mapping[str, Sequence[NumericParameters]]
 
     def __init__(self, parts: Mapping[str, Equations], *, period: float, steps: int):
         super().__init__()
+        self.kept_parameters = {}
         together = _CombinedEquations(parts)
         builder = DiagramBuilder()
         stepped = builder.AddNamedSystem("stepped", _Stepped(together, period, steps))

@@ -14,8 +14,10 @@ from pydrake.systems.primitives import Integrator
 
 from drake_nonstop.mechanics.rigid_load import load_state_rate
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadState, Wrench
+from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
+from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import StrictFields
@@ -45,9 +47,13 @@ class LoadPlant(TracedBlock):
     """
 
     def __init__(self, model: Model, config: LoadPlantConfig | None = None):
-        def rate(state: NDArray, cable_forces: NDArray, disturbance: NDArray) -> NDArray:
+        attachments = model.attachments
+
+        def rate(
+            state: NDArray, cable_forces: NDArray, disturbance: NDArray, **load: NDArray
+        ) -> NDArray:
             return load_state_rate(
-                model.load, state, cable_forces, disturbance, attachments=model.attachments
+                rigid_load(**load), state, cable_forces, disturbance, attachments=attachments
             )
 
         super().__init__(
@@ -55,6 +61,8 @@ class LoadPlant(TracedBlock):
             inputs={"cable_forces": 3 * model.n, "disturbance_wrench": WRENCH_SIZE},
             state=Integrator(np.eye(LOAD_STATE_SIZE)[0]),
             state_port="load_state",
+            parameters=BlockParameters(model, LOAD),
+            key=("load", attachments),
         )
 
 
@@ -99,6 +107,9 @@ class MultibodyLoadPlant(DiagramBlock):
         plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -model.load.gravity])
         plant.Finalize()
         forces = builder.AddNamedSystem("forces", _LoadForces(model, load.index()))
+        self.parameters = BlockParameters(
+            model, rules=Rules(fixed=("load_mass", "load_inertia", "gravity"))
+        )
         builder.Connect(plant.get_state_output_port(), forces.GetInputPort("load_state"))
         builder.Connect(forces.get_output_port(), plant.get_applied_spatial_force_input_port())
         for name in ("cable_forces", "disturbance_wrench"):
@@ -112,7 +123,8 @@ class _LoadForces(InnerBlock):
 
     def __init__(self, model: Model, body: BodyIndex):
         super().__init__()
-        self._load = model.load
+        self.parameters = BlockParameters(model, ("load_drag", "load_angular_drag"))
+        declare_parameters(self, self.parameters)
         self._cable_forces = self.DeclareVectorInputPort("cable_forces", 3 * model.n)
         self._disturbance_wrench = self.DeclareVectorInputPort("disturbance_wrench", WRENCH_SIZE)
         self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
@@ -122,15 +134,16 @@ class _LoadForces(InnerBlock):
             "spatial_forces",
             lambda: AbstractValue.Make([ExternallyAppliedSpatialForce_[scalar]()]),
             self._calc,
-            {self.all_input_ports_ticket()},
+            {self.all_input_ports_ticket(), self.all_parameters_ticket()},
         )
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
+        drag, angular_drag = context.get_numeric_parameter(0).CopyToVector()
         state = self._load_state.Eval(context)
         wrench = self._disturbance_wrench.Eval(context)
         load, (torque, force) = LoadState.view(state), Wrench.view(wrench)
-        torque = torque - self._load.angular_drag * load.angular_velocity
-        force = force - self._load.drag * load.velocity
+        torque = torque - angular_drag * load.angular_velocity
+        force = force - drag * load.velocity
         cables = self._cable_forces.Eval(context).reshape(-1, 3)
         values = np.concatenate([state, torque, force, cables.ravel()])
         if self.scalar is not Expression and not values @ values < LARGEST**2:

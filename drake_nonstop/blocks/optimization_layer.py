@@ -1,17 +1,18 @@
 """Box "Optimization Layer" of the figure."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.framework import (
     BasicVector,
     BasicVector_,
     Context,
     DiscreteValues,
-    NumericParameterIndex,
 )
 
+from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -19,7 +20,8 @@ from drake_nonstop.mechanics.signals import (
     PHASE_SIZE,
     WRENCH_SIZE,
 )
-from drake_nonstop.model.system import Model
+from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules
+from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
     Outcome,
@@ -32,9 +34,12 @@ from drake_nonstop.optimization.problem_config import (
     check_problem,
     check_speed_bound,
     highest_speed_bound,
+    range_for,
 )
+from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
 _BOX = "optimization_layer"
@@ -129,6 +134,9 @@ class NonstopOptimizer(LeafBlock):
         super().__init__()
         config = config or NonstopOptimizerConfig()
         check_problem(_BOX, config, model)
+        self.parameters = _parameters(model, config)
+        declare_parameters(self, self.parameters)
+        self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
         if self.scalar is float:
             self.solver = UpdateSolver(model, config, self.get_name)
         self._measured_load_state = self.DeclareVectorInputPort(
@@ -138,29 +146,24 @@ class NonstopOptimizer(LeafBlock):
         self._wrench = self.DeclareVectorInputPort("wrench", WRENCH_SIZE)
         self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", WRENCH_SIZE)
         self._phase = self.DeclareVectorInputPort("phase", PHASE_SIZE)
-        self._parameters = self.DeclareDiscreteState([config.frequency, config.amplitude])
+        self._state = self.DeclareDiscreteState([config.frequency, config.amplitude])
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
         self._last_wrench_rate = self.DeclareDiscreteState(WRENCH_SIZE)
         self._bound_in_force = self.DeclareDiscreteState([config.speed_bound])
         self._is_changing = self.DeclareDiscreteState(1)
-        self._speed_bound = self.DeclareNumericParameter(
-            BasicVector_[self.scalar]([config.speed_bound])
-        )
-        self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
         self.highest_speed_bound = highest_speed_bound(config)
-        self._initial = np.array([config.frequency, config.amplitude])
-        self._largest_step = self._initial * config.period / config.change_time
+        self._share_of_steps = config.period / config.change_time
         self._times = {"period": config.period, "change_time": config.change_time}
-        self._period = config.period
-        self.DeclareStateOutputPort("parameters", self._parameters)
+        self._period, self._n = config.period, model.n
+        self.DeclareStateOutputPort("parameters", self._state)
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
         self.DeclareVectorOutputPort(
             "speed_bound",
             1,
             self._calc_speed_bound,
-            {self.numeric_parameter_ticket(NumericParameterIndex(self._speed_bound))},
+            {self.all_parameters_ticket()},
         )
         # Offset = period: with offset 0 the periodic event would repeat the first one.
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
@@ -180,21 +183,31 @@ class NonstopOptimizer(LeafBlock):
             ScenarioError: the bound is neither 0 nor at least 1e-3 m/s, or not below
                 `highest_speed_bound`.
         """
-        check_speed_bound(_BOX, speed_bound)
-        require(
-            speed_bound < self.highest_speed_bound,
-            f"{_BOX}.speed_bound",
-            speed_bound,
-            f"give less than {self.highest_speed_bound:g} m/s, for the sake of max_speed",
-        )
-        context.get_mutable_numeric_parameter(self._speed_bound).SetFromVector([speed_bound])
+        _check_bound(self.highest_speed_bound, speed_bound)
+        values = context.get_mutable_numeric_parameter(0)
+        values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
+        self.begin_anew(context)
+
+    def begin_anew(self, context: Context) -> None:
+        """Lets what has not been updated begin with the parameters of the context, its own."""
+        diagnostics = context.get_discrete_state(self._diagnostics).value()
+        is_changing = context.get_discrete_state(self._is_changing).value()[0] > 0
+        if update_count(diagnostics) > 0 or is_changing:
+            return
+        values = self._values(context)
+        state = np.concatenate([values["frequency"], values["amplitude"]])
+        context.SetDiscreteState(self._state, state)
+        context.SetDiscreteState(self._bound_in_force, values["speed_bound"])
 
     def set_enabled(self, context: Context, enabled: bool) -> None:
         """Switches the layer on or off from the next update on; the context is the block's own."""
         context.get_mutable_numeric_parameter(self._enabled).SetFromVector([float(enabled)])
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_numeric_parameter(self._speed_bound).CopyToVector())
+        output.SetFromVector(self._values(context)["speed_bound"])
+
+    def _values(self, context: Context) -> dict[str, NDArray]:
+        return self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
 
     def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
         if round(context.get_time() / self._sample_period) % self._samples_per_update == 0:
@@ -205,16 +218,18 @@ class NonstopOptimizer(LeafBlock):
             "give ConstantParameters, with its frequency and amplitude, in place of "
             "NonstopOptimizer"
         )
-        previous = context.get_discrete_state(self._parameters).CopyToVector()
+        previous = context.get_discrete_state(self._state).CopyToVector()
+        values = self._values(context)
+        nominal = np.concatenate([values["frequency"], values["amplitude"]])
         wrench_rate = self._wrench_rate.Eval(context)
-        if not context.get_numeric_parameter(self._enabled).value()[0]:
-            parameters = step_towards(previous, self._initial, **self._times)
-            discrete_state.set_value(self._parameters, parameters)
+        if not context.get_numeric_parameter(self._enabled).CopyToVector()[0]:
+            parameters = step_towards(previous, nominal, **self._times)
+            discrete_state.set_value(self._state, parameters)
             discrete_state.set_value(self._bound_in_force, [0.0])
             discrete_state.set_value(self._is_changing, [1.0])
             discrete_state.set_value(self._last_wrench_rate, wrench_rate)
             return
-        bound = context.get_numeric_parameter(self._speed_bound).value()[0]
+        bound = float(values["speed_bound"][0])
         last_bound = context.get_discrete_state(self._bound_in_force).value()[0]
         is_changing = context.get_discrete_state(self._is_changing).value()[0] > 0
         is_rising = last_bound < bound
@@ -235,22 +250,80 @@ class NonstopOptimizer(LeafBlock):
             (wrench_rate - last_wrench_rate) / self._period,
         )
         start = time.perf_counter()
-        data = self.solver.update_data(*inputs, speed_bound=bound, updates=updates)
+        data = self.solver.update_data(
+            *inputs, speed_bound=bound, updates=updates, beliefs=_beliefs(values, self._n)
+        )
         parameters, outcome, slowest_speed = self.solver.solve(data)
         if is_changing or is_rising:
-            parameters, is_limited = limit_step(previous, parameters, self._largest_step)
+            parameters, is_limited = limit_step(
+                previous, parameters, nominal * self._share_of_steps
+            )
             if is_limited:
                 outcome = Outcome.RELAXED
                 slowest_speed = self.solver.problem(data).slowest_speed(parameters)
             is_changing = is_rising or outcome > Outcome.SOLVED
         solve_time = time.perf_counter() - start
         count_update(diagnostics, outcome, slowest_speed - bound)
-        discrete_state.set_value(self._parameters, parameters)
+        discrete_state.set_value(self._state, parameters)
         discrete_state.set_value(self._diagnostics, diagnostics)
         discrete_state.set_value(self._last_wrench_rate, wrench_rate)
         discrete_state.set_value(self._solve_time, [solve_time])
         discrete_state.set_value(self._bound_in_force, [bound])
         discrete_state.set_value(self._is_changing, [float(is_changing)])
+
+
+_OWN = ("speed_bound", "frequency", "amplitude", "frequency_bounds", "amplitude_bounds")
+
+
+def _parameters(model: Model, config: NonstopOptimizerConfig) -> BlockParameters:
+    """Those of a NonstopOptimizer; amplitude bounds of zero stand for those from the weight."""
+    return BlockParameters(
+        model,
+        (*LOAD, "cable_length", "cable_stiffness", *model.offset_parameter),
+        config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
+        own=_OWN,
+        rules=Rules(check=_check),
+    )
+
+
+def _check(model: Model, config: NonstopOptimizerConfig) -> None:
+    if not any(config.amplitude_bounds):
+        config = replace(config, amplitude_bounds=[])
+    check_problem(_BOX, config, model)
+    _check_bound(highest_speed_bound(config), config.speed_bound)
+
+
+def _check_bound(highest: float, speed_bound: float) -> None:
+    check_speed_bound(_BOX, speed_bound)
+    require(
+        speed_bound < highest,
+        f"{_BOX}.speed_bound",
+        speed_bound,
+        f"give less than {highest:g} m/s, for the sake of max_speed",
+    )
+
+
+def _beliefs(values: dict[str, NDArray], n: int) -> NDArray:
+    """The flat `Beliefs` of the parameters."""
+    amplitudes = values["amplitude_bounds"]
+    if not amplitudes.any():
+        share = float(values["load_mass"][0] * values["gravity"][0]) / n
+        amplitudes = np.array(range_for(share, float(values["amplitude"][0])))
+    frequencies = values["frequency_bounds"]
+    beliefs = Beliefs(
+        load_mass=values["load_mass"],
+        load_inertia=values["load_inertia"].ravel(),
+        load_drag=values["load_drag"],
+        load_angular_drag=values["load_angular_drag"],
+        gravity=values["gravity"],
+        rest_length=values["cable_length"],
+        compliance=compliance_of(values["cable_stiffness"]),
+        nominal=np.concatenate([values["frequency"], values["amplitude"]]),
+        lower=np.array([frequencies[0], amplitudes[0]]),
+        upper=np.array([frequencies[1], amplitudes[1]]),
+        offset=values.get(OFFSET, np.zeros(0)),
+    )
+    return np.concatenate(beliefs)
 
 
 @dataclass(kw_only=True)
@@ -289,32 +362,33 @@ class ConstantParameters(LeafBlock):
     def __init__(self, model: Model, config: ConstantParametersConfig | None = None):
         super().__init__()
         config = config or ConstantParametersConfig()
-        require_positive(_BOX, frequency=config.frequency, amplitude=config.amplitude)
-        require_non_negative(_BOX, speed_bound=config.speed_bound)
-        self._parameters = np.array([config.frequency, config.amplitude])
-        self.DeclareVectorOutputPort(
-            "parameters", PARAMETERS_SIZE, self._calc_parameters, {self.nothing_ticket()}
+        _check_constants(model, config)
+        self.parameters = BlockParameters(
+            model, config=config, own=asdict(config), rules=Rules(check=_check_constants)
         )
-        self._speed_bound = self.DeclareNumericParameter(
-            BasicVector_[self.scalar]([config.speed_bound])
-        )
-        self.DeclareVectorOutputPort(
-            "speed_bound",
-            1,
-            self._calc_speed_bound,
-            {self.numeric_parameter_ticket(NumericParameterIndex(self._speed_bound))},
-        )
+        declare_parameters(self, self.parameters)
+        sources = {self.all_parameters_ticket()}
+        self.DeclareVectorOutputPort("parameters", PARAMETERS_SIZE, self._calc_parameters, sources)
+        self.DeclareVectorOutputPort("speed_bound", 1, self._calc_speed_bound, sources)
 
     def set_speed_bound(self, context: Context, speed_bound: float) -> None:
         """Compares with another ε (m/s) from now on; the context is the block's own."""
         require_non_negative(_BOX, speed_bound=speed_bound)
-        context.get_mutable_numeric_parameter(self._speed_bound).SetFromVector([speed_bound])
+        values = context.get_mutable_numeric_parameter(0)
+        values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
 
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._parameters)
+        values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
+        output.SetFromVector(np.concatenate([values["frequency"], values["amplitude"]]))
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_numeric_parameter(self._speed_bound).CopyToVector())
+        values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
+        output.SetFromVector(values["speed_bound"])
+
+
+def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
+    require_positive(_BOX, frequency=config.frequency, amplitude=config.amplitude)
+    require_non_negative(_BOX, speed_bound=config.speed_bound)
 
 
 # The blocks that the box can be, the default first.

@@ -11,6 +11,14 @@ def positive_part(a: NDArray) -> NDArray:
     return (a + absolute(a)) / 2
 
 
+def compliance_of(stiffness: NDArray) -> NDArray:
+    """1/K_c (m/N) of a stiffness K_c (N/m), 0 where it is infinite.
+
+    Exact, and written so that CasADi does not turn T · (1/K_c) into T/K_c, which rounds otherwise.
+    """
+    return 2 / stiffness * 0.5
+
+
 def cable_forces_and_tensions(
     load_state: NDArray,
     carrier_state: NDArray,

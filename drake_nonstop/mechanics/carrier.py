@@ -14,8 +14,8 @@ def carrier_motion(
     rates: NDArray,
     *,
     attachments: NDArray,
-    rest_length: float,
-    compliance: float,
+    rest_length: float | NDArray,
+    compliance: float | NDArray,
 ) -> tuple[NDArray, NDArray]:
     """Positions and velocities (n, 3) each, in W, of carriers that pull with f_i (eqs. 1, 22).
 
@@ -52,8 +52,8 @@ def carrier_acceleration(
     second_rates: NDArray,
     *,
     attachments: NDArray,
-    rest_length: float,
-    compliance: float,
+    rest_length: float | NDArray,
+    compliance: float | NDArray,
 ) -> NDArray:
     """Accelerations (n, 3), in W, of the motion of `carrier_motion`.
 
@@ -85,9 +85,9 @@ def pid_forces(
     error: NDArray,
     integral: NDArray,
     *,
-    position_gain: float,
-    velocity_gain: float,
-    integral_gain: float,
+    position_gain: float | NDArray,
+    velocity_gain: float | NDArray,
+    integral_gain: float | NDArray,
 ) -> NDArray:
     """Forces (3n,) on the carriers, in W, that pull them to their references.
 
@@ -98,7 +98,9 @@ def pid_forces(
     return position_gain * position + velocity_gain * velocity + integral_gain * integral
 
 
-def double_integrator_rate(carrier_state: NDArray, forces: NDArray, *, mass: float) -> NDArray:
+def double_integrator_rate(
+    carrier_state: NDArray, forces: NDArray, *, mass: float | NDArray
+) -> NDArray:
     """The rate (6n,) of [positions, velocities] of free masses under forces (3n,), in W.
 
     It is linear in both arguments.
@@ -112,10 +114,10 @@ def loaded_pid_forces(
     carrier_state: NDArray,
     desired_cable_forces: NDArray,
     *,
-    position_gain: float,
-    velocity_gain: float,
-    mass: float,
-    gravity: float,
+    position_gain: float | NDArray,
+    velocity_gain: float | NDArray,
+    mass: float | NDArray,
+    gravity: float | NDArray,
 ) -> NDArray:
     """Forces (3n,), in W, on carriers with weight and cable tension.
 
@@ -130,7 +132,7 @@ def loaded_pid_forces(
         velocity_gain=velocity_gain,
         integral_gain=0.0,
     )
-    return feedback + np.tile([0.0, 0.0, mass * gravity], size // 3) + desired_cable_forces
+    return feedback + mass * gravity * np.tile([0.0, 0.0, 1.0], size // 3) + desired_cable_forces
 
 
 def loaded_carrier_rate(
@@ -138,19 +140,22 @@ def loaded_carrier_rate(
     forces: NDArray,
     cable_forces: NDArray,
     *,
-    mass: float,
-    gravity: float,
-    max_force: float,
+    mass: float | NDArray,
+    gravity: float | NDArray,
+    max_force: float | NDArray | None,
 ) -> NDArray:
     """The rate (6n,) of [positions, velocities] of carriers under weight and cable, in W.
 
     `cable_forces` (3n,) are those on the load; each of the `forces` (3n,), with u its norm,
-    is limited to `max_force`, u_max: sat(u) = u u_max / (u_max + max(‖u‖ − u_max, 0)).
+    is limited to `max_force`, u_max: sat(u) = u u_max / (u_max + max(‖u‖ − u_max, 0)); None:
+    there is no limit.
     """
     applied = forces.reshape(-1, 3)
-    if max_force < np.inf:
+    if max_force is not None:
         excess = positive_part(norm(applied) - max_force)
         applied = applied * max_force / (max_force + excess)
-    acceleration = (applied - cable_forces.reshape(-1, 3)) / mass - np.array([0.0, 0.0, gravity])
+    acceleration = (applied - cable_forces.reshape(-1, 3)) / mass - gravity * np.array(
+        [0.0, 0.0, 1.0]
+    )
     _, velocities = np.split(carrier_state, 2)
     return np.concatenate([velocities, acceleration.ravel()])

@@ -16,7 +16,6 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
-from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.tracing import TracedFunction
 
@@ -33,6 +32,7 @@ class LocalSolver(threading.local):
         cost: of [ξ, A] and the flat `UpdateData`; its gradient is the second output.
         margins: likewise, non-negative where the constraints are fulfilled.
         speed_count: how many margins, the first ones, are those of the speed bound.
+        data_size: of the flat `UpdateData`.
     """
 
     NAMES: ClassVar[dict[str, Callable[[], SolverInterface]]] = {
@@ -47,12 +47,13 @@ class LocalSolver(threading.local):
         cost: TracedFunction,
         margins: TracedFunction,
         speed_count: int,
+        data_size: int,
     ):
         self._cost, self._margins, self._speed_count = cost, margins, speed_count
         self._solver, self._options = self.NAMES[name](), _options()
-        self._data = np.zeros(UPDATE_DATA_SIZE)
+        self._data = np.zeros(data_size)
         nothing = np.zeros(2)
-        count = len(margins(nothing + 1, np.ones(UPDATE_DATA_SIZE))[0])
+        count = len(margins(nothing + 1, np.ones(data_size))[0])
         zero, infinity = np.zeros(count), np.full(count, np.inf)
 
         self._nearest = MathematicalProgram()

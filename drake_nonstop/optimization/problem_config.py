@@ -53,8 +53,12 @@ def amplitude_range(config: NonstopProblemConfig, model: Model) -> list[float]:
     """The bounds on A (N): the config's, or those that follow from the load's weight."""
     if config.amplitude_bounds != []:
         return config.amplitude_bounds
-    share = model.load_mass * model.gravity / model.n
-    return [min(0.004 * share, config.amplitude / 2), max(3 * share, 2 * config.amplitude)]
+    return range_for(model.load_mass * model.gravity / model.n, config.amplitude)
+
+
+def range_for(share: float, amplitude: float) -> list[float]:
+    """The bounds on A (N) for a cable's share of the load's weight and an initial A, both in N."""
+    return [min(0.004 * share, amplitude / 2), max(3 * share, 2 * amplitude)]
 
 
 def highest_speed_bound(config: NonstopProblemConfig) -> float:

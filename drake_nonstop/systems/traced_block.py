@@ -12,13 +12,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, System
-from pydrake.systems.primitives import Integrator, Selector, SelectorParams
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    Integrator,
+    Selector,
+    SelectorParams,
+)
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
+from drake_nonstop.systems.parameters import PARAMETERS, NumericParameters, ParameterSource
 from drake_nonstop.systems.tracing import Trace
 
 _STATE = "(state)"  # no name of a port
-_INNER = {_STATE}  # inputs of the function that are no ports of the block
+_NUMBERS = "(parameters)"  # likewise
+_INNER = {_STATE, _NUMBERS}  # inputs of the function that are no ports of the block
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,9 @@ class TracedBlock(DiagramBlock):
             output of one size.
         state_port: the name of the output port that shows the state; none: no port does.
         reads_time: `function` takes the time (1,) in s after all others.
-        key: as of `TracedFunction`.
+        parameters: what `function` takes by name, as arrays, numbers as (1,), besides: a numeric
+            parameter of the context. `equations` have the default values.
+        key: as of `TracedFunction`; the parameters' values are no part of it.
 
     Raises:
         ValueError: there is nothing to take: neither an input nor a state nor the time.
@@ -74,21 +83,28 @@ class TracedBlock(DiagramBlock):
         state: System | None = None,
         state_port: str = "",
         reads_time: bool = False,
+        parameters: NumericParameters | None = None,
         key: Any = None,
     ):
         super().__init__()
+        self.parameters = parameters = parameters or NumericParameters({})
         read, made = dict(inputs), dict(outputs or {})
         initial = np.zeros(0)
         if state is not None:
             initial = state.get_output_port().Eval(state.CreateDefaultContext()).copy()
         self.equations: Equations | None = None
         if not reads_time and (state is None or isinstance(state, Integrator)):
-            self.equations = Equations(function, dict(inputs), dict(made), initial, state_port)
+            self.equations = Equations(
+                parameters.filled_in(function), dict(inputs), dict(made), initial, state_port
+            )
         if state is not None:
             own = {_STATE: len(initial)}
             read, made = own | read, own | made
         if not read and not reads_time:
             raise ValueError("inputs = none: give some, a state, or reads_time")
+        if len(parameters) > 0:
+            function = parameters.as_argument(function, len(read))
+            read = read | {_NUMBERS: len(parameters)}
         time = len(read)
         sizes = [*read.values(), *([1] if reads_time else [])]
         trace = Trace(function, sizes, key=key)
@@ -119,6 +135,13 @@ class TracedBlock(DiagramBlock):
         for i, name in enumerate(read):
             if name not in _INNER:
                 builder.ExportInput(inputs_of(i), name)
+        if len(parameters) > 0:
+            is_held = self.is_sampled and not reads_time
+            source = builder.AddNamedSystem(
+                PARAMETERS,
+                ParameterSource(parameters) if is_held else ConstantVectorSource(parameters.vector),
+            )
+            builder.Connect(source.get_output_port(), inputs_of(len(read) - 1))
         for i, name in enumerate(made):
             if name != _STATE:
                 builder.ExportOutput(outputs_of(i), name)
