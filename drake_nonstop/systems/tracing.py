@@ -17,7 +17,7 @@ from pydrake.autodiffutils import AutoDiffXd, ExtractValue
 from pydrake.symbolic import Variable
 
 _MAX_TRACES = 32
-_traces: dict[bytes, casadi.Function] = {}  # by their keys; the most recently used is the last
+_traces: dict[bytes, Any] = {}  # by their keys; the most recently used is the last
 
 LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
 
@@ -137,14 +137,11 @@ class Trace:
 
     def __init__(self, function: Callable, input_sizes: Sequence[int], *, key: Any = None):
         self._function, self.input_sizes = function, list(input_sizes)
-        self._traced = _traced(function, input_sizes, None, key)
-        ends = np.cumsum(self.input_sizes)
-        count = self._traced.n_out() - 1  # the last is the square of their norm
-        self.output_sizes = [self._traced.size1_out(i) for i in range(count)]
-        self.dependence: list[set[int]] = []
-        for i in range(count):
-            _, columns = self._traced.jac_sparsity(i, 0).get_triplet()
-            self.dependence.append({int(k) for k in np.searchsorted(ends, columns, "right")})
+        self._expressions: _Expressions = _cached(
+            lambda: _Expressions(function, self.input_sizes), "parts", self.input_sizes, key
+        )
+        self.output_sizes = self._expressions.output_sizes
+        self.dependence = self._expressions.dependence
 
     def compiled(
         self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
@@ -153,13 +150,8 @@ class Trace:
 
         Where it reads none, it takes a number (1,), and leaves that alone.
         """
-        symbols = [casadi.SX.sym("input", size) for size in self.input_sizes]
-        outputs = self._traced(casadi.vertcat(*symbols))
-        stacked = casadi.vertcat(*[outputs[i] for i in makes])
-        read = casadi.vertcat(*[symbols[i] for i in reads] or [casadi.SX.sym("nothing")])
-        expressions = [stacked, casadi.densify(casadi.sumsqr(stacked))]
-        function = casadi.Function("mechanics", [read], expressions)
-        return TracedFunction(function, [read.numel()], name=name)
+        function = self._expressions.part(tuple(reads), tuple(makes))
+        return TracedFunction(function, [function.size1_in(0)], name=name)
 
     def on_arrays(
         self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
@@ -188,34 +180,71 @@ class Trace:
         return evaluate
 
 
+class _Expressions:
+    """What a function makes of symbols, and functions of parts of it."""
+
+    def __init__(self, function: Callable, input_sizes: Sequence[int]):
+        self._inputs, self._outputs = _expressions(function, input_sizes)
+        self.output_sizes = [output.numel() for output in self._outputs]
+        every_input, every_output = tuple(range(len(input_sizes))), tuple(range(len(self._outputs)))
+        self._parts: dict[tuple, casadi.Function] = {}
+        whole = self.part(every_input, every_output)
+        rows, columns = whole.jac_sparsity(0, 0).get_triplet()
+        numbers = np.searchsorted(np.cumsum(self.output_sizes), rows, "right")
+        read = np.searchsorted(np.cumsum(input_sizes), columns, "right")
+        self.dependence: list[set[int]] = [{*read[numbers == i].tolist()} for i in every_output]
+
+    def part(self, reads: tuple[int, ...], makes: tuple[int, ...]) -> casadi.Function:
+        """Outputs, stacked, and the square of their norm, of inputs, stacked."""
+        if (reads, makes) not in self._parts:
+            read = casadi.vertcat(*[self._inputs[i] for i in reads] or [casadi.SX.sym("nothing")])
+            stacked = casadi.vertcat(*[self._outputs[i] for i in makes])
+            made = [stacked, casadi.densify(casadi.sumsqr(stacked))]
+            self._parts[reads, makes] = casadi.Function("mechanics", [read], made)
+        return self._parts[reads, makes]
+
+
+def _expressions(
+    function: Callable, input_sizes: Sequence[int]
+) -> tuple[list[casadi.SX], list[casadi.SX]]:
+    """A symbol for each input, and the outputs, each dense and flat."""
+    symbols = [casadi.SX.sym(f"input_{i}", size) for i, size in enumerate(input_sizes)]
+    outputs = function(*map(_object_array, symbols))
+    if not isinstance(outputs, tuple):
+        outputs = (outputs,)
+    return symbols, [casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs]
+
+
+def _cached(make: Callable[[], Any], *key: Any) -> Any:
+    """What is made, or what was made for an equal key; the last of it is no key if it is None."""
+    if key[-1] is None:
+        return make()
+    pickled = pickle.dumps(key)
+    found = _traces.pop(pickled, None)
+    if found is None:
+        found = make()
+    _traces[pickled] = found
+    if len(_traces) > _MAX_TRACES:
+        _traces.pop(next(iter(_traces)), None)
+    return found
+
+
 def _traced(
     function: Callable, input_sizes: Sequence[int], jacobian_of: int | None, key: Any
 ) -> casadi.Function:
     """The outputs, the square of their norm and the Jacobian that was asked for, of one input."""
-    if key is not None:
-        pickled = pickle.dumps((list(input_sizes), jacobian_of, key))
-        found = _traces.pop(pickled, None)
-        if found is not None:
-            _traces[pickled] = found
-            return found
-    symbol = casadi.SX.sym("inputs", sum(input_sizes))
-    ends = np.cumsum([0, *input_sizes])
-    outputs = function(*np.split(_object_array(symbol), ends[1:-1]))
-    if not isinstance(outputs, tuple):
-        outputs = (outputs,)
-    expressions = [casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs]
-    stacked = casadi.vertcat(*expressions)
-    expressions.append(casadi.densify(casadi.sumsqr(stacked)))
-    if jacobian_of is not None:
-        columns = slice(ends[jacobian_of], ends[jacobian_of + 1])
-        jacobian = casadi.jacobian(stacked, symbol)[:, columns]
-        expressions.append(casadi.densify(jacobian))
-    result = casadi.Function("mechanics", [symbol], expressions)
-    if key is not None:
-        _traces[pickled] = result
-        if len(_traces) > _MAX_TRACES:
-            _traces.pop(next(iter(_traces)), None)
-    return result
+
+    def make() -> casadi.Function:
+        symbols, expressions = _expressions(function, input_sizes)
+        symbol, stacked = casadi.vertcat(*symbols), casadi.vertcat(*expressions)
+        expressions.append(casadi.densify(casadi.sumsqr(stacked)))
+        if jacobian_of is not None:
+            ends = np.cumsum([0, *input_sizes])
+            columns = slice(int(ends[jacobian_of]), int(ends[jacobian_of + 1]))
+            expressions.append(casadi.densify(casadi.jacobian(stacked, symbol)[:, columns]))
+        return casadi.Function("mechanics", [symbol], expressions)
+
+    return _cached(make, list(input_sizes), jacobian_of, key)
 
 
 def _object_array(symbol: casadi.SX) -> NDArray:
