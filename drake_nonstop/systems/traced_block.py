@@ -12,15 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, System
-from pydrake.systems.primitives import (
-    ConstantVectorSource,
-    Integrator,
-    Selector,
-    SelectorParams,
-)
+from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
-from drake_nonstop.systems.parameters import PARAMETERS, NumericParameters, ParameterSource
+from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
 from drake_nonstop.systems.tracing import TracedFunction
 
 _STATE = "(state)"  # no name of a port
@@ -83,7 +78,7 @@ class TracedBlock(DiagramBlock):
         key: Any = None,
     ):
         super().__init__()
-        self.parameters = parameters = parameters or NumericParameters({})
+        parameters = parameters or NumericParameters({})
         read, made = dict(inputs), dict(outputs or {})
         initial = np.zeros(0)
         if state is not None:
@@ -103,27 +98,24 @@ class TracedBlock(DiagramBlock):
             read = read | {_NUMBERS: len(parameters)}
         builder = DiagramBuilder()
         traced = builder.AddNamedSystem(
-            "traced", _Traced(function, [*read.values()], sum(made.values()), reads_time, key)
+            "traced",
+            _Traced(function, [*read.values()], sum(made.values()), reads_time, parameters, key),
         )
-        inputs_of, outputs_of = traced.get_input_port, traced.get_output_port
+        inputs_of: Any = traced.get_input_port
+        outputs_of: Any = traced.get_output_port
         if len(read) > 1:
             stacked = builder.AddNamedSystem("stacked", Selector(stacking(read)))
             builder.Connect(stacked.get_output_port(), traced.get_input_port())
             inputs_of = stacked.get_input_port
         if len(made) > 1:
             parts = builder.AddNamedSystem("parts", Selector(splitting(made)))
-            builder.Connect(traced.get_output_port(), parts.get_input_port())
+            builder.Connect(traced.GetOutputPort("results"), parts.get_input_port())
             outputs_of = parts.get_output_port
         for i, name in enumerate(read):
             if name not in (_STATE, _NUMBERS):
                 builder.ExportInput(inputs_of(i), name)
         if len(parameters) > 0:
-            is_held = self.is_sampled and not reads_time
-            source = builder.AddNamedSystem(
-                PARAMETERS,
-                ParameterSource(parameters) if is_held else ConstantVectorSource(parameters.vector),
-            )
-            builder.Connect(source.get_output_port(), inputs_of(len(read) - 1))
+            builder.Connect(traced.GetOutputPort("parameters"), inputs_of(len(read) - 1))
         for i, name in enumerate(made):
             if name != _STATE:
                 builder.ExportOutput(outputs_of(i), name)
@@ -137,12 +129,23 @@ class TracedBlock(DiagramBlock):
 
 
 class _Traced(InnerBlock):
-    """A traced function of one vector, the inputs stacked, with one output, likewise."""
+    """A traced function of one vector, the inputs stacked, with one output, likewise.
+
+    Its parameters are another output, for the stack: a system of their own would cost time at each
+    step, and Drake's ConstantVectorSource makes what reads it depend on the time.
+    """
 
     def __init__(
-        self, function: Callable, sizes: list[int], result_size: int, reads_time: bool, key: Any
+        self,
+        function: Callable,
+        sizes: list[int],
+        result_size: int,
+        reads_time: bool,
+        parameters: NumericParameters,
+        key: Any,
     ):
         super().__init__()
+        self.parameters = parameters
 
         def stacked(*inputs: NDArray) -> NDArray:
             results = function(*inputs)
@@ -162,6 +165,14 @@ class _Traced(InnerBlock):
             calc = self._calc_at_time if sizes else self._calc_of_time
             prerequisites.add(self.time_ticket())
         self.DeclareVectorOutputPort("results", result_size, calc, prerequisites)
+        if len(parameters) > 0:
+            declare_parameters(self, parameters)
+            sources = {self.all_parameters_ticket()}
+            size = len(parameters)
+            self.DeclareVectorOutputPort("parameters", size, self._calc_parameters, sources)
+
+    def _calc_parameters(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_numeric_parameter(0).value())
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         (results,) = self._evaluate(self._inputs.Eval(context))
