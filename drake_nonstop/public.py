@@ -11,6 +11,12 @@ from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
+from drake_nonstop.diagrams.parameters import (
+    LoopParameter,
+    get_parameter,
+    parameters,
+    set_parameter,
+)
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     HamiltonianCycleConfig,
@@ -71,6 +77,10 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     # put together, simulated, judged
     "make_nonstop",
     "set_equilibrium",
+    "set_parameter",
+    "get_parameter",
+    "parameters",
+    "LoopParameter",
     "simulate",
     "verify_step",
     "StepAction",

@@ -2,14 +2,17 @@
 
 import time
 from dataclasses import asdict, dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import (
     BasicVector,
     BasicVector_,
     Context,
     DiscreteValues,
+    ValueProducer,
 )
 
 from drake_nonstop.mechanics.cable import compliance_of
@@ -38,7 +41,7 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.optimization.update_solver import UpdateSolver
-from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.block import LeafBlock, weakly
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
@@ -136,6 +139,12 @@ class NonstopOptimizer(LeafBlock):
         check_problem(_BOX, config, model)
         self.parameters = _parameters(model, config)
         declare_parameters(self, self.parameters)
+        entry = self.DeclareCacheEntry(
+            "numbers",
+            ValueProducer(Value(()).Clone, weakly(self._calc_numbers)),
+            {self.all_parameters_ticket()},
+        )
+        self._numbers = entry.cache_index()  # the entry would keep this block alive
         self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
         if self.scalar is float:
             self.solver = UpdateSolver(model, config, self.get_name)
@@ -194,20 +203,23 @@ class NonstopOptimizer(LeafBlock):
         is_changing = context.get_discrete_state(self._is_changing).value()[0] > 0
         if update_count(diagnostics) > 0 or is_changing:
             return
-        values = self._values(context)
-        state = np.concatenate([values["frequency"], values["amplitude"]])
-        context.SetDiscreteState(self._state, state)
-        context.SetDiscreteState(self._bound_in_force, values["speed_bound"])
+        numbers = self._numbers_in(context)
+        context.SetDiscreteState(self._state, numbers.nominal)
+        context.SetDiscreteState(self._bound_in_force, [numbers.speed_bound])
 
     def set_enabled(self, context: Context, enabled: bool) -> None:
         """Switches the layer on or off from the next update on; the context is the block's own."""
         context.get_mutable_numeric_parameter(self._enabled).SetFromVector([float(enabled)])
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._values(context)["speed_bound"])
+        output.SetFromVector([self._numbers_in(context).speed_bound])
 
-    def _values(self, context: Context) -> dict[str, NDArray]:
-        return self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
+    def _numbers_in(self, context: Context) -> "_Numbers":
+        return self.get_cache_entry(self._numbers).Eval(context)
+
+    def _calc_numbers(self, context: Context, value: AbstractValue) -> None:
+        vector = context.get_numeric_parameter(0).CopyToVector()
+        value.set_value(_numbers(self.parameters.view(vector), self._n))
 
     def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
         if round(context.get_time() / self._sample_period) % self._samples_per_update == 0:
@@ -219,17 +231,16 @@ class NonstopOptimizer(LeafBlock):
             "NonstopOptimizer"
         )
         previous = context.get_discrete_state(self._state).CopyToVector()
-        values = self._values(context)
-        nominal = np.concatenate([values["frequency"], values["amplitude"]])
+        numbers = self._numbers_in(context)
         wrench_rate = self._wrench_rate.Eval(context)
         if not context.get_numeric_parameter(self._enabled).CopyToVector()[0]:
-            parameters = step_towards(previous, nominal, **self._times)
+            parameters = step_towards(previous, numbers.nominal, **self._times)
             discrete_state.set_value(self._state, parameters)
             discrete_state.set_value(self._bound_in_force, [0.0])
             discrete_state.set_value(self._is_changing, [1.0])
             discrete_state.set_value(self._last_wrench_rate, wrench_rate)
             return
-        bound = float(values["speed_bound"][0])
+        bound = numbers.speed_bound
         last_bound = context.get_discrete_state(self._bound_in_force).value()[0]
         is_changing = context.get_discrete_state(self._is_changing).value()[0] > 0
         is_rising = last_bound < bound
@@ -251,12 +262,12 @@ class NonstopOptimizer(LeafBlock):
         )
         start = time.perf_counter()
         data = self.solver.update_data(
-            *inputs, speed_bound=bound, updates=updates, beliefs=_beliefs(values, self._n)
+            *inputs, speed_bound=bound, updates=updates, beliefs=numbers.beliefs
         )
         parameters, outcome, slowest_speed = self.solver.solve(data)
         if is_changing or is_rising:
             parameters, is_limited = limit_step(
-                previous, parameters, nominal * self._share_of_steps
+                previous, parameters, numbers.nominal * self._share_of_steps
             )
             if is_limited:
                 outcome = Outcome.RELAXED
@@ -303,8 +314,16 @@ def _check_bound(highest: float, speed_bound: float) -> None:
     )
 
 
-def _beliefs(values: dict[str, NDArray], n: int) -> NDArray:
-    """The flat `Beliefs` of the parameters."""
+class _Numbers(NamedTuple):
+    """What an update takes of the parameters."""
+
+    speed_bound: float  # m/s
+    nominal: NDArray  # (2,), [ξ, A] at the start, rad/s and N
+    beliefs: NDArray  # a flat `Beliefs`
+
+
+def _numbers(values: dict[str, NDArray], n: int) -> _Numbers:
+    """Of the parameters by name, for n carriers."""
     amplitudes = values["amplitude_bounds"]
     if not amplitudes.any():
         share = float(values["load_mass"][0] * values["gravity"][0]) / n
@@ -323,7 +342,7 @@ def _beliefs(values: dict[str, NDArray], n: int) -> NDArray:
         upper=np.array([frequencies[1], amplitudes[1]]),
         offset=values.get(OFFSET, np.zeros(0)),
     )
-    return np.concatenate(beliefs)
+    return _Numbers(float(values["speed_bound"][0]), beliefs.nominal, np.concatenate(beliefs))
 
 
 @dataclass(kw_only=True)

@@ -53,7 +53,7 @@ class LocalSolver(threading.local):
         self._solver, self._options = self.NAMES[name](), _options()
         self._data = np.zeros(data_size)
         nothing = np.zeros(2)
-        count = len(margins(nothing + 1, np.ones(data_size))[0])
+        (count,) = margins.output_sizes
         zero, infinity = np.zeros(count), np.full(count, np.inf)
 
         self._nearest = MathematicalProgram()

@@ -51,7 +51,7 @@ class TracedProblem:
 
     Three traced functions of x = [ξ, A] (2,) and the flat vector of an `UpdateData`: `terms`,
     `margins` and `cost`. `margins` are in the order of `ConstraintMargins`, without that of the
-    separation. `data_size` is that of the vector.
+    separation. `data_size` is that of the vector, and `beliefs` are those of model and config.
 
     Args:
         model: what the controllers believe.
@@ -61,7 +61,9 @@ class TracedProblem:
 
     def __init__(self, model: Model, config: NonstopProblemConfig, name: Callable[[], str]):
         self.model, self.config, self.name = model, config, name
-        self.data_size = update_data_size(len(beliefs_of(model, config).offset))
+        beliefs = beliefs_of(model, config)
+        self.beliefs = np.concatenate(beliefs)
+        self.data_size = update_data_size(len(beliefs.offset))
         points = config.look_ahead_points
         self._instants = np.linspace(0, config.period, points) if points > 1 else np.zeros(1)
         turn_count = config.orbit_points // config.orbit_updates if config.orbit_points > 1 else 0

@@ -33,7 +33,7 @@ class UpdateData(NamedTuple):
     speed_unit: NDArray  # (1,), m/s, scales the margins of the speed bound
     orbit_turn: NDArray  # (1,), rad, added to the phases of the orbit ahead
     anchor_weight: NDArray  # (1,)
-    beliefs: NDArray  # what the controllers believe, a flat `Beliefs`
+    beliefs: NDArray  # what the controllers believe, a flat `Beliefs`; (0,): what the solver does
 
     @classmethod
     def view(cls, vector: NDArray) -> "UpdateData":

@@ -32,14 +32,20 @@ class UpdateProblem:
 
     def __init__(self, traced: TracedProblem, data: UpdateData):
         self._traced = traced
+        if len(data.beliefs) == 0:
+            data = data._replace(beliefs=traced.beliefs)
         self.data = data
         self.vector = np.concatenate(data)  # for the functions of `UpdateSolver.functions`
-        self.beliefs = Beliefs.view(data.beliefs)
         self.previous = data.previous.copy()
         # The last x, its margins but for that of the separation, and the least of them: the
         # search has computed the answer's.
         self._last: tuple[NDArray | None, NDArray, float] = (None, self.previous, 0.0)
         self._search_problem: SearchProblem | None = None
+
+    @cached_property
+    def beliefs(self) -> Beliefs:
+        """What the controllers believe."""
+        return Beliefs.view(self.data.beliefs)
 
     @property
     def bounds(self) -> tuple[NDArray, NDArray]:

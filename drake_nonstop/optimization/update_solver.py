@@ -14,11 +14,12 @@ from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.grid_search import cheapest_on_grid, least_infeasible_on_grid
 from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig
-from drake_nonstop.optimization.traced_problem import TracedProblem, beliefs_of
+from drake_nonstop.optimization.traced_problem import TracedProblem
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
 from drake_nonstop.systems.tracing import TracedFunction
 
+_NOT_GIVEN = np.zeros(0)
 _COST_TOLERANCE = 1e-4  # relative; what the global search finds has to be cheaper by more
 _REST_TOLERANCE = 1e-3  # m/s, rad/s, m/s², rad/s²; a reference that moves less is at rest
 
@@ -50,7 +51,6 @@ class UpdateSolver:
         self._anchor_weight, self._no_anchor = np.array([config.anchor_weight]), np.zeros(1)
         self._traced = TracedProblem(model, config, name)
         self.data_size = self._traced.data_size  # of the data's flat vector
-        self._beliefs = np.concatenate(beliefs_of(model, config))
         self._local: LocalSolver | None = None
         if config.solver in LocalSolver.NAMES:
             self._local = LocalSolver(
@@ -105,7 +105,7 @@ class UpdateSolver:
             speed_unit=bound if speed_bound else np.ones(1),  # without a bound any speed is enough
             orbit_turn=self._orbit_turns[updates % config.orbit_updates],
             anchor_weight=anchor_weight,
-            beliefs=self._beliefs if beliefs is None else beliefs,
+            beliefs=_NOT_GIVEN if beliefs is None else beliefs,
         )
 
     def problem(self, data: UpdateData) -> UpdateProblem:

@@ -24,7 +24,7 @@ from pydrake.systems.primitives import (
 )
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
-from drake_nonstop.systems.parameters import PARAMETERS, NumericParameters, declare_parameters
+from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
 from drake_nonstop.systems.traced_block import Equations, splitting, stacking
 from drake_nonstop.systems.tracing import TracedFunction
 
@@ -139,7 +139,7 @@ class AdjustableLinearBlock(DiagramBlock):
         self.equations = default.equations
         builder = DiagramBuilder()
         adjusted = builder.AddNamedSystem(
-            PARAMETERS, _Adjusted(function, inputs, size, parameters, key)
+            "adjusted", _Adjusted(function, inputs, size, parameters, key)
         )
         switch = builder.AddNamedSystem("switch", PortSwitch(size))
         first, second = (switch.DeclareInputPort(label) for label in ("default", "adjusted"))

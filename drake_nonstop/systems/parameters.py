@@ -1,7 +1,7 @@
 """Named numbers and arrays in one numeric parameter of a context.
 
-A block that follows them has them as its attribute `parameters`. The vector is Drake's own
-numeric parameter: the first of the block, or of its subsystem `PARAMETERS`.
+A leaf system that goes by them has them as its attribute `parameters`. The vector is its first
+numeric parameter, one of Drake's own.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.systems.framework import BasicVector, BasicVector_, Context, Diagram, System
+from pydrake.systems.framework import BasicVector_, Diagram, System
 
-from drake_nonstop.systems.block import InnerBlock, LeafBlock
-
-PARAMETERS = "parameters"  # the subsystem of a block that is a Diagram
+from drake_nonstop.systems.block import LeafBlock
 
 
 def declared(system: System, first: int = 0) -> Iterator[tuple[System, "NumericParameters", int]]:
@@ -24,20 +22,11 @@ def declared(system: System, first: int = 0) -> Iterator[tuple[System, "NumericP
     """
     own = getattr(system, "parameters", None)
     if isinstance(own, NumericParameters):
-        yield system, own, first + _groups_before_parameters(system)
+        yield system, own, first
     if isinstance(system, Diagram):
         for part in system.GetSystems():
             yield from declared(part, first)
             first += part.num_numeric_parameter_groups()
-
-
-def _groups_before_parameters(system: System) -> int:
-    count = 0
-    for part in system.GetSystems() if isinstance(system, Diagram) else []:
-        if part.get_name() == PARAMETERS:
-            break
-        count += part.num_numeric_parameter_groups()
-    return count
 
 
 class NumericParameters:
@@ -92,27 +81,3 @@ def declare_parameters(block: LeafBlock, parameters: NumericParameters) -> None:
     """Declares them as the block's first numeric parameter."""
     scalar: type = getattr(block, "scalar", float)
     block.DeclareNumericParameter(BasicVector_[scalar](parameters.vector))
-
-
-class ParameterSource(InnerBlock):
-    """Parameters as a signal.
-
-    Unlike Drake's ConstantVectorSource it does not make what reads it depend on the time. As a
-    system in Python it costs more where that is evaluated at each time anyway.
-
-    .. pydrake_system::
-
-        name: ParameterSource
-        output_ports:
-        - parameters
-    """
-
-    def __init__(self, parameters: NumericParameters):
-        super().__init__()
-        declare_parameters(self, parameters)
-        self.DeclareVectorOutputPort(
-            "parameters", len(parameters), self._calc, {self.all_parameters_ticket()}
-        )
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_numeric_parameter(0).CopyToVector())

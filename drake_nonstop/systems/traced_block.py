@@ -12,15 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, System
-from pydrake.systems.primitives import (
-    ConstantVectorSource,
-    Integrator,
-    Selector,
-    SelectorParams,
-)
+from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
-from drake_nonstop.systems.parameters import PARAMETERS, NumericParameters, ParameterSource
+from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
 from drake_nonstop.systems.tracing import Trace
 
 _STATE = "(state)"  # no name of a port
@@ -87,7 +82,7 @@ class TracedBlock(DiagramBlock):
         key: Any = None,
     ):
         super().__init__()
-        self.parameters = parameters = parameters or NumericParameters({})
+        parameters = parameters or NumericParameters({})
         read, made = dict(inputs), dict(outputs or {})
         initial = np.zeros(0)
         if state is not None:
@@ -112,7 +107,10 @@ class TracedBlock(DiagramBlock):
         groups = _groups(trace.dependence, {*inner, time}, has_state=state is not None)
         builder = DiagramBuilder()
         traced = [
-            builder.AddNamedSystem(f"traced_{k}" if k else "traced", _Traced(trace, group, time))
+            builder.AddNamedSystem(
+                f"traced_{k}" if k else "traced",
+                _Traced(trace, group, time, None if k else parameters),
+            )
             for k, group in enumerate(groups)
         ]
         names = [part.get_name() for part in traced]
@@ -131,17 +129,12 @@ class TracedBlock(DiagramBlock):
             parts = builder.AddNamedSystem("parts", Selector(_splitting_of(made, makes)))
             outputs_of = parts.get_output_port
             for part in traced:
-                builder.Connect(part.get_output_port(), parts.GetInputPort(part.get_name()))
+                builder.Connect(part.GetOutputPort("results"), parts.GetInputPort(part.get_name()))
         for i, name in enumerate(read):
             if name not in _INNER:
                 builder.ExportInput(inputs_of(i), name)
         if len(parameters) > 0:
-            is_held = self.is_sampled and not reads_time
-            source = builder.AddNamedSystem(
-                PARAMETERS,
-                ParameterSource(parameters) if is_held else ConstantVectorSource(parameters.vector),
-            )
-            builder.Connect(source.get_output_port(), inputs_of(len(read) - 1))
+            builder.Connect(traced[0].GetOutputPort("parameters"), inputs_of(len(read) - 1))
         for i, name in enumerate(made):
             if name != _STATE:
                 builder.ExportOutput(outputs_of(i), name)
@@ -185,13 +178,19 @@ def _groups(dependence: list[set[int]], inner: set[int], has_state: bool) -> lis
 class _Traced(InnerBlock):
     """A part of a trace: a function of one vector, the inputs stacked, with one output, likewise.
 
+    The parameters are another output, for the stack: a system of their own would cost time at each
+    step, and Drake's ConstantVectorSource makes what reads it depend on the time.
+
     Args:
         trace: of the whole function.
         group: the part's inputs and outputs.
         time: the number of the input that is the time.
+        parameters: of the whole function; None: another part has them.
     """
 
-    def __init__(self, trace: Trace, group: _Group, time: int):
+    def __init__(
+        self, trace: Trace, group: _Group, time: int, parameters: NumericParameters | None
+    ):
         super().__init__()
         make = trace.compiled if self.scalar is float else trace.on_arrays
         self._evaluate = make(group.reads, group.makes, name=self.box)
@@ -208,6 +207,15 @@ class _Traced(InnerBlock):
         self.DeclareVectorOutputPort(
             "results", result_size, calc, prerequisites or {self.nothing_ticket()}
         )
+        if parameters is not None and len(parameters) > 0:
+            self.parameters = parameters
+            declare_parameters(self, parameters)
+            sources = {self.all_parameters_ticket()}
+            size = len(parameters)
+            self.DeclareVectorOutputPort("parameters", size, self._calc_parameters, sources)
+
+    def _calc_parameters(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_numeric_parameter(0).CopyToVector())
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         (results,) = self._evaluate(self._inputs.Eval(context))

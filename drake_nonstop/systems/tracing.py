@@ -79,6 +79,11 @@ class TracedFunction:
         self._largest, self._largest_squared = largest, largest**2
         self._name = name
 
+    @property
+    def output_sizes(self) -> tuple[int, ...]:
+        """The sizes of the outputs but for the Jacobian."""
+        return tuple(self._function.size1_out(i) for i in range(self._count))
+
     def traced(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs, each flat, for symbolic inputs: as a part of another trace."""
         outputs = self._function(casadi.vertcat(*np.concatenate(inputs)))

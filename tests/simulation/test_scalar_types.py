@@ -9,6 +9,7 @@ from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import FirstOrderTaylorApproximation
 
 from drake_nonstop import ScenarioError, load_scenario, make_nonstop, set_equilibrium
+from drake_nonstop.diagrams.parameters import parameters, set_parameter
 from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.systems.block import number
 
@@ -170,3 +171,52 @@ def test_gradient_of_a_flight_equals_central_differences():
 
     slopes = [difference(lambda step, p=p: varied(p, step), 0.0, 1e-4) for p in places]
     np.testing.assert_allclose(ExtractGradient(np.array([result]))[0], slopes, rtol=1e-5)
+
+
+def test_gradient_by_every_gain_equals_central_differences():
+    """Of the squared error of the load's position, of a load that starts off its reference."""
+    config, loop, context = started([CONSTANT])
+    state = context.get_continuous_state_vector().CopyToVector()
+    state[4:7] += [0.001, -0.002, 0.001]
+    state[1] += 0.001  # the quaternion's x
+    context.SetContinuousState(state)
+    boxes = ("wrench_controller", "carrier_controller")
+    gains = {
+        entry.path: float(entry.value)
+        for entry in parameters(loop, context)
+        if entry.path.startswith(boxes) and entry.value != 0  # one of zero is no part of the law
+    }
+    assert len(gains) == 9
+
+    def error(diagram, trial, simulator, values):
+        for path, value in values.items():
+            set_parameter(loop, trial, path, value)
+        ApplySimulatorConfig(config.simulator_config, simulator)
+        simulator.AdvanceTo(0.1)
+        load, reference = (
+            diagram.GetOutputPort(name).Eval(trial)[:7] for name in ("load_state", "reference")
+        )
+        gap = load - reference
+        return gap @ gap  # of the quaternion, too: the orientation's gains act on it first
+
+    converted = loop.ToAutoDiffXd()
+    copy = converted.CreateDefaultContext()
+    copy.SetTimeStateAndParametersFrom(context)
+    values = InitializeAutoDiff(np.array([*gains.values()]))[:, 0]
+    simulator = Simulator_[AutoDiffXd](converted, copy)
+    result = error(converted, copy, simulator, dict(zip(gains, values, strict=True)))
+
+    def varied(path, step):
+        trial = context.Clone()
+        return error(loop, trial, Simulator(loop, trial), gains | {path: gains[path] + step})
+
+    # An integral has hardly any effect yet, and the error is nearly quadratic in its gain.
+    slopes = [
+        difference(
+            lambda step, path=path: varied(path, step),
+            0.0,
+            (0.2 if "integral" in path else 0.02) * gain,
+        )
+        for path, gain in gains.items()
+    ]
+    np.testing.assert_allclose(result.derivatives(), slopes, rtol=1e-5)
