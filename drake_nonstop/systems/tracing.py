@@ -100,12 +100,12 @@ class TracedFunction:
         """The outputs as expressions of CasADi's, for its solvers."""
         return tuple(self._function(casadi.vertcat(*inputs)))[: self._count]
 
-    def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
+    def __call__(self, *inputs: NDArray | tuple[float, ...]) -> tuple[NDArray, ...]:
         """The outputs for flat inputs of the declared sizes."""
         if len(inputs) == 1:
             self._input[:] = inputs[0]
-        elif len(inputs) == 2:  # faster than to concatenate them
-            end = len(inputs[0])
+        elif len(inputs) == 2 and len(inputs[0]) + len(inputs[1]) == len(self._input):
+            end = len(inputs[0])  # this is faster than to concatenate them
             self._input[:end], self._input[end:] = inputs
         else:
             np.concatenate(inputs, out=self._input)
