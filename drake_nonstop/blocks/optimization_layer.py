@@ -72,7 +72,8 @@ class NonstopOptimizer(LeafBlock):
     one is taken. `diagnostics` tells how the update ended, see `Outcome`. The prediction, the
     constraints and the solvers are described in diagrams/optimization_layer.md.
 
-    `set_speed_bound` and `set_enabled` change two parameters of the context during a run. The
+    `set_speed_bound` and `set_enabled` change parameters of the context during a run, which also
+    holds the initial ξ and A, their bounds and what is believed of load, cables and pattern. The
     bound rises gradually, and a layer that is switched off leads ξ and A back to their initial
     values, both within about `change_time`.
 

@@ -226,7 +226,7 @@ class _Traced(InnerBlock):
         output.SetFromVector(results)
 
     def _calc_at_time(self, context: Context, output: BasicVector) -> None:
-        (results,) = self._evaluate(self._inputs.Eval(context), np.array([context.get_time()]))
+        (results,) = self._evaluate(self._inputs.Eval(context), (context.get_time(),))
         output.SetFromVector(results)
 
 

@@ -93,11 +93,14 @@ class TracedFunction:
         """The outputs as expressions of CasADi's, for its solvers."""
         return tuple(self._function(casadi.vertcat(*inputs)))[: self._count]
 
-    def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
+    def __call__(self, *inputs: NDArray | tuple[float, ...]) -> tuple[NDArray, ...]:
         """The outputs for flat inputs of the declared sizes."""
         vector, evaluate, squared_norm, results = self._scratch.parts
         if len(inputs) == 1:
             vector[:] = inputs[0]
+        elif len(inputs) == 2 and len(inputs[0]) + len(inputs[1]) == len(vector):
+            end = len(inputs[0])  # this is faster than to concatenate them
+            vector[:end], vector[end:] = inputs
         else:
             np.concatenate(inputs, out=vector)
         evaluate()
