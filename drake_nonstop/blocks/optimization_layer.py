@@ -213,7 +213,8 @@ class NonstopOptimizer(LeafBlock):
         context.get_mutable_numeric_parameter(self._enabled).SetFromVector([float(enabled)])
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector([self._numbers_in(context).speed_bound])
+        values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
+        output.SetFromVector(values["speed_bound"])
 
     def _numbers_in(self, context: Context) -> "_Numbers":
         return self.get_cache_entry(self._numbers).Eval(context)
