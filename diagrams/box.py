@@ -45,6 +45,8 @@ class Box:
             of the internal force, texts such as "3n" and "2m". The numbers become texts, too.
         optional: the signals among them that a block may leave out; nothing in the figure
             reads them.
+        optional_inputs: input ports of its block, with sizes, that are left unconnected where no
+            block makes a signal of their name.
         place: where the drawing has it.
         is_simulated: its block takes the model that is simulated, not the one that the
             controllers believe in.
@@ -62,6 +64,7 @@ class Box:
     signals: Mapping[str, str | int]
     place: Place
     optional: tuple[str, ...] = ()
+    optional_inputs: Mapping[str, int] = field(default_factory=dict)
     is_simulated: bool = False
     is_fused: bool = False
     feeds_fused_plant: bool = False

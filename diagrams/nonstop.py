@@ -92,6 +92,7 @@ BOXES: dict[str, Box] = {
             "speed_bound": 1,
         },
         optional=("diagnostics", "solve_time", "speed_bound"),
+        optional_inputs={"speed_bound_command": 1},
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
         feeds_fused_plant=True,
@@ -240,13 +241,23 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
             swap by `--set` (see `replaced`); a function that takes the `Model` and returns a
             LeafSystem or Diagram with ports named after the signals it reads and makes; or
             None to leave the box out: the signals that it has to make become input ports of
-            the diagram, for a bigger one to connect.
+            the diagram, for a bigger one to connect. By the name of an optional input, such as
+            `speed_bound_command`, which no box makes: None, and it becomes one, too.
 
     Raises:
         ScenarioError: the scenario or a replacement cannot be built, or the ports of a
             replacement do not fit; the message names the field, the value and the remedy.
     """
-    scenario, others = replaced(scenario, replacements)
+    optional_inputs = {
+        signal: size for box in BOXES.values() for signal, size in box.optional_inputs.items()
+    }
+    outside = {
+        signal: size
+        for signal, size in optional_inputs.items()
+        if signal in replacements and replacements[signal] is None
+    }
+    boxes = {name: entry for name, entry in replacements.items() if name not in outside}
+    scenario, others = replaced(scenario, boxes)
     scenario.check()
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
     plant = overridden(scenario.system, scenario.simulated)
@@ -258,7 +269,6 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
     )
     simulated = Model(plant, scenario.pattern, scenario.control_period, field="simulated")
     blocks: dict[str, System] = {}
-    outside: dict[str, int] = {}
     for name, box in BOXES.items():
         required, optional = box.required_and_optional(believed)
         entry = others.get(name, getattr(scenario, name))
@@ -288,7 +298,15 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
     if scenario.control_period > 0:
         blocks[SAMPLE_AND_HOLD] = SampleAndHold(believed)
         replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
-    diagram = wiring.connect(blocks, name=LOOP, replaced_signals=replaced_signals, outside=outside)
+    diagram = wiring.connect(
+        blocks,
+        name=LOOP,
+        replaced_signals=replaced_signals,
+        outside=outside,
+        optional_inputs=[
+            f"{name}.{signal}" for name, box in BOXES.items() for signal in box.optional_inputs
+        ],
+    )
     if all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
         difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
         if difference:

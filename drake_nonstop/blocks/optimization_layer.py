@@ -8,6 +8,7 @@ from pydrake.systems.framework import (
     BasicVector,
     Context,
     DiscreteValues,
+    InputPort,
     NumericParameterIndex,
 )
 
@@ -37,6 +38,7 @@ from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
 _BOX = "optimization_layer"
+_COMMAND = "speed_bound_command"  # an optional input of the box
 
 
 @dataclass(kw_only=True)
@@ -63,9 +65,10 @@ class NonstopOptimizer(LeafBlock):
     one is taken. `diagnostics` tells how the update ended, see `Outcome`. The prediction, the
     constraints and the solvers are described in diagrams/optimization_layer.md.
 
-    `set_speed_bound` and `set_enabled` change two parameters of the context during a run. The
-    bound rises gradually, and a layer that is switched off leads ξ and A back to their initial
-    values, both within about `change_time`.
+    `set_speed_bound` and `set_enabled` change two parameters of the context during a run. Where
+    `speed_bound_command` is connected it is ε, read at each update. The bound rises gradually, and
+    a layer that is switched off leads ξ and A back to their initial values, both within about
+    `change_time`.
 
     .. pydrake_system::
 
@@ -76,6 +79,7 @@ class NonstopOptimizer(LeafBlock):
         - wrench
         - wrench_rate
         - phase
+        - speed_bound_command
         output_ports:
         - parameters
         - diagnostics
@@ -83,11 +87,13 @@ class NonstopOptimizer(LeafBlock):
         - speed_bound
 
     `measured_load_state` (13), `reference` (22), `wrench` and `wrench_rate` (6, [torque;
-    force]), all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `parameters` (2) = [ξ (rad/s), A (N)];
+    force]), all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `speed_bound_command` (1) in m/s, of the range of
+    `set_speed_bound`, may be left unconnected; `parameters` (2) = [ξ (rad/s), A (N)];
     `diagnostics` (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest
     speed minus the untightened ε (m/s)], the fields of `Diagnostics`; `solve_time` (1) is the
     wall time in s that the last update took, from its inputs to its answer; `speed_bound` (1) is
-    the ε that was set, in m/s. All outputs are state or parameters: nothing feeds through.
+    the ε that was set or is commanded, in m/s. All outputs are state or parameters: nothing feeds
+    through but a command to the `speed_bound`.
 
     Parameters, the fields of `NonstopOptimizerConfig`:
         speed_bound: m/s, ε
@@ -116,7 +122,7 @@ class NonstopOptimizer(LeafBlock):
 
     Raises:
         ScenarioError: a parameter is out of range, or the period is no multiple of the
-            control period.
+            control period; during a run, the command is out of range.
     """
 
     is_sampled = True
@@ -133,6 +139,7 @@ class NonstopOptimizer(LeafBlock):
         self._wrench = self.DeclareVectorInputPort("wrench", WRENCH_SIZE)
         self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", WRENCH_SIZE)
         self._phase = self.DeclareVectorInputPort("phase", PHASE_SIZE)
+        self._command = self.DeclareVectorInputPort(_COMMAND, 1)
         self._parameters = self.DeclareDiscreteState([config.frequency, config.amplitude])
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
@@ -153,7 +160,10 @@ class NonstopOptimizer(LeafBlock):
             "speed_bound",
             1,
             self._calc_speed_bound,
-            {self.numeric_parameter_ticket(NumericParameterIndex(self._speed_bound))},
+            {
+                self.numeric_parameter_ticket(NumericParameterIndex(self._speed_bound)),
+                self.input_port_ticket(self._command.get_index()),
+            },
         )
         # Offset = period: with offset 0 the periodic event would repeat the first one.
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
@@ -171,23 +181,35 @@ class NonstopOptimizer(LeafBlock):
 
         Raises:
             ScenarioError: the bound is neither 0 nor at least 1e-3 m/s, or not below
-                `highest_speed_bound`.
+                `highest_speed_bound`; or `speed_bound_command` is connected.
         """
-        check_speed_bound(_BOX, speed_bound)
-        require(
-            speed_bound < self.highest_speed_bound,
-            f"{_BOX}.speed_bound",
-            speed_bound,
-            f"give less than {self.highest_speed_bound:g} m/s, for the sake of max_speed",
-        )
+        _require_no_command(self._command, context, speed_bound)
+        self._check_bound("speed_bound", speed_bound)
         context.get_mutable_numeric_parameter(self._speed_bound).SetFromVector([speed_bound])
 
     def set_enabled(self, context: Context, enabled: bool) -> None:
         """Switches the layer on or off from the next update on; the context is the block's own."""
         context.get_mutable_numeric_parameter(self._enabled).SetFromVector([float(enabled)])
 
+    def _check_bound(self, name: str, speed_bound: float) -> None:
+        check_speed_bound(_BOX, speed_bound, name)
+        require(
+            speed_bound < self.highest_speed_bound,
+            f"{_BOX}.{name}",
+            speed_bound,
+            f"give less than {self.highest_speed_bound:g} m/s, for the sake of max_speed",
+        )
+
+    def _wanted_bound(self, context: Context) -> float:
+        """The ε (m/s) that is commanded, or else the one that was set."""
+        if not self._command.HasValue(context):
+            return context.get_numeric_parameter(self._speed_bound).value()[0]
+        bound = float(self._command.Eval(context)[0])
+        self._check_bound(_COMMAND, bound)
+        return bound
+
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_numeric_parameter(self._speed_bound).value())
+        output.SetFromVector([self._wanted_bound(context)])
 
     def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
         if round(context.get_time() / self._sample_period) % self._samples_per_update == 0:
@@ -196,6 +218,7 @@ class NonstopOptimizer(LeafBlock):
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         previous = context.get_discrete_state(self._parameters).CopyToVector()
         wrench_rate = self._wrench_rate.Eval(context)
+        bound = self._wanted_bound(context)
         if not context.get_numeric_parameter(self._enabled).value()[0]:
             parameters = step_towards(previous, self._initial, **self._times)
             discrete_state.set_value(self._parameters, parameters)
@@ -203,7 +226,6 @@ class NonstopOptimizer(LeafBlock):
             discrete_state.set_value(self._is_changing, [1.0])
             discrete_state.set_value(self._last_wrench_rate, wrench_rate)
             return
-        bound = context.get_numeric_parameter(self._speed_bound).value()[0]
         last_bound = context.get_discrete_state(self._bound_in_force).value()[0]
         is_changing = context.get_discrete_state(self._is_changing).value()[0] > 0
         is_rising = last_bound < bound
@@ -257,12 +279,15 @@ class ConstantParameters(LeafBlock):
     .. pydrake_system::
 
         name: ConstantParameters
+        input_ports:
+        - speed_bound_command
         output_ports:
         - parameters
         - speed_bound
 
-    `parameters` (2) = [ξ (rad/s), A (N)]; `speed_bound` (1) is ε in m/s, which nothing enforces
-    and `set_speed_bound` changes during a run.
+    `parameters` (2) = [ξ (rad/s), A (N)]; `speed_bound` (1) is ε in m/s, which nothing enforces:
+    the `speed_bound_command` (1), which may be left unconnected, or else what `set_speed_bound`
+    changes during a run.
 
     Parameters, the fields of `ConstantParametersConfig`:
         frequency: rad/s, ξ
@@ -270,7 +295,8 @@ class ConstantParameters(LeafBlock):
         speed_bound: m/s, ε; reported, not enforced
 
     Raises:
-        ScenarioError: frequency or amplitude is not positive, or the bound negative.
+        ScenarioError: frequency or amplitude is not positive, or the bound negative; during a
+            run, the command is negative.
     """
 
     is_sampled = True
@@ -285,15 +311,24 @@ class ConstantParameters(LeafBlock):
             "parameters", PARAMETERS_SIZE, self._calc_parameters, {self.nothing_ticket()}
         )
         self._speed_bound = self.DeclareNumericParameter(BasicVector([config.speed_bound]))
+        self._command = self.DeclareVectorInputPort(_COMMAND, 1)
         self.DeclareVectorOutputPort(
             "speed_bound",
             1,
             self._calc_speed_bound,
-            {self.numeric_parameter_ticket(NumericParameterIndex(self._speed_bound))},
+            {
+                self.numeric_parameter_ticket(NumericParameterIndex(self._speed_bound)),
+                self.input_port_ticket(self._command.get_index()),
+            },
         )
 
     def set_speed_bound(self, context: Context, speed_bound: float) -> None:
-        """Compares with another ε (m/s) from now on; the context is the block's own."""
+        """Compares with another ε (m/s) from now on; the context is the block's own.
+
+        Raises:
+            ScenarioError: the bound is negative, or `speed_bound_command` is connected.
+        """
+        _require_no_command(self._command, context, speed_bound)
         require_non_negative(_BOX, speed_bound=speed_bound)
         context.get_mutable_numeric_parameter(self._speed_bound).SetFromVector([speed_bound])
 
@@ -301,7 +336,22 @@ class ConstantParameters(LeafBlock):
         output.SetFromVector(self._parameters)
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_numeric_parameter(self._speed_bound).value())
+        bound = context.get_numeric_parameter(self._speed_bound).value()
+        if self._command.HasValue(context):
+            bound = self._command.Eval(context)
+            require_non_negative(_BOX, **{_COMMAND: float(bound[0])})
+        output.SetFromVector(bound)
+
+
+def _require_no_command(command: InputPort, context: Context, speed_bound: float) -> None:
+    """Raises ScenarioError where a bound that is set would be overruled."""
+    require(
+        not command.HasValue(context),
+        f"{_BOX}.speed_bound",
+        speed_bound,
+        f"the signal {_COMMAND} sets the bound: change it in the block that makes that signal, or "
+        "take the signal away",
+    )
 
 
 # The blocks that the box can be, the default first.

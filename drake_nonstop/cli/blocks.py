@@ -34,15 +34,19 @@ def _blocks(options: argparse.Namespace) -> int:
             _print_wrapped(choice.summary, "    ")
             for label, ports in (("in", choice.inputs), ("out", choice.outputs)):
                 if ports:
-                    _print_wrapped(_ports(ports), f"    {label:3}  ")
+                    text = _ports(ports, says_optional=label == "in")
+                    _print_wrapped(text, f"    {label:3}  ")
             if choice.unbuildable:
                 _print_wrapped(f"not with its defaults: {choice.unbuildable}", "    ")
             _print_parameters(choice.parameters)
     return 0
 
 
-def _ports(ports: Sequence[Port]) -> str:
-    return ", ".join(f"{port.name} ({port.size})" for port in ports)
+def _ports(ports: Sequence[Port], says_optional: bool = False) -> str:
+    return ", ".join(
+        f"{port.name} ({port.size}{', optional' if says_optional and port.is_optional else ''})"
+        for port in ports
+    )
 
 
 def _print_parameters(parameters: Sequence[Parameter]) -> None:

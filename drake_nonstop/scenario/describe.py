@@ -43,7 +43,7 @@ class Port:
 
     name: str
     size: str
-    is_optional: bool = False  # an output that a block in its box need not have
+    is_optional: bool = False  # an output need not be there, an input need not be connected
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +161,7 @@ def _pattern(config: type) -> Choice:
 def _port(name: str, size: int | None) -> Port:
     """The port of that name: its size by the contract, or else as it is for the default n."""
     sizes = {signal: str(size) for box in BOXES.values() for signal, size in box.signals.items()}
-    is_optional = any(name in box.optional for box in BOXES.values())
+    is_optional = any(name in (*box.optional, *box.optional_inputs) for box in BOXES.values())
     text = "abstract" if size is None else str(size)
     return Port(name=name, size=sizes.get(name, text), is_optional=is_optional)
 

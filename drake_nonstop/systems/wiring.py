@@ -1,6 +1,6 @@
 """Builds a Diagram from named blocks: wires follow from the names of the ports."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from pydrake.systems.framework import (
     Diagram,
@@ -89,6 +89,7 @@ def wires(
     blocks: Mapping[str, System],
     replaced_signals: Mapping[str, str] | None = None,
     outside: Sizes | None = None,
+    optional_inputs: Collection[str] = (),
 ) -> list[str]:
     """The wires "block.port -> block.port" that the names of the ports imply.
 
@@ -96,7 +97,8 @@ def wires(
     signal is connected to it. `replaced_signals` maps a signal to the one that readers
     get in its place, save those that make a signal or its replacement: what is upstream
     of a replacement must not read it. `outside` are signals that no block makes: their wires
-    come from "outside.port".
+    come from "outside.port". The ports "block.port" of `optional_inputs` have no wire where
+    there is no signal of their name.
 
     Raises:
         WiringError: two blocks make the same signal, a replacement is made by none, or an
@@ -125,7 +127,11 @@ def wires(
     for block_name, block in blocks.items():
         given = input_sizes(block)
         replaced = {} if block_name in upstream else replaced_signals
-        read = {port: replaced.get(port, port) for port in given}
+        read = {
+            port: replaced.get(port, port)
+            for port in given
+            if port in sources or f"{block_name}.{port}" not in optional_inputs
+        }
         wrong = {
             port: given[port]
             for port, signal in read.items()
@@ -148,6 +154,7 @@ def connect(
     name: str,
     replaced_signals: Mapping[str, str] | None = None,
     outside: Sizes | None = None,
+    optional_inputs: Collection[str] = (),
 ) -> Diagram:
     """Wires the blocks (see `wires`) to a diagram that exports every signal by its name.
 
@@ -162,7 +169,7 @@ def connect(
         block.set_name(block_name)
         builder.AddSystem(block)
     exported = set()
-    for wire in wires(blocks, replaced_signals, outside):
+    for wire in wires(blocks, replaced_signals, outside, optional_inputs):
         (source, signal), target = (end.split(".") for end in wire.split(" -> "))
         port = blocks[target[0]].GetInputPort(target[1])
         if source != OUTSIDE:

@@ -158,11 +158,22 @@ BLOCKS = {
         ],
     ),
     NonstopOptimizer: (
-        ["measured_load_state", "reference", "wrench", "wrench_rate", "phase"],
+        [
+            "measured_load_state",
+            "reference",
+            "wrench",
+            "wrench_rate",
+            "phase",
+            "speed_bound_command",
+        ],
         ["parameters", "diagnostics", "solve_time", "speed_bound"],
-        [],
+        [("speed_bound_command", "speed_bound")],
     ),
-    ConstantParameters: ([], ["parameters", "speed_bound"], []),
+    ConstantParameters: (
+        ["speed_bound_command"],
+        ["parameters", "speed_bound"],
+        [("speed_bound_command", "speed_bound")],
+    ),
     AccumulatedPhase: (["parameters"], ["phase"], []),
     PaperPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
     InternalForceTrajectory: (
@@ -278,7 +289,8 @@ def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
     held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()}
-    return (sizes | held | {"sample_time": 1})[signal]
+    optional = {s: k for box in BOXES.values() for s, k in box.optional_inputs.items()}
+    return (sizes | held | optional | {"sample_time": 1})[signal]
 
 
 def values(signal, seed, n):
@@ -384,7 +396,7 @@ def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, per
     context.SetTime(time)
     after = check("time")
     for name in before:
-        constant = make in (ConstantParameters, NoDisturbance) or name == "speed_bound"
+        constant = make is NoDisturbance or (make is ConstantParameters and name == "parameters")
         assert np.array_equal(before[name], after[name]) == constant, name
 
 

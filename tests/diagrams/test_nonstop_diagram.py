@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from helpers import output, regular
+from helpers import fix, output, regular
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
@@ -16,6 +16,7 @@ from drake_nonstop.blocks.load_trajectory import ConstantVelocityMoveConfig, Res
 from drake_nonstop.blocks.optimization_layer import (
     ConstantParameters,
     ConstantParametersConfig,
+    NonstopOptimizerConfig,
 )
 from drake_nonstop.blocks.phase import PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
@@ -71,6 +72,7 @@ def test_no_input_is_left_open_and_every_output_is_exported(name, request):
     diagram = request.getfixturevalue(name)
     assert diagram.num_input_ports() == 0
     wired = {wire.split(" -> ")[1] for wire in wiring.connections(diagram)}
+    wired |= {f"{name}.{port}" for name, box in BOXES.items() for port in box.optional_inputs}
     signals = []
     for block in diagram.GetSystems():
         assert {f"{block.get_name()}.{p}" for p in wiring.input_names(block)} <= wired
@@ -165,6 +167,46 @@ def test_sampled_commands_stand_still_between_samples_but_for_the_carriers_motio
     for name in names:
         np.testing.assert_array_equal(first[name], same[name], err_msg=name)
         assert not np.array_equal(first[name], next_sample[name]), name
+
+
+class CommandingDisturbance(LeafSystem):
+    """No disturbance, and a speed bound that rises with the time."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort(
+            "disturbance_wrench", 6, lambda context, output: output.SetFromVector(np.zeros(6))
+        )
+        self.DeclareVectorOutputPort(
+            "speed_bound_command",
+            1,
+            lambda context, output: output.SetFromVector([0.3 + 0.01 * context.get_time()]),
+        )
+
+
+@pytest.mark.parametrize("layer", [NonstopOptimizerConfig(), ConstantParametersConfig()])
+def test_speed_bound_command_of_a_block_is_the_bound(layer):
+    scenario = Scenario(optimization_layer=layer)
+    diagram = make_nonstop(scenario, load_disturbance=CommandingDisturbance)
+    wire = "load_disturbance.speed_bound_command -> optimization_layer.speed_bound_command"
+    assert wire in wiring.connections(diagram)
+    context = diagram.CreateDefaultContext()
+    context.SetTime(2.0)
+    np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.32])
+
+
+def test_speed_bound_command_becomes_an_input_where_it_is_asked_for():
+    diagram = make_nonstop(plain(), speed_bound_command=None)
+    assert wiring.input_sizes(diagram) == {"speed_bound_command": 1}
+    context = diagram.CreateDefaultContext()
+    np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.2])
+    fix(diagram, context, speed_bound_command=np.array([0.4]))
+    np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.4])
+
+
+def test_what_replaces_an_optional_input_is_none():
+    with pytest.raises(ScenarioError, match="replacement = speed_bound_command: give one of"):
+        make_nonstop(plain(), speed_bound_command=CommandingDisturbance)
 
 
 class Kite(LeafSystem):
@@ -395,6 +437,8 @@ def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
     assert needed <= read
     sources = dict(reversed(wire) for wire in wires)
     for port in wiring.input_names(swapped):
+        if port in BOXES[name].optional_inputs:
+            continue
         source = sources[f"{name}.{port}"].split(".")[1]
         assert source.removeprefix("held_") == port
 

@@ -106,6 +106,25 @@ def test_sizes_that_differ_are_both_given():
     )
 
 
+def test_optional_input_is_connected_only_where_there_is_such_a_signal():
+    blocks = {"plant": Box(["command", "wind"], ["state"]), "source": Box([], ["command"])}
+    optional = ["plant.wind"]
+    assert wires(blocks, optional_inputs=optional) == ["source.command -> plant.command"]
+    blocks["weather"] = Box([], ["wind"])
+    assert "weather.wind -> plant.wind" in wires(blocks, optional_inputs=optional)
+    del blocks["weather"]
+    assert "outside.wind -> plant.wind" in wires(blocks, None, {"wind": 2}, optional)
+    blocks["kite"] = Box(["wind"], ["pull"])  # to which it is not optional
+    with pytest.raises(WiringError, match=r"kite = Box .* wind \(2\) is not among the signals"):
+        wires(blocks, optional_inputs=optional)
+
+
+def test_optional_input_of_another_size_than_its_signal_is_an_error():
+    blocks = {"plant": Box(["wind"], ["state"]), "weather": Box([], ["wind"], size=3)}
+    with pytest.raises(WiringError, match=r"plant = Box with inputs wind \(2\): expected wind \(3"):
+        connect(blocks, name="loop", optional_inputs=["plant.wind"])
+
+
 def test_all_inputs_that_cannot_be_wired_are_reported_at_once():
     blocks = figure() | {"plant": Box(["comand", "force", "torque"], ["state"])}
     with pytest.raises(WiringError) as error:
