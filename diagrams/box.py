@@ -45,8 +45,10 @@ class Box:
             of the internal force, texts such as "3n" and "2m". The numbers become texts, too.
         optional: the signals among them that a block may leave out; nothing in the figure
             reads them.
-        optional_inputs: input ports of its block, with sizes, that are left unconnected where no
-            block makes a signal of their name.
+        recorded_where_read: the signals that take time to evaluate and are in a run's recorded
+            signals only where a block reads them.
+        optional_inputs: input ports of its block that are left unconnected where no block makes
+            a signal of their name.
         place: where the drawing has it.
         is_simulated: its block takes the model that is simulated, not the one that the
             controllers believe in.
@@ -64,7 +66,8 @@ class Box:
     signals: Mapping[str, str | int]
     place: Place
     optional: tuple[str, ...] = ()
-    optional_inputs: Mapping[str, int] = field(default_factory=dict)
+    recorded_where_read: tuple[str, ...] = ()
+    optional_inputs: tuple[str, ...] = ()
     is_simulated: bool = False
     is_fused: bool = False
     feeds_fused_plant: bool = False

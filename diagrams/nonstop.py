@@ -92,7 +92,7 @@ BOXES: dict[str, Box] = {
             "speed_bound": 1,
         },
         optional=("diagnostics", "solve_time", "speed_bound"),
-        optional_inputs={"speed_bound_command": 1},
+        optional_inputs=("speed_bound_command",),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
         feeds_fused_plant=True,
@@ -118,7 +118,14 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_trajectory": Box(
         variants=carrier_trajectory.VARIANTS,
-        signals={"carrier_reference": "6n"},
+        signals={
+            "carrier_reference": "6n",
+            "carrier_reference_acceleration": "3n",
+            "carrier_reference_jerk": "3n",
+        },
+        optional=("carrier_reference_acceleration", "carrier_reference_jerk"),
+        recorded_where_read=("carrier_reference_acceleration", "carrier_reference_jerk"),
+        optional_inputs=("internal_force", "parameters"),
         place=Place(4, 2, 1, Kind.INNER_LOOP),
         feeds_fused_plant=True,
     ),
@@ -157,6 +164,9 @@ BOXES: dict[str, Box] = {
     ),
 }
 
+# Signals that no box makes, with sizes: a block reads them where there is a block that does.
+COMMANDS = {"speed_bound_command": 1}
+
 # Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
 # plant in place of its boxes.
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
@@ -189,6 +199,8 @@ phase.phase -> optimization_layer.phase
 phase.phase -> internal_force.phase
 internal_force.internal_force -> force_distribution.internal_force
 
+internal_force.internal_force -> carrier_trajectory.internal_force
+optimization_layer.parameters -> carrier_trajectory.parameters
 force_distribution.desired_cable_forces -> carrier_trajectory.desired_cable_forces
 force_distribution.desired_cable_force_rates -> carrier_trajectory.desired_cable_force_rates
 carrier_trajectory.carrier_reference -> carrier_controller.carrier_reference
@@ -241,19 +253,16 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
             swap by `--set` (see `replaced`); a function that takes the `Model` and returns a
             LeafSystem or Diagram with ports named after the signals it reads and makes; or
             None to leave the box out: the signals that it has to make become input ports of
-            the diagram, for a bigger one to connect. By the name of an optional input, such as
-            `speed_bound_command`, which no box makes: None, and it becomes one, too.
+            the diagram, for a bigger one to connect. By the name of one of the `COMMANDS`: None,
+            and it becomes an input port, too.
 
     Raises:
         ScenarioError: the scenario or a replacement cannot be built, or the ports of a
             replacement do not fit; the message names the field, the value and the remedy.
     """
-    optional_inputs = {
-        signal: size for box in BOXES.values() for signal, size in box.optional_inputs.items()
-    }
-    outside = {
+    outside: dict[str, int] = {
         signal: size
-        for signal, size in optional_inputs.items()
+        for signal, size in COMMANDS.items()
         if signal in replacements and replacements[signal] is None
     }
     boxes = {name: entry for name, entry in replacements.items() if name not in outside}

@@ -4,11 +4,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.systems.framework import DiagramBuilder
 
-from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE
+from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk, carrier_motion
+from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    PARAMETERS_SIZE,
+)
 from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.systems.wiring import input_names, output_names
 from drake_nonstop.validation import StrictFields
 
 
@@ -55,12 +63,88 @@ class _TrajectoryAboveLoad(TracedBlock):
         )
 
 
+class _TrajectoryAboveReference(DiagramBlock):
+    """A `_TrajectoryAboveLoad` on its reference, with accelerations and jerks.
+
+    These are a system of their own, so that they are evaluated where something reads them only.
+    """
+
+    is_sampled = True
+
+    def __init__(self, model: Model, compliance: float):
+        super().__init__()
+        builder = DiagramBuilder()
+        pose = ("reference", LOAD_REFERENCE_SIZE)
+        motion = builder.AddNamedSystem(
+            "motion", _TrajectoryAboveLoad(model, pose=pose, compliance=compliance)
+        )
+        derivatives = builder.AddNamedSystem("derivatives", _derivatives(model, compliance))
+        for name in input_names(derivatives):
+            builder.ExportInput(derivatives.GetInputPort(name), name)
+        for name in input_names(motion):
+            if name in input_names(derivatives):
+                builder.ConnectInput(name, motion.GetInputPort(name))
+            else:
+                builder.ExportInput(motion.GetInputPort(name), name)
+        for part in (motion, derivatives):
+            for name in output_names(part):
+                builder.ExportOutput(part.GetOutputPort(name), name)
+        builder.BuildInto(self)
+
+
+def _derivatives(model: Model, compliance: float) -> TracedBlock:
+    """The carriers' accelerations and jerks while the load is on its reference."""
+    cables = {
+        "attachments": model.attachments,
+        "rest_length": model.cable_length,
+        "compliance": compliance,
+    }
+
+    def derivatives(
+        reference: NDArray,
+        forces: NDArray,
+        rates: NDArray,
+        internal_force: NDArray,
+        parameters: NDArray,
+    ) -> tuple[NDArray, NDArray]:
+        forces, rates = forces.reshape(-1, 3), rates.reshape(-1, 3)
+        higher_rates = second_and_third_force_rates(
+            model.load,
+            reference,
+            forces,
+            rates,
+            internal_force,
+            parameters,
+            pseudo_inverse=model.pseudo_inverse,
+            basis=model.pattern.basis,
+        )
+        return (
+            carrier_acceleration(reference, forces, rates, higher_rates[0], **cables),
+            carrier_jerk(reference, forces, rates, *higher_rates, **cables),
+        )
+
+    return TracedBlock(
+        derivatives,
+        inputs={
+            "reference": LOAD_REFERENCE_SIZE,
+            "desired_cable_forces": 3 * model.n,
+            "desired_cable_force_rates": 3 * model.n,
+            "internal_force": 2 * model.m,
+            "parameters": PARAMETERS_SIZE,
+        },
+        outputs=dict.fromkeys(
+            ("carrier_reference_acceleration", "carrier_reference_jerk"), 3 * model.n
+        ),
+        is_traced_late=True,
+    )
+
+
 @dataclass(kw_only=True)
 class CarrierTrajectoryConfig(StrictFields):
     """No parameters: cable length and stiffness are the system's."""
 
 
-class CarrierTrajectory(_TrajectoryAboveLoad):
+class CarrierTrajectory(_TrajectoryAboveReference):
     """Carriers above the desired load pose, on cables stretched by the desired forces (eqs. 1, 22).
 
     The cables stretch by the system's stiffness (.inf: L_i = L₀, as in the paper).
@@ -72,19 +156,26 @@ class CarrierTrajectory(_TrajectoryAboveLoad):
         - reference
         - desired_cable_forces
         - desired_cable_force_rates
+        - internal_force
+        - parameters
         - sample_time (where the model has a control period)
         output_ports:
         - carrier_reference
+        - carrier_reference_acceleration
+        - carrier_reference_jerk
 
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
-    `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W.
-    Between samples the reference moves along its velocity.
+    `internal_force` (2m) = [λ (N); λ̇ (N/s)] and `parameters` (2) = [ξ (rad/s), A (N)], which only
+    accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m),
+    velocities (m/s)] in W. Between samples the reference moves along its velocity.
+
+    `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
+    those of constant ξ and A while the load is on its reference, whose snap and angular jerk are
+    taken as zero, see `mechanics.force_rates`; between samples they stand still.
     """
 
     def __init__(self, model: Model, config: CarrierTrajectoryConfig | None = None):
-        super().__init__(
-            model, pose=("reference", LOAD_REFERENCE_SIZE), compliance=model.cable_compliance
-        )
+        super().__init__(model, compliance=model.cable_compliance)
 
 
 @dataclass(kw_only=True)
@@ -92,7 +183,7 @@ class InextensibleCarrierTrajectoryConfig(StrictFields):
     """No parameters: the cable length is the system's."""
 
 
-class InextensibleCarrierTrajectory(_TrajectoryAboveLoad):
+class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
     """Carriers above the desired load pose, on inextensible cables L_i = L₀, as in the paper.
 
     If the simulated cables stretch, the load hangs lower until the wrench controller's integral
@@ -105,17 +196,26 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveLoad):
         - reference
         - desired_cable_forces
         - desired_cable_force_rates
+        - internal_force
+        - parameters
         - sample_time (where the model has a control period)
         output_ports:
         - carrier_reference
+        - carrier_reference_acceleration
+        - carrier_reference_jerk
 
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
-    `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W.
-    Between samples the reference moves along its velocity.
+    `internal_force` (2m) = [λ (N); λ̇ (N/s)] and `parameters` (2) = [ξ (rad/s), A (N)], which only
+    accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m),
+    velocities (m/s)] in W. Between samples the reference moves along its velocity.
+
+    `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
+    those of constant ξ and A while the load is on its reference, whose snap and angular jerk are
+    taken as zero, see `mechanics.force_rates`; between samples they stand still.
     """
 
     def __init__(self, model: Model, config: InextensibleCarrierTrajectoryConfig | None = None):
-        super().__init__(model, pose=("reference", LOAD_REFERENCE_SIZE), compliance=0.0)
+        super().__init__(model, compliance=0.0)
 
 
 @dataclass(kw_only=True)
@@ -126,7 +226,8 @@ class MeasuredCarrierTrajectoryConfig(StrictFields):
 class MeasuredCarrierTrajectory(_TrajectoryAboveLoad):
     """Carriers above the measured load pose: they follow the load wherever it is.
 
-    Only the wrench controller then corrects the load's pose.
+    Only the wrench controller then corrects the load's pose. It does not make the accelerations and
+    jerks that the others make: those of the measured load are not known.
 
     .. pydrake_system::
 

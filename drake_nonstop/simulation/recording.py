@@ -26,6 +26,7 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.systems.wiring import output_names
@@ -327,11 +328,17 @@ def require_room(nonstop: Diagram, scenario: Scenario) -> None:
 
 def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, OutputPort]]:
     """The ports, by name, that are recorded at 100 Hz and at every step."""
+    read = {
+        source.get_output_port(index).get_name()
+        for source, index in nonstop.connection_map().values()
+    }
+    if_read = {name for box in BOXES.values() for name in box.recorded_where_read}
     outputs = [nonstop.get_output_port(i) for i in range(nonstop.num_output_ports())]
     ports = {
         port.get_name(): port
         for port in outputs
         if port.get_data_type() == PortDataType.kVectorValued
+        and port.get_name() not in if_read - read
     }
     return (
         {name: port for name, port in ports.items() if name != WALL_TIME},

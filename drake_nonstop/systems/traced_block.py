@@ -15,7 +15,7 @@ from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, Syst
 from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
-from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.systems.tracing import LateTracedFunction, TracedFunction
 
 _STATE = "(state)"  # no name of a port
 
@@ -56,6 +56,7 @@ class TracedBlock(DiagramBlock):
         state_port: the name of the output port that shows the state; none: no port does.
         reads_time: `function` takes the time (1,) in s after all others.
         key: as of `TracedFunction`.
+        is_traced_late: the function is traced when an output is evaluated for the first time.
 
     Raises:
         ValueError: there is nothing to take: neither an input nor a state nor the time.
@@ -71,6 +72,7 @@ class TracedBlock(DiagramBlock):
         state_port: str = "",
         reads_time: bool = False,
         key: Any = None,
+        is_traced_late: bool = False,
     ):
         super().__init__()
         read, made = dict(inputs), dict(outputs or {})
@@ -86,8 +88,10 @@ class TracedBlock(DiagramBlock):
         if not read and not reads_time:
             raise ValueError("inputs = none: give some, a state, or reads_time")
         builder = DiagramBuilder()
+        evaluator = LateTracedFunction if is_traced_late else TracedFunction
         traced = builder.AddNamedSystem(
-            "traced", _Traced(function, [*read.values()], sum(made.values()), reads_time, key)
+            "traced",
+            _Traced(function, [*read.values()], sum(made.values()), reads_time, key, evaluator),
         )
         inputs_of, outputs_of = traced.get_input_port, traced.get_output_port
         if len(read) > 1:
@@ -117,7 +121,13 @@ class _Traced(InnerBlock):
     """A traced function of one vector, the inputs stacked, with one output, likewise."""
 
     def __init__(
-        self, function: Callable, sizes: list[int], result_size: int, reads_time: bool, key: Any
+        self,
+        function: Callable,
+        sizes: list[int],
+        result_size: int,
+        reads_time: bool,
+        key: Any,
+        evaluator: type[TracedFunction] | type[LateTracedFunction],
     ):
         super().__init__()
 
@@ -125,7 +135,7 @@ class _Traced(InnerBlock):
             results = function(*inputs)
             return np.concatenate(results if isinstance(results, tuple) else (results,), axis=None)
 
-        self._evaluate = TracedFunction(
+        self._evaluate = evaluator(
             stacked,
             [*sizes, 1] if reads_time else sizes,
             name=self.box,

@@ -108,6 +108,23 @@ class TracedFunction:
         return self._results
 
 
+class LateTracedFunction:
+    """A `TracedFunction` that is traced at its first call, for what most runs do not evaluate.
+
+    Arguments are those of `TracedFunction`.
+    """
+
+    def __init__(self, *arguments: Any, **named: Any):
+        self._arguments, self._named = arguments, named
+        self._traced: TracedFunction | None = None
+
+    def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
+        """As of `TracedFunction`."""
+        if self._traced is None:
+            self._traced = TracedFunction(*self._arguments, **self._named)
+        return self._traced(*inputs)
+
+
 def _traced(
     function: Callable, input_sizes: Sequence[int], jacobian_of: int | None, key: Any
 ) -> casadi.Function:

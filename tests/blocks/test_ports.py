@@ -63,7 +63,7 @@ from drake_nonstop.blocks.wrench_controller import (
     WrenchController,
 )
 from drake_nonstop.diagrams.box import config_class
-from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.diagrams.nonstop import BOXES, COMMANDS
 from drake_nonstop.scenario.describe import parameters
 
 
@@ -94,6 +94,10 @@ def everything(inputs, outputs):
     return inputs, outputs, [(source, target) for source in inputs for target in outputs]
 
 
+_PULLED = ("reference", "desired_cable_forces", "desired_cable_force_rates")
+_ORBIT = ("internal_force", "parameters")
+_DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
+
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
 BLOCKS = {
     moving_reference: ([], ["reference"], []),
@@ -108,8 +112,16 @@ BLOCKS = {
         ["measured_load_state", "wrench", "wrench_rate", "internal_force"],
         ["desired_cable_forces", "desired_cable_force_rates"],
     ),
-    InextensibleCarrierTrajectory: everything(
-        ["reference", "desired_cable_forces", "desired_cable_force_rates"], ["carrier_reference"]
+    **dict.fromkeys(
+        (CarrierTrajectory, InextensibleCarrierTrajectory),
+        (
+            [*_PULLED, *_ORBIT],
+            ["carrier_reference", *_DERIVATIVES],
+            [
+                *((source, "carrier_reference") for source in _PULLED),
+                *((source, target) for source in (*_PULLED, *_ORBIT) for target in _DERIVATIVES),
+            ],
+        ),
     ),
     MeasuredCarrierTrajectory: everything(
         ["measured_load_state", "desired_cable_forces", "desired_cable_force_rates"],
@@ -193,15 +205,6 @@ BLOCKS = {
             ("wrench_rate", "desired_cable_force_rates"),
             ("internal_force", "desired_cable_forces"),
             ("internal_force", "desired_cable_force_rates"),
-        ],
-    ),
-    CarrierTrajectory: (
-        ["reference", "desired_cable_forces", "desired_cable_force_rates"],
-        ["carrier_reference"],
-        [
-            ("reference", "carrier_reference"),
-            ("desired_cable_forces", "carrier_reference"),
-            ("desired_cable_force_rates", "carrier_reference"),
         ],
     ),
     CarrierPid: (
@@ -289,8 +292,7 @@ def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
     held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()}
-    optional = {s: k for box in BOXES.values() for s, k in box.optional_inputs.items()}
-    return (sizes | held | optional | {"sample_time": 1})[signal]
+    return (sizes | held | COMMANDS | {"sample_time": 1})[signal]
 
 
 def values(signal, seed, n):

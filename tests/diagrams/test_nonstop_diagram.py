@@ -22,7 +22,7 @@ from drake_nonstop.blocks.phase import PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams import nonstop
 from drake_nonstop.diagrams.box import block_class, config_class
-from drake_nonstop.diagrams.nonstop import BOXES, box_of, figure_wires, make_nonstop
+from drake_nonstop.diagrams.nonstop import BOXES, COMMANDS, box_of, figure_wires, make_nonstop
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -58,7 +58,7 @@ def block_names(diagram):
 
 def test_figure_as_listed_is_the_figure_as_built(figure):
     assert set(wiring.connections(figure)) == figure_wires()
-    assert len(figure_wires()) == 25
+    assert len(figure_wires()) == 27
 
 
 def test_every_box_is_there_under_its_name_with_its_default_block(figure):
@@ -72,7 +72,7 @@ def test_no_input_is_left_open_and_every_output_is_exported(name, request):
     diagram = request.getfixturevalue(name)
     assert diagram.num_input_ports() == 0
     wired = {wire.split(" -> ")[1] for wire in wiring.connections(diagram)}
-    wired |= {f"{name}.{port}" for name, box in BOXES.items() for port in box.optional_inputs}
+    wired |= {f"optimization_layer.{port}" for port in COMMANDS}
     signals = []
     for block in diagram.GetSystems():
         assert {f"{block.get_name()}.{p}" for p in wiring.input_names(block)} <= wired
@@ -84,7 +84,15 @@ def test_no_input_is_left_open_and_every_output_is_exported(name, request):
 def test_every_signal_is_read_but_those_that_only_report(figure):
     read = {wire.split(" -> ")[0].split(".")[1] for wire in wiring.connections(figure)}
     unread = set(wiring.output_names(figure)) - read
-    assert unread == {"tracking_error", "diagnostics", "solve_time", "speed_bound", "tensions"}
+    assert unread == {
+        "tracking_error",
+        "diagnostics",
+        "solve_time",
+        "speed_bound",
+        "tensions",
+        "carrier_reference_acceleration",
+        "carrier_reference_jerk",
+    }
 
 
 def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
@@ -105,7 +113,11 @@ def test_contract_asks_for_what_is_read_and_for_the_tensions():
 
 
 def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
-    assert BOXES["carrier_trajectory"].sizes(5, 3) == {"carrier_reference": 30}
+    assert BOXES["carrier_trajectory"].sizes(5, 3) == {
+        "carrier_reference": 30,
+        "carrier_reference_acceleration": 15,
+        "carrier_reference_jerk": 15,
+    }
     assert BOXES["internal_force"].sizes(5, 3) == {"internal_force": 6}
     assert BOXES["cables"].sizes(5, 3) == {"cable_forces": 15, "tensions": 5}
     assert BOXES["load_trajectory"].sizes(5, 3) == {"reference": 22}
@@ -437,7 +449,7 @@ def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
     assert needed <= read
     sources = dict(reversed(wire) for wire in wires)
     for port in wiring.input_names(swapped):
-        if port in BOXES[name].optional_inputs:
+        if port in COMMANDS:
             continue
         source = sources[f"{name}.{port}"].split(".")[1]
         assert source.removeprefix("held_") == port

@@ -10,6 +10,7 @@ from drake_nonstop.mechanics import (
     cable,
     carrier,
     circle,
+    force_rates,
     grasp,
     internal_force,
     nonstop,
@@ -87,6 +88,7 @@ EQUATIONS = {
         internal_force.internal_force_acceleration,
         [2, 2 * N],
     ),
+    "internal_force_jerk": (internal_force.internal_force_jerk, [2, 2 * N]),
     "ellipse_axes": (
         lambda basis, phases: internal_force.ellipse_axes(basis.reshape(9, 3), phases),
         [27, 3],
@@ -117,6 +119,24 @@ EQUATIONS = {
             reference, *(pull.reshape(-1, 3) for pull in pulls), compliance=0.002, **CABLES
         ),
         [22, 3 * N, 3 * N, 3 * N],
+    ),
+    "carrier_jerk": (
+        lambda reference, *pulls: carrier.carrier_jerk(
+            reference, *(pull.reshape(-1, 3) for pull in pulls), compliance=0.002, **CABLES
+        ),
+        [22, 3 * N, 3 * N, 3 * N, 3 * N],
+    ),
+    "second_and_third_force_rates": (
+        lambda reference, forces, rates, *orbit: force_rates.second_and_third_force_rates(
+            LOAD,
+            reference,
+            forces.reshape(-1, 3),
+            rates.reshape(-1, 3),
+            *orbit,
+            pseudo_inverse=GRASP["pseudo_inverse"],
+            basis=BASIS,
+        ),
+        [22, 3 * N, 3 * N, 2 * N, 2],
     ),
     "pid_forces": (
         lambda *a: carrier.pid_forces(
