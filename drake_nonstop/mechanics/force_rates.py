@@ -88,7 +88,5 @@ def _product_rate(
     product: Callable, first: Sequence[NDArray], second: Sequence[NDArray], order: int
 ) -> NDArray:
     """The rate of that order of a bilinear product, of the factors and their rates in order."""
-    terms = [
-        math.comb(order, i) * product(first[i], second[order - i]) for i in range(order + 1)
-    ]
+    terms = [math.comb(order, i) * product(first[i], second[order - i]) for i in range(order + 1)]
     return sum(terms[1:], terms[0])

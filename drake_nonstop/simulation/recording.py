@@ -107,6 +107,8 @@ class StoredSignals(Mapping[str, NDArray]):
 class Recording:
     """The logs of a diagram's signals: all at 100 Hz, and a few at every step.
 
+    Signals that are `recorded_where_read` are not among them where no block reads them.
+
     Args:
         builder: has the diagram already; the logs are added to it.
         nonstop: the diagram, as `make_nonstop` builds it.

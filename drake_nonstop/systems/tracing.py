@@ -121,8 +121,11 @@ class LateTracedFunction:
     def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """As of `TracedFunction`."""
         if self._traced is None:
-            self._traced = TracedFunction(*self._arguments, **self._named)
+            self._traced = self._make()
         return self._traced(*inputs)
+
+    def _make(self) -> TracedFunction:
+        return TracedFunction(*self._arguments, **self._named)
 
 
 def _traced(

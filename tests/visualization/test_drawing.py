@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 import pytest
 from pydrake.systems.framework import Diagram, LeafSystem
 
-from drake_nonstop.diagrams.nonstop import PLACES, make_nonstop
+from drake_nonstop.diagrams.nonstop import COMMANDS, PLACES, make_nonstop
 from drake_nonstop.scenario.loading import SCENARIOS as SCENARIO_FILES
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.systems import wiring
@@ -42,7 +42,10 @@ class Toy(LeafSystem):
 def with_extra_blocks(diagram: Diagram) -> Diagram:
     """Toys with the ports of the diagram's blocks, and blocks that the layout does not know."""
     blocks = {
-        system.get_name(): Toy(wiring.input_names(system), wiring.output_names(system))
+        system.get_name(): Toy(
+            [name for name in wiring.input_names(system) if name not in COMMANDS],
+            wiring.output_names(system),
+        )
         for system in diagram.GetSystems()
     }
     blocks["load_plant"] = Toy(["cable_forces", "disturbance_wrench", "gust"], ["load_state"])
