@@ -1,6 +1,7 @@
 """Box "Carrier Desired Trajectories" of the figure."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +95,7 @@ class _TrajectoryAboveReference(DiagramBlock):
 
 def _derivatives(model: Model, compliance: float) -> TracedBlock:
     """The carriers' accelerations and jerks while the load is on its reference."""
-    cables = {
+    cables: dict[str, Any] = {
         "attachments": model.attachments,
         "rest_length": model.cable_length,
         "compliance": compliance,

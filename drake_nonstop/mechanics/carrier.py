@@ -148,6 +148,18 @@ def double_integrator_rate(carrier_state: NDArray, forces: NDArray, *, mass: flo
     return np.concatenate([velocities, forces / mass])
 
 
+def carriers_kinetic_energy(carrier_state: NDArray, *, mass: float) -> NDArray:
+    """½ m Σ ‖v_i‖² (1,), J, of [positions, velocities] (6n,) in W."""
+    _, velocities = np.split(carrier_state, 2)
+    return mass * (velocities * velocities).sum(keepdims=True) / 2
+
+
+def carriers_potential_energy(carrier_state: NDArray, *, mass: float, gravity: float) -> NDArray:
+    """m g Σ z_i (1,), J, of [positions, velocities] (6n,): zero at z = 0 in W."""
+    positions, _ = np.split(carrier_state, 2)
+    return mass * gravity * positions[2::3].sum(keepdims=True)
+
+
 def loaded_pid_forces(
     carrier_reference: NDArray,
     carrier_state: NDArray,

@@ -138,7 +138,7 @@ def loop_on_its_reference(**boxes):
 def test_derivatives_in_the_loop_are_differences_of_the_velocities(block):
     diagram, context = loop_on_its_reference(load_trajectory=SteadyJerk, carrier_trajectory=block)
     for time in (0.3, 1.1):
-        motion, acceleration, jerk = carriers_at(diagram, context, time)
+        _, acceleration, jerk = carriers_at(diagram, context, time)
         velocity = difference(lambda t: carriers_at(diagram, context, t)[0][12:], time)
         np.testing.assert_allclose(acceleration, velocity, rtol=0, atol=1e-8)
         expected = difference(lambda t: carriers_at(diagram, context, t)[1], time)

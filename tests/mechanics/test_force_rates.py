@@ -1,5 +1,7 @@
 """Second and third rates of the desired cable forces, and the carriers' jerk that follows."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from helpers import GAINS, INERTIA, SHAPES, difference
@@ -128,7 +130,7 @@ def test_accelerations_and_jerks_are_differences_of_velocities(shape, compliance
 
 def test_the_reference_of_these_tests_is_a_motion_without_snap_and_angular_jerk():
     parts = [slice(4, 7), slice(10, 13), slice(16, 19), slice(19, 22)]
-    for lower, upper in zip(parts, parts[1:], strict=False):
+    for lower, upper in pairwise(parts):
         rate = difference(lambda t, lower=lower: reference(t)[lower], 0.5)
         np.testing.assert_allclose(reference(0.5)[upper], rate, rtol=0, atol=1e-10)
     np.testing.assert_array_equal(reference(0.5)[[19, 20, 21, 13]], reference(1)[[19, 20, 21, 13]])
