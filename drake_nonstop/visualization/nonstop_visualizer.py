@@ -124,7 +124,7 @@ class NonstopVisualizer(LeafBlock):
                 overridden(scenario.system, scenario.simulated),
                 meshcat,
                 scenario.scene,
-                path=_reference_path(nonstop, scenario.duration),
+                path=_reference_path(nonstop, scenario.simulation_duration),
                 speed_bound=scenario.speed_bound,
                 frame_rate=frame_rate,
             )

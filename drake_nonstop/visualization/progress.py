@@ -75,7 +75,7 @@ class RunProgress(_Progress):
     """Simulated time and real-time factor of a run: the `progress` of `simulate` and `run_live`.
 
     Example:
-        with RunProgress(scenario.name, scenario.duration) as progress:
+        with RunProgress(scenario.name, scenario.simulation_duration) as progress:
             run = simulate(scenario, progress=progress)
 
     Args:

@@ -28,7 +28,7 @@ def transforms(meshcat):
 
 
 def short(name="quintic", duration=0.3):
-    return load_scenario(name, [f"duration={duration}"])
+    return load_scenario(name, [f"simulation_duration={duration}"])
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -48,7 +48,7 @@ def beside(scenario, meshcat, **options):
     builder.AddSystem(nonstop)
     visualizer = NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat, **options)
     simulator = Simulator(builder.Build())
-    ApplySimulatorConfig(scenario.simulator, simulator)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
     context = simulator.get_mutable_context()
     set_equilibrium(nonstop, nonstop.GetMyMutableContextFromRoot(context))
     return simulator, visualizer
