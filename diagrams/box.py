@@ -47,8 +47,6 @@ class Box:
             reads them.
         recorded_where_read: the signals that take time to evaluate and are in a run's recorded
             signals only where a block reads them.
-        optional_inputs: input ports of its block that are left unconnected where no block makes
-            a signal of their name.
         place: where the drawing has it.
         is_simulated: its block takes the model that is simulated, not the one that the
             controllers believe in.
@@ -67,7 +65,6 @@ class Box:
     place: Place
     optional: tuple[str, ...] = ()
     recorded_where_read: tuple[str, ...] = ()
-    optional_inputs: tuple[str, ...] = ()
     is_simulated: bool = False
     is_fused: bool = False
     feeds_fused_plant: bool = False
@@ -150,4 +147,5 @@ def kept_parameters(
 
 def import_path(config: type) -> str:
     """The name of a block outside the package: "module.X" for the dataclass XConfig."""
-    return f"{config.__module__}.{config.__name__.removesuffix('Config')}"
+    module = config.__module__.replace("__mp_main__", "__main__")  # in a process of a study
+    return f"{module}.{config.__name__.removesuffix('Config')}"

@@ -12,12 +12,12 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
 
 import copy
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import is_dataclass
 from typing import Any, Protocol, TypeVar
 
 from pydrake.systems.analysis import SimulatorConfig
-from pydrake.systems.framework import Diagram, System
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from drake_nonstop.blocks import (
     cables,
@@ -34,7 +34,7 @@ from drake_nonstop.blocks import (
     phase,
     wrench_controller,
 )
-from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.box import (
     Box,
     Kind,
@@ -57,6 +57,7 @@ from drake_nonstop.model.system import Model, PatternConfig, SystemParameters, o
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
+from drake_nonstop.systems.energy import LoopDiagram
 from drake_nonstop.validation import ScenarioError, one_line, require
 
 # The boxes of the figure, in its order.
@@ -92,7 +93,6 @@ BOXES: dict[str, Box] = {
             "speed_bound": 1,
         },
         optional=("diagnostics", "solve_time", "speed_bound"),
-        optional_inputs=("speed_bound_command",),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
         feeds_fused_plant=True,
@@ -125,7 +125,6 @@ BOXES: dict[str, Box] = {
         },
         optional=("carrier_reference_acceleration", "carrier_reference_jerk"),
         recorded_where_read=("carrier_reference_acceleration", "carrier_reference_jerk"),
-        optional_inputs=("internal_force", "parameters"),
         place=Place(4, 2, 1, Kind.INNER_LOOP),
         feeds_fused_plant=True,
     ),
@@ -164,12 +163,10 @@ BOXES: dict[str, Box] = {
     ),
 }
 
-# Signals that no box makes, with sizes: a block reads them where there is a block that does.
-COMMANDS = {"speed_bound_command": 1}
-
 # Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
 # plant in place of its boxes.
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
+EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
 PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
     SAMPLE_AND_HOLD: Place(1, 2, 1, Kind.ADDITION),
     FUSED_PLANT: Place(2, 3, -1, Kind.PLANT),
@@ -239,36 +236,80 @@ class LoopConfig(Protocol):
         ...
 
 
-def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System] | Any) -> Diagram:
+Maker = Callable[[Model], System]  # of a block, such as its class
+
+
+def make_nonstop(
+    scenario: LoopConfig,
+    *,
+    extra: Mapping[str, Maker | Any] | None = None,
+    inputs: Collection[str] = (),
+    **replacements: Maker | Any,
+) -> Diagram:
     """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
 
     Every signal is exported under its name: `diagram.GetOutputPort("load_state")`. With
     `fused_plant` one subsystem, `plant`, takes the place of the boxes that are `is_fused`; where
     that is not possible a ScenarioWarning tells why, and the separate blocks are built.
+    `CalcKineticEnergy` and `CalcPotentialEnergy` of the diagram sum those of its blocks, see
+    `LoopDiagram`.
 
     Args:
         scenario: the system, the pattern and one config per box.
+        extra: blocks beyond the figure's by names of their own, each as a replacement. They read
+            and make signals by the names of their ports.
+        inputs: signals that no block makes, which become input ports of the diagram.
         replacements: by the name of a box, what to put in its place: a block's config; a block
             class with the dataclass of its parameters beside it, to which parameters go as in a
             swap by `--set` (see `replaced`); a function that takes the `Model` and returns a
             LeafSystem or Diagram with ports named after the signals it reads and makes; or
-            None to leave the box out: the signals that it has to make become input ports of
-            the diagram, for a bigger one to connect. By the name of one of the `COMMANDS`: None,
-            and it becomes an input port, too.
+            None to leave the box out: another block makes its signals (one block for two boxes),
+            or those that the box has to make become input ports of the diagram, for a bigger one
+            to connect.
 
     Raises:
         ScenarioError: the scenario or a replacement cannot be built, or the ports of a
             replacement do not fit; the message names the field, the value and the remedy.
     """
+    blocks = make_blocks(scenario, extra=extra, **replacements)
+    outside = _signals_left_out(scenario, blocks) | wiring.sizes_of_inputs(blocks, inputs)
+    builder = DiagramBuilder()
+    wiring.connect_by_name(builder, blocks, inputs=outside)
+    diagram = LoopDiagram()
+    builder.BuildInto(diagram)
+    diagram.set_name(LOOP)
+    if not extra and all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
+        difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
+        if difference:
+            raise wiring.WiringError(
+                f"WIRES = {difference}: these differ between the list and the diagram that was "
+                "built; correct the list or the ports"
+            )
+    return diagram
+
+
+def make_blocks(
+    scenario: LoopConfig,
+    *,
+    extra: Mapping[str, Maker | Any] | None = None,
+    **replacements: Maker | Any,
+) -> dict[str, System]:
+    """The blocks of a scenario's loop by the names of their boxes, for `connect_by_name`.
+
+    With a control period the `sample_and_hold` of the controllers' inputs is among them, and with
+    `fused_plant` the `plant`, as in `make_nonstop`.
+
+    Args:
+        scenario: as of `make_nonstop`, and so are the others.
+        extra: blocks beyond the figure's.
+        replacements: what to put in the places of boxes.
+
+    Raises:
+        ScenarioError: as `make_nonstop`, but for what concerns the blocks' inputs.
+    """
     is_scenario = callable(getattr(scenario, "check", None))
     require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
-    outside: dict[str, int] = {
-        signal: size
-        for signal, size in COMMANDS.items()
-        if signal in replacements and replacements[signal] is None
-    }
-    boxes = {name: entry for name, entry in replacements.items() if name not in outside}
-    scenario, others = replaced(scenario, boxes)
+    scenario, others = replaced(scenario, replacements)
     scenario.check()
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
     plant = overridden(scenario.system, scenario.simulated)
@@ -281,55 +322,92 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
     simulated = Model(plant, scenario.pattern, scenario.control_period, field="simulated")
     blocks: dict[str, System] = {}
     for name, box in BOXES.items():
-        required, optional = box.required_and_optional(believed)
         entry = others.get(name, getattr(scenario, name))
         if entry is None:
-            outside |= required
             continue
         make = _constructor(name, entry) if is_dataclass(entry) else entry
-        require(
-            callable(make),
-            f"replacement {name}",
-            entry,
-            "give a block's config, a function that takes the model and returns a system, or "
-            "None to leave the box out",
-        )
-        try:
-            blocks[name] = make(simulated if box.is_simulated else believed)
-        except SystemExit:
-            remedy = "give a function that returns a system, and does not exit"
-            raise ScenarioError(f"replacement {name} = SystemExit: {remedy}") from None
-        require(
-            isinstance(blocks[name], System),
-            f"replacement {name}",
-            blocks[name],
-            "return a LeafSystem or Diagram from the function",
-        )
-        wiring.check_outputs(name, blocks[name], required, optional)
+        model = simulated if box.is_simulated else believed
+        blocks[name] = _made(f"replacement {name}", make, model, ", or None to leave the box out")
+        wiring.check_outputs(name, blocks[name], *box.required_and_optional(believed))
+    for name, entry in _checked_extra(extra).items():
+        blocks[name] = _made(f"extra {name}", _maker(name, entry), believed, "")
+    sizes = _figure_sizes(believed)
+    for name, block in blocks.items():
+        made = sizes.keys() & wiring.output_sizes(block).keys()
+        wiring.check_outputs(name, block, {signal: sizes[signal] for signal in made}, {})
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
-    replaced_signals = {}
     if scenario.control_period > 0:
         blocks[SAMPLE_AND_HOLD] = SampleAndHold(believed)
-        replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
-    diagram = wiring.connect(
-        blocks,
-        name=LOOP,
-        replaced_signals=replaced_signals,
-        outside=outside,
-        optional_inputs=[
-            f"{name}.{signal}" for name, box in BOXES.items() for signal in box.optional_inputs
-        ],
+    return blocks
+
+
+def _made(field: str, make: Any, model: Model, besides: str) -> System:
+    """The block that a function makes of a model."""
+    remedy = f"give a block's config, a function that takes the model and returns a system{besides}"
+    require(callable(make), field, make, remedy)
+    try:
+        block = make(model)
+    except SystemExit:
+        remedy = "give a function that returns a system, and does not exit"
+        raise ScenarioError(f"{field} = SystemExit: {remedy}") from None
+    require(
+        isinstance(block, System), field, block, "return a LeafSystem or Diagram from the function"
     )
-    if all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
-        difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
-        if difference:
-            raise wiring.WiringError(
-                f"WIRES = {difference}: these differ between the list and the diagram that was "
-                "built; correct the list or the ports"
-            )
-    return diagram
+    return block
+
+
+def _figure_sizes(model: Model) -> dict[str, int]:
+    """The sizes of all the figure's signals."""
+    return {
+        signal: size
+        for box in BOXES.values()
+        for signal, size in box.sizes(model.n, model.m).items()
+    }
+
+
+def _signals_left_out(scenario: LoopConfig, blocks: Mapping[str, System]) -> dict[str, int]:
+    """The signals, with their sizes, of boxes left out that no block makes in their place."""
+    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    missing = [
+        signal
+        for box in BOXES.values()
+        for signal in box.signals
+        if signal not in box.optional and signal not in made
+    ]
+    if not missing:
+        return {}
+    sizes = _figure_sizes(Model(scenario.system, scenario.pattern, scenario.control_period))
+    return {signal: sizes[signal] for signal in missing}
+
+
+def _checked_extra(extra: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """The blocks beyond the figure's."""
+    remedy = 'give a mapping from names to blocks, such as {"estimator": Estimator}'
+    require(extra is None or isinstance(extra, Mapping), "extra", extra, remedy)
+    for name in extra or {}:
+        taken = name in BOXES or name in (SAMPLE_AND_HOLD, FUSED_PLANT)
+        remedy = f"it is a box of the figure; give it as {name}=..., or its block another name"
+        if name in (SAMPLE_AND_HOLD, FUSED_PLANT):
+            remedy = "the loop has a block of that name; give another one"
+        require(not taken, "extra", name, remedy)
+        remedy = "name each block by a text without colons and dots"
+        require(
+            isinstance(name, str) and name and not {":", "."} & set(name), "extra", name, remedy
+        )
+    return extra or {}
+
+
+def _maker(name: str, entry: Any) -> Any:
+    """What makes an extra block of a model."""
+    config = _config_class(entry)
+    if config is not None:
+        entry = config()
+    if not is_dataclass(entry) or isinstance(entry, type):
+        return entry
+    block: Any = block_class(f"extra {name}", type(entry))
+    return lambda model: block(model, entry)
 
 
 _Loop = TypeVar("_Loop", bound=LoopConfig)
@@ -340,7 +418,7 @@ def replaced(scenario: _Loop, replacements: Mapping[str, Any]) -> tuple[_Loop, d
 
     A block class whose module has the dataclass of its parameters, and that dataclass itself,
     stand for a config: the parameters that the block in the box has, too, stay as they are. All
-    others are as in `make_nonstop`.
+    others are as in `make_nonstop`, with `extra` among them.
 
     Raises:
         ScenarioError: there is no box of a name.
@@ -348,6 +426,9 @@ def replaced(scenario: _Loop, replacements: Mapping[str, Any]) -> tuple[_Loop, d
     configs: dict[str, Any] = {}
     others: dict[str, Any] = {}
     for name, entry in replacements.items():
+        if name == EXTRA:
+            others[name] = entry
+            continue
         require(name in BOXES, "replacement", name, f"give one of {', '.join(BOXES)}")
         config = _config_class(entry)
         if config is not None:

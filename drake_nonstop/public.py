@@ -38,6 +38,7 @@ from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
+from drake_nonstop.systems.energy import kinetic_energy, potential_energy
 from drake_nonstop.systems.traced_block import Equations, TracedBlock
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.version import __version__
@@ -79,6 +80,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "RunStopped",
     "RunInterrupted",
     "compute_metrics",
+    "kinetic_energy",
+    "potential_energy",
     "RunOutcome",
     "write_results",
     "ablate",

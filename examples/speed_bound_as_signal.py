@@ -20,7 +20,7 @@ def main(duration: float = 15.0) -> None:
     builder = DiagramBuilder()
     # The loop's optional input becomes one of the diagram; a block of the loop that makes the
     # signal `speed_bound_command` would be connected to it by its name.
-    loop = builder.AddSystem(make_nonstop(scenario, speed_bound_command=None))
+    loop = builder.AddSystem(make_nonstop(scenario, inputs=["speed_bound_command"]))
     source = builder.AddSystem(TrajectorySource(bound))
     builder.Connect(source.get_output_port(), loop.GetInputPort("speed_bound_command"))
     names = ("carrier_state", "speed_bound", "load_state", "reference")

@@ -1,11 +1,13 @@
 """Box "Cable Forces" of the figure."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.systems.framework import Context
 
-from drake_nonstop.mechanics.cable import cable_forces_and_tensions
+from drake_nonstop.mechanics.cable import cable_forces_and_tensions, cables_elastic_energy
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import TracedBlock
@@ -45,6 +47,16 @@ class _CableForces(TracedBlock):
             inputs={"load_state": LOAD_STATE_SIZE, "carrier_state": 6 * model.n},
             outputs={"cable_forces": 3 * model.n, "tensions": model.n},
         )
+        self._springs: dict[str, Any] = {
+            "attachments": model.attachments,
+            "rest_length": rest_length,
+            "stiffness": stiffness,
+        }
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """That of the stretched cables, J; the context is the block's own."""
+        states = (self.GetInputPort(name).Eval(context) for name in ("load_state", "carrier_state"))
+        return float(cables_elastic_energy(*states, **self._springs)[0])
 
 
 @dataclass(kw_only=True)

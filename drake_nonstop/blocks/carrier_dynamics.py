@@ -3,9 +3,15 @@
 import math
 from dataclasses import dataclass
 
+from pydrake.systems.framework import Context
 from pydrake.systems.primitives import Integrator, Selector
 
-from drake_nonstop.mechanics.carrier import double_integrator_rate, loaded_carrier_rate
+from drake_nonstop.mechanics.carrier import (
+    carriers_kinetic_energy,
+    carriers_potential_energy,
+    double_integrator_rate,
+    loaded_carrier_rate,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType
 from drake_nonstop.systems.linear_block import LinearBlock
@@ -40,6 +46,12 @@ class CarrierDynamics(LinearBlock):
             state_size=6 * model.n,
             state_port="carrier_state",
         )
+        self._mass = model.carrier_mass
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        return float(carriers_kinetic_energy(state, mass=self._mass)[0])
 
 
 @dataclass(kw_only=True)
@@ -96,6 +108,18 @@ class LoadedCarrierDynamics(TracedBlock):
             state=Integrator(6 * n),
             state_port="carrier_state",
         )
+        self._mass, self._gravity = model.carrier_mass, model.gravity
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m_c Σ ‖v_i‖², J; the context is the block's own."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        return float(carriers_kinetic_energy(state, mass=self._mass)[0])
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """Those of the weights, m_c g Σ z_i, J; the context is the block's own."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        energy = carriers_potential_energy(state, mass=self._mass, gravity=self._gravity)
+        return float(energy[0])
 
 
 @dataclass(kw_only=True)
@@ -123,6 +147,12 @@ class IdealCarriers(Selector, metaclass=BlockType):
     def __init__(self, model: Model, config: IdealCarriersConfig | None = None):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""
         super().__init__(stacking({"carrier_reference": 6 * model.n}, "carrier_state"))
+        self._mass = model.carrier_mass
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        return float(carriers_kinetic_energy(state, mass=self._mass)[0])
 
 
 # The blocks that the box can be, the default first.

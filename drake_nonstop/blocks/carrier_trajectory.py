@@ -71,6 +71,7 @@ class _TrajectoryAboveReference(DiagramBlock):
     """
 
     is_sampled = True
+    optional_inputs = ("internal_force", "parameters")
 
     def __init__(self, model: Model, compliance: float):
         super().__init__()

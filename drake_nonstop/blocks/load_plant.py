@@ -11,7 +11,11 @@ from pydrake.multibody.tree import BodyIndex, SpatialInertia, UnitInertia
 from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import Integrator
 
-from drake_nonstop.mechanics.rigid_load import load_state_rate
+from drake_nonstop.mechanics.rigid_load import (
+    load_kinetic_energy,
+    load_potential_energy,
+    load_state_rate,
+)
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadState, Wrench
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
@@ -55,6 +59,17 @@ class LoadPlant(TracedBlock):
             state=Integrator(np.eye(LOAD_STATE_SIZE)[0]),
             state_port="load_state",
         )
+        self._load = model.load
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m ‖ṗ‖² + ½ ω·J ω, J; the context is the block's own."""
+        state = self.GetOutputPort("load_state").Eval(context)
+        return float(load_kinetic_energy(self._load, state)[0])
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """That of the weight, m g z, J; the context is the block's own."""
+        state = self.GetOutputPort("load_state").Eval(context)
+        return float(load_potential_energy(self._load, state)[0])
 
 
 @dataclass(kw_only=True)

@@ -126,6 +126,7 @@ class NonstopOptimizer(LeafBlock):
     """
 
     is_sampled = True
+    optional_inputs = (_COMMAND,)
 
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
         super().__init__()
@@ -300,6 +301,7 @@ class ConstantParameters(LeafBlock):
     """
 
     is_sampled = True
+    optional_inputs = (_COMMAND,)
 
     def __init__(self, model: Model, config: ConstantParametersConfig | None = None):
         super().__init__()

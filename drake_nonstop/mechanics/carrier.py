@@ -155,7 +155,7 @@ def carriers_kinetic_energy(carrier_state: NDArray, *, mass: float) -> NDArray:
 
 
 def carriers_potential_energy(carrier_state: NDArray, *, mass: float, gravity: float) -> NDArray:
-    """m g Σ z_i (1,), J, of [positions, velocities] (6n,): zero at z = 0 in W."""
+    """Of the weights, m g Σ z_i (1,), J, of [positions, velocities] (6n,) in W: zero at z = 0."""
     positions, _ = np.split(carrier_state, 2)
     return mass * gravity * positions[2::3].sum(keepdims=True)
 

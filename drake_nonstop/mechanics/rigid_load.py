@@ -96,5 +96,5 @@ def load_kinetic_energy(load: RigidLoad, load_state: NDArray) -> NDArray:
 
 
 def load_potential_energy(load: RigidLoad, load_state: NDArray) -> NDArray:
-    """m g z (1,), J, of a load state (13,): that of its weight, zero at z = 0 in W."""
+    """Of the weight, m g z (1,), J, of a load state (13,): zero at z = 0 in W."""
     return load.mass * load.gravity * LoadState.view(load_state).position[2:]

@@ -138,7 +138,11 @@ def _choice(block: type[System], model: Model) -> Choice:
     except ScenarioError as error:
         unbuildable = str(error)
     else:
-        inputs = tuple(_port(*item) for item in wiring.input_sizes(built).items())
+        optional = getattr(block, "optional_inputs", ())
+        inputs = tuple(
+            dataclasses.replace(_port(*item), is_optional=item[0] in optional)
+            for item in wiring.input_sizes(built).items()
+        )
         outputs = tuple(_port(*item) for item in wiring.output_sizes(built).items())
     return Choice(
         name=block.__name__,
@@ -161,7 +165,7 @@ def _pattern(config: type) -> Choice:
 def _port(name: str, size: int | None) -> Port:
     """The port of that name: its size by the contract, or else as it is for the default n."""
     sizes = {signal: str(size) for box in BOXES.values() for signal, size in box.signals.items()}
-    is_optional = any(name in (*box.optional, *box.optional_inputs) for box in BOXES.values())
+    is_optional = any(name in box.optional for box in BOXES.values())
     text = "abstract" if size is None else str(size)
     return Port(name=name, size=sizes.get(name, text), is_optional=is_optional)
 

@@ -8,6 +8,7 @@ import os
 import shutil
 import tempfile
 import time
+import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -27,13 +28,17 @@ from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    PARAMETERS_SIZE,
+)
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import SIGNAL_PERIOD
-from drake_nonstop.systems.wiring import output_names
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
+from drake_nonstop.systems.wiring import maker_of, nested, require_signals
 from drake_nonstop.validation import require
 
 MEMORY_LIMIT = 32e6  # bytes of signals in memory; with more of them all go to files
-WALL_TIME = "solve_time"  # differs from run to run: kept out of the samples
 STEP_TIME = "time"  # the name of the steps' times
 
 # What the metrics judge by the step, and where the optimization layer's updates show.
@@ -46,6 +51,16 @@ _EVERY_STEP = (
     WALL_TIME,
 )
 
+# What metrics and figures need of a run, with sizes; None: of any number of carriers.
+RUN_SIGNALS = {
+    "load_state": LOAD_STATE_SIZE,
+    "reference": LOAD_REFERENCE_SIZE,
+    "carrier_state": None,
+    "tensions": None,
+    "parameters": PARAMETERS_SIZE,
+}
+
+_AT_INSTANT = 1e-6 * SIGNAL_PERIOD  # s, from a sample's time to what counts as its instant
 _DOUBLE = 8  # bytes
 _PREFIX = "drake-nonstop-run-"  # of the temporary folders' names
 _LEAST_AGE = 60.0  # s, of an abandoned folder: a younger one may be about to be locked
@@ -104,8 +119,96 @@ class StoredSignals(Mapping[str, NDArray]):
         return dict, ({name: np.array(values) for name, values in self.items()},)
 
 
-class Recording:
-    """The logs of a diagram's signals: all at 100 Hz, and a few at every step.
+class LogSignals:
+    """The logs of a loop's signals: all at 100 Hz, and a few at every step.
+
+    They are logs of Drake's own, which each context has for itself: `Run.from_logs` makes a run of
+    those of a context. The integrator's steps end at the instants of the samples. All of them are
+    in memory, some 0.3 MB for a second of flight; a run of `simulate` may be in files instead.
+    `AddToBuilder` makes them.
+
+    Attributes:
+        nonstop: the diagram whose signals they are.
+    """
+
+    def __init__(self, builder: DiagramBuilder, nonstop: Diagram):
+        sampled, stepped = _recorded_ports(nonstop)
+        self.nonstop = nonstop
+        self._steps = _Log(builder, stepped, TriggerType.kPerStep)
+        self._samples = _Log(builder, sampled, TriggerType.kForced)
+        self._signal_names = _signal_names(nonstop, sampled)
+        self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
+
+    @staticmethod
+    def AddToBuilder(builder: DiagramBuilder, nonstop: Diagram) -> "LogSignals":  # noqa: N802
+        """Adds the logs beside a loop, connected to the signals that it exports.
+
+        Args:
+            builder: has the loop's diagram already.
+            nonstop: the diagram; it exports its signals, as one by `make_nonstop` or
+                `connect_by_name` does, at least `load_state`, `reference`, `carrier_state`,
+                `tensions` and `parameters`.
+
+        Raises:
+            ScenarioError: it does not export these, or is not in the builder.
+        """
+        require_signals(nonstop, RUN_SIGNALS, "LogSignals")
+        remedy = "add it to the builder first, builder.AddSystem(...), and give what that returns"
+        is_there = any(system is nonstop for system in builder.GetSystems())
+        require(is_there, "LogSignals", nonstop.get_name() or "a diagram", remedy)
+        logs = LogSignals(builder, nonstop)
+        logs._samples.publish_every(SIGNAL_PERIOD)
+        return logs
+
+    def collect(
+        self, context: Context
+    ) -> tuple[NDArray, Mapping[str, NDArray], Mapping[str, NDArray]]:
+        """The fields `time`, `signals` and `steps` of a `Run`, since time was set back last.
+
+        Args:
+            context: of the whole diagram, such as a Simulator's.
+
+        Raises:
+            ScenarioError: there is nothing in the logs of the context.
+        """
+        count = self._samples.log_of(context).num_samples()
+        require(count > 0, "logs", "no samples", "advance a Simulator with this context first")
+        samples = _last_flight(self._samples.columns(self._samples.log_of(context)))
+        steps = _last_flight(self._steps.columns(self._steps.log_of(context)))
+        times = samples[_Log.TIMES]
+        instants = np.round(times / SIGNAL_PERIOD)
+        is_instant = np.abs(times - SIGNAL_PERIOD * instants) < _AT_INSTANT
+        return (
+            np.where(is_instant, SIGNAL_PERIOD * instants, times),
+            {name: samples[port] for name, port in self._signal_names.items()},
+            {name: steps[port] for name, port in self._step_names.items()},
+        )
+
+
+def _signal_names(nonstop: Diagram, sampled: Mapping[str, OutputPort]) -> dict[str, str]:
+    """The ports of a diagram by their names "block.port", with the block that makes the signal."""
+    *_, loop = nested(nonstop, RUN_SIGNALS) if all(s in sampled for s in RUN_SIGNALS) else [nonstop]
+    names = {}
+    for port in sampled:
+        maker = maker_of(loop if loop.HasOutputPort(port) else nonstop, port)
+        is_named = "@" not in maker.get_name()  # Drake names the others by where they are
+        name = maker.get_name().replace(".", "_") if is_named else type(maker).__name__
+        names[f"{name}.{port}"] = port
+    return names
+
+
+def _last_flight(columns: dict[str, NDArray]) -> dict[str, NDArray]:
+    """The rows since time was set back last; of those of one instant the last."""
+    times = columns[_Log.TIMES]
+    changes = np.diff(times)
+    start = np.flatnonzero(changes < 0)[-1] + 1 if np.any(changes < 0) else 0
+    kept = np.append(changes != 0, True)[: len(times)]
+    kept[:start] = False
+    return {name: values[kept] for name, values in columns.items()}
+
+
+class Recording(LogSignals):
+    """The logs of a long run, which go to files: of one context, sampled when that is asked for.
 
     Signals that are `recorded_where_read` are not among them where no block reads them.
 
@@ -115,16 +218,7 @@ class Recording:
     """
 
     def __init__(self, builder: DiagramBuilder, nonstop: Diagram):
-        sampled, stepped = _recorded_ports(nonstop)
-        self._steps = _Log(builder, stepped, TriggerType.kPerStep)
-        self._samples = _Log(builder, sampled, TriggerType.kForced)
-        self._signal_names = {
-            f"{block.get_name()}.{name}": name
-            for block in nonstop.GetSystems()
-            for name in output_names(block)
-            if name in sampled
-        }
-        self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
+        super().__init__(builder, nonstop)
         self._folder: _TemporaryFolder | None = None
         self._is_full = False  # the folder
 
@@ -150,8 +244,10 @@ class Recording:
                     "shorter simulation_duration"
                 ) from None
 
-    def collect(self) -> tuple[NDArray, Mapping[str, NDArray], Mapping[str, NDArray]]:
-        """The fields `time`, `signals` and `steps` of a `Run`."""
+    def collect(
+        self, context: Context | None = None
+    ) -> tuple[NDArray, Mapping[str, NDArray], Mapping[str, NDArray]]:
+        """The fields `time`, `signals` and `steps` of a `Run`, of the context it started with."""
         if self._folder is not None and not self._is_full:
             with contextlib.suppress(OSError):  # what it cannot take stays in memory
                 self._store()
@@ -197,7 +293,29 @@ class _Log:
 
     def start(self, context: Context) -> None:
         self._context = self._sink.GetMyContextFromRoot(context)
-        self._log = self._sink.FindLog(context)
+        self._log = self.log_of(context)
+
+    def log_of(self, context: Context) -> VectorLog:
+        """The log of the context of the whole diagram."""
+        return self._sink.FindLog(context)
+
+    def publish_every(self, period: float) -> None:
+        """Has the simulator take a sample at the start and at every multiple of a period in s.
+
+        Unlike Drake's own periodic log it has the controllers' instants, to the last bit: steps
+        between two that differ by a rounding would have no length.
+        """
+        reference = weakref.ref(self)
+
+        def publish(context: Context) -> None:
+            log = reference()  # C++ would keep it alive
+            if log is not None:
+                log._sink.ForcedPublish(context)
+
+        self._sink.DeclareInitializationPublishEvent(publish=publish)
+        self._sink.DeclarePeriodicPublishEvent(
+            period_sec=period, offset_sec=period, publish=publish
+        )
 
     def publish(self) -> None:
         self._sink.ForcedPublish(self._context)
@@ -214,7 +332,7 @@ class _Log:
     def store(self, folder: Path) -> None:
         """Appends the rows in memory to the files in a folder, or none of them at an error."""
         folder.mkdir(exist_ok=True)
-        columns = self._columns()
+        columns = self.columns(self._log)
         rows = len(columns[self.TIMES])
         for i, (name, values) in enumerate(columns.items()):
             self._files[name] = folder / str(i)
@@ -234,7 +352,7 @@ class _Log:
             names: of the ports, by the names of the signals.
             folder: what `store` was given a folder in.
         """
-        columns = self._columns()
+        columns = self.columns(self._log)
         in_memory = {name: columns[port] for name, port in names.items()}
         if folder is None or self._stored == 0:
             return in_memory
@@ -244,12 +362,12 @@ class _Log:
         }
         return StoredSignals(folder, files, in_memory if self._log.num_samples() else {})
 
-    def _columns(self) -> dict[str, NDArray]:
+    def columns(self, log: VectorLog) -> dict[str, NDArray]:
         """The rows in memory, by the ports' names."""
         ends = np.cumsum(list(self._sizes.values()))
-        pieces = np.split(self._log.data(), ends[:-1])
+        pieces = np.split(log.data(), ends[:-1])
         columns = {name: piece.T.copy() for name, piece in zip(self._sizes, pieces, strict=True)}
-        return {self.TIMES: self._log.sample_times().copy()} | columns
+        return {self.TIMES: log.sample_times().copy()} | columns
 
 
 class _TemporaryFolder:

@@ -63,7 +63,7 @@ from drake_nonstop.blocks.wrench_controller import (
     WrenchController,
 )
 from drake_nonstop.diagrams.box import config_class
-from drake_nonstop.diagrams.nonstop import BOXES, COMMANDS
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.describe import parameters
 
 
@@ -292,7 +292,7 @@ def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
     held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()}
-    return (sizes | held | COMMANDS | {"sample_time": 1})[signal]
+    return (sizes | held | {"sample_time": 1, "speed_bound_command": 1})[signal]
 
 
 def values(signal, seed, n):

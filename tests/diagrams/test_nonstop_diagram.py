@@ -22,7 +22,7 @@ from drake_nonstop.blocks.phase import PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams import nonstop
 from drake_nonstop.diagrams.box import block_class, config_class
-from drake_nonstop.diagrams.nonstop import BOXES, COMMANDS, box_of, figure_wires, make_nonstop
+from drake_nonstop.diagrams.nonstop import BOXES, box_of, figure_wires, make_nonstop
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -72,7 +72,7 @@ def test_no_input_is_left_open_and_every_output_is_exported(name, request):
     diagram = request.getfixturevalue(name)
     assert diagram.num_input_ports() == 0
     wired = {wire.split(" -> ")[1] for wire in wiring.connections(diagram)}
-    wired |= {f"optimization_layer.{port}" for port in COMMANDS}
+    wired.add("optimization_layer.speed_bound_command")  # which may be left unconnected
     signals = []
     for block in diagram.GetSystems():
         assert {f"{block.get_name()}.{p}" for p in wiring.input_names(block)} <= wired
@@ -208,17 +208,12 @@ def test_speed_bound_command_of_a_block_is_the_bound(layer):
 
 
 def test_speed_bound_command_becomes_an_input_where_it_is_asked_for():
-    diagram = make_nonstop(plain(), speed_bound_command=None)
+    diagram = make_nonstop(plain(), inputs=["speed_bound_command"])
     assert wiring.input_sizes(diagram) == {"speed_bound_command": 1}
     context = diagram.CreateDefaultContext()
     np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.2])
     fix(diagram, context, speed_bound_command=np.array([0.4]))
     np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.4])
-
-
-def test_what_replaces_an_optional_input_is_none():
-    with pytest.raises(ScenarioError, match="replacement = speed_bound_command: give one of"):
-        make_nonstop(plain(), speed_bound_command=CommandingDisturbance)
 
 
 class Kite(LeafSystem):
@@ -353,10 +348,11 @@ def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wro
         make_nonstop(plain(period), load_disturbance=block)
     message = str(error.value)
     start = f"load_disturbance = Ports with inputs {given}: {wrong} not among the signals "
-    end = "; rename or resize the ports"
+    signals = {s: k for box in BOXES.values() for s, k in box.sizes(4, 4).items()}
+    unknown = [name for name in inputs if name not in signals]
+    end = f"; rename or resize the ports, or give make_nonstop or connect_by_name inputs={unknown}"
     assert message.startswith(start)
     assert message.endswith(end)
-    signals = {s: k for box in BOXES.values() for s, k in box.sizes(4, 4).items()}
     absent = {"diagnostics", "solve_time"}  # of the optimizer, which is not there
     if period > 0:
         signals |= {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
@@ -449,7 +445,7 @@ def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
     assert needed <= read
     sources = dict(reversed(wire) for wire in wires)
     for port in wiring.input_names(swapped):
-        if port in COMMANDS:
+        if port == "speed_bound_command":
             continue
         source = sources[f"{name}.{port}"].split(".")[1]
         assert source.removeprefix("held_") == port

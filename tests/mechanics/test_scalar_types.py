@@ -98,6 +98,24 @@ EQUATIONS = {
         lambda *a: rigid_load.load_state_rate(LOAD, *a, attachments=ATTACHMENTS),
         [13, 3 * N, 6],
     ),
+    "load_energies": (
+        lambda state: (
+            rigid_load.load_kinetic_energy(LOAD, state),
+            rigid_load.load_potential_energy(LOAD, state),
+        ),
+        [13],
+    ),
+    "carriers_energies": (
+        lambda state: (
+            carrier.carriers_kinetic_energy(state, mass=0.1),
+            carrier.carriers_potential_energy(state, mass=0.1, gravity=9.81),
+        ),
+        [6 * N],
+    ),
+    "cables_elastic_energy": (
+        lambda *a: cable.cables_elastic_energy(*a, stiffness=500.0, **CABLES),
+        [13, 6 * N],
+    ),
     "tracking_error": (wrench.tracking_error, [13, 22]),
     "wrench_and_rate": (
         lambda *a: wrench.wrench_and_rate(LOAD, *a, **CONTROL),
