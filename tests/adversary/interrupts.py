@@ -214,7 +214,11 @@ def _judge_work(
 ) -> None:
     """What was finished before the signal has to be there."""
     if name.startswith("run"):
-        if out.exists():
+        stopped = out.with_name("out_stopped")
+        if stopped.exists():  # beside the earlier results, which stay as they are
+            earlier.judge_results(verdict, stopped, flown if times == 1 else 0.0)
+            earlier.judge_results(verdict, out, 0.0)
+        elif out.exists():
             earlier.judge_results(verdict, out, flown if times == 1 else 0.0)
         elif flown > 0 and times == 1:
             verdict.add(LOST_WORK, f"{flown:.3g} s were flown, but there is no folder")
