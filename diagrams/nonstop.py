@@ -333,8 +333,9 @@ def make_blocks(
         blocks[name] = _made(f"extra {name}", _maker(name, entry), believed, "")
     sizes = _figure_sizes(believed)
     for name, block in blocks.items():
-        made = sizes.keys() & wiring.output_sizes(block).keys()
-        wiring.check_outputs(name, block, {signal: sizes[signal] for signal in made}, {})
+        made = wiring.output_sizes(block)
+        known = {signal: size for signal, size in sizes.items() if signal in made}
+        wiring.check_outputs(name, block, known, {})
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)

@@ -8,7 +8,6 @@ import os
 import shutil
 import tempfile
 import time
-import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from weakref import WeakValueDictionary, finalize
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import (
     Context,
     Diagram,
@@ -23,6 +23,7 @@ from pydrake.systems.framework import (
     OutputPort,
     PortDataType,
     TriggerType,
+    ValueProducer,
 )
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
@@ -35,6 +36,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
+from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.wiring import maker_of, nested, require_signals
 from drake_nonstop.validation import require
 
@@ -122,9 +124,9 @@ class StoredSignals(Mapping[str, NDArray]):
 class LogSignals:
     """The logs of a loop's signals: all at 100 Hz, and a few at every step.
 
-    They are logs of Drake's own, which each context has for itself: `Run.from_logs` makes a run of
-    those of a context. The integrator's steps end at the instants of the samples. All of them are
-    in memory, some 0.3 MB for a second of flight; a run of `simulate` may be in files instead.
+    Each context has logs of its own, as with Drake's `LogVectorOutput`: `Run.from_logs` makes a run
+    of those of a context. The integrator's steps end at the instants of the samples. All signals
+    are in memory, some 0.3 MB for a second of flight; a run of `simulate` may be in files instead.
     `AddToBuilder` makes them.
 
     Attributes:
@@ -135,7 +137,7 @@ class LogSignals:
         sampled, stepped = _recorded_ports(nonstop)
         self.nonstop = nonstop
         self._steps = _Log(builder, stepped, TriggerType.kPerStep)
-        self._samples = _Log(builder, sampled, TriggerType.kForced)
+        self._samples = _SampledLog(builder, sampled, SIGNAL_PERIOD)
         self._signal_names = _signal_names(nonstop, sampled)
         self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
 
@@ -156,9 +158,7 @@ class LogSignals:
         remedy = "add it to the builder first, builder.AddSystem(...), and give what that returns"
         is_there = any(system is nonstop for system in builder.GetSystems())
         require(is_there, "LogSignals", nonstop.get_name() or "a diagram", remedy)
-        logs = LogSignals(builder, nonstop)
-        logs._samples.publish_every(SIGNAL_PERIOD)
-        return logs
+        return LogSignals(builder, nonstop)
 
     def collect(
         self, context: Context
@@ -171,11 +171,11 @@ class LogSignals:
         Raises:
             ScenarioError: there is nothing in the logs of the context.
         """
-        count = self._samples.log_of(context).num_samples()
-        require(count > 0, "logs", "no samples", "advance a Simulator with this context first")
-        samples = _last_flight(self._samples.columns(self._samples.log_of(context)))
-        steps = _last_flight(self._steps.columns(self._steps.log_of(context)))
+        samples = _last_flight(self._samples.columns(context))
+        steps = _last_flight(_columns(self._steps.sizes, self._steps.log_of(context)))
         times = samples[_Log.TIMES]
+        remedy = "advance a Simulator with this context first"
+        require(len(times) > 0, "logs", "no samples", remedy)
         instants = np.round(times / SIGNAL_PERIOD)
         is_instant = np.abs(times - SIGNAL_PERIOD * instants) < _AT_INSTANT
         return (
@@ -183,6 +183,81 @@ class LogSignals:
             {name: samples[port] for name, port in self._signal_names.items()},
             {name: steps[port] for name, port in self._step_names.items()},
         )
+
+
+class _Rows:
+    """Values of a port and their times, as a `VectorLog` has them."""
+
+    def __init__(self) -> None:
+        self._times: list[float] = []
+        self._values: list[NDArray] = []
+
+    def add(self, time: float, values: NDArray) -> None:
+        self._times.append(time)
+        self._values.append(values.copy())
+
+    def num_samples(self) -> int:
+        return len(self._times)
+
+    def sample_times(self) -> NDArray:
+        return np.array(self._times)
+
+    def data(self) -> NDArray:
+        """(size, samples)."""
+        return np.array(self._values).T
+
+
+class _SampledLog(LeafBlock):
+    """A log of some ports at the start and at every multiple of a period, which each context has.
+
+    Unlike Drake's own periodic log it has the controllers' instants, to the last bit: steps
+    between two that differ by a rounding would have no length.
+    """
+
+    def __init__(self, builder: DiagramBuilder, ports: Mapping[str, OutputPort], period: float):
+        super().__init__()
+        self._sizes = {name: port.size() for name, port in ports.items()}
+        self._values = self.DeclareVectorInputPort("values", sum(self._sizes.values()))
+        self._rows = self.DeclareCacheEntry(
+            description="rows",
+            value_producer=ValueProducer(
+                allocate=lambda: AbstractValue.Make(_Rows()), calc=ValueProducer.NoopCalc
+            ),
+            prerequisites_of_calc={self.nothing_ticket()},
+        ).cache_index()
+        self.DeclareInitializationPublishEvent(self._publish)
+        self.DeclarePeriodicPublishEvent(period, period, self._publish)
+        builder.AddSystem(self)
+        builder.Connect(_multiplexed(builder, ports), self._values)
+
+    def _publish(self, context: Context) -> None:
+        self._of(context).add(context.get_time(), self._values.Eval(context))
+
+    def _of(self, context: Context) -> _Rows:
+        entry = self.get_cache_entry(self._rows).get_mutable_cache_entry_value(context)
+        rows: _Rows = entry.GetMutableValueOrThrow()
+        return rows
+
+    def columns(self, context: Context) -> dict[str, NDArray]:
+        """The rows, by the ports' names, in a context of the whole diagram."""
+        return _columns(self._sizes, self._of(self.GetMyContextFromRoot(context)))
+
+
+def _multiplexed(builder: DiagramBuilder, ports: Mapping[str, OutputPort]) -> OutputPort:
+    """One port of all: a sink per signal would slow every step of the diagram down."""
+    multiplexer = builder.AddSystem(Multiplexer([port.size() for port in ports.values()]))
+    for i, port in enumerate(ports.values()):
+        builder.Connect(port, multiplexer.get_input_port(i))
+    return multiplexer.get_output_port()
+
+
+def _columns(sizes: Mapping[str, int], log: "VectorLog | _Rows") -> dict[str, NDArray]:
+    """The rows of a log in memory, by the ports' names."""
+    columns = {name: np.zeros((0, size)) for name, size in sizes.items()}
+    if log.num_samples() > 0:
+        pieces = np.split(log.data(), np.cumsum(list(sizes.values()))[:-1])
+        columns = {name: piece.T.copy() for name, piece in zip(sizes, pieces, strict=True)}
+    return {_Log.TIMES: log.sample_times().copy()} | columns
 
 
 def _signal_names(nonstop: Diagram, sampled: Mapping[str, OutputPort]) -> dict[str, str]:
@@ -207,7 +282,7 @@ def _last_flight(columns: dict[str, NDArray]) -> dict[str, NDArray]:
     return {name: values[kept] for name, values in columns.items()}
 
 
-class Recording(LogSignals):
+class Recording:
     """The logs of a long run, which go to files: of one context, sampled when that is asked for.
 
     Signals that are `recorded_where_read` are not among them where no block reads them.
@@ -218,7 +293,12 @@ class Recording(LogSignals):
     """
 
     def __init__(self, builder: DiagramBuilder, nonstop: Diagram):
-        super().__init__(builder, nonstop)
+        sampled, stepped = _recorded_ports(nonstop)
+        self.nonstop = nonstop
+        self._steps = _Log(builder, stepped, TriggerType.kPerStep)
+        self._samples = _Log(builder, sampled, TriggerType.kForced)
+        self._signal_names = _signal_names(nonstop, sampled)
+        self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
         self._folder: _TemporaryFolder | None = None
         self._is_full = False  # the folder
 
@@ -277,14 +357,10 @@ class _Log:
     TIMES = ""  # no port has this name
 
     def __init__(self, builder: DiagramBuilder, ports: dict[str, OutputPort], trigger: TriggerType):
-        self._sizes = {name: port.size() for name, port in ports.items()}
+        self.sizes = {name: port.size() for name, port in ports.items()}
         self._row_size = _row_size(ports)
-        # One port for all: a sink per signal would slow every step of the diagram down.
-        multiplexer = builder.AddSystem(Multiplexer(list(self._sizes.values())))
-        for i, port in enumerate(ports.values()):
-            builder.Connect(port, multiplexer.get_input_port(i))
         self._sink = LogVectorOutput(
-            multiplexer.get_output_port(), builder, {trigger}, publish_period=0.0
+            _multiplexed(builder, ports), builder, {trigger}, publish_period=0.0
         )
         self._log: VectorLog
         self._context: Context
@@ -298,24 +374,6 @@ class _Log:
     def log_of(self, context: Context) -> VectorLog:
         """The log of the context of the whole diagram."""
         return self._sink.FindLog(context)
-
-    def publish_every(self, period: float) -> None:
-        """Has the simulator take a sample at the start and at every multiple of a period in s.
-
-        Unlike Drake's own periodic log it has the controllers' instants, to the last bit: steps
-        between two that differ by a rounding would have no length.
-        """
-        reference = weakref.ref(self)
-
-        def publish(context: Context) -> None:
-            log = reference()  # C++ would keep it alive
-            if log is not None:
-                log._sink.ForcedPublish(context)
-
-        self._sink.DeclareInitializationPublishEvent(publish=publish)
-        self._sink.DeclarePeriodicPublishEvent(
-            period_sec=period, offset_sec=period, publish=publish
-        )
 
     def publish(self) -> None:
         self._sink.ForcedPublish(self._context)
@@ -332,7 +390,7 @@ class _Log:
     def store(self, folder: Path) -> None:
         """Appends the rows in memory to the files in a folder, or none of them at an error."""
         folder.mkdir(exist_ok=True)
-        columns = self.columns(self._log)
+        columns = _columns(self.sizes, self._log)
         rows = len(columns[self.TIMES])
         for i, (name, values) in enumerate(columns.items()):
             self._files[name] = folder / str(i)
@@ -352,7 +410,7 @@ class _Log:
             names: of the ports, by the names of the signals.
             folder: what `store` was given a folder in.
         """
-        columns = self.columns(self._log)
+        columns = _columns(self.sizes, self._log)
         in_memory = {name: columns[port] for name, port in names.items()}
         if folder is None or self._stored == 0:
             return in_memory
@@ -361,13 +419,6 @@ class _Log:
             for name, port in names.items()
         }
         return StoredSignals(folder, files, in_memory if self._log.num_samples() else {})
-
-    def columns(self, log: VectorLog) -> dict[str, NDArray]:
-        """The rows in memory, by the ports' names."""
-        ends = np.cumsum(list(self._sizes.values()))
-        pieces = np.split(log.data(), ends[:-1])
-        columns = {name: piece.T.copy() for name, piece in zip(self._sizes, pieces, strict=True)}
-        return {self.TIMES: log.sample_times().copy()} | columns
 
 
 class _TemporaryFolder:

@@ -16,7 +16,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import ScenarioError, require
 
 if TYPE_CHECKING:
-    from drake_nonstop.simulation.recording import LogSignals
+    from drake_nonstop.simulation.recording import LogSignals, Recording
 
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
 WALL_TIME = "solve_time"  # differs from run to run: kept out of the samples
@@ -61,7 +61,7 @@ class Run:
     @classmethod
     def from_logs(
         cls,
-        logs: "LogSignals",
+        logs: "LogSignals | Recording",
         context: Context,
         scenario: Scenario,
         *,

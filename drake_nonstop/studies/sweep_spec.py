@@ -53,7 +53,7 @@ class SweepSpec(StrictFields):
     each draw's own, for the seed of a block such as Wind.
 
     In Python a box's values, in `grid` and in a `choice`, may be classes, configs and functions as
-    well, as the replacements of `make_nonstop`, which processes have to be able to import. The table
+    well, as the replacements of `make_nonstop`; processes have to be able to import them. The table
     has their names.
 
     Raises:
