@@ -29,7 +29,7 @@ def main(duration: float = 15.0) -> None:
         for name in names
     }
     simulator = Simulator(builder.Build())
-    ApplySimulatorConfig(scenario.simulator, simulator)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
     context = simulator.get_mutable_context()
     set_equilibrium(loop, loop.GetMyMutableContextFromRoot(context))
     simulator.AdvanceTo(duration)

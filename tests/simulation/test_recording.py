@@ -301,7 +301,7 @@ class AccelerationReader(LeafSystem):
 
 
 def test_accelerations_are_recorded_where_something_reads_them():
-    scenario = load_scenario("quintic", ["duration=0.1"])
+    scenario = load_scenario("quintic", ["simulation_duration=0.1"])
     plain = {"optimization_layer": ConstantParameters}
     unread = simulate(scenario, **plain)
     read = simulate(scenario, **plain, load_disturbance=AccelerationReader)

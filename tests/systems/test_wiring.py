@@ -130,9 +130,7 @@ def test_optional_input_is_connected_only_where_there_is_such_a_signal():
 
 def test_optional_input_of_another_size_than_its_signal_is_an_error():
     blocks = {"plant": Sail(["wind"], ["state"]), "weather": Box([], ["wind"], size=3)}
-    with pytest.raises(
-        WiringError, match=r"Sail with inputs wind \(2\): expected wind \(3\);"
-    ):
+    with pytest.raises(WiringError, match=r"Sail with inputs wind \(2\): expected wind \(3\);"):
         connect(blocks)
 
 
