@@ -69,8 +69,11 @@ def _reason_against(
         return "its steps are those of runge_kutta3 without error control"
     if steps > _MAX_STEPS:
         return f"{steps} steps a sample, of which {_MAX_STEPS} at most are traced"
+    made = {signal for block in blocks.values() for signal in output_names(block)}
     for name, box in boxes.items():
-        if box.feeds_fused_plant and not getattr(blocks.get(name), "is_sampled", False):
+        is_elsewhere = name not in blocks and made >= box.signals.keys() - set(box.optional)
+        is_sampled = is_elsewhere or getattr(blocks.get(name), "is_sampled", False)
+        if box.feeds_fused_plant and not is_sampled:
             return f"{_named(name, blocks)} may change between samples"
     read = {port for part in parts.values() for port in part.inputs}
     for name, block in blocks.items():

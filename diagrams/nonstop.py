@@ -320,6 +320,7 @@ def make_blocks(
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
     simulated = Model(plant, scenario.pattern, scenario.control_period, field="simulated")
+    sizes = _figure_sizes(believed)
     blocks: dict[str, System] = {}
     for name, box in BOXES.items():
         entry = others.get(name, getattr(scenario, name))
@@ -328,14 +329,11 @@ def make_blocks(
         make = _constructor(name, entry) if is_dataclass(entry) else entry
         model = simulated if box.is_simulated else believed
         blocks[name] = _made(f"replacement {name}", make, model, ", or None to leave the box out")
-        wiring.check_outputs(name, blocks[name], *box.required_and_optional(believed))
+        made = wiring.check_outputs(name, blocks[name], *box.required_and_optional(believed))
+        _check_others(name, blocks[name], made.keys() - box.signals.keys(), sizes)
     for name, entry in _checked_extra(extra).items():
         blocks[name] = _made(f"extra {name}", _maker(name, entry), believed, "")
-    sizes = _figure_sizes(believed)
-    for name, block in blocks.items():
-        made = wiring.output_sizes(block)
-        known = {signal: size for signal, size in sizes.items() if signal in made}
-        wiring.check_outputs(name, block, known, {})
+        _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
@@ -359,6 +357,13 @@ def _made(field: str, make: Any, model: Model, besides: str) -> System:
     return block
 
 
+def _check_others(name: str, block: System, made: set[str], sizes: Mapping[str, int]) -> None:
+    """Checks the sizes of those signals of the figure that a block makes in place of others."""
+    known = {signal: size for signal, size in sizes.items() if signal in made}
+    if known:
+        wiring.check_outputs(name, block, known, {})
+
+
 def _figure_sizes(model: Model) -> dict[str, int]:
     """The sizes of all the figure's signals."""
     return {
@@ -370,6 +375,8 @@ def _figure_sizes(model: Model) -> dict[str, int]:
 
 def _signals_left_out(scenario: LoopConfig, blocks: Mapping[str, System]) -> dict[str, int]:
     """The signals, with their sizes, of boxes left out that no block makes in their place."""
+    if all(name in blocks for name in BOXES):
+        return {}
     made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
     missing = [
         signal

@@ -36,7 +36,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
-from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.block import LOOP, LeafBlock
 from drake_nonstop.systems.wiring import maker_of, nested, require_signals
 from drake_nonstop.validation import require
 
@@ -137,7 +137,9 @@ class LogSignals:
         sampled, stepped = _recorded_ports(nonstop)
         self.nonstop = nonstop
         self._steps = _Log(builder, stepped, TriggerType.kPerStep)
-        self._samples = _SampledLog(builder, sampled, SIGNAL_PERIOD)
+        sizes = {name: port.size() for name, port in sampled.items()}
+        self._samples = builder.AddSystem(_SampledLog(sizes, SIGNAL_PERIOD))
+        builder.Connect(_multiplexed(builder, sampled), self._samples.get_input_port())
         self._signal_names = _signal_names(nonstop, sampled)
         self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
 
@@ -158,6 +160,8 @@ class LogSignals:
         remedy = "add it to the builder first, builder.AddSystem(...), and give what that returns"
         is_there = any(system is nonstop for system in builder.GetSystems())
         require(is_there, "LogSignals", nonstop.get_name() or "a diagram", remedy)
+        if "@" in nonstop.get_name() and not builder.HasSubsystemNamed(LOOP):
+            nonstop.set_name(LOOP)  # which errors look for, and not where it is in memory
         return LogSignals(builder, nonstop)
 
     def collect(
@@ -214,10 +218,10 @@ class _SampledLog(LeafBlock):
     between two that differ by a rounding would have no length.
     """
 
-    def __init__(self, builder: DiagramBuilder, ports: Mapping[str, OutputPort], period: float):
+    def __init__(self, sizes: Mapping[str, int], period: float):
         super().__init__()
-        self._sizes = {name: port.size() for name, port in ports.items()}
-        self._values = self.DeclareVectorInputPort("values", sum(self._sizes.values()))
+        self._sizes = sizes
+        self._values = self.DeclareVectorInputPort("values", sum(sizes.values()))
         self._rows = self.DeclareCacheEntry(
             description="rows",
             value_producer=ValueProducer(
@@ -227,8 +231,6 @@ class _SampledLog(LeafBlock):
         ).cache_index()
         self.DeclareInitializationPublishEvent(self._publish)
         self.DeclarePeriodicPublishEvent(period, period, self._publish)
-        builder.AddSystem(self)
-        builder.Connect(_multiplexed(builder, ports), self._values)
 
     def _publish(self, context: Context) -> None:
         self._of(context).add(context.get_time(), self._values.Eval(context))

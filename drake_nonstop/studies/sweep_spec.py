@@ -126,12 +126,12 @@ class SweepSpec(StrictFields):
         for path, distribution in self.draws.items():
             ((kind, parameters),) = distribution.items()
             values[path] = seed if kind == "seed" else _DRAW[kind](random, parameters)
-        changes = [
+        changes: list[Change] = [
             {path: value} if is_block(path, value) else as_override(path, value)
             for path, value in values.items()
         ]
         shown = {path: label(v) if is_block(path, v) else v for path, v in values.items()}
-        overrides = [*self.overrides, *changes]
+        overrides: list[Change] = [*self.overrides, *changes]
         return PlannedRun(number=number, seed=seed, values=shown, overrides=overrides)
 
     @property

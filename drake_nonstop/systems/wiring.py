@@ -59,8 +59,10 @@ def _size(port: InputPort | OutputPort) -> int | None:
     return port.size() if port.get_data_type() == PortDataType.kVectorValued else None
 
 
-def check_outputs(name: str, block: System, required: Sizes, optional: Sizes) -> None:
-    """Checks the outputs of the block that goes by that name; it may have others besides.
+def check_outputs(name: str, block: System, required: Sizes, optional: Sizes) -> Sizes:
+    """Checks the outputs of the block that goes by that name, and returns all of them.
+
+    It may have others besides.
 
     Raises:
         WiringError: a required output is missing, or one of either kind has another size.
@@ -75,6 +77,7 @@ def check_outputs(name: str, block: System, required: Sizes, optional: Sizes) ->
             f"{name} = {type(block).__name__} with outputs {_listed(given)}: expected "
             f"{_listed(required)}{besides}; rename or resize the ports"
         )
+    return given
 
 
 def _listed(sizes: Sizes) -> str:
@@ -122,8 +125,10 @@ def wires(blocks: Mapping[str, System], inputs: Collection[str] | Sizes = ()) ->
     outside = sizes_of_inputs(blocks, inputs)
     sources: dict[str, str] = dict.fromkeys(outside, OUTSIDE)
     sizes: dict[str, int | None] = dict(outside)
-    for block_name, block in blocks.items():
-        for signal, size in output_sizes(block).items():
+    made = {name: output_sizes(block) for name, block in blocks.items()}
+    read_by = {name: input_sizes(block) for name, block in blocks.items()}
+    for block_name in blocks:
+        for signal, size in made[block_name].items():
             if signal in outside:
                 raise WiringError(
                     f"inputs = {signal}: {block_name} has an output port of that name; leave it "
@@ -135,11 +140,16 @@ def wires(blocks: Mapping[str, System], inputs: Collection[str] | Sizes = ()) ->
                     "that name already; rename one of the two, or leave one of the blocks out"
                 )
             sources[signal], sizes[signal] = block_name, size
-    held = _held_signals(blocks)
+    held = {
+        port: f"{HELD}{port}"
+        for name, ports in read_by.items()
+        for port in ports
+        if f"{HELD}{port}" in made[name]
+    }
     upstream = {sources.get(signal) for pair in held.items() for signal in pair}
     result = []
     for block_name, block in blocks.items():
-        given = input_sizes(block)
+        given = read_by[block_name]
         optional = getattr(block, "optional_inputs", ())
         replaced = {} if block_name in upstream else held
         read = {
@@ -161,16 +171,6 @@ def wires(blocks: Mapping[str, System], inputs: Collection[str] | Sizes = ()) ->
             f"{sources[signal]}.{signal} -> {block_name}.{port}" for port, signal in read.items()
         ]
     return result
-
-
-def _held_signals(blocks: Mapping[str, System]) -> dict[str, str]:
-    """The signals that a block holds, and those that readers get in their places."""
-    return {
-        port: f"{HELD}{port}"
-        for block in blocks.values()
-        for port in input_names(block)
-        if f"{HELD}{port}" in output_names(block)
-    }
 
 
 def sizes_of_inputs(

@@ -15,6 +15,7 @@ from drake_nonstop import (
     SampleAndHold,
     ScenarioError,
     ScenarioWarning,
+    TracedBlock,
     connect_by_name,
     load_scenario,
     make_blocks,
@@ -366,23 +367,47 @@ def test_an_optional_input_may_stay_open():
 
 
 class Gust(LeafSystem):
-    """A disturbance that changes at any time."""
+    """A disturbance that changes at any time, or is said not to."""
 
-    def __init__(self, model):
+    def __init__(self, signal, size, is_sampled):
         super().__init__()
+        self.is_sampled = is_sampled
         self.DeclareVectorOutputPort(
-            "disturbance_wrench", 6, lambda c, o: o.SetFromVector([c.get_time(), 0, 0, 0, 0, 0])
+            signal, size, lambda c, o: o.SetFromVector(np.zeros(size)), {self.time_ticket()}
         )
 
 
-def test_a_plant_is_not_fused_that_reads_an_extra_block_between_samples():
+def pushed(model):
+    """A controller with equations to be traced, which reads an extra block's signal."""
+    n = model.n
+    return TracedBlock(
+        lambda reference, state, push: 100 * (reference - state)[: 3 * n] + push,
+        inputs={"carrier_reference": 6 * n, "carrier_state": 6 * n, "push": 3 * n},
+        outputs={"carrier_forces": 3 * n},
+    )
+
+
+@pytest.mark.parametrize("is_sampled", [False, True])
+@pytest.mark.parametrize(
+    ("replacements", "signal", "size"),
+    [
+        ({"load_disturbance": None}, "disturbance_wrench", 6),
+        ({"carrier_controller": pushed}, "push", 12),
+    ],
+)
+def test_a_plant_is_fused_only_if_extra_blocks_that_it_reads_are_sampled(
+    replacements, signal, size, is_sampled
+):
     fused = load_scenario("line", ["optimization_layer=ConstantParameters", "fused_plant=true"])
-    said = "may change between samples; the separate blocks are used instead"
+    extra = {"gust": lambda model: Gust(signal, size, is_sampled)}
+    if is_sampled:
+        nonstop = make_nonstop(fused, extra=extra, **replacements)
+        assert nonstop.HasSubsystemNamed("plant")
+        return
+    said = "gust = Gust may change between samples; the separate blocks are used instead"
     with pytest.warns(ScenarioWarning, match=said):
-        nonstop = make_nonstop(fused, load_disturbance=None, extra={"gust": Gust})
+        nonstop = make_nonstop(fused, extra=extra, **replacements)
     assert nonstop.HasSubsystemNamed("load_plant")
-    nonstop = make_nonstop(fused, extra={"display": with_ports({"load_state": 13}, {})})
-    assert nonstop.HasSubsystemNamed("plant")
 
 
 def test_the_hold_is_one_of_the_blocks():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
 
 from drake_nonstop import (
     LogSignals,
@@ -214,6 +215,23 @@ def test_extra_blocks_are_logged_and_change_nothing(scenario, shipped):
 def test_an_extra_block_that_fails_is_named(scenario):
     with pytest.raises(RunStopped, match=r"echo \(test_own_loops\.py:\d+\): .*no echo"):
         simulate(scenario, extra={"echo": lambda model: Echo(model, 0.1)})
+
+
+def test_a_fault_of_a_block_under_another_name_is_named(scenario):
+    force = ConstantVectorSource([0.0, 0, 0, 0, 0, 1e13])
+
+    def huge(model):
+        builder = DiagramBuilder()
+        builder.AddSystem(force)
+        builder.ExportOutput(force.get_output_port(), "disturbance_wrench")
+        return builder.Build()
+
+    builder = DiagramBuilder()
+    loop = builder.AddSystem(renamed(scenario, load_disturbance=huge))
+    LogSignals.AddToBuilder(builder, loop)
+    context = builder.Build().CreateDefaultContext()
+    with pytest.raises(ScenarioError, match=r"^start = my_load_disturbance: it makes a value that"):
+        set_equilibrium(loop, loop.GetMyMutableContextFromRoot(context))
 
 
 def test_a_box_left_out_needs_another_maker(scenario):
