@@ -138,7 +138,7 @@ def _choice(block: type[System], model: Model) -> Choice:
     except ScenarioError as error:
         unbuildable = str(error)
     else:
-        optional = getattr(block, "optional_inputs", ())
+        optional = wiring.optional_inputs(built)
         inputs = tuple(
             dataclasses.replace(_port(*item), is_optional=item[0] in optional)
             for item in wiring.input_sizes(built).items()

@@ -43,6 +43,24 @@ def input_names(block: System) -> list[str]:
     return list(input_sizes(block))
 
 
+def optional_inputs(block: System) -> set[str]:
+    """The names of the block's input ports that may be left unconnected.
+
+    They are those of its attribute `optional_inputs`, and of a Diagram those that lead to such
+    ports of its subsystems only.
+    """
+    found = set(getattr(block, "optional_inputs", ()))
+    if isinstance(block, Diagram):
+        for i, name in enumerate(input_names(block)):
+            readers = block.GetInputPortLocators(InputPortIndex(i))
+            if name not in found and all(
+                reader.get_input_port(index).get_name() in optional_inputs(reader)
+                for reader, index in readers
+            ):
+                found.add(name)
+    return found
+
+
 def output_sizes(block: System) -> Sizes:
     """The sizes of the block's output ports, in order."""
     ports = [block.get_output_port(i) for i in range(block.num_output_ports())]
@@ -150,7 +168,7 @@ def wires(blocks: Mapping[str, System], inputs: Collection[str] | Sizes = ()) ->
     result = []
     for block_name, block in blocks.items():
         given = read_by[block_name]
-        optional = getattr(block, "optional_inputs", ())
+        optional = optional_inputs(block)
         replaced = {} if block_name in upstream else held
         read = {
             port: replaced.get(port, port)
@@ -303,7 +321,7 @@ def unconnected(diagram: Diagram, context: Context) -> str:
             connected.add((reader.get_name(), int(index)))
     for block in diagram.GetSystems():
         for index, port in enumerate(input_names(block)):
-            is_optional = port in getattr(block, "optional_inputs", ())
+            is_optional = port in optional_inputs(block)
             if not is_optional and (block.get_name(), index) not in connected:
                 return f"{block.get_name()}.{port} = not connected: {_connection_of(port)}"
     return ""

@@ -10,6 +10,7 @@ from drake_nonstop.systems.wiring import (
     connect_by_name,
     connections,
     input_names,
+    optional_inputs,
     output_names,
     wires,
 )
@@ -126,6 +127,14 @@ def test_optional_input_is_connected_only_where_there_is_such_a_signal():
     kite = Box(["wind"], ["pull"])  # to which it is not optional
     with pytest.raises(WiringError, match=r"kite = Box .* wind \(2\) is not among the signals"):
         wires(blocks | {"kite": kite})
+
+
+def test_input_of_a_diagram_is_optional_where_it_leads_to_optional_ones_only():
+    both = {"sail": Sail(["wind"], ["pull"]), "other": Sail(["wind"], ["push"])}
+    assert optional_inputs(connect(both, inputs=["wind"])) == {"wind"}
+    one = {"sail": Sail(["wind"], ["pull"]), "kite": Box(["wind"], ["push"])}
+    assert optional_inputs(connect(one, inputs=["wind"])) == set()
+    assert optional_inputs(Box(["wind"], ["pull"])) == set()
 
 
 def test_optional_input_of_another_size_than_its_signal_is_an_error():
