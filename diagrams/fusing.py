@@ -12,6 +12,7 @@ from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.box import Box
 from drake_nonstop.systems.parameters import declared
 from drake_nonstop.systems.traced_block import Equations
+from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import ScenarioWarning
 
 _MAX_STEPS = 20  # in a control period: all of them are in one trace
@@ -73,8 +74,16 @@ def _reason_against(
         return "its steps are those of runge_kutta3 without error control"
     if steps > _MAX_STEPS:
         return f"{steps} steps a sample, of which {_MAX_STEPS} at most are traced"
+    made = {signal for block in blocks.values() for signal in output_names(block)}
     for name, box in boxes.items():
-        if box.feeds_fused_plant and not getattr(blocks.get(name), "is_sampled", False):
+        is_elsewhere = name not in blocks and made >= box.signals.keys() - set(box.optional)
+        is_sampled = is_elsewhere or getattr(blocks.get(name), "is_sampled", False)
+        if box.feeds_fused_plant and not is_sampled:
+            return f"{_named(name, blocks)} may change between samples"
+    read = {port for part in parts.values() for port in part.inputs}
+    for name, block in blocks.items():
+        others = set(output_names(block)) - (boxes[name].signals.keys() if name in boxes else set())
+        if others & read and not getattr(block, "is_sampled", False):
             return f"{_named(name, blocks)} may change between samples"
     for name, box in boxes.items():
         if box.is_fused and name not in parts:

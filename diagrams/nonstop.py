@@ -12,12 +12,12 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
 
 import copy
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import is_dataclass
 from typing import Any, Protocol, TypeVar
 
 from pydrake.systems.analysis import SimulatorConfig
-from pydrake.systems.framework import Diagram, System
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from drake_nonstop.blocks import (
     cables,
@@ -34,7 +34,7 @@ from drake_nonstop.blocks import (
     phase,
     wrench_controller,
 )
-from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.box import (
     Box,
     Kind,
@@ -64,6 +64,7 @@ from drake_nonstop.model.system import (
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
+from drake_nonstop.systems.energy import LoopDiagram
 from drake_nonstop.validation import ScenarioError, one_line, require
 
 # The boxes of the figure, in its order.
@@ -124,7 +125,13 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_trajectory": Box(
         variants=carrier_trajectory.VARIANTS,
-        signals={"carrier_reference": "6n"},
+        signals={
+            "carrier_reference": "6n",
+            "carrier_reference_acceleration": "3n",
+            "carrier_reference_jerk": "3n",
+        },
+        optional=("carrier_reference_acceleration", "carrier_reference_jerk"),
+        recorded_where_read=("carrier_reference_acceleration", "carrier_reference_jerk"),
         place=Place(4, 2, 1, Kind.INNER_LOOP),
         feeds_fused_plant=True,
     ),
@@ -166,6 +173,7 @@ BOXES: dict[str, Box] = {
 # Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
 # plant in place of its boxes.
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
+EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
 PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
     SAMPLE_AND_HOLD: Place(1, 2, 1, Kind.ADDITION),
     FUSED_PLANT: Place(2, 3, -1, Kind.PLANT),
@@ -195,6 +203,8 @@ phase.phase -> optimization_layer.phase
 phase.phase -> internal_force.phase
 internal_force.internal_force -> force_distribution.internal_force
 
+internal_force.internal_force -> carrier_trajectory.internal_force
+optimization_layer.parameters -> carrier_trajectory.parameters
 force_distribution.desired_cable_forces -> carrier_trajectory.desired_cable_forces
 force_distribution.desired_cable_force_rates -> carrier_trajectory.desired_cable_force_rates
 carrier_trajectory.carrier_reference -> carrier_controller.carrier_reference
@@ -233,26 +243,85 @@ class LoopConfig(Protocol):
         ...
 
 
-def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System] | Any) -> Diagram:
+Maker = Callable[[Model], System]  # of a block, such as its class
+
+
+def make_nonstop(
+    scenario: LoopConfig,
+    *,
+    extra: Mapping[str, Maker | Any] | None = None,
+    inputs: Collection[str] = (),
+    **replacements: Maker | Any,
+) -> Diagram:
     """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
 
     Every signal is exported under its name: `diagram.GetOutputPort("load_state")`. With
     `fused_plant` one subsystem, `plant`, takes the place of the boxes that are `is_fused`; where
     that is not possible a ScenarioWarning tells why, and the separate blocks are built.
+    `CalcKineticEnergy` and `CalcPotentialEnergy` of the diagram sum those of its blocks, see
+    `LoopDiagram`.
 
     Args:
         scenario: the system, the pattern and one config per box.
+        extra: blocks beyond the figure's by names of their own, each as a replacement. They read
+            and make signals by the names of their ports.
+        inputs: signals that no block makes, which become input ports of the diagram.
         replacements: by the name of a box, what to put in its place: a block's config; a block
             class with the dataclass of its parameters beside it, to which parameters go as in a
             swap by `--set` (see `replaced`); a function that takes the `Model` and returns a
             LeafSystem or Diagram with ports named after the signals it reads and makes; or
-            None to leave the box out: the signals that it has to make become input ports of
-            the diagram, for a bigger one to connect.
+            None to leave the box out: another block makes its signals (one block for two boxes),
+            or those that the box has to make become input ports of the diagram, for a bigger one
+            to connect.
 
     Raises:
         ScenarioError: the scenario or a replacement cannot be built, or the ports of a
             replacement do not fit; the message names the field, the value and the remedy.
     """
+    blocks, watched = _blocks_and_models(scenario, extra, replacements)
+    outside = _signals_left_out(scenario, blocks) | wiring.sizes_of_inputs(blocks, inputs)
+    builder = DiagramBuilder()
+    wiring.connect_by_name(builder, blocks, inputs=outside)
+    diagram = LoopDiagram()
+    builder.BuildInto(diagram)
+    diagram.set_name(LOOP)
+    diagram.watched_models = watched
+    if not extra and all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
+        difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
+        if difference:
+            raise wiring.WiringError(
+                f"WIRES = {difference}: these differ between the list and the diagram that was "
+                "built; correct the list or the ports"
+            )
+    return diagram
+
+
+def make_blocks(
+    scenario: LoopConfig,
+    *,
+    extra: Mapping[str, Maker | Any] | None = None,
+    **replacements: Maker | Any,
+) -> dict[str, System]:
+    """The blocks of a scenario's loop by the names of their boxes, for `connect_by_name`.
+
+    With a control period the `sample_and_hold` of the controllers' inputs is among them, and with
+    `fused_plant` the `plant`, as in `make_nonstop`.
+
+    Args:
+        scenario: as of `make_nonstop`, and so are the others.
+        extra: blocks beyond the figure's.
+        replacements: what to put in the places of boxes.
+
+    Raises:
+        ScenarioError: as `make_nonstop`, but for what concerns the blocks' inputs.
+    """
+    return _blocks_and_models(scenario, extra, replacements)[0]
+
+
+def _blocks_and_models(
+    scenario: LoopConfig, extra: Mapping[str, Maker | Any] | None, replacements: Mapping[str, Any]
+) -> tuple[dict[str, System], dict[str, WatchedModel]]:
+    """The blocks of a scenario's loop, and the models that a user's own were made of."""
     is_scenario = callable(getattr(scenario, "check", None))
     require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
     scenario, others = replaced(scenario, replacements)
@@ -269,54 +338,105 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
     simulated = Model(
         plant, scenario.pattern, scenario.control_period, field="simulated", overridden=given
     )
+    sizes = _figure_sizes(believed)
     blocks: dict[str, System] = {}
     watched: dict[str, WatchedModel] = {}  # what blocks read of their models
-    outside: dict[str, int] = {}
     for name, box in BOXES.items():
-        required, optional = box.required_and_optional(believed)
         entry = others.get(name, getattr(scenario, name))
         if entry is None:
-            outside |= required
             continue
         make = _constructor(name, entry) if is_dataclass(entry) else entry
-        require(
-            callable(make),
-            f"replacement {name}",
-            entry,
-            "give a block's config, a function that takes the model and returns a system, or "
-            "None to leave the box out",
-        )
-        watched[name] = WatchedModel(simulated if box.is_simulated else believed)
-        try:
-            blocks[name] = make(watched[name])
-        except SystemExit:
-            remedy = "give a function that returns a system, and does not exit"
-            raise ScenarioError(f"replacement {name} = SystemExit: {remedy}") from None
-        require(
-            isinstance(blocks[name], System),
-            f"replacement {name}",
-            blocks[name],
-            "return a LeafSystem or Diagram from the function",
-        )
-        wiring.check_outputs(name, blocks[name], required, optional)
+        model = watched[name] = WatchedModel(simulated if box.is_simulated else believed)
+        blocks[name] = _made(f"replacement {name}", make, model, ", or None to leave the box out")
+        made = wiring.check_outputs(name, blocks[name], *box.required_and_optional(believed))
+        _check_others(name, blocks[name], made.keys() - box.signals.keys(), sizes)
+    for name, entry in _checked_extra(extra).items():
+        model = watched[name] = WatchedModel(believed)
+        blocks[name] = _made(f"extra {name}", _maker(name, entry), model, "")
+        _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
-    replaced_signals = {}
     if scenario.control_period > 0:
         blocks[SAMPLE_AND_HOLD] = SampleAndHold(believed)
-        replaced_signals = {signal: f"held_{signal}" for signal in HELD_SIGNALS}
-    diagram = wiring.connect(blocks, name=LOOP, replaced_signals=replaced_signals, outside=outside)
     own = {name: model for name, model in watched.items() if not is_of_package(blocks.get(name))}
-    diagram.watched_models = own
-    if all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items()):
-        difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()
-        if difference:
-            raise wiring.WiringError(
-                f"WIRES = {difference}: these differ between the list and the diagram that was "
-                "built; correct the list or the ports"
-            )
-    return diagram
+    return blocks, own
+
+
+def _made(field: str, make: Any, model: Model, besides: str) -> System:
+    """The block that a function makes of a model."""
+    remedy = f"give a block's config, a function that takes the model and returns a system{besides}"
+    require(callable(make), field, make, remedy)
+    try:
+        block = make(model)
+    except SystemExit:
+        remedy = "give a function that returns a system, and does not exit"
+        raise ScenarioError(f"{field} = SystemExit: {remedy}") from None
+    require(
+        isinstance(block, System), field, block, "return a LeafSystem or Diagram from the function"
+    )
+    return block
+
+
+def _check_others(name: str, block: System, made: set[str], sizes: Mapping[str, int]) -> None:
+    """Checks the sizes of those signals of the figure that a block makes in place of others."""
+    known = {signal: size for signal, size in sizes.items() if signal in made}
+    if known:
+        wiring.check_outputs(name, block, known, {})
+
+
+def _figure_sizes(model: Model) -> dict[str, int]:
+    """The sizes of all the figure's signals."""
+    return {
+        signal: size
+        for box in BOXES.values()
+        for signal, size in box.sizes(model.n, model.m).items()
+    }
+
+
+def _signals_left_out(scenario: LoopConfig, blocks: Mapping[str, System]) -> dict[str, int]:
+    """The signals, with their sizes, of boxes left out that no block makes in their place."""
+    if all(name in blocks for name in BOXES):
+        return {}
+    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    missing = [
+        signal
+        for box in BOXES.values()
+        for signal in box.signals
+        if signal not in box.optional and signal not in made
+    ]
+    if not missing:
+        return {}
+    sizes = _figure_sizes(Model(scenario.system, scenario.pattern, scenario.control_period))
+    return {signal: sizes[signal] for signal in missing}
+
+
+def _checked_extra(extra: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """The blocks beyond the figure's."""
+    remedy = 'give a mapping from names to blocks, such as {"estimator": Estimator}'
+    require(extra is None or isinstance(extra, Mapping), "extra", extra, remedy)
+    for name in extra or {}:
+        taken = name in BOXES or name in (SAMPLE_AND_HOLD, FUSED_PLANT)
+        remedy = f"it is a box of the figure; give it as {name}=..., or its block another name"
+        if name in (SAMPLE_AND_HOLD, FUSED_PLANT):
+            remedy = "the loop has a block of that name; give another one"
+        require(not taken, "extra", name, remedy)
+        remedy = "name each block by a text without colons and dots"
+        require(
+            isinstance(name, str) and name and not {":", "."} & set(name), "extra", name, remedy
+        )
+    return extra or {}
+
+
+def _maker(name: str, entry: Any) -> Any:
+    """What makes an extra block of a model."""
+    config = _config_class(entry)
+    if config is not None:
+        entry = config()
+    if not is_dataclass(entry) or isinstance(entry, type):
+        return entry
+    block: Any = block_class(f"extra {name}", type(entry))
+    return lambda model: block(model, entry)
 
 
 _Loop = TypeVar("_Loop", bound=LoopConfig)
@@ -327,7 +447,7 @@ def replaced(scenario: _Loop, replacements: Mapping[str, Any]) -> tuple[_Loop, d
 
     A block class whose module has the dataclass of its parameters, and that dataclass itself,
     stand for a config: the parameters that the block in the box has, too, stay as they are. All
-    others are as in `make_nonstop`.
+    others are as in `make_nonstop`, with `extra` among them.
 
     Raises:
         ScenarioError: there is no box of a name.
@@ -335,6 +455,9 @@ def replaced(scenario: _Loop, replacements: Mapping[str, Any]) -> tuple[_Loop, d
     configs: dict[str, Any] = {}
     others: dict[str, Any] = {}
     for name, entry in replacements.items():
+        if name == EXTRA:
+            others[name] = entry
+            continue
         require(name in BOXES, "replacement", name, f"give one of {', '.join(BOXES)}")
         config = _config_class(entry)
         if config is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
+from drake_nonstop.diagrams.nonstop import BOXES, make_blocks, make_nonstop
 from drake_nonstop.diagrams.parameters import (
     LoopParameter,
     get_parameter,
@@ -37,6 +37,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.equilibrium import set_equilibrium
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.outcome import RunOutcome
+from drake_nonstop.simulation.recording import LogSignals
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
 from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.ablation import ablate, read_grid
@@ -44,7 +45,9 @@ from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
+from drake_nonstop.systems.energy import kinetic_energy, potential_energy
 from drake_nonstop.systems.traced_block import Equations, TracedBlock
+from drake_nonstop.systems.wiring import connect_by_name
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.version import __version__
 from drake_nonstop.visualization.drawing import draw_diagram
@@ -76,6 +79,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "TracedBlock",
     # put together, simulated, judged
     "make_nonstop",
+    "make_blocks",
+    "connect_by_name",
     "set_equilibrium",
     "set_parameter",
     "get_parameter",
@@ -85,10 +90,13 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "verify_step",
     "StepAction",
     "StepCheck",
+    "LogSignals",
     "Run",
     "RunStopped",
     "RunInterrupted",
     "compute_metrics",
+    "kinetic_energy",
+    "potential_energy",
     "RunOutcome",
     "write_results",
     "ablate",

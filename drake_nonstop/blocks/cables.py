@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.systems.framework import Context
 
-from drake_nonstop.mechanics.cable import cable_forces_and_tensions
+from drake_nonstop.mechanics.cable import cable_forces_and_tensions, cables_elastic_energy
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
+from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import StrictFields, is_number, require, require_array
 
@@ -37,12 +39,8 @@ class _CableForces(TracedBlock):
         def forces(
             load_state: NDArray, carrier_state: NDArray, **cables: NDArray
         ) -> tuple[NDArray, NDArray]:
-            values = {
-                name: cables.get(name, cables.get(field)) for name, field in _OF_SYSTEM.items()
-            }
-            columns = {name: value[:, None] for name, value in values.items() if value is not None}
             return cable_forces_and_tensions(
-                load_state, carrier_state, attachments=attachments, **columns
+                load_state, carrier_state, attachments=attachments, **_columns(cables)
             )
 
         super().__init__(
@@ -61,6 +59,22 @@ class _CableForces(TracedBlock):
             ),
             key=("cables", attachments, own),
         )
+        self._attachments = attachments
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """That of the stretched cables, J; the context is the block's own."""
+        states = (self.GetInputPort(name).Eval(context) for name in ("load_state", "carrier_state"))
+        columns = _columns(parameters_in(self, context))
+        del columns["damping"]
+        return float(cables_elastic_energy(*states, attachments=self._attachments, **columns)[0])
+
+
+def _columns(parameters: dict[str, NDArray]) -> dict[str, NDArray]:
+    """What the cables are made of, each (1, 1) or (n, 1), of a block's parameters."""
+    values = {
+        name: parameters.get(name, parameters.get(field)) for name, field in _OF_SYSTEM.items()
+    }
+    return {name: value[:, None] for name, value in values.items() if value is not None}
 
 
 @dataclass(kw_only=True)

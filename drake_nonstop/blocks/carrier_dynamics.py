@@ -3,14 +3,20 @@
 import math
 from dataclasses import dataclass
 
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder, System
 from pydrake.systems.primitives import Integrator, Selector
 
-from drake_nonstop.mechanics.carrier import double_integrator_rate, loaded_carrier_rate
+from drake_nonstop.mechanics.carrier import (
+    carriers_kinetic_energy,
+    carriers_potential_energy,
+    double_integrator_rate,
+    loaded_carrier_rate,
+)
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, DiagramBlock
 from drake_nonstop.systems.linear_block import AdjustableLinearBlock, LinearBlock
+from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.traced_block import TracedBlock, stacking
 from drake_nonstop.validation import StrictFields, is_number, require
 
@@ -60,6 +66,10 @@ class CarrierDynamics(DiagramBlock):
         builder.ExportInput(scaled.get_input_port(), "carrier_forces")
         builder.ExportOutput(motion.get_output_port(), "carrier_state")
         builder.BuildInto(self)
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
+        return _kinetic_energy(self, context)
 
 
 @dataclass(kw_only=True)
@@ -114,6 +124,25 @@ class LoadedCarrierDynamics(TracedBlock):
             key=("loaded carriers", n, _is_limited(model, config)),
         )
 
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m_c Σ ‖v_i‖², J; the context is the block's own."""
+        return _kinetic_energy(self, context)
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """Those of the weights, m_c g Σ z_i, J; the context is the block's own."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        values = parameters_in(self, context)
+        energy = carriers_potential_energy(
+            state, mass=values["carrier_mass"], gravity=values["gravity"]
+        )
+        return float(energy[0])
+
+
+def _kinetic_energy(block: System, context: Context) -> float:
+    state = block.GetOutputPort("carrier_state").Eval(context)
+    mass = parameters_in(block, context)["carrier_mass"]
+    return float(carriers_kinetic_energy(state, mass=mass)[0])
+
 
 def _check(model: Model, config: LoadedCarrierDynamicsConfig) -> None:
     limit = config.max_force
@@ -154,6 +183,12 @@ class IdealCarriers(Selector, metaclass=BlockType):
     def __init__(self, model: Model, config: IdealCarriersConfig | None = None):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""
         super().__init__(stacking({"carrier_reference": 6 * model.n}, "carrier_state"))
+        self._mass = model.carrier_mass
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        return float(carriers_kinetic_energy(state, mass=self._mass)[0])
 
 
 # The blocks that the box can be, the default first.

@@ -13,6 +13,7 @@ from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.parameters import NumericParameters
 from drake_nonstop.systems.traced_block import Equations, splitting, stacking
 from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.validation import ScenarioError
 
 _HELD = "disturbance_wrench"
 _MOVING = "carrier_reference"
@@ -79,6 +80,14 @@ class FusedPlant(DiagramBlock):
                 builder.ExportOutput(source.GetOutputPort(name), name)
         builder.BuildInto(self)
 
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """Raises ScenarioError: of the parts it has the equations only."""
+        raise _no_energy()
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """Raises ScenarioError, likewise."""
+        raise _no_energy()
+
     def set_states(self, context: Context, **states: NDArray) -> None:
         """Sets states by the names that `states` gives them; the context is the block's own."""
         stepped = self.GetSubsystemByName("stepped")
@@ -101,6 +110,12 @@ class FusedPlant(DiagramBlock):
         """The states' rates at the last sample, by the same names."""
         stepped = self.GetSubsystemByName("stepped")
         return stepped.rates(self.GetSubsystemContext(stepped, context))
+
+
+def _no_energy() -> ScenarioError:
+    return ScenarioError(
+        "fused_plant = true: energies are those of separate blocks; give fused_plant = false"
+    )
 
 
 class _CombinedEquations:

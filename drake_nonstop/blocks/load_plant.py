@@ -12,12 +12,16 @@ from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import Integrator
 
-from drake_nonstop.mechanics.rigid_load import load_state_rate
+from drake_nonstop.mechanics.rigid_load import (
+    load_kinetic_energy,
+    load_potential_energy,
+    load_state_rate,
+)
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadState, Wrench
 from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
-from drake_nonstop.systems.parameters import declare_parameters
+from drake_nonstop.systems.parameters import declare_parameters, parameters_in
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import StrictFields
@@ -64,6 +68,18 @@ class LoadPlant(TracedBlock):
             parameters=BlockParameters(model, LOAD),
             key=("load", attachments),
         )
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m ‖ṗ‖² + ½ ω·J ω, J; the context is the block's own."""
+        state = self.GetOutputPort("load_state").Eval(context)
+        load = rigid_load(**parameters_in(self, context))
+        return float(load_kinetic_energy(load, state)[0])
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """That of the weight, m g z, J; the context is the block's own."""
+        state = self.GetOutputPort("load_state").Eval(context)
+        load = rigid_load(**parameters_in(self, context))
+        return float(load_potential_energy(load, state)[0])
 
 
 @dataclass(kw_only=True)

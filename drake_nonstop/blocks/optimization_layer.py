@@ -12,6 +12,7 @@ from pydrake.systems.framework import (
     BasicVector_,
     Context,
     DiscreteValues,
+    InputPort,
     ValueProducer,
 )
 
@@ -46,6 +47,7 @@ from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
 _BOX = "optimization_layer"
+_COMMAND = "speed_bound_command"  # an optional input of the box
 
 
 @dataclass(kw_only=True)
@@ -73,9 +75,10 @@ class NonstopOptimizer(LeafBlock):
     constraints and the solvers are described in diagrams/optimization_layer.md.
 
     `set_speed_bound` and `set_enabled` change parameters of the context during a run, which also
-    holds the initial ξ and A, their bounds and what is believed of load, cables and pattern. The
-    bound rises gradually, and a layer that is switched off leads ξ and A back to their initial
-    values, both within about `change_time`.
+    holds the initial ξ and A, their bounds and what is believed of load, cables and pattern. Where
+    `speed_bound_command` is connected it is ε, read at each update. The bound rises gradually, and
+    a layer that is switched off leads ξ and A back to their initial values, both within about
+    `change_time`.
 
     Converted to AutoDiffXd or Expression the layer holds ξ and A, and an update raises
     ScenarioError: it solves with floating-point numbers only.
@@ -89,6 +92,7 @@ class NonstopOptimizer(LeafBlock):
         - wrench
         - wrench_rate
         - phase
+        - speed_bound_command
         output_ports:
         - parameters
         - diagnostics
@@ -96,11 +100,13 @@ class NonstopOptimizer(LeafBlock):
         - speed_bound
 
     `measured_load_state` (13), `reference` (22), `wrench` and `wrench_rate` (6, [torque;
-    force]), all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `parameters` (2) = [ξ (rad/s), A (N)];
+    force]), all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `speed_bound_command` (1) in m/s, of the range of
+    `set_speed_bound`, may be left unconnected; `parameters` (2) = [ξ (rad/s), A (N)];
     `diagnostics` (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest
     speed minus the untightened ε (m/s)], the fields of `Diagnostics`; `solve_time` (1) is the
     wall time in s that the last update took, from its inputs to its answer; `speed_bound` (1) is
-    the ε that was set, in m/s. All outputs are state or parameters: nothing feeds through.
+    the ε that was set or is commanded, in m/s. All outputs are state or parameters: nothing feeds
+    through but a command to the `speed_bound`.
 
     Parameters, the fields of `NonstopOptimizerConfig`:
         speed_bound: m/s, ε
@@ -129,10 +135,11 @@ class NonstopOptimizer(LeafBlock):
 
     Raises:
         ScenarioError: a parameter is out of range, or the period is no multiple of the
-            control period.
+            control period; during a run, the command is out of range.
     """
 
     is_sampled = True
+    optional_inputs = (_COMMAND,)
 
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
         super().__init__()
@@ -156,6 +163,7 @@ class NonstopOptimizer(LeafBlock):
         self._wrench = self.DeclareVectorInputPort("wrench", WRENCH_SIZE)
         self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", WRENCH_SIZE)
         self._phase = self.DeclareVectorInputPort("phase", PHASE_SIZE)
+        self._command = self.DeclareVectorInputPort(_COMMAND, 1)
         self._state = self.DeclareDiscreteState([config.frequency, config.amplitude])
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
@@ -173,7 +181,7 @@ class NonstopOptimizer(LeafBlock):
             "speed_bound",
             1,
             self._calc_speed_bound,
-            {self.all_parameters_ticket()},
+            {self.all_parameters_ticket(), self.input_port_ticket(self._command.get_index())},
         )
         # Offset = period: with offset 0 the periodic event would repeat the first one.
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
@@ -191,8 +199,9 @@ class NonstopOptimizer(LeafBlock):
 
         Raises:
             ScenarioError: the bound is neither 0 nor at least 1e-3 m/s, or not below
-                `highest_speed_bound`.
+                `highest_speed_bound`; or `speed_bound_command` is connected.
         """
+        _require_no_command(self._command, context, speed_bound)
         _check_bound(self.highest_speed_bound, speed_bound)
         values = context.get_mutable_numeric_parameter(0)
         values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
@@ -213,8 +222,23 @@ class NonstopOptimizer(LeafBlock):
         context.get_mutable_numeric_parameter(self._enabled).SetFromVector([float(enabled)])
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
+        if self._command.HasValue(context):
+            output.SetFromVector(self._commanded_bound(context))
+            return
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
         output.SetFromVector(values["speed_bound"])
+
+    def _commanded_bound(self, context: Context) -> NDArray:
+        bound = self._command.Eval(context)
+        if self.scalar is float:
+            _check_bound(self.highest_speed_bound, float(bound[0]), _COMMAND)
+        return bound
+
+    def _wanted_bound(self, context: Context, numbers: "_Numbers") -> float:
+        """The ε (m/s) that is commanded, or else the one that was set."""
+        if self._command.HasValue(context):
+            return float(self._commanded_bound(context)[0])
+        return numbers.speed_bound
 
     def _numbers_in(self, context: Context) -> "_Numbers":
         return self.get_cache_entry(self._numbers).Eval(context)
@@ -235,6 +259,7 @@ class NonstopOptimizer(LeafBlock):
         previous = context.get_discrete_state(self._state).CopyToVector()
         numbers = self._numbers_in(context)
         wrench_rate = self._wrench_rate.Eval(context)
+        bound = self._wanted_bound(context, numbers)
         if not context.get_numeric_parameter(self._enabled).CopyToVector()[0]:
             parameters = step_towards(previous, numbers.nominal, **self._times)
             discrete_state.set_value(self._state, parameters)
@@ -242,7 +267,6 @@ class NonstopOptimizer(LeafBlock):
             discrete_state.set_value(self._is_changing, [1.0])
             discrete_state.set_value(self._last_wrench_rate, wrench_rate)
             return
-        bound = numbers.speed_bound
         last_bound = context.get_discrete_state(self._bound_in_force).value()[0]
         is_changing = context.get_discrete_state(self._is_changing).value()[0] > 0
         is_rising = last_bound < bound
@@ -306,11 +330,11 @@ def _check(model: Model, config: NonstopOptimizerConfig) -> None:
     _check_bound(highest_speed_bound(config), config.speed_bound)
 
 
-def _check_bound(highest: float, speed_bound: float) -> None:
-    check_speed_bound(_BOX, speed_bound)
+def _check_bound(highest: float, speed_bound: float, name: str = "speed_bound") -> None:
+    check_speed_bound(_BOX, speed_bound, name)
     require(
         speed_bound < highest,
-        f"{_BOX}.speed_bound",
+        f"{_BOX}.{name}",
         speed_bound,
         f"give less than {highest:g} m/s, for the sake of max_speed",
     )
@@ -362,12 +386,15 @@ class ConstantParameters(LeafBlock):
     .. pydrake_system::
 
         name: ConstantParameters
+        input_ports:
+        - speed_bound_command
         output_ports:
         - parameters
         - speed_bound
 
-    `parameters` (2) = [ξ (rad/s), A (N)]; `speed_bound` (1) is ε in m/s, which nothing enforces
-    and `set_speed_bound` changes during a run.
+    `parameters` (2) = [ξ (rad/s), A (N)]; `speed_bound` (1) is ε in m/s, which nothing enforces:
+    the `speed_bound_command` (1), which may be left unconnected, or else what `set_speed_bound`
+    changes during a run.
 
     Parameters, the fields of `ConstantParametersConfig`:
         frequency: rad/s, ξ
@@ -375,10 +402,12 @@ class ConstantParameters(LeafBlock):
         speed_bound: m/s, ε; reported, not enforced
 
     Raises:
-        ScenarioError: frequency or amplitude is not positive, or the bound negative.
+        ScenarioError: frequency or amplitude is not positive, or the bound negative; during a
+            run, the command is negative.
     """
 
     is_sampled = True
+    optional_inputs = (_COMMAND,)
 
     def __init__(self, model: Model, config: ConstantParametersConfig | None = None):
         super().__init__()
@@ -390,10 +419,17 @@ class ConstantParameters(LeafBlock):
         declare_parameters(self, self.parameters)
         sources = {self.all_parameters_ticket()}
         self.DeclareVectorOutputPort("parameters", PARAMETERS_SIZE, self._calc_parameters, sources)
+        self._command = self.DeclareVectorInputPort(_COMMAND, 1)
+        sources = sources | {self.input_port_ticket(self._command.get_index())}
         self.DeclareVectorOutputPort("speed_bound", 1, self._calc_speed_bound, sources)
 
     def set_speed_bound(self, context: Context, speed_bound: float) -> None:
-        """Compares with another ε (m/s) from now on; the context is the block's own."""
+        """Compares with another ε (m/s) from now on; the context is the block's own.
+
+        Raises:
+            ScenarioError: the bound is negative, or `speed_bound_command` is connected.
+        """
+        _require_no_command(self._command, context, speed_bound)
         require_non_negative(_BOX, speed_bound=speed_bound)
         values = context.get_mutable_numeric_parameter(0)
         values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
@@ -404,12 +440,28 @@ class ConstantParameters(LeafBlock):
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
-        output.SetFromVector(values["speed_bound"])
+        bound = values["speed_bound"]
+        if self._command.HasValue(context):
+            bound = self._command.Eval(context)
+            if self.scalar is float:
+                require_non_negative(_BOX, **{_COMMAND: float(bound[0])})
+        output.SetFromVector(bound)
 
 
 def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
     require_positive(_BOX, frequency=config.frequency, amplitude=config.amplitude)
     require_non_negative(_BOX, speed_bound=config.speed_bound)
+
+
+def _require_no_command(command: InputPort, context: Context, speed_bound: float) -> None:
+    """Raises ScenarioError where a bound that is set would be overruled."""
+    require(
+        not command.HasValue(context),
+        f"{_BOX}.speed_bound",
+        speed_bound,
+        f"the signal {_COMMAND} sets the bound: change it in the block that makes that signal, or "
+        "take the signal away",
+    )
 
 
 # The blocks that the box can be, the default first.

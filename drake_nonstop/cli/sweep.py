@@ -6,10 +6,10 @@ from pathlib import Path
 from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, study_folder
 from drake_nonstop.cli.exit_codes import FAILED
 from drake_nonstop.cli.run import run_into
-from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, SerialExecutor
 from drake_nonstop.studies.sweep import Sweep, sweep, sweep_settings
 from drake_nonstop.studies.sweep_spec import read_sweep
+from drake_nonstop.studies.variants import labels, varied
 from drake_nonstop.visualization.progress import TaskProgress
 
 _MAX_ERRORS = 5  # that are printed
@@ -45,8 +45,8 @@ def _sweep(options: argparse.Namespace) -> int:
     folder = study_folder(options, name, sweep_settings(scenario, spec))
     if options.run is not None:
         planned = spec.run(options.run)
-        print(f"run {planned.number}: {', '.join(planned.overrides)}", flush=True)
-        scenario = changed(scenario, planned.overrides, trust=options.trust)
+        print(f"run {planned.number}: {', '.join(labels(planned.overrides))}", flush=True)
+        scenario, _ = varied(scenario, planned.overrides, trust=options.trust)
         return run_into(options.out or folder / f"run_{planned.number}", scenario)
     with TaskProgress() as progress:
         done = sweep(

@@ -81,6 +81,47 @@ def carrier_acceleration(
     )
 
 
+def carrier_jerk(
+    reference: NDArray,
+    forces: NDArray,
+    rates: NDArray,
+    second_rates: NDArray,
+    third_rates: NDArray,
+    *,
+    attachments: NDArray,
+    rest_length: float | NDArray,
+    compliance: float | NDArray,
+) -> NDArray:
+    """Jerks (n, 3), in W, of the motion of `carrier_motion`; the load's angular jerk is zero.
+
+    Arguments as of `carrier_acceleration`, and `third_rates` f⃛ (n, 3) in W. With T, a and b as
+    there, c = (3 ḟ·f̈ + f·f⃛)/T² and r = R b_i,
+
+        p⃛ = p⃛_L + 2 ω̇ × (ω × r) + ω × (ω̇ × r) + ω × (ω × (ω × r))
+             + (L₀/T) (f⃛ − 3 a f̈ − 3 b ḟ − (c − 9 a b − 12 a³) f) + f⃛/K_c.
+
+    Own derivation.
+    """
+    load = LoadReference.view(reference)
+    levers = attachments @ rotation_matrix(load.quaternion).T
+    turning = cross(load.angular_velocity, levers)
+    tension = norm(forces)
+    squared = tension * tension
+    a = (forces * rates).sum(axis=1, keepdims=True) / squared
+    b = (rates * rates + forces * second_rates).sum(axis=1, keepdims=True) / squared - 3 * a * a
+    c = (3 * rates * second_rates + forces * third_rates).sum(axis=1, keepdims=True) / squared
+    swing = third_rates - 3 * a * second_rates - 3 * b * rates
+    swing = swing - (c - 9 * a * b - 12 * a * a * a) * forces
+    return (
+        load.jerk
+        + 2 * cross(load.angular_acceleration, turning)
+        + cross(load.angular_velocity, cross(load.angular_acceleration, levers))
+        + cross(load.angular_velocity, cross(load.angular_velocity, turning))
+        + rest_length / tension * swing
+        + compliance * third_rates
+    )
+
+
 def pid_forces(
     error: NDArray,
     integral: NDArray,
@@ -107,6 +148,20 @@ def double_integrator_rate(
     """
     _, velocities = np.split(carrier_state, 2)
     return np.concatenate([velocities, forces / mass])
+
+
+def carriers_kinetic_energy(carrier_state: NDArray, *, mass: float | NDArray) -> NDArray:
+    """½ m Σ ‖v_i‖² (1,), J, of [positions, velocities] (6n,) in W."""
+    _, velocities = np.split(carrier_state, 2)
+    return mass * (velocities * velocities).sum(keepdims=True) / 2
+
+
+def carriers_potential_energy(
+    carrier_state: NDArray, *, mass: float | NDArray, gravity: float | NDArray
+) -> NDArray:
+    """Of the weights, m g Σ z_i (1,), J, of [positions, velocities] (6n,) in W: zero at z = 0."""
+    positions, _ = np.split(carrier_state, 2)
+    return mass * gravity * positions[2::3].sum(keepdims=True)
 
 
 def loaded_pid_forces(

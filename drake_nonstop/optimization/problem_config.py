@@ -66,11 +66,11 @@ def highest_speed_bound(config: NonstopProblemConfig) -> float:
     return config.max_speed / _least_ratio(config)
 
 
-def check_speed_bound(box: str, speed_bound: float) -> None:
-    """Raises ScenarioError for what is no speed bound (m/s), in the name of its `box`."""
+def check_speed_bound(box: str, speed_bound: float, name: str = "speed_bound") -> None:
+    """Raises ScenarioError for what is no speed bound (m/s), by the `name` it has in its `box`."""
     require(
         speed_bound == 0 or (is_number(speed_bound) and speed_bound >= LEAST_BOUND),
-        f"{box}.speed_bound",
+        f"{box}.{name}",
         speed_bound,
         f"give 0 (no bound) or at least {LEAST_BOUND:g} m/s",
     )

@@ -39,7 +39,7 @@ class Port:
 
     name: str
     size: str
-    is_optional: bool = False  # an output that a block in its box need not have
+    is_optional: bool = False  # an output need not be there, an input need not be connected
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +114,11 @@ def _choice(block: type[System], model: Model) -> Choice:
     except ScenarioError as error:
         unbuildable = str(error)
     else:
-        inputs = tuple(_port(*item) for item in wiring.input_sizes(built).items())
+        optional = wiring.optional_inputs(built)
+        inputs = tuple(
+            dataclasses.replace(_port(*item), is_optional=item[0] in optional)
+            for item in wiring.input_sizes(built).items()
+        )
         outputs = tuple(_port(*item) for item in wiring.output_sizes(built).items())
     return Choice(
         name=block.__name__,

@@ -11,11 +11,25 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
-from drake_nonstop.diagrams.nonstop import box_of
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadReference, LoadState, Wrench
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    LoadReference,
+    LoadState,
+    Wrench,
+)
 from drake_nonstop.simulation.diagnosis import source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+from drake_nonstop.systems.wiring import innermost, maker_of, require_signals, unconnected
 from drake_nonstop.validation import ScenarioError
+
+# What the loop has to export, with sizes; None: 6 for each carrier.
+_SIGNALS = {
+    "load_state": LOAD_STATE_SIZE,
+    "reference": LOAD_REFERENCE_SIZE,
+    "carrier_state": None,
+    "carrier_reference": None,
+}
 
 _STEP = 1e-6  # of the differences, in SI units
 _REST = 1e-6  # m/s² and rad/s², the acceleration that counts as rest
@@ -33,10 +47,15 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     start has that velocity and that acceleration. Further states of the carriers keep their
     defaults.
 
+    The blocks with these states are those that make the signals `load_state` and `carrier_state`,
+    whatever their names. The loop may be one inside of `nonstop`, which exports its signals.
+
     Raises:
         ScenarioError: the cables cannot hold the load, or a block makes a value that is not
-            finite, or is far too large.
+            finite, or is far too large; a signal is not exported, or an input not connected.
     """
+    require_signals(nonstop, _SIGNALS, "set_equilibrium")
+    nonstop, context = innermost(nonstop, context, _SIGNALS)
     trial = copied_context(nonstop, context)
     with block_named(nonstop, trial):
         settled = _settled(nonstop, trial)
@@ -45,7 +64,7 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
 
 @contextlib.contextmanager
 def block_named(nonstop: Diagram, context: Context) -> Iterator[None]:
-    """Turns a NotFiniteError at the start into a ScenarioError that names the block."""
+    """Turns an error of a value or a missing one into a ScenarioError that names the block."""
     try:
         yield
     except NotFiniteError as error:
@@ -55,6 +74,11 @@ def block_named(nonstop: Diagram, context: Context) -> Iterator[None]:
             "units; give its parameters, and those of the blocks before it, values closer to the "
             "defaults, or correct the block"
         ) from None
+    except RuntimeError as error:
+        missing = unconnected(nonstop, context) if "is not connected" in str(error) else ""
+        if not missing:
+            raise
+        raise ScenarioError(missing) from None
 
 
 def _settled(nonstop: Diagram, trial: Context) -> dict[str, NDArray]:
@@ -124,13 +148,14 @@ def on_reference(nonstop: Diagram, context: Context) -> None:
 
     Whatever samples or holds takes its first value.
     """
-    plant = plant_states(nonstop)
+    loop, own = innermost(nonstop, context, _SIGNALS)
+    plant = plant_states(loop)
     simulator = Simulator(nonstop, context)
     reference = nonstop.GetOutputPort("reference").Eval(context)[:LOAD_STATE_SIZE]
-    plant.set_states(context, load_state=reference)
+    plant.set_states(own, load_state=reference)
     simulator.Initialize()
     carriers = nonstop.GetOutputPort("carrier_reference").Eval(context)
-    plant.set_states(context, carrier_state=carriers)
+    plant.set_states(own, carrier_state=carriers)
 
 
 class _SeparatePlantStates:
@@ -139,8 +164,7 @@ class _SeparatePlantStates:
     def __init__(self, nonstop: Diagram):
         self._nonstop = nonstop
         self._owners = {
-            signal: nonstop.GetSubsystemByName(box_of(signal))
-            for signal in ("load_state", "carrier_state")
+            signal: maker_of(nonstop, signal) for signal in ("load_state", "carrier_state")
         }
 
     def _context(self, port: str, context: Context) -> Context:

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.diagrams.nonstop import SAMPLE_AND_HOLD
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, LoadState
 from drake_nonstop.simulation.equilibrium import copied_context, plant_states
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
+from drake_nonstop.systems.wiring import innermost
 
 _STEPS = (1e-6, 1e-8, 1e-10)  # SI units; one after the other, where the rates have a kink
 _KINK = 0.02  # of the difference of two slopes to their sum, from which on they do not agree
@@ -35,6 +36,7 @@ class LinearizedLoop:
     """
 
     def __init__(self, nonstop: Diagram, context: Context, control_period: float):
+        nonstop, context = innermost(nonstop, context, ("load_state", "carrier_state"))
         self._nonstop, self._plant = nonstop, plant_states(nonstop)
         self._period = control_period or SIGNAL_PERIOD
         self._trial = trial = copied_context(nonstop, context)
@@ -45,7 +47,8 @@ class LinearizedLoop:
         velocities[:] = load.velocity + np.cross(load.angular_velocity, positions - load.position)
         self._plant.set_states(trial, carrier_state=carriers)
         self._start = self._plant.state(trial)
-        self._is_sampled = control_period > 0
+        holds = [block for block in nonstop.GetSystems() if isinstance(block, SampleAndHold)]
+        self._hold = holds[0] if holds and control_period > 0 else None
         self._dynamics = _slopes(self._rate, self._start)
 
     @property
@@ -84,7 +87,7 @@ class LinearizedLoop:
     def _feedback(self) -> NDArray:
         """G, by forward differences."""
         feedback = np.zeros_like(self._dynamics)
-        if not self._is_sampled:
+        if self._hold is None:
             return feedback
         trial, plant = self._trial, self._plant
         load = self._nonstop.GetOutputPort("load_state").Eval(trial).copy()
@@ -94,8 +97,7 @@ class LinearizedLoop:
             plant.set_states(trial, load_state=load + direction)
             places.append(int(np.argmax(np.abs(plant.state(trial) - self._start))))
         plant.set_state(trial, self._start)
-        hold = self._nonstop.GetSubsystemByName(SAMPLE_AND_HOLD)
-        samples = self._nonstop.GetMutableSubsystemContext(hold, trial)
+        samples = self._nonstop.GetMutableSubsystemContext(self._hold, trial)
         held = samples.get_discrete_state(0).CopyToVector()  # the measured load state
         trial.SetTime(trial.get_time() + self._period / 2)
         middle = plant.rate(trial)

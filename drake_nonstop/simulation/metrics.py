@@ -179,7 +179,7 @@ METRICS = (
     ),
     Metric(
         path="wall_s",
-        measure=lambda run: run.run.wall_time,
+        measure=lambda run: run.wall_time,
         label="wall time",
         unit="s",
         better=Better.LOWER,
@@ -188,7 +188,7 @@ METRICS = (
     ),
     Metric(
         path="real_time_factor",
-        measure=lambda run: run.simulated_time / run.run.wall_time,
+        measure=lambda run: run.wall_time and run.simulated_time / run.wall_time,
         label="real-time factor",
         better=Better.HIGHER,
         is_wall_time=True,

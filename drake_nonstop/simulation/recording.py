@@ -15,6 +15,7 @@ from weakref import WeakValueDictionary, finalize
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import (
     Context,
     Diagram,
@@ -22,17 +23,24 @@ from pydrake.systems.framework import (
     OutputPort,
     PortDataType,
     TriggerType,
+    ValueProducer,
 )
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    PARAMETERS_SIZE,
+)
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import SIGNAL_PERIOD
-from drake_nonstop.systems.wiring import output_names
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
+from drake_nonstop.systems.block import LOOP, LeafBlock
+from drake_nonstop.systems.wiring import maker_of, nested, require_signals
 from drake_nonstop.validation import require
 
 MEMORY_LIMIT = 32e6  # bytes of signals in memory; with more of them all go to files
-WALL_TIME = "solve_time"  # differs from run to run: kept out of the samples
 STEP_TIME = "time"  # the name of the steps' times
 
 # What the metrics judge by the step, and where the optimization layer's updates show.
@@ -45,6 +53,16 @@ _EVERY_STEP = (
     WALL_TIME,
 )
 
+# What metrics and figures need of a run, with sizes; None: of any number of carriers.
+RUN_SIGNALS = {
+    "load_state": LOAD_STATE_SIZE,
+    "reference": LOAD_REFERENCE_SIZE,
+    "carrier_state": None,
+    "tensions": None,
+    "parameters": PARAMETERS_SIZE,
+}
+
+_AT_INSTANT = 1e-6 * SIGNAL_PERIOD  # s, from a sample's time to what counts as its instant
 _DOUBLE = 8  # bytes
 _PREFIX = "drake-nonstop-run-"  # of the temporary folders' names
 _LEAST_AGE = 60.0  # s, of an abandoned folder: a younger one may be about to be locked
@@ -103,8 +121,173 @@ class StoredSignals(Mapping[str, NDArray]):
         return dict, ({name: np.array(values) for name, values in self.items()},)
 
 
+class LogSignals:
+    """The logs of a loop's signals: all at 100 Hz, and a few at every step.
+
+    Each context has logs of its own, as with Drake's `LogVectorOutput`: `Run.from_logs` makes a run
+    of those of a context. The integrator's steps end at the instants of the samples. All signals
+    are in memory, some 0.3 MB for a second of flight; a run of `simulate` may be in files instead.
+    `AddToBuilder` makes them.
+
+    Attributes:
+        nonstop: the diagram whose signals they are.
+    """
+
+    def __init__(self, builder: DiagramBuilder, nonstop: Diagram):
+        sampled, stepped = _recorded_ports(nonstop)
+        self.nonstop = nonstop
+        self._steps = _Log(builder, stepped, TriggerType.kPerStep)
+        sizes = {name: port.size() for name, port in sampled.items()}
+        self._samples = builder.AddSystem(_SampledLog(sizes, SIGNAL_PERIOD))
+        builder.Connect(_multiplexed(builder, sampled), self._samples.get_input_port())
+        self._signal_names = _signal_names(nonstop, sampled)
+        self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
+
+    @staticmethod
+    def AddToBuilder(builder: DiagramBuilder, nonstop: Diagram) -> "LogSignals":  # noqa: N802
+        """Adds the logs beside a loop, connected to the signals that it exports.
+
+        Args:
+            builder: has the loop's diagram already.
+            nonstop: the diagram; it exports its signals, as one by `make_nonstop` or
+                `connect_by_name` does, at least `load_state`, `reference`, `carrier_state`,
+                `tensions` and `parameters`.
+
+        Raises:
+            ScenarioError: it does not export these, or is not in the builder.
+        """
+        require_signals(nonstop, RUN_SIGNALS, "LogSignals")
+        remedy = "add it to the builder first, builder.AddSystem(...), and give what that returns"
+        is_there = any(system is nonstop for system in builder.GetSystems())
+        require(is_there, "LogSignals", nonstop.get_name() or "a diagram", remedy)
+        if "@" in nonstop.get_name() and not builder.HasSubsystemNamed(LOOP):
+            nonstop.set_name(LOOP)  # which errors look for, and not where it is in memory
+        return LogSignals(builder, nonstop)
+
+    def collect(
+        self, context: Context
+    ) -> tuple[NDArray, Mapping[str, NDArray], Mapping[str, NDArray]]:
+        """The fields `time`, `signals` and `steps` of a `Run`, since time was set back last.
+
+        Args:
+            context: of the whole diagram, such as a Simulator's.
+
+        Raises:
+            ScenarioError: there is nothing in the logs of the context.
+        """
+        samples = _last_flight(self._samples.columns(context))
+        steps = _last_flight(_columns(self._steps.sizes, self._steps.log_of(context)))
+        times = samples[_Log.TIMES]
+        remedy = "advance a Simulator with this context first"
+        require(len(times) > 0, "logs", "no samples", remedy)
+        instants = np.round(times / SIGNAL_PERIOD)
+        is_instant = np.abs(times - SIGNAL_PERIOD * instants) < _AT_INSTANT
+        return (
+            np.where(is_instant, SIGNAL_PERIOD * instants, times),
+            {name: samples[port] for name, port in self._signal_names.items()},
+            {name: steps[port] for name, port in self._step_names.items()},
+        )
+
+
+class _Rows:
+    """Values of a port and their times, as a `VectorLog` has them."""
+
+    def __init__(self) -> None:
+        self._times: list[float] = []
+        self._values: list[NDArray] = []
+
+    def add(self, time: float, values: NDArray) -> None:
+        self._times.append(time)
+        self._values.append(values.copy())
+
+    def num_samples(self) -> int:
+        return len(self._times)
+
+    def sample_times(self) -> NDArray:
+        return np.array(self._times)
+
+    def data(self) -> NDArray:
+        """(size, samples)."""
+        return np.array(self._values).T
+
+
+class _SampledLog(LeafBlock):
+    """A log of some ports at the start and at every multiple of a period, which each context has.
+
+    Unlike Drake's own periodic log it has the controllers' instants, to the last bit: steps
+    between two that differ by a rounding would have no length.
+    """
+
+    def __init__(self, sizes: Mapping[str, int], period: float):
+        super().__init__()
+        self._sizes = sizes
+        self._values = self.DeclareVectorInputPort("values", sum(sizes.values()))
+        self._rows = self.DeclareCacheEntry(
+            description="rows",
+            value_producer=ValueProducer(
+                allocate=lambda: AbstractValue.Make(_Rows()), calc=ValueProducer.NoopCalc
+            ),
+            prerequisites_of_calc={self.nothing_ticket()},
+        ).cache_index()
+        self.DeclareInitializationPublishEvent(self._publish)
+        self.DeclarePeriodicPublishEvent(period, period, self._publish)
+
+    def _publish(self, context: Context) -> None:
+        self._of(context).add(context.get_time(), self._values.Eval(context))
+
+    def _of(self, context: Context) -> _Rows:
+        entry = self.get_cache_entry(self._rows).get_mutable_cache_entry_value(context)
+        rows: _Rows = entry.GetMutableValueOrThrow()
+        return rows
+
+    def columns(self, context: Context) -> dict[str, NDArray]:
+        """The rows, by the ports' names, in a context of the whole diagram."""
+        return _columns(self._sizes, self._of(self.GetMyContextFromRoot(context)))
+
+
+def _multiplexed(builder: DiagramBuilder, ports: Mapping[str, OutputPort]) -> OutputPort:
+    """One port of all: a sink per signal would slow every step of the diagram down."""
+    multiplexer = builder.AddSystem(Multiplexer([port.size() for port in ports.values()]))
+    for i, port in enumerate(ports.values()):
+        builder.Connect(port, multiplexer.get_input_port(i))
+    return multiplexer.get_output_port()
+
+
+def _columns(sizes: Mapping[str, int], log: "VectorLog | _Rows") -> dict[str, NDArray]:
+    """The rows of a log in memory, by the ports' names."""
+    columns = {name: np.zeros((0, size)) for name, size in sizes.items()}
+    if log.num_samples() > 0:
+        pieces = np.split(log.data(), np.cumsum(list(sizes.values()))[:-1])
+        columns = {name: piece.T.copy() for name, piece in zip(sizes, pieces, strict=True)}
+    return {_Log.TIMES: log.sample_times().copy()} | columns
+
+
+def _signal_names(nonstop: Diagram, sampled: Mapping[str, OutputPort]) -> dict[str, str]:
+    """The ports of a diagram by their names "block.port", with the block that makes the signal."""
+    *_, loop = nested(nonstop, RUN_SIGNALS) if all(s in sampled for s in RUN_SIGNALS) else [nonstop]
+    names = {}
+    for port in sampled:
+        maker = maker_of(loop if loop.HasOutputPort(port) else nonstop, port)
+        is_named = "@" not in maker.get_name()  # Drake names the others by where they are
+        name = maker.get_name().replace(".", "_") if is_named else type(maker).__name__
+        names[f"{name}.{port}"] = port
+    return names
+
+
+def _last_flight(columns: dict[str, NDArray]) -> dict[str, NDArray]:
+    """The rows since time was set back last; of those of one instant the last."""
+    times = columns[_Log.TIMES]
+    changes = np.diff(times)
+    start = np.flatnonzero(changes < 0)[-1] + 1 if np.any(changes < 0) else 0
+    kept = np.append(changes != 0, True)[: len(times)]
+    kept[:start] = False
+    return {name: values[kept] for name, values in columns.items()}
+
+
 class Recording:
-    """The logs of a diagram's signals: all at 100 Hz, and a few at every step.
+    """The logs of a long run, which go to files: of one context, sampled when that is asked for.
+
+    Signals that are `recorded_where_read` are not among them where no block reads them.
 
     Args:
         builder: has the diagram already; the logs are added to it.
@@ -113,14 +296,10 @@ class Recording:
 
     def __init__(self, builder: DiagramBuilder, nonstop: Diagram):
         sampled, stepped = _recorded_ports(nonstop)
+        self.nonstop = nonstop
         self._steps = _Log(builder, stepped, TriggerType.kPerStep)
         self._samples = _Log(builder, sampled, TriggerType.kForced)
-        self._signal_names = {
-            f"{block.get_name()}.{name}": name
-            for block in nonstop.GetSystems()
-            for name in output_names(block)
-            if name in sampled
-        }
+        self._signal_names = _signal_names(nonstop, sampled)
         self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
         self._folder: _TemporaryFolder | None = None
         self._is_full = False  # the folder
@@ -147,8 +326,10 @@ class Recording:
                     "shorter simulation_duration"
                 ) from None
 
-    def collect(self) -> tuple[NDArray, Mapping[str, NDArray], Mapping[str, NDArray]]:
-        """The fields `time`, `signals` and `steps` of a `Run`."""
+    def collect(
+        self, context: Context | None = None
+    ) -> tuple[NDArray, Mapping[str, NDArray], Mapping[str, NDArray]]:
+        """The fields `time`, `signals` and `steps` of a `Run`, of the context it started with."""
         if self._folder is not None and not self._is_full:
             with contextlib.suppress(OSError):  # what it cannot take stays in memory
                 self._store()
@@ -178,14 +359,10 @@ class _Log:
     TIMES = ""  # no port has this name
 
     def __init__(self, builder: DiagramBuilder, ports: dict[str, OutputPort], trigger: TriggerType):
-        self._sizes = {name: port.size() for name, port in ports.items()}
+        self.sizes = {name: port.size() for name, port in ports.items()}
         self._row_size = _row_size(ports)
-        # One port for all: a sink per signal would slow every step of the diagram down.
-        multiplexer = builder.AddSystem(Multiplexer(list(self._sizes.values())))
-        for i, port in enumerate(ports.values()):
-            builder.Connect(port, multiplexer.get_input_port(i))
         self._sink = LogVectorOutput(
-            multiplexer.get_output_port(), builder, {trigger}, publish_period=0.0
+            _multiplexed(builder, ports), builder, {trigger}, publish_period=0.0
         )
         self._log: VectorLog
         self._context: Context
@@ -194,7 +371,11 @@ class _Log:
 
     def start(self, context: Context) -> None:
         self._context = self._sink.GetMyContextFromRoot(context)
-        self._log = self._sink.FindLog(context)
+        self._log = self.log_of(context)
+
+    def log_of(self, context: Context) -> VectorLog:
+        """The log of the context of the whole diagram."""
+        return self._sink.FindLog(context)
 
     def publish(self) -> None:
         self._sink.ForcedPublish(self._context)
@@ -211,7 +392,7 @@ class _Log:
     def store(self, folder: Path) -> None:
         """Appends the rows in memory to the files in a folder, or none of them at an error."""
         folder.mkdir(exist_ok=True)
-        columns = self._columns()
+        columns = _columns(self.sizes, self._log)
         rows = len(columns[self.TIMES])
         for i, (name, values) in enumerate(columns.items()):
             self._files[name] = folder / str(i)
@@ -231,7 +412,7 @@ class _Log:
             names: of the ports, by the names of the signals.
             folder: what `store` was given a folder in.
         """
-        columns = self._columns()
+        columns = _columns(self.sizes, self._log)
         in_memory = {name: columns[port] for name, port in names.items()}
         if folder is None or self._stored == 0:
             return in_memory
@@ -240,13 +421,6 @@ class _Log:
             for name, port in names.items()
         }
         return StoredSignals(folder, files, in_memory if self._log.num_samples() else {})
-
-    def _columns(self) -> dict[str, NDArray]:
-        """The rows in memory, by the ports' names."""
-        ends = np.cumsum(list(self._sizes.values()))
-        pieces = np.split(self._log.data(), ends[:-1])
-        columns = {name: piece.T.copy() for name, piece in zip(self._sizes, pieces, strict=True)}
-        return {self.TIMES: self._log.sample_times().copy()} | columns
 
 
 class _TemporaryFolder:
@@ -329,11 +503,17 @@ def require_room(nonstop: Diagram, scenario: Scenario) -> None:
 
 def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, OutputPort]]:
     """The ports, by name, that are recorded at 100 Hz and at every step."""
+    read = {
+        source.get_output_port(index).get_name()
+        for source, index in nonstop.connection_map().values()
+    }
+    if_read = {name for box in BOXES.values() for name in box.recorded_where_read}
     outputs = [nonstop.get_output_port(i) for i in range(nonstop.num_output_ports())]
     ports = {
         port.get_name(): port
         for port in outputs
         if port.get_data_type() == PortDataType.kVectorValued
+        and port.get_name() not in if_read - read
     }
     return (
         {name: port for name, port in ports.items() if name != WALL_TIME},

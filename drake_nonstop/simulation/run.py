@@ -1,39 +1,47 @@
 """What a simulation produces, and how it may end."""
 
 import difflib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import Diagram
+from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, require
+
+if TYPE_CHECKING:
+    from drake_nonstop.simulation.recording import LogSignals, Recording
 
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
+WALL_TIME = "solve_time"  # differs from run to run: kept out of the samples
 
 
 @dataclass(kw_only=True)
 class Run:
     """What a simulation produced.
 
-    `signals` maps "block.port" to the samples of every signal but wall times, (samples,
-    size), at the instants `time` (samples,), 100 Hz; `steps` maps the names of a few ports
+    `signals` maps "block.port" to the samples of every signal but wall times, and accelerations and
+    jerks of carriers that no block reads, (samples, size), at the instants `time` (samples,),
+    100 Hz; `steps` maps the names of a few ports
     to their values at every step, (steps, size), and "time" to the steps' times (steps,), from
     t = 0 on: the integrator's steps, or the controllers' samples where the plant is fused. A
     value at an instant is that before the controllers' update at that instant. `solve_times`
     (updates,) are the wall times of the optimization layer's updates, `wall_time` that of the
-    whole simulation but for pauses, in s.
+    whole simulation but for pauses, in s; NaN: unknown.
     Beyond 32 MB, some 100 s of flight, `signals` and `steps` are in temporary files, which are
     removed with the run: each array is mapped to memory when it is asked for, and cannot be
     written to.
     A run that `is_steered` was changed from outside while it went on. `stopped` says why a run
     ended before its time, and is empty where it did not. `step` is the longest step of the
     integrator, s; `unresolved` has a sentence for each result that it does not resolve, and
-    `half_step` what `verify_step` found. `replacements` are the functions that made blocks in place
-    of the scenario's.
+    `half_step` what `verify_step` found. `replacements` are the arguments of `simulate` that made
+    the loop or its blocks in place of the scenario's; None: the run is not one of `simulate`.
     """
 
     scenario: Scenario
@@ -48,7 +56,51 @@ class Run:
     step: float = 0.0
     unresolved: tuple[str, ...] = ()
     half_step: dict[str, Any] | None = None
-    replacements: dict[str, Any] = field(default_factory=dict)
+    replacements: dict[str, Any] | None = field(default_factory=dict)
+
+    @classmethod
+    def from_logs(
+        cls,
+        logs: "LogSignals | Recording",
+        context: Context,
+        scenario: Scenario,
+        *,
+        wall_time: float = math.nan,
+        step: float | None = None,
+        stopped: str = "",
+        replacements: dict[str, Any] | None = None,
+    ) -> "Run":
+        """The run that logs have of a context, for metrics, figures and a replay.
+
+        Args:
+            logs: of the loop's signals, by `LogSignals.AddToBuilder`.
+            context: of the whole diagram, such as a Simulator's, after the flight.
+            scenario: what the run is judged by: its system, limits and speed bound.
+            wall_time: of the simulation, in s; NaN: unknown.
+            step: the longest of the integrator's, in s; None: the longest that was logged.
+            stopped: why it ended before its time, if it did.
+            replacements: as in `Run`.
+
+        Raises:
+            ScenarioError: there is nothing in the logs, or the signals are those of another number
+                of carriers than the scenario's.
+        """
+        time, signals, steps = logs.collect(context)
+        carriers, given = steps["carrier_state"].shape[1] // 6, len(scenario.system.attachments)
+        remedy = f"give the scenario of the loop, with {carriers} of them"
+        require(carriers == given, "system.attachments", given, remedy)
+        return cls(
+            scenario=scenario,
+            diagram=logs.nonstop,
+            time=time,
+            signals=signals,
+            steps=steps,
+            solve_times=_solve_times(steps),
+            wall_time=wall_time,
+            stopped=stopped,
+            step=_longest(steps["time"]) if step is None else step,
+            replacements=replacements,
+        )
 
     def signal(self, port: str) -> NDArray:
         """The signal of that port name, or of "block.port": (samples, size).
@@ -57,13 +109,26 @@ class Run:
             UnknownSignalError: there is none.
         """
         for name in self.signals:
-            if port in (name, name.split(".")[1]):
+            if port in (name, name.partition(".")[2]):
                 return self.signals[name]
         close = difflib.get_close_matches(str(port), list(self.signals), n=3, cutoff=0.4)
         raise UnknownSignalError(
             f"signal = {port}: give a port of the run, "
             f"such as {' or '.join(close or list(self.signals)[:3])}"
         )
+
+
+def _longest(times: NDArray) -> float:
+    """The longest step (s) between times (steps,), without their rounding."""
+    return float(f"{np.max(np.diff(times), initial=0.0):.9g}")
+
+
+def _solve_times(steps: Mapping[str, NDArray]) -> NDArray:
+    """The wall times (updates,) of the optimization layer's updates, s."""
+    if "diagnostics" not in steps or WALL_TIME not in steps:
+        return np.zeros(0)
+    counts = Diagnostics.view(steps["diagnostics"]).updates
+    return steps[WALL_TIME][np.flatnonzero(np.diff(counts, prepend=0.0)), 0]
 
 
 class UnknownSignalError(ScenarioError, KeyError):

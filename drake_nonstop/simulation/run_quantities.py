@@ -51,6 +51,11 @@ class RunQuantities:
         """The time of the last step, s."""
         return float(self.time[-1])
 
+    @property
+    def wall_time(self) -> float | None:
+        """Of the simulation, s; None: unknown."""
+        return None if math.isnan(self.run.wall_time) else self.run.wall_time
+
     @cached_property
     def position_error(self) -> NDArray:
         """The load's distance (samples,) from its reference at 100 Hz, m."""

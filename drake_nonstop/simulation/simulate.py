@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
@@ -16,14 +15,18 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
-from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.diagnosis import raising_block, source_of_fault
 from drake_nonstop.simulation.equilibrium import block_named, set_equilibrium
 from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
-from drake_nonstop.simulation.recording import WALL_TIME, Recording, RecordingError, require_room
+from drake_nonstop.simulation.recording import (
+    RUN_SIGNALS,
+    Recording,
+    RecordingError,
+    require_room,
+)
 from drake_nonstop.simulation.run import (
     Run,
     RunInterrupted,
@@ -33,8 +36,13 @@ from drake_nonstop.simulation.run import (
 )
 from drake_nonstop.simulation.step_check import SavedStates, compared, in_doubt, is_in_doubt
 from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_half_the_step
+from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+from drake_nonstop.systems.wiring import input_names, require_signals
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
+
+# Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
+LoopMaker = Callable[..., Diagram]
 
 # Adds a system beside the loop's diagram, which the builder has already, and returns it.
 Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
@@ -47,6 +55,7 @@ def simulate(
     viewers: Sequence[Viewer] = (),
     after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
     check_step: StepCheck = StepCheck.WHOLE,
+    make_loop: LoopMaker = make_nonstop,
     **replacements: Any,
 ) -> Run:
     """Simulates a scenario from its equilibrium and returns all signals.
@@ -67,8 +76,11 @@ def simulate(
             simulator's real-time rate, and have the run wait or end.
         check_step: what is flown again with half the step. With `after_step`, which may change a
             run, no more than PARTS are; what is in doubt then is said to be unresolved.
-        replacements: blocks in place of the scenario's, see `make_nonstop`. Those with a config
-            are in the run's scenario.
+        make_loop: makes the loop's diagram of a scenario and of the replacements without a config.
+            One of the user's own exports its signals by their names, as `connect_by_name` does; the
+            loop may be inside of it.
+        replacements: blocks in place of the scenario's, and `extra` ones, see `make_nonstop`.
+            Those with a config are in the run's scenario.
 
     Raises:
         ScenarioError: the scenario cannot be built, or there is no room for its signals.
@@ -79,7 +91,14 @@ def simulate(
     with current_interruption() as interruption, interruption.patient(1):
         try:
             run = _simulate(
-                scenario, interruption, progress, viewers, after_step, check_step, replacements
+                scenario,
+                interruption,
+                progress,
+                viewers,
+                after_step,
+                check_step,
+                make_loop,
+                replacements,
             )
         except RunStopped:
             raise
@@ -99,6 +118,7 @@ def _simulate(
     viewers: Sequence[Viewer],
     after_step: Callable[[Simulator, Diagram], StepAction] | None,
     check_step: StepCheck,
+    make_loop: LoopMaker,
     replacements: dict[str, Any],
 ) -> Run:
     check(scenario)
@@ -109,8 +129,8 @@ def _simulate(
         scenario.simulator_config.integration_scheme,
         f"give one of {', '.join(schemes)}",
     )
-    for name, block in replacements.items():
-        require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
+    remedy = "give a function that takes a scenario and returns a Diagram, such as make_nonstop"
+    require(callable(make_loop), "make_loop", make_loop, remedy)
     remedy = "give a list of functions, such as [show_in(meshcat)]"
     require(isinstance(viewers, (list, tuple)), "viewers", viewers, remedy)
     for viewer in viewers:
@@ -118,14 +138,17 @@ def _simulate(
     is_second = interruption.collect is not None  # of a run that is there already
     stated = scenario.speed_bound
     scenario, replacements = replaced(scenario, replacements)
+    arguments = (
+        replacements if make_loop is make_nonstop else {"make_loop": make_loop, **replacements}
+    )
     check_scene(scenario.scene)
-    nonstop = make_nonstop(scenario, **replacements)
+    nonstop = _loop(make_loop, scenario, replacements)
     chosen = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
         chosen = _chosen(scenario, nonstop, _at_equilibrium(nonstop))
         if chosen.config is not scenario.simulator_config:  # the steps are the block's own
             shorter = dataclasses.replace(scenario, simulator_config=chosen.config)
-            nonstop = make_nonstop(shorter, **replacements)
+            nonstop = _loop(make_loop, shorter, replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
     recording = Recording(builder, nonstop)
@@ -141,14 +164,14 @@ def _simulate(
 
     def finished(stopped: str = "") -> Run:
         interruption.patience = ALL  # nothing may come between a run and who keeps it
-        return _collect(
-            scenario,
-            nonstop,
+        return Run.from_logs(
             recording,
+            context,
+            scenario,
             step=simulator.get_integrator().get_maximum_step_size(),
             wall_time=time.perf_counter() - start - monitor.waited,
             stopped=stopped,
-            replacements=replacements,
+            replacements=arguments,
         )
 
     saved = SavedStates()
@@ -231,8 +254,11 @@ def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) ->
         progress: as of `simulate`.
 
     Raises:
+        ScenarioError: the run is not one of `simulate`.
         RunInterrupted: Ctrl-C; carries the run.
     """
+    remedy = "give a run of simulate, which can make the loop again (make_loop=...)"
+    require(run.replacements is not None, "run", "from logs", remedy)
     return _verified(run, progress)
 
 
@@ -249,7 +275,10 @@ def _verified(run: Run, progress: Callable[[float], None] | None, doubt: str = "
             warnings.simplefilter("ignore", ScenarioWarning)
             interruption.collect = lambda: doubted
             half = simulate(
-                scenario, progress=progress, check_step=StepCheck.NOTHING, **run.replacements
+                scenario,
+                progress=progress,
+                check_step=StepCheck.NOTHING,
+                **(run.replacements or {}),
             )
     except RunInterrupted:
         raise RunInterrupted(doubted) from None
@@ -259,6 +288,25 @@ def _verified(run: Run, progress: Callable[[float], None] | None, doubt: str = "
     finally:
         interruption.collect = None
     return compared(run, half)
+
+
+def _loop(make_loop: LoopMaker, scenario: Scenario, replacements: dict[str, Any]) -> Diagram:
+    """The loop's diagram.
+
+    Raises:
+        ScenarioError: it is none, does not export its signals, or has inputs that nothing makes.
+    """
+    nonstop = make_loop(scenario, **replacements)
+    require(
+        isinstance(nonstop, Diagram), "make_loop", nonstop, "return a Diagram from the function"
+    )
+    require_signals(nonstop, RUN_SIGNALS, "make_loop")
+    missing = ", ".join(input_names(nonstop))
+    remedy = "no block makes these signals; give one that does, in a box or as an extra one"
+    require(not missing, "inputs", missing, remedy)
+    if not nonstop.get_name():
+        nonstop.set_name(LOOP)
+    return nonstop
 
 
 def _chosen(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenStep:
@@ -285,7 +333,7 @@ def _chosen(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenSte
 
 def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:
     """Warns where a replacement brings a speed bound of its own, by which a run is judged."""
-    if nonstop.HasOutputPort("speed_bound"):
+    if nonstop.HasOutputPort("speed_bound") and not nonstop.HasOutputPort("speed_bound_command"):
         (own,) = nonstop.GetOutputPort("speed_bound").Eval(context)
         if own != stated:
             message = (
@@ -299,34 +347,3 @@ def _at_equilibrium(nonstop: Diagram) -> Context:
     context = nonstop.CreateDefaultContext()
     set_equilibrium(nonstop, context)
     return context
-
-
-def _collect(
-    scenario: Scenario,
-    nonstop: Diagram,
-    recording: Recording,
-    *,
-    step: float,
-    wall_time: float,
-    stopped: str,
-    replacements: dict[str, Any],
-) -> Run:
-    times, signals, steps = recording.collect()
-    solve_times = np.zeros(0)
-    if "diagnostics" in steps and WALL_TIME in steps:
-        updates = np.flatnonzero(
-            np.diff(Diagnostics.view(steps["diagnostics"]).updates, prepend=0.0)
-        )
-        solve_times = steps[WALL_TIME][updates, 0]
-    return Run(
-        scenario=scenario,
-        diagram=nonstop,
-        time=times,
-        signals=signals,
-        steps=steps,
-        solve_times=solve_times,
-        wall_time=wall_time,
-        stopped=stopped,
-        step=step,
-        replacements=replacements,
-    )

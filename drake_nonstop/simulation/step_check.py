@@ -93,7 +93,7 @@ def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
 
 
 def _has_all_signals(run: Run) -> bool:
-    made = {name.split(".")[1] for name in run.signals}
+    made = {name.partition(".")[2] for name in run.signals}
     return made >= {"tensions", "carrier_state", "load_state"}
 
 

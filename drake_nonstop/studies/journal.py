@@ -164,6 +164,9 @@ def _sources(name: str) -> list[Path]:
     """The files of a module or package of the user's own, which is not imported for that."""
     if name in sys.stdlib_module_names:
         return []
+    if name == "__main__":
+        file = getattr(sys.modules[name], "__file__", None)
+        return [Path(file)] if file else []
     try:
         spec = importlib.util.find_spec(name)
     except (ImportError, ValueError):

@@ -146,15 +146,17 @@ class Attempt:
     error: BaseException | None = None  # of a scenario that is "unbuildable"
 
 
-def attempt(scenario: Callable[[], Scenario]) -> Attempt:
+def attempt(scenario: Callable[[], Scenario], **arguments: Any) -> Attempt:
     """Simulates the scenario that a function returns, and never raises an error of the run.
+
+    `arguments` are those of `simulate`.
 
     Raises:
         KeyboardInterrupt: Ctrl-C.
     """
     ending, message = COMPLETED, ""
     try:
-        run = simulate(scenario())
+        run = simulate(scenario(), **arguments)
     except RunStopped as stopped:
         run, message = stopped.run, str(stopped)
         ending = DIVERGED if stopped.__cause__ is None else FAILED

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
-from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened
+from drake_nonstop.simulation.simulate import LoopMaker
 from drake_nonstop.studies.files import as_path, replacing_file
 from drake_nonstop.studies.journal import JOURNAL as JOURNAL
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
@@ -29,6 +30,7 @@ from drake_nonstop.studies.run_all import (
     run_all,
 )
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, dump_spec
+from drake_nonstop.studies.variants import Change, identity, labels, require_sendable, varied
 from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, require, require_installed
 
@@ -68,6 +70,7 @@ def sweep(
     executor: Executor | None = None,
     restart: bool = False,
     trust: bool = False,
+    make_loop: LoopMaker = make_nonstop,
     progress: Progress = no_progress,
 ) -> Sweep:
     """Simulates all runs of a sweep and writes a table with a row for each.
@@ -89,6 +92,7 @@ def sweep(
             user's own blocks; it is not shut down. None: a process per core.
         restart: whether to remove the folder's earlier sweep and start again.
         trust: whether the spec may name the user's own blocks, which runs their code.
+        make_loop: as of `simulate`; a function that processes can import.
         progress: called with a description and the share that is done.
 
     Returns:
@@ -104,7 +108,8 @@ def sweep(
     _pyarrow()
     if executor is None:
         require_main()
-    settings = sweep_settings(scenario, spec)
+    require_sendable(make_loop, "make_loop")
+    settings = sweep_settings(scenario, spec, make_loop)
     _require_runnable(scenario, spec, trust)
     text = dump_scenario(scenario)  # which can be sent to a process
     total = len(spec)
@@ -125,7 +130,7 @@ def sweep(
         run_all(
             _simulated,
             missing,
-            lambda number: (text, spec.run(number).overrides, trust),
+            lambda number: (text, spec.run(number).overrides, trust, make_loop),
             record,
             lambda number, error: (True, _without_run(FAILED, error)),
             executor=executor,
@@ -136,9 +141,10 @@ def sweep(
         return _write_tables(folder, spec, journal)
 
 
-def sweep_settings(scenario: Scenario, spec: SweepSpec) -> str:
+def sweep_settings(scenario: Scenario, spec: SweepSpec, make_loop: LoopMaker = make_nonstop) -> str:
     """A name of all that the results of a sweep depend on; see `settings_of`."""
-    return settings_of("sweep", dump_scenario(scenario), dump_spec(spec))
+    own = identity(spec.blocks, make_loop)
+    return settings_of("sweep", dump_scenario(scenario), dump_spec(spec), own)
 
 
 def _require_runnable(scenario: Scenario, spec: SweepSpec, trust: bool) -> None:
@@ -147,7 +153,7 @@ def _require_runnable(scenario: Scenario, spec: SweepSpec, trust: bool) -> None:
     step = max(1, len(spec) // _CHECKED_RUNS)
     for number in range(0, len(spec), step):
         try:
-            changed(scenario, spec.run(number).overrides, trust=trust)
+            varied(scenario, spec.run(number).overrides, trust=trust)
         except ScenarioError as error:
             first_error = first_error or error
         else:
@@ -159,11 +165,11 @@ def _require_runnable(scenario: Scenario, spec: SweepSpec, trust: bool) -> None:
 def _require_unusable(scenario: Scenario, planned: PlannedRun, trust: bool, error: str) -> None:
     """Raises ScenarioError where the scenario of a run cannot be made in other processes only."""
     try:
-        changed(scenario, planned.overrides, trust=trust)
+        varied(scenario, planned.overrides, trust=trust)
     except ScenarioError:
         return
     raise ScenarioError(
-        f"run {planned.number} = {', '.join(planned.overrides)}: processes cannot make its "
+        f"run {planned.number} = {', '.join(labels(planned.overrides))}: processes cannot make its "
         f"scenario, which this one can ({error}); put its modules where they find them, such "
         "as the current folder or PYTHONPATH"
     )
@@ -173,14 +179,16 @@ def _without_run(ending: str, error: str) -> Result:
     return {"ending": ending, "error": error, "metrics": {}, "wall_times": {}}
 
 
-def _simulated(text: str, overrides: Sequence[str], trust: bool) -> tuple[bool, Result]:
+def _simulated(
+    text: str, changes: Sequence[Change], trust: bool, make_loop: LoopMaker
+) -> tuple[bool, Result]:
     """Whether the run has a scenario, and its result."""
     base = parse_scenario(text, trust=True)  # a copy of one that was trusted when it was loaded
     try:
-        scenario = changed(base, overrides, trust=trust)
+        scenario, others = varied(base, changes, trust=trust)
     except ScenarioError as error:
         return False, _without_run(UNBUILDABLE, str(error))
-    tried = attempt(lambda: scenario)
+    tried = attempt(lambda: scenario, make_loop=make_loop, **others)
     metrics = {} if tried.run is None else flattened(compute_metrics(tried.run))
     result = {
         "ending": tried.ending,

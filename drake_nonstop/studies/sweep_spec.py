@@ -17,6 +17,7 @@ from drake_nonstop.scenario.overrides import (
     require_override,
 )
 from drake_nonstop.scenario.yaml_text import dump_plain
+from drake_nonstop.studies.variants import Change, checked_changes, is_block, label
 from drake_nonstop.validation import StrictFields, is_number, require, require_seed
 
 _LARGEST = 1e12  # of the numbers of a distribution
@@ -28,13 +29,14 @@ class PlannedRun:
     """One run of a sweep: the seed of its draws, and how it changes the scenario.
 
     `seed` is also the value of a path that is drawn as `{seed: true}`; `values` are those of the
-    grid and the draws by their paths, and `overrides` all changes of the scenario.
+    grid and the draws by their paths, and `overrides` all changes of the scenario: "path=value",
+    and mappings from a box to the class, config or function that makes its block.
     """
 
     number: int
     seed: int
     values: dict[str, Any]
-    overrides: list[str]
+    overrides: list[Change]
 
 
 @dataclass(kw_only=True)
@@ -49,6 +51,10 @@ class SweepSpec(StrictFields):
     of `{uniform: [low, high]}`, `{normal: [mean, standard deviation]}`,
     `{log_uniform: [low, high]}`, `{choice: [value, ...]}`, and `{seed: true}`: a whole number of
     each draw's own, for the seed of a block such as Wind.
+
+    In Python a box's values, in `grid` and in a `choice`, may be classes, configs and functions as
+    well, as the replacements of `make_nonstop`; processes have to be able to import them. The table
+    has their names.
 
     Raises:
         ScenarioError: a field cannot be used.
@@ -82,11 +88,14 @@ class SweepSpec(StrictFields):
         require(self.grid or self.draws, source, "neither", "give grid, draws or both")
         for path, values in self.grid.items():
             require(isinstance(path, str), f"{source}.grid", path, "give paths as texts")
-            require_choices(values, f"{source}.grid.{path}")
+            require_choices(_named(path, values, f"{source}.grid"), f"{source}.grid.{path}")
         for path, distribution in self.draws.items():
             require(isinstance(path, str), f"{source}.draws", path, "give paths as texts")
             where = f"{source}.draws.{path}"
             require(path not in self.grid, where, "in grid too", "give it in one of the two")
+            if isinstance(distribution, dict) and "choice" in distribution:
+                choices = _named(path, distribution["choice"], f"{source}.draws")
+                distribution = {**distribution, "choice": choices}
             _require_distribution(distribution, where)
         where, runs = f"{source}.runs", self.runs
         if self.draws:
@@ -117,8 +126,24 @@ class SweepSpec(StrictFields):
         for path, distribution in self.draws.items():
             ((kind, parameters),) = distribution.items()
             values[path] = seed if kind == "seed" else _DRAW[kind](random, parameters)
-        overrides = [*self.overrides, *(as_override(*item) for item in values.items())]
-        return PlannedRun(number=number, seed=seed, values=values, overrides=overrides)
+        changes: list[Change] = [
+            {path: value} if is_block(path, value) else as_override(path, value)
+            for path, value in values.items()
+        ]
+        shown = {path: label(v) if is_block(path, v) else v for path, v in values.items()}
+        overrides: list[Change] = [*self.overrides, *changes]
+        return PlannedRun(number=number, seed=seed, values=shown, overrides=overrides)
+
+    @property
+    def blocks(self) -> list[Change]:
+        """What makes blocks among the values, by their boxes."""
+        choices = {path: kinds.get("choice", []) for path, kinds in self.draws.items()}
+        return [
+            {path: value}
+            for path, values in (self.grid | choices).items()
+            for value in values
+            if is_block(path, value)
+        ]
 
     @cached_property
     def _combinations(self) -> list[dict[str, Any]]:
@@ -138,10 +163,28 @@ def read_sweep(file: str | Path) -> SweepSpec:
 
 
 def dump_spec(spec: SweepSpec) -> str:
-    """The fields that the results depend on, as one line of YAML that `read_sweep` reads."""
+    """The fields that the results depend on, as one line of YAML that `read_sweep` reads.
+
+    What makes blocks is there by its name.
+    """
     names = ("seed", "runs", "overrides", "grid", "draws")
     given = {name: getattr(spec, name) for name in names}
+    given["grid"] = {path: _named(path, values) for path, values in spec.grid.items()}
+    given["draws"] = {
+        path: {kind: _named(path, parameters) for kind, parameters in distribution.items()}
+        for path, distribution in spec.draws.items()
+    }
     return dump_plain({name: value for name, value in given.items() if value not in (None, [], {})})
+
+
+def _named(path: str, values: Any, where: str = "") -> Any:
+    """The values with labels in place of what makes blocks, which `where` is checked."""
+    if not isinstance(values, list):
+        return values
+    for value in values:
+        if where and is_block(path, value):
+            checked_changes({path: value}, where)
+    return [label(value) if is_block(path, value) else value for value in values]
 
 
 def _require_distribution(distribution: Any, where: str) -> None:

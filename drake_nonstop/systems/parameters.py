@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.systems.framework import BasicVector_, Diagram, System
+from pydrake.systems.framework import BasicVector_, Context, Diagram, System
 
 from drake_nonstop.systems.block import LeafBlock
 
@@ -27,6 +27,12 @@ def declared(system: System, first: int = 0) -> Iterator[tuple[System, "NumericP
         for part in system.GetSystems():
             yield from declared(part, first)
             first += part.num_numeric_parameter_groups()
+
+
+def parameters_in(block: System, context: Context) -> dict[str, NDArray]:
+    """The parameters of a block with one vector of them, by name, in the block's own context."""
+    [(_, own, group)] = declared(block)
+    return own.view(context.get_numeric_parameter(group).CopyToVector())
 
 
 class NumericParameters:

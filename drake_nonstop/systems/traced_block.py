@@ -16,7 +16,7 @@ from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
-from drake_nonstop.systems.tracing import Trace
+from drake_nonstop.systems.tracing import LateTrace, Trace
 
 _STATE = "(state)"  # no name of a port
 _NUMBERS = "(parameters)"  # likewise
@@ -64,6 +64,8 @@ class TracedBlock(DiagramBlock):
         parameters: what `function` takes by name, as arrays, numbers as (1,), besides: a numeric
             parameter of the context. `equations` have the default values.
         key: as of `TracedFunction`; the parameters' values are no part of it.
+        is_traced_late: the function is traced when an output is evaluated for the first time, for
+            what most loops do not read; every output feeds through every input.
 
     Raises:
         ValueError: there is nothing to take: neither an input nor a state nor the time.
@@ -80,6 +82,7 @@ class TracedBlock(DiagramBlock):
         reads_time: bool = False,
         parameters: NumericParameters | None = None,
         key: Any = None,
+        is_traced_late: bool = False,
     ):
         super().__init__()
         parameters = parameters or NumericParameters({})
@@ -102,7 +105,10 @@ class TracedBlock(DiagramBlock):
             read = read | {_NUMBERS: len(parameters)}
         time = len(read)
         sizes = [*read.values(), *([1] if reads_time else [])]
-        trace = Trace(function, sizes, key=key)
+        if is_traced_late:
+            trace: Trace = LateTrace(function, sizes, [*made.values()], key=key)
+        else:
+            trace = Trace(function, sizes, key=key)
         inner = {i for i, name in enumerate(read) if name in _INNER}
         groups = _groups(trace.dependence, {*inner, time}, has_state=state is not None)
         builder = DiagramBuilder()

@@ -153,7 +153,7 @@ class Trace:
 
     def compiled(
         self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
-    ) -> TracedFunction:
+    ) -> Callable[..., tuple[NDArray, ...]]:
         """The function of the inputs `reads` to the outputs `makes`, stacked, on floats.
 
         Where it reads none, it takes a number (1,), and leaves that alone.
@@ -184,6 +184,43 @@ class Trace:
                 was_given = not np.all(np.abs(ExtractValue(flat)) < LARGEST)
                 raise NotFiniteError(name(), was_given=was_given)
             return (stacked,)
+
+        return evaluate
+
+
+class LateTrace(Trace):
+    """A `Trace` that is made when it is evaluated for the first time.
+
+    Until then it is not known what depends on what: every output is taken to do on every input.
+
+    Args:
+        function: as of `Trace`, and so are `input_sizes` and `key`.
+        output_sizes: the length of each output, flat.
+    """
+
+    def __init__(
+        self,
+        function: Callable,
+        input_sizes: Sequence[int],
+        output_sizes: Sequence[int],
+        *,
+        key: Any = None,
+    ):
+        self._function, self.input_sizes, self._key = function, list(input_sizes), key
+        self.output_sizes = list(output_sizes)
+        self.dependence = [set(range(len(self.input_sizes))) for _ in self.output_sizes]
+
+    def compiled(
+        self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
+    ) -> Callable[..., tuple[NDArray, ...]]:
+        """As of `Trace`."""
+        made: list[Callable[..., tuple[NDArray, ...]]] = []
+
+        def evaluate(*inputs: NDArray | tuple[float, ...]) -> tuple[NDArray, ...]:
+            if not made:
+                trace = Trace(self._function, self.input_sizes, key=self._key)
+                made.append(trace.compiled(reads, makes, name=name))
+            return made[0](*inputs)
 
         return evaluate
 

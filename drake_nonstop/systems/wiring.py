@@ -1,19 +1,30 @@
 """Builds a Diagram from named blocks: wires follow from the names of the ports."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from itertools import pairwise
 
 from pydrake.systems.framework import (
+    Context,
     Diagram,
     DiagramBuilder,
     InputPort,
+    InputPortIndex,
     OutputPort,
     PortDataType,
     System,
 )
 
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.systems.energy import LoopDiagram
+from drake_nonstop.validation import ScenarioError, require
 
 OUTSIDE = "outside"  # what wires call the diagram's own input ports
+HELD = "held_"  # begins the name of a signal that is held from one sample to the next
+SAMPLE_TIME = "sample_time"  # of what is held
+
+_HOLD_REMEDY = (
+    f"a SampleAndHold makes {SAMPLE_TIME} and the {HELD}... signals of sampled controllers; add "
+    "SampleAndHold(model) to the blocks of connect_by_name, or make them with a control period of 0"
+)
 
 Sizes = Mapping[str, int | None]  # of ports or signals, by name; None: abstract-valued
 
@@ -32,6 +43,24 @@ def input_names(block: System) -> list[str]:
     return list(input_sizes(block))
 
 
+def optional_inputs(block: System) -> set[str]:
+    """The names of the block's input ports that may be left unconnected.
+
+    They are those of its attribute `optional_inputs`, and of a Diagram those that lead to such
+    ports of its subsystems only.
+    """
+    found = set(getattr(block, "optional_inputs", ()))
+    if isinstance(block, Diagram):
+        for i, name in enumerate(input_names(block)):
+            readers = block.GetInputPortLocators(InputPortIndex(i))
+            if name not in found and all(
+                reader.get_input_port(index).get_name() in optional_inputs(reader)
+                for reader, index in readers
+            ):
+                found.add(name)
+    return found
+
+
 def output_sizes(block: System) -> Sizes:
     """The sizes of the block's output ports, in order."""
     ports = [block.get_output_port(i) for i in range(block.num_output_ports())]
@@ -48,8 +77,10 @@ def _size(port: InputPort | OutputPort) -> int | None:
     return port.size() if port.get_data_type() == PortDataType.kVectorValued else None
 
 
-def check_outputs(name: str, block: System, required: Sizes, optional: Sizes) -> None:
-    """Checks the outputs of the block that goes by that name; it may have others besides.
+def check_outputs(name: str, block: System, required: Sizes, optional: Sizes) -> Sizes:
+    """Checks the outputs of the block that goes by that name, and returns all of them.
+
+    It may have others besides.
 
     Raises:
         WiringError: a required output is missing, or one of either kind has another size.
@@ -64,12 +95,23 @@ def check_outputs(name: str, block: System, required: Sizes, optional: Sizes) ->
             f"{name} = {type(block).__name__} with outputs {_listed(given)}: expected "
             f"{_listed(required)}{besides}; rename or resize the ports"
         )
+    return given
 
 
 def _listed(sizes: Sizes) -> str:
     """The ports or signals as "force (3), pose (7)"."""
     named = [f"{name} ({'abstract' if size is None else size})" for name, size in sizes.items()]
     return ", ".join(named) or "none"
+
+
+def _remedy(wrong: Sizes, signals: Sizes) -> str:
+    """What to do about input ports that no signal can be connected to."""
+    unknown = [name for name in wrong if name not in signals]
+    if any(name == SAMPLE_TIME or name.startswith(HELD) for name in unknown):
+        return _HOLD_REMEDY
+    if not unknown:
+        return "rename or resize the ports"
+    return f"rename or resize the ports, or give make_nonstop or connect_by_name inputs={unknown}"
 
 
 def _expected(wrong: Sizes, signals: Sizes) -> str:
@@ -85,47 +127,54 @@ def _expected(wrong: Sizes, signals: Sizes) -> str:
     return " and ".join(parts)
 
 
-def wires(
-    blocks: Mapping[str, System],
-    replaced_signals: Mapping[str, str] | None = None,
-    outside: Sizes | None = None,
-) -> list[str]:
+def wires(blocks: Mapping[str, System], inputs: Collection[str] | Sizes = ()) -> list[str]:
     """The wires "block.port -> block.port" that the names of the ports imply.
 
-    Every output port is a signal with a name of its own, and an input port named after a
-    signal is connected to it. `replaced_signals` maps a signal to the one that readers
-    get in its place, save those that make a signal or its replacement: what is upstream
-    of a replacement must not read it. `outside` are signals that no block makes: their wires
-    come from "outside.port".
+    Every output port is a signal with a name of its own, and an input port named after a signal is
+    connected to it. Where a block makes `held_x` of an input x, readers of x get `held_x` in its
+    place, save those that make x or anything that is held: what is upstream of a hold must not read
+    from it. The wires of `inputs`, signals that no block makes, come from "outside.port". Ports
+    named in the attribute `optional_inputs` of a block have no wire where there is no such signal.
 
     Raises:
-        WiringError: two blocks make the same signal, a replacement is made by none, or an
-            input names no signal, or one of another size.
+        WiringError: two blocks make the same signal, or an input names no signal, or one of
+            another size, or an entry of `inputs` is made by a block, or read by none.
     """
-    outside = outside or {}
+    outside = sizes_of_inputs(blocks, inputs)
     sources: dict[str, str] = dict.fromkeys(outside, OUTSIDE)
     sizes: dict[str, int | None] = dict(outside)
-    for block_name, block in blocks.items():
-        for signal, size in output_sizes(block).items():
+    made = {name: output_sizes(block) for name, block in blocks.items()}
+    read_by = {name: input_sizes(block) for name, block in blocks.items()}
+    for block_name in blocks:
+        for signal, size in made[block_name].items():
+            if signal in outside:
+                raise WiringError(
+                    f"inputs = {signal}: {block_name} has an output port of that name; leave it "
+                    "out of the inputs, or rename the port"
+                )
             if signal in sources:
                 raise WiringError(
                     f"{block_name}.{signal} = output: {sources[signal]} has an output port of "
-                    "that name already; rename one of the two"
+                    "that name already; rename one of the two, or leave one of the blocks out"
                 )
             sources[signal], sizes[signal] = block_name, size
+    held = {
+        port: f"{HELD}{port}"
+        for name, ports in read_by.items()
+        for port in ports
+        if f"{HELD}{port}" in made[name]
+    }
+    upstream = {sources.get(signal) for pair in held.items() for signal in pair}
     result = []
-    replaced_signals = replaced_signals or {}
-    for signal, replacement in replaced_signals.items():
-        if replacement not in sources:
-            raise WiringError(
-                f"replacement of {signal} = {replacement}: no block has an output port of that "
-                f"name; give one of {', '.join(sorted(sources))}"
-            )
-    upstream = {sources.get(signal) for signal in (*replaced_signals, *replaced_signals.values())}
     for block_name, block in blocks.items():
-        given = input_sizes(block)
-        replaced = {} if block_name in upstream else replaced_signals
-        read = {port: replaced.get(port, port) for port in given}
+        given = read_by[block_name]
+        optional = optional_inputs(block)
+        replaced = {} if block_name in upstream else held
+        read = {
+            port: replaced.get(port, port)
+            for port in given
+            if port in sources or port not in optional
+        }
         wrong = {
             port: given[port]
             for port, signal in read.items()
@@ -134,7 +183,7 @@ def wires(
         if wrong:
             raise WiringError(
                 f"{block_name} = {type(block).__name__} with inputs {_listed(given)}: "
-                f"{_expected(wrong, sizes)}; rename or resize the ports"
+                f"{_expected(wrong, sizes)}; {_remedy(wrong, sizes)}"
             )
         result += [
             f"{sources[signal]}.{signal} -> {block_name}.{port}" for port, signal in read.items()
@@ -142,28 +191,59 @@ def wires(
     return result
 
 
-def connect(
+def sizes_of_inputs(
+    blocks: Mapping[str, System], inputs: Collection[str] | Sizes
+) -> dict[str, int | None]:
+    """The sizes of signals from outside: as they are given, or as the first reader has them."""
+    if isinstance(inputs, Mapping):
+        return dict(inputs)
+    remedy = 'give a list of signals that blocks read, such as ["wind_speed"]'
+    require(not isinstance(inputs, str), "inputs", inputs, remedy)
+    sizes: dict[str, int | None] = {}
+    for signal in inputs:
+        read = [given[signal] for given in map(input_sizes, blocks.values()) if signal in given]
+        require(bool(read), "inputs", signal, remedy)
+        sizes[signal] = read[0]
+    return sizes
+
+
+def connect_by_name(
+    builder: DiagramBuilder,
     blocks: Mapping[str, System],
     *,
-    name: str,
-    replaced_signals: Mapping[str, str] | None = None,
-    outside: Sizes | None = None,
-) -> Diagram:
-    """Wires the blocks (see `wires`) to a diagram that exports every signal by its name.
+    inputs: Collection[str] | Sizes = (),
+) -> None:
+    """Adds blocks to a builder, wires them by the names of their ports, exports every signal.
 
-    The blocks become subsystems named after their keys, and the signals that come from
-    `outside` input ports of the diagram.
+    Each output port is a signal with a name of its own; an input port named after a signal is
+    connected to it, and the diagram has an output port of that name. Where a block makes `held_x`
+    of an input x, as `SampleAndHold` does, readers of x get `held_x` in its place; blocks that make
+    x, or anything that is held, do not. `make_nonstop` puts its figure together in this way.
+
+    Args:
+        builder: what the blocks are added to.
+        blocks: by the names that they get in the diagram.
+        inputs: signals that no block makes: they become input ports of the diagram, each of the
+            size of the port that reads it.
 
     Raises:
-        WiringError: as `wires`.
+        ScenarioError: a name is none, two blocks make the same signal, or an input names no signal,
+            or one of another size; the message names block and port, and lists the signals.
     """
-    builder = DiagramBuilder()
+    for name, block in blocks.items():
+        is_name = isinstance(name, str) and name and not {":", "."} & set(name)
+        require(is_name, "blocks", name, "name each block by a text without colons and dots")
+        remedy = "give a LeafSystem or Diagram"
+        require(isinstance(block, System), f"blocks.{name}", block, remedy)
+        is_new = not builder.HasSubsystemNamed(name)
+        require(is_new, "blocks", name, "the builder has a system of that name; give another one")
+    planned = wires(blocks, inputs)
     for block_name, block in blocks.items():
         block.set_name(block_name)
         builder.AddSystem(block)
     exported = set()
-    for wire in wires(blocks, replaced_signals, outside):
-        (source, signal), target = (end.split(".") for end in wire.split(" -> "))
+    for wire in planned:
+        (source, signal), target = (end.split(".", 1) for end in wire.split(" -> "))
         port = blocks[target[0]].GetInputPort(target[1])
         if source != OUTSIDE:
             builder.Connect(blocks[source].GetOutputPort(signal), port)
@@ -177,9 +257,83 @@ def connect(
     for block in sorted(blocks.values(), key=lambda block: block.num_input_ports() == 0):
         for signal in output_names(block):
             builder.ExportOutput(block.GetOutputPort(signal), signal)
-    diagram = builder.Build()
-    diagram.set_name(name)
-    return diagram
+
+
+def maker_of(diagram: Diagram, signal: str) -> System:
+    """The subsystem with the output port that a diagram exports by that name."""
+    return diagram.get_output_port_locator(diagram.GetOutputPort(signal).get_index())[0]
+
+
+def require_signals(diagram: Diagram, sizes: Sizes, field: str) -> None:
+    """Checks that a diagram exports signals.
+
+    Args:
+        diagram: what should have output ports of these names.
+        sizes: of the ports; None: any.
+        field: what the error calls the diagram.
+
+    Raises:
+        WiringError: it lacks some, or they have other sizes.
+    """
+    made = output_sizes(diagram)
+    wrong = [
+        name for name, size in sizes.items() if name not in made or size not in (None, made[name])
+    ]
+    if wrong:
+        needed = [name if size is None else f"{name} ({size})" for name, size in sizes.items()]
+        raise WiringError(
+            f"{field} = {type(diagram).__name__} without output ports {', '.join(wrong)}: export "
+            f"{', '.join(needed)} by these names, as connect_by_name does"
+        )
+
+
+def nested(diagram: Diagram, signals: Collection[str]) -> list[Diagram]:
+    """A diagram that exports signals, and those inside of it that make all of them.
+
+    The outermost is the first, and the last is that whose own subsystems make them.
+    """
+    found = [diagram]
+    while True:
+        maker = maker_of(found[-1], next(iter(signals)))
+        if type(maker) not in (Diagram, LoopDiagram) or not all(map(maker.HasOutputPort, signals)):
+            return found
+        found.append(maker)
+
+
+def innermost(
+    diagram: Diagram, context: Context, signals: Collection[str]
+) -> tuple[Diagram, Context]:
+    """The last of the diagrams that are `nested`, and its context in that of the first."""
+    diagrams = nested(diagram, signals)
+    for outer, inner in pairwise(diagrams):
+        context = outer.GetMutableSubsystemContext(inner, context)
+    return diagrams[-1], context
+
+
+def unconnected(diagram: Diagram, context: Context) -> str:
+    """A sentence that names the first input without a value of a diagram's blocks, if any."""
+    for i in range(diagram.num_input_ports()):
+        port = diagram.get_input_port(i)
+        if not port.HasValue(context):
+            name = port.get_name()
+            return f"{name} = no value: connect the diagram's input port, or fix its value"
+    connected = {(reader.get_name(), int(index)) for reader, index in diagram.connection_map()}
+    for i in range(diagram.num_input_ports()):
+        for reader, index in diagram.GetInputPortLocators(InputPortIndex(i)):
+            connected.add((reader.get_name(), int(index)))
+    for block in diagram.GetSystems():
+        for index, port in enumerate(input_names(block)):
+            is_optional = port in optional_inputs(block)
+            if not is_optional and (block.get_name(), index) not in connected:
+                return f"{block.get_name()}.{port} = not connected: {_connection_of(port)}"
+    return ""
+
+
+def _connection_of(port: str) -> str:
+    """How to connect an input port of that name."""
+    if port == SAMPLE_TIME or port.startswith(HELD):
+        return _HOLD_REMEDY
+    return "connect it, or wire the blocks with connect_by_name"
 
 
 def connections(diagram: Diagram) -> list[str]:

@@ -22,7 +22,7 @@ from xml.sax.saxutils import escape, quoteattr
 from pydrake.systems.framework import Diagram
 
 from drake_nonstop.diagrams.box import Kind, Place
-from drake_nonstop.diagrams.nonstop import PLACES
+from drake_nonstop.diagrams.nonstop import BOXES, PLACES
 from drake_nonstop.systems import wiring
 
 COLUMNS = 1 + max(place.column for place in PLACES.values())
@@ -205,12 +205,14 @@ def _boxes(subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> list[Bo
     boxes: dict[str, Box] = {}
     signals: dict[str, Signal] = {}
     unknown_boxes = 0
+    taken = {PLACES[name] for name, _, _ in subsystems if name in PLACES}
     for name, class_name, output_names in subsystems:
-        place = PLACES.get(name)
+        place = _place_of(name, output_names, taken)
         if place is None:
             row, column = divmod(unknown_boxes, COLUMNS)
             place = Place(column, ROWS + row, 1, Kind.ADDITION)
             unknown_boxes += 1
+        taken.add(place)
         outputs = [Signal(f"{name}.{port}", place.flow) for port in output_names]
         signals.update({signal.name: signal for signal in outputs})
         boxes[name] = Box(name, class_name, place, outputs)
@@ -219,6 +221,14 @@ def _boxes(subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> list[Bo
         boxes[target.partition(".")[0]].inputs[wire] = signals[source]
         signals[source].sinks[wire] = (0, 0)
     return list(boxes.values())
+
+
+def _place_of(name: str, output_names: tuple[str, ...], taken: set[Place]) -> Place | None:
+    """The place of the box of that name, or of the one that makes one of these signals."""
+    if name in PLACES:
+        return PLACES[name]
+    boxes = (box for box in BOXES.values() if not box.signals.keys().isdisjoint(output_names))
+    return next((box.place for box in boxes if box.place not in taken), None)
 
 
 def _place(boxes: list[Box], scale: int) -> None:

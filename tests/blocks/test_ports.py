@@ -111,6 +111,9 @@ DISTRIBUTION = (
         ("internal_force", "desired_cable_force_rates"),
     ],
 )
+_PULLED = ("reference", "desired_cable_forces", "desired_cable_force_rates")
+_ORBIT = ("internal_force", "parameters")
+_DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
 BLOCKS = {
@@ -123,8 +126,16 @@ BLOCKS = {
         ),
     ),
     bounded_distribution: DISTRIBUTION,
-    InextensibleCarrierTrajectory: everything(
-        ["reference", "desired_cable_forces", "desired_cable_force_rates"], ["carrier_reference"]
+    **dict.fromkeys(
+        (CarrierTrajectory, InextensibleCarrierTrajectory),
+        (
+            [*_PULLED, *_ORBIT],
+            ["carrier_reference", *_DERIVATIVES],
+            [
+                *((source, "carrier_reference") for source in _PULLED),
+                *((source, target) for source in (*_PULLED, *_ORBIT) for target in _DERIVATIVES),
+            ],
+        ),
     ),
     MeasuredCarrierTrajectory: everything(
         ["measured_load_state", "desired_cable_forces", "desired_cable_force_rates"],
@@ -173,11 +184,22 @@ BLOCKS = {
         ],
     ),
     NonstopOptimizer: (
-        ["measured_load_state", "reference", "wrench", "wrench_rate", "phase"],
+        [
+            "measured_load_state",
+            "reference",
+            "wrench",
+            "wrench_rate",
+            "phase",
+            "speed_bound_command",
+        ],
         ["parameters", "diagnostics", "solve_time", "speed_bound"],
-        [],
+        [("speed_bound_command", "speed_bound")],
     ),
-    ConstantParameters: ([], ["parameters", "speed_bound"], []),
+    ConstantParameters: (
+        ["speed_bound_command"],
+        ["parameters", "speed_bound"],
+        [("speed_bound_command", "speed_bound")],
+    ),
     AccumulatedPhase: (["parameters"], ["phase"], []),
     PaperPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
     InternalForceTrajectory: (
@@ -186,15 +208,6 @@ BLOCKS = {
         [("parameters", "internal_force"), ("phase", "internal_force")],
     ),
     CableForceDistribution: DISTRIBUTION,
-    CarrierTrajectory: (
-        ["reference", "desired_cable_forces", "desired_cable_force_rates"],
-        ["carrier_reference"],
-        [
-            ("reference", "carrier_reference"),
-            ("desired_cable_forces", "carrier_reference"),
-            ("desired_cable_force_rates", "carrier_reference"),
-        ],
-    ),
     CarrierPid: (
         ["carrier_reference", "carrier_state"],
         ["carrier_forces"],
@@ -280,7 +293,7 @@ def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
     held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()}
-    return (sizes | held | {"sample_time": 1})[signal]
+    return (sizes | held | {"sample_time": 1, "speed_bound_command": 1})[signal]
 
 
 def values(signal, seed, n):
@@ -386,7 +399,7 @@ def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, per
     context.SetTime(time)
     after = check("time")
     for name in before:
-        constant = make in (ConstantParameters, NoDisturbance) or name == "speed_bound"
+        constant = make is NoDisturbance or (make is ConstantParameters and name == "parameters")
         assert np.array_equal(before[name], after[name]) == constant, name
 
 

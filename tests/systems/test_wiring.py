@@ -1,15 +1,16 @@
 import numpy as np
 import pytest
 from pydrake.common.value import Value
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
 
 from drake_nonstop.systems.wiring import (
     WiringError,
     check_outputs,
-    connect,
+    connect_by_name,
     connections,
     input_names,
+    optional_inputs,
     output_names,
     wires,
 )
@@ -31,6 +32,12 @@ class Box(LeafSystem):
     def _sum(self, context):
         ports = [self.get_input_port(i) for i in range(self.num_input_ports())]
         return sum((port.Eval(context) for port in ports), np.ones(2))
+
+
+def connect(blocks, **options):
+    builder = DiagramBuilder()
+    connect_by_name(builder, blocks, **options)
+    return builder.Build()
 
 
 def figure():
@@ -64,15 +71,14 @@ def test_wires_do_not_depend_on_the_order_of_the_blocks():
 
 
 def test_built_diagram_has_the_wires_and_the_names():
-    diagram = connect(figure(), name="loop")
+    diagram = connect(figure())
     assert sorted(connections(diagram)) == sorted(FIGURE_WIRES)
-    assert diagram.get_name() == "loop"
     assert [block.get_name() for block in diagram.GetSystems()] == [*figure()]
     assert diagram.num_input_ports() == 0
 
 
 def test_every_signal_is_exported_by_its_name_and_has_its_value():
-    diagram = connect(figure(), name="loop")
+    diagram = connect(figure())
     context = diagram.CreateDefaultContext()
     expected = {"force": 1, "pose": 2, "command": 1 + 1 + 2, "state": 1 + 4 + 1}
     assert diagram.num_output_ports() == len(expected)
@@ -83,10 +89,11 @@ def test_every_signal_is_exported_by_its_name_and_has_its_value():
 def test_misspelt_input_is_reported_with_the_valid_names():
     blocks = figure() | {"plant": Box(["comand"], ["state"])}
     with pytest.raises(WiringError) as error:
-        connect(blocks, name="loop")
+        connect(blocks)
     assert str(error.value) == (
         "plant = Box with inputs comand (2): comand (2) is not among the signals command (2), "
-        "force (2), pose (2), state (2); rename or resize the ports"
+        "force (2), pose (2), state (2); rename or resize the ports, or give make_nonstop "
+        "or connect_by_name inputs=['comand']"
     )
     assert isinstance(error.value, ScenarioError)
 
@@ -94,22 +101,52 @@ def test_misspelt_input_is_reported_with_the_valid_names():
 def test_two_blocks_with_the_same_signal_are_both_named():
     blocks = figure() | {"second": Box([], ["pose"])}
     with pytest.raises(WiringError, match=r"second\.pose = .*source.*rename"):
-        connect(blocks, name="loop")
+        connect(blocks)
 
 
 def test_sizes_that_differ_are_both_given():
     blocks = figure() | {"plant": Box(["command"], ["state"], size=3)}
     with pytest.raises(WiringError) as error:
-        connect(blocks, name="loop")
+        connect(blocks)
     assert str(error.value) == (
         "plant = Box with inputs command (3): expected command (2); rename or resize the ports"
     )
 
 
+class Sail(Box):
+    """A box whose input `wind` may be left unconnected."""
+
+    optional_inputs = ("wind",)
+
+
+def test_optional_input_is_connected_only_where_there_is_such_a_signal():
+    blocks = {"plant": Sail(["command", "wind"], ["state"]), "source": Box([], ["command"])}
+    assert wires(blocks) == ["source.command -> plant.command"]
+    assert "outside.wind -> plant.wind" in wires(blocks, ["wind"])
+    assert "weather.wind -> plant.wind" in wires(blocks | {"weather": Box([], ["wind"])})
+    kite = Box(["wind"], ["pull"])  # to which it is not optional
+    with pytest.raises(WiringError, match=r"kite = Box .* wind \(2\) is not among the signals"):
+        wires(blocks | {"kite": kite})
+
+
+def test_input_of_a_diagram_is_optional_where_it_leads_to_optional_ones_only():
+    both = {"sail": Sail(["wind"], ["pull"]), "other": Sail(["wind"], ["push"])}
+    assert optional_inputs(connect(both, inputs=["wind"])) == {"wind"}
+    one = {"sail": Sail(["wind"], ["pull"]), "kite": Box(["wind"], ["push"])}
+    assert optional_inputs(connect(one, inputs=["wind"])) == set()
+    assert optional_inputs(Box(["wind"], ["pull"])) == set()
+
+
+def test_optional_input_of_another_size_than_its_signal_is_an_error():
+    blocks = {"plant": Sail(["wind"], ["state"]), "weather": Box([], ["wind"], size=3)}
+    with pytest.raises(WiringError, match=r"Sail with inputs wind \(2\): expected wind \(3\);"):
+        connect(blocks)
+
+
 def test_all_inputs_that_cannot_be_wired_are_reported_at_once():
     blocks = figure() | {"plant": Box(["comand", "force", "torque"], ["state"])}
     with pytest.raises(WiringError) as error:
-        connect(blocks, name="loop")
+        connect(blocks)
     assert "with inputs comand (2), force (2), torque (2): comand (2), torque (2) are not" in str(
         error.value
     )
@@ -128,7 +165,7 @@ class Abstract(LeafSystem):
 
 def test_abstract_ports_are_wired_to_each_other():
     blocks = figure() | {"mode": Abstract([], ["mode"]), "display": Abstract(["mode"], [])}
-    assert set(connections(connect(blocks, name="loop"))) == {
+    assert set(connections(connect(blocks))) == {
         *FIGURE_WIRES,
         "mode.mode -> display.mode",
     }
@@ -146,7 +183,7 @@ def test_abstract_ports_are_wired_to_each_other():
 )
 def test_abstract_port_does_not_fit_a_vector(extra, said):
     with pytest.raises(WiringError) as error:
-        connect(figure() | extra, name="loop")
+        connect(figure() | extra)
     assert str(error.value).startswith(said)
 
 
@@ -179,14 +216,12 @@ def test_outputs_of_another_size_are_reported(block, required, optional):
 
 def test_readers_of_a_replaced_signal_get_the_replacement_but_not_its_maker():
     blocks = figure() | {"hold": Box(["force"], ["held_force"])}
-    result = wires(blocks, {"force": "held_force"})
+    result = wires(blocks)
     assert "source.force -> hold.force" in result
     assert "hold.held_force -> controller.force" in result
     assert "hold.held_force -> plant.force" in result
     assert len(result) == 5
-    assert sorted(
-        connections(connect(blocks, name="loop", replaced_signals={"force": "held_force"}))
-    ) == sorted(result)
+    assert sorted(connections(connect(blocks))) == sorted(result)
 
 
 def test_makers_of_replaced_signals_read_nothing_that_is_replaced():
@@ -197,7 +232,7 @@ def test_makers_of_replaced_signals_read_nothing_that_is_replaced():
         "hold": Box(["force", "pose"], ["held_force", "held_pose"]),
         "controller": Box(["force", "pose"], ["command"]),
     }
-    assert wires(blocks, {"force": "held_force", "pose": "held_pose"}) == [
+    assert wires(blocks) == [
         "source.force -> feedback.force",
         "source.force -> hold.force",
         "feedback.pose -> hold.pose",
@@ -206,18 +241,13 @@ def test_makers_of_replaced_signals_read_nothing_that_is_replaced():
     ]
 
 
-def test_replacement_that_no_block_makes_is_an_error():
-    with pytest.raises(WiringError, match=r"^replacement of force = held_force: no block .* pose"):
-        wires(figure(), {"force": "held_force"})
-
-
 def test_drakes_own_systems_are_named_after_their_keys():
     source = ConstantVectorSource([1.0, 2.0])
-    diagram = connect({"constant": source}, name="loop")
+    diagram = connect({"constant": source})
     assert diagram.GetSubsystemByName("constant") is source
 
 
 def test_blocks_in_an_algebraic_loop_do_not_build():
     blocks = {"a": Box(["two"], ["one"]), "b": Box(["one"], ["two"])}
     with pytest.raises(RuntimeError, match="algebraic loop"):
-        connect(blocks, name="loop")
+        connect(blocks)

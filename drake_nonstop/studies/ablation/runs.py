@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
-from drake_nonstop.scenario.overrides import changed, require_override
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.simulate import LoopMaker
 from drake_nonstop.studies.ablation.page import PAGE, PLOTS, Curves, write_page
 from drake_nonstop.studies.ablation.rows import BASE, Row, ordered
 from drake_nonstop.studies.ablation.tables import as_csv, as_markdown
@@ -26,9 +27,18 @@ from drake_nonstop.studies.run_all import (
     no_progress,
     run_all,
 )
+from drake_nonstop.studies.variants import (
+    Change,
+    checked_changes,
+    identity,
+    labels,
+    require_sendable,
+    varied,
+)
 from drake_nonstop.validation import ScenarioError, require
 
-Variants = Mapping[str, Sequence[str]] | Iterable[tuple[str, Sequence[str]]]
+Changes = Sequence[Change] | Mapping[str, Any]
+Variants = Mapping[str, Changes] | Iterable[tuple[str, Changes]]
 
 _FILES = ("table.md", "table.csv", PAGE, *PLOTS)
 _CURVES = ".curves"  # a folder, until the page is written
@@ -44,6 +54,7 @@ def ablate(
     replay: bool = True,
     trust: bool = False,
     restart: bool = False,
+    make_loop: LoopMaker = make_nonstop,
     progress: Progress = no_progress,
 ) -> list[Row]:
     """Runs a scenario and each of its variants, in a process per core, and compares them.
@@ -59,12 +70,15 @@ def ablate(
 
     Args:
         scenario: what the variants change, and the first row.
-        variants: overrides "path=value" by the variant's name; equal names get numbers.
+        variants: by the variant's name, a list of overrides "path=value" and of mappings from boxes
+            to configs, classes or functions, as the replacements of `make_nonstop`; or one such
+            mapping. Equal names get numbers. Processes have to be able to import what is given.
         folder: for the results, made where there is none.
         title: of the page.
         replay: whether to write replays.
         trust: whether the variants may import the user's own blocks, which runs their code.
         restart: whether to drop what the folder has of an interrupted comparison.
+        make_loop: as of `simulate`; a function that processes can import.
         progress: called with a description and the share that is done.
 
     Returns:
@@ -81,11 +95,13 @@ def ablate(
     folder = as_path(folder)
     require_main()
     pairs = _checked(variants)
-    rows = _named([(BASE, ()), *pairs])
-    texts, first_error = {}, None
-    for k, row in enumerate(rows):
+    require_sendable(make_loop, "make_loop")
+    rows = _named([(BASE, []), *pairs])
+    texts, arguments, first_error = {}, {}, None
+    for k, (row, (_, changes)) in enumerate(zip(rows, [(BASE, []), *pairs], strict=True)):
         try:
-            texts[k] = dump_scenario(changed(scenario, row.overrides, trust=trust))
+            variant, others = varied(scenario, changes, trust=trust)
+            texts[k], arguments[k] = dump_scenario(variant), {"make_loop": make_loop, **others}
         except ScenarioError as error:
             if k == 0:
                 raise
@@ -102,7 +118,7 @@ def ablate(
             row.metrics = json.loads(text)
             curves[row.folder] = Curves.load(_curves_file(folder, row))
 
-    settings = ablation_settings(scenario, pairs, replay=replay)
+    settings = ablation_settings(scenario, pairs, replay=replay, make_loop=make_loop)
     with open_journal(
         folder, settings, list(texts), _RESULT, restart=restart, what="variants"
     ) as journal:
@@ -122,7 +138,7 @@ def ablate(
         run_all(
             _run,
             missing,
-            lambda key: (texts[key], folder, rows[key], replay),
+            lambda key: (texts[key], folder, rows[key], replay, arguments[key]),
             record,
             lambda key, error: {"ending": FAILED, "message": error, "has_run": False},
             progress=progress,
@@ -140,14 +156,16 @@ def ablate(
     return rows
 
 
-def ablation_settings(scenario: Scenario, variants: Variants, *, replay: bool) -> str:
+def ablation_settings(
+    scenario: Scenario, variants: Variants, *, replay: bool, make_loop: LoopMaker = make_nonstop
+) -> str:
     """A name of all that the results of a comparison depend on; see `settings_of`."""
-    texts = dump_scenario(scenario), json.dumps(_checked(variants)), str(replay)
-    return settings_of("ablation", *texts)
+    given = [f"{name}\n{identity(changes, make_loop)}" for name, changes in _checked(variants)]
+    return settings_of("ablation", dump_scenario(scenario), json.dumps(given), str(replay))
 
 
-def _checked(variants: Variants) -> list[tuple[str, list[str]]]:
-    """The variants as pairs of a name and overrides.
+def _checked(variants: Variants) -> list[tuple[str, list[Change]]]:
+    """The variants as pairs of a name and changes.
 
     Raises:
         ScenarioError: they are anything else.
@@ -163,12 +181,8 @@ def _checked(variants: Variants) -> list[tuple[str, list[str]]]:
     for pair in pairs:
         is_pair = isinstance(pair, (tuple, list)) and len(pair) == 2
         require(is_pair and isinstance(pair[0], str), "variants", pair, remedy)
-        name, overrides = pair
-        is_list = isinstance(overrides, Sequence) and not isinstance(overrides, str)
-        require(is_list, f"variant {name}", overrides, "give a list of path=value")
-        for override in overrides:
-            require_override(override, f"variant {name}")
-        checked.append((name, list(overrides)))
+        name, changes = pair
+        checked.append((name, checked_changes(changes, f"variant {name}")))
     return checked
 
 
@@ -190,10 +204,12 @@ def _is_there(folder: Path, row: Row, text: str, journal: Journal, key: int) -> 
         return False
 
 
-def _run(text: str, folder: Path, row: Row, replay: bool) -> dict[str, Any]:
+def _run(
+    text: str, folder: Path, row: Row, replay: bool, arguments: Mapping[str, Any]
+) -> dict[str, Any]:
     """Runs a variant and writes its results."""
     scenario = parse_scenario(text, trust=True)  # a copy of one that was trusted when it was loaded
-    tried = attempt(lambda: scenario)
+    tried = attempt(lambda: scenario, **arguments)
     if tried.run is not None:
         keep_what_is_done()
         Curves.of(tried.run).save(_curves_file(folder, row))
@@ -202,18 +218,18 @@ def _run(text: str, folder: Path, row: Row, replay: bool) -> dict[str, Any]:
     return {"ending": tried.ending, "message": tried.message, "has_run": has_run}
 
 
-def _named(variants: Iterable[tuple[str, Sequence[str]]]) -> list[Row]:
+def _named(variants: Iterable[tuple[str, Sequence[Change]]]) -> list[Row]:
     """A row for each variant, with names and folders made unique by numbers."""
     names: set[str] = set()
     folders = {name.lower() for name in _FILES}
     rows = []
-    for given, overrides in variants:
+    for given, changes in variants:
         name = next(name for name in _numbered(given, " ({})") if name not in names)
         slug = re.sub(r"[^A-Za-z0-9.+-]+", "_", name)[:60].strip("_.") or "variant"
         place = next(place for place in _numbered(slug, "_{}") if place.lower() not in folders)
         names.add(name)
         folders.add(place.lower())
-        rows.append(Row(variant=name, folder=place, overrides=list(overrides)))
+        rows.append(Row(variant=name, folder=place, overrides=labels(changes)))
     return rows
 
 

@@ -1,0 +1,415 @@
+"""Loops put together in other ways: the same signals, to the bit, or one sentence."""
+
+import functools
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
+
+from drake_nonstop import (
+    ConstantParametersConfig,
+    PaperPhase,
+    SampleAndHold,
+    ScenarioError,
+    ScenarioWarning,
+    TracedBlock,
+    connect_by_name,
+    load_scenario,
+    make_blocks,
+    make_nonstop,
+    set_equilibrium,
+)
+from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.systems.wiring import connections, input_names, output_names
+
+DURATION = 0.05  # s
+HELD_MAKERS = {"load_trajectory", "load_feedback"}
+ENDS = ["FirstOrder", "name with spaces", "Ω", "x"]
+
+
+def scenario(period):
+    overrides = ["optimization_layer=ConstantParameters", f"control_period={period}"]
+    return load_scenario("line", overrides)
+
+
+def flown(diagram, start, period):
+    """All signals of the diagram at a few instants of a flight from that context."""
+    simulator = Simulator(diagram, start)
+    ApplySimulatorConfig(scenario(period).simulator_config, simulator)
+    simulator.Initialize()
+    values = {}
+    for instant in (0.0, 0.013, DURATION):
+        simulator.AdvanceTo(instant)
+        for name in output_names(diagram):
+            values[name, instant] = diagram.GetOutputPort(name).Eval(start).tobytes()
+    return values
+
+
+@functools.cache
+def reference(period):
+    """The loop of `make_nonstop` at its equilibrium: states by blocks, and its flight."""
+    nonstop = make_nonstop(scenario(period))
+    context = nonstop.CreateDefaultContext()
+    set_equilibrium(nonstop, context)
+    blocks = {block.get_name(): block for block in nonstop.GetSystems()}
+    start = context.Clone()
+    own = {name: block.GetMyContextFromRoot(start) for name, block in blocks.items()}
+    return (nonstop, start, own), flown(nonstop, context, period)
+
+
+def assert_flies_like_the_figure(diagram, blocks, period):
+    """From the same states of the blocks the signals are the same to the bit."""
+    (_, _, own), expected = reference(period)
+    context = diagram.CreateDefaultContext()
+    for name, block in blocks.items():
+        state = block.GetMyMutableContextFromRoot(context)
+        assert state.num_abstract_states() == 0
+        if state.num_continuous_states():
+            state.SetContinuousState(own[name].get_continuous_state_vector().CopyToVector())
+        for i in range(state.num_discrete_state_groups()):
+            state.SetDiscreteState(i, own[name].get_discrete_state(i).CopyToVector())
+    values = flown(diagram, context, period)
+    assert values.keys() == expected.keys()
+    assert [key for key in expected if values[key] != expected[key]] == []
+
+
+def one_block(parts):
+    """The blocks as one: their inputs from elsewhere, and all their signals."""
+    builder = DiagramBuilder()
+    made = {name for block in parts.values() for name in output_names(block)}
+    read = {name for block in parts.values() for name in input_names(block)}
+    connect_by_name(builder, parts, inputs=sorted(read - made))
+    return builder.Build()
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+@pytest.mark.parametrize("seed", range(4))
+def test_blocks_renamed_reordered_and_merged_make_the_same_signals(seed, period):
+    random = np.random.default_rng(seed)
+    blocks = make_blocks(scenario(period))
+    groups = []
+    for name in random.permutation([*blocks]):
+        # A controller beside the trajectory in one block would read from it past the hold.
+        is_free = period == 0 or name not in HELD_MAKERS
+        others = [g for g in groups if is_free and (period == 0 or not HELD_MAKERS & set(g))]
+        if others and random.random() < 0.5:
+            others[random.integers(len(others))].append(name)
+        else:
+            groups.append([name])
+    wired = {}
+    for i, group in enumerate(groups):
+        parts = {name: blocks[name] for name in group}
+        block = one_block(parts) if len(parts) > 1 else blocks[group[0]]
+        wired[f"{random.choice(ENDS)} {i}"] = block
+    builder = DiagramBuilder()
+    connect_by_name(builder, wired)
+    assert_flies_like_the_figure(builder.Build(), blocks, period)
+
+
+def some_boxes(seed):
+    random = np.random.default_rng(seed)
+    return [str(name) for name in random.choice([*BOXES], random.integers(1, 5), replace=False)]
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+@pytest.mark.parametrize("seed", range(3))
+def test_boxes_left_out_and_given_as_extra_blocks_make_the_same_signals(seed, period):
+    left_out = some_boxes(seed)
+    made = make_blocks(scenario(period))
+
+    def maker(name):
+        return lambda model: made[name]
+
+    nonstop = make_nonstop(
+        scenario(period),
+        extra={f"my_{name}": maker(name) for name in left_out},
+        **dict.fromkeys(left_out),
+    )
+    blocks = {system.get_name().removeprefix("my_"): system for system in nonstop.GetSystems()}
+    assert set(blocks) >= set(BOXES)
+    assert nonstop.num_input_ports() == 0
+    assert_flies_like_the_figure(nonstop, blocks, period)
+
+
+@pytest.mark.parametrize("seed", range(10, 13))
+def test_boxes_left_out_and_wired_around_the_loop_make_the_same_signals(seed):
+    left_out = some_boxes(seed)
+    rest = make_nonstop(scenario(0.0), **dict.fromkeys(left_out))
+    made = make_blocks(scenario(0.0))
+    others = {name: made[name] for name in left_out}
+    builder = DiagramBuilder()
+    connect_by_name(builder, {"rest": rest} | others)
+    inside = {system.get_name(): system for system in rest.GetSystems()}
+    assert_flies_like_the_figure(builder.Build(), inside | others, 0.0)
+
+
+class Both(LeafSystem):
+    """A carrier's controller and its dynamics in one: the carriers stay on their references."""
+
+    def __init__(self, model):
+        super().__init__()
+        self._reference = self.DeclareVectorInputPort("carrier_reference", 6 * model.n)
+        for name, size in (("carrier_forces", 3 * model.n), ("carrier_state", 6 * model.n)):
+            self.DeclareVectorOutputPort(name, size, getattr(self, f"_calc_{name}"))
+
+    def _calc_carrier_forces(self, context, output):
+        output.SetFromVector(np.zeros(output.size()))
+
+    def _calc_carrier_state(self, context, output):
+        output.SetFromVector(self._reference.Eval(context))
+
+
+@pytest.mark.parametrize("box", ["carrier_controller", "carrier_dynamics"])
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_one_block_may_stand_for_two_boxes(box, period):
+    other = {"carrier_controller", "carrier_dynamics"} - {box}
+    nonstop = make_nonstop(scenario(period), **{box: Both}, **dict.fromkeys(other))
+    assert nonstop.num_input_ports() == 0
+    wires = connections(nonstop)
+    assert f"{box}.carrier_state -> cables.carrier_state" in wires
+    context = nonstop.CreateDefaultContext()
+    Simulator(nonstop, context).Initialize()
+    reference, state = (
+        nonstop.GetOutputPort(name).Eval(context) for name in ("carrier_reference", "carrier_state")
+    )
+    np.testing.assert_array_equal(state, reference)
+
+
+class Ports(LeafSystem):
+    """A block that has ports of the given sizes and computes nothing; None: abstract ones."""
+
+    def __init__(self, inputs, outputs):
+        super().__init__()
+        for name, size in inputs.items():
+            if size is None:
+                self.DeclareAbstractInputPort(name, Value(""))
+            else:
+                self.DeclareVectorInputPort(name, size)
+        for name, size in outputs.items():
+            self.DeclareVectorOutputPort(name, size, lambda c, o: None, {self.time_ticket()})
+
+
+def with_ports(inputs, outputs):
+    return lambda model: Ports(inputs, outputs)
+
+
+def test_extra_blocks_read_and_make_signals_of_any_name():
+    nonstop = make_nonstop(
+        scenario(0.01),
+        extra={
+            "anemometer": with_ports({"load_state": 13, "sky": 2}, {"wind_speed": 3}),
+            "display": with_ports({"wind_speed": 3, "reference": 22, "sky": 2}, {}),
+        },
+        inputs=["sky"],
+    )
+    assert set(connections(nonstop)) >= {
+        "load_plant.load_state -> anemometer.load_state",
+        "anemometer.wind_speed -> display.wind_speed",
+        "sample_and_hold.held_reference -> display.reference",
+    }
+    assert nonstop.GetOutputPort("wind_speed").size() == 3
+    assert input_names(nonstop) == ["sky"]
+
+
+def test_extra_block_is_made_of_a_class_with_its_config_and_of_a_config():
+    nonstop = make_nonstop(
+        scenario(0.0),
+        optimization_layer=None,
+        extra={"constant": ConstantParametersConfig(frequency=3.0)},
+    )
+    value = nonstop.GetOutputPort("parameters").Eval(nonstop.CreateDefaultContext())
+    assert value[0] == 3.0
+    nonstop = make_nonstop(scenario(0.0), phase=None, extra={"mine": PaperPhase})
+    assert type(nonstop.GetSubsystemByName("mine")) is PaperPhase
+
+
+LOST = with_ports({"wind_speed": 3}, {})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"extra": {"phase": PaperPhase}}, "extra = phase: it is a box of the figure; give it as "),
+        ({"extra": {"plant": PaperPhase}}, "extra = plant: the loop has a block of that name"),
+        ({"extra": {"a.b": PaperPhase}}, "extra = a.b: name each block by a text without"),
+        ({"extra": {3: PaperPhase}}, "extra = 3: name each block by a text without"),
+        ({"extra": [PaperPhase]}, "extra = .*: give a mapping from names to blocks"),
+        ({"extra": {"mine": 3.0}}, "extra mine = 3.0: give a block's config, a function"),
+        ({"extra": {"mine": lambda model: None}}, "extra mine = None: return a LeafSystem or"),
+        (
+            {"extra": {"mine": LOST}},
+            r"mine = Ports with inputs wind_speed \(3\): wind_speed \(3\) is not among the signals "
+            r".*; rename .* or give make_nonstop or connect_by_name inputs=\['wind_speed'\]",
+        ),
+        (
+            {"extra": {"mine": PaperPhase}},
+            "mine.phase = output: phase has an output port of that name already; rename one of the "
+            "two, or leave one of the blocks out",
+        ),
+        (
+            {"load_feedback": None, "extra": {"mine": with_ports({}, {"measured_load_state": 7})}},
+            r"mine = Ports with outputs measured_load_state \(7\): expected measured_load_state "
+            r"\(13\); rename or resize the ports",
+        ),
+        ({"inputs": ["wind_speed"]}, "inputs = wind_speed: give a list of signals that blocks"),
+        ({"inputs": "reference"}, "inputs = reference: give a list of signals that blocks read"),
+        ({"inputs": ["reference"]}, "inputs = reference: load_trajectory has an output port of"),
+        ({"estimator": PaperPhase}, "replacement = estimator: give one of load_trajectory, "),
+    ],
+)
+def test_what_does_not_fit_is_said_in_a_sentence(arguments, said):
+    with pytest.raises(ScenarioError, match=f"^{said}"):
+        make_nonstop(scenario(0.0), **arguments)
+
+
+def test_the_remedy_for_an_unknown_input_works():
+    nonstop = make_nonstop(scenario(0.0), extra={"mine": LOST}, inputs=["wind_speed"])
+    assert nonstop.GetInputPort("wind_speed").size() == 3
+
+
+HOLD = (
+    "a SampleAndHold makes sample_time and the held_... signals of sampled controllers; add "
+    "SampleAndHold(model) to the blocks"
+)
+
+
+def test_a_sampled_loop_without_its_hold_is_told_to_add_one():
+    blocks = make_blocks(scenario(0.01))
+    del blocks["sample_and_hold"]
+    with pytest.raises(ScenarioError) as error:
+        connect_by_name(DiagramBuilder(), blocks)
+    assert "carrier_trajectory = CarrierTrajectory with inputs" in str(error.value)
+    assert HOLD in str(error.value)
+
+
+def wired_by_hand(blocks):
+    """What connect_by_name does, with Drake's own calls, as far as there are sources."""
+    builder = DiagramBuilder()
+    sources = {}
+    for name, block in blocks.items():
+        builder.AddNamedSystem(name, block)
+        sources |= dict.fromkeys(output_names(block), block)
+    for block in blocks.values():
+        for port in input_names(block):
+            if port in sources:
+                builder.Connect(sources[port].GetOutputPort(port), block.GetInputPort(port))
+    for port, block in sources.items():
+        builder.ExportOutput(block.GetOutputPort(port), port)
+    return builder.Build()
+
+
+def test_the_equilibrium_of_a_loop_wired_by_hand_names_what_is_not_connected():
+    blocks = make_blocks(scenario(0.01))
+    del blocks["sample_and_hold"]
+    nonstop = wired_by_hand(blocks)
+    with pytest.raises(ScenarioError) as error:
+        set_equilibrium(nonstop, nonstop.CreateDefaultContext())
+    assert str(error.value).startswith("carrier_trajectory.sample_time = not connected: ")
+    assert HOLD in str(error.value)
+    blocks = make_blocks(scenario(0.0))
+    del blocks["load_disturbance"]
+    nonstop = wired_by_hand(blocks)
+    with pytest.raises(ScenarioError, match=r"^load_plant\.disturbance_wrench = not connected: "):
+        set_equilibrium(nonstop, nonstop.CreateDefaultContext())
+    nonstop = make_nonstop(scenario(0.0), load_disturbance=None)
+    with pytest.raises(ScenarioError, match=r"^disturbance_wrench = no value: connect the diagram"):
+        set_equilibrium(nonstop, nonstop.CreateDefaultContext())
+
+
+def test_the_equilibrium_says_which_signals_it_needs():
+    diagram = one_block({"cables": make_blocks(scenario(0.0))["cables"]})
+    with pytest.raises(ScenarioError) as error:
+        set_equilibrium(diagram, diagram.CreateDefaultContext())
+    assert str(error.value) == (
+        "set_equilibrium = Diagram without output ports load_state, reference, carrier_state, "
+        "carrier_reference: export load_state (13), reference (22), carrier_state, "
+        "carrier_reference by these names, as connect_by_name does"
+    )
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_the_equilibrium_is_the_same_under_other_names_and_inside_of_another_diagram(period):
+    (nonstop, start, _), _ = reference(period)
+    blocks = {f"my_{name}": block for name, block in make_blocks(scenario(period)).items()}
+    inner, outer = DiagramBuilder(), DiagramBuilder()
+    connect_by_name(inner, blocks)
+    loop = outer.AddSystem(inner.Build())
+    for name in output_names(loop):
+        outer.ExportOutput(loop.GetOutputPort(name), f"{name}")
+    outer.AddSystem(ConstantVectorSource([1.0]))
+    diagram = outer.Build()
+    context = diagram.CreateDefaultContext()
+    set_equilibrium(diagram, context)
+    for name in ("load_state", "carrier_state"):
+        expected = nonstop.GetOutputPort(name).Eval(start)
+        np.testing.assert_array_equal(diagram.GetOutputPort(name).Eval(context), expected)
+
+
+def test_blocks_join_what_the_builder_has_already():
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("phase", ConstantVectorSource([1.0]))
+    with pytest.raises(ScenarioError, match=r"^blocks = phase: the builder has a system of that"):
+        connect_by_name(builder, make_blocks(scenario(0.0)))
+    for blocks, said in (({"a:b": LOST(None)}, "blocks = a:b: name"), ({"a": LOST}, "blocks.a = ")):
+        with pytest.raises(ScenarioError, match=f"^{said}"):
+            connect_by_name(builder, blocks)
+
+
+def test_an_optional_input_may_stay_open():
+    block = Ports({"hint": 2}, {"result": 1})
+    block.optional_inputs = ("hint",)
+    builder = DiagramBuilder()
+    connect_by_name(builder, {"block": block})
+    assert builder.Build().num_input_ports() == 0
+
+
+class Gust(LeafSystem):
+    """A disturbance that changes at any time, or is said not to."""
+
+    def __init__(self, signal, size, is_sampled):
+        super().__init__()
+        self.is_sampled = is_sampled
+        self.DeclareVectorOutputPort(
+            signal, size, lambda c, o: o.SetFromVector(np.zeros(size)), {self.time_ticket()}
+        )
+
+
+def pushed(model):
+    """A controller with equations to be traced, which reads an extra block's signal."""
+    n = model.n
+    return TracedBlock(
+        lambda reference, state, push: 100 * (reference - state)[: 3 * n] + push,
+        inputs={"carrier_reference": 6 * n, "carrier_state": 6 * n, "push": 3 * n},
+        outputs={"carrier_forces": 3 * n},
+    )
+
+
+@pytest.mark.parametrize("is_sampled", [False, True])
+@pytest.mark.parametrize(
+    ("replacements", "signal", "size"),
+    [
+        ({"load_disturbance": None}, "disturbance_wrench", 6),
+        ({"carrier_controller": pushed}, "push", 12),
+    ],
+)
+def test_a_plant_is_fused_only_if_extra_blocks_that_it_reads_are_sampled(
+    replacements, signal, size, is_sampled
+):
+    fused = load_scenario("line", ["optimization_layer=ConstantParameters", "fused_plant=true"])
+    extra = {"gust": lambda model: Gust(signal, size, is_sampled)}
+    if is_sampled:
+        nonstop = make_nonstop(fused, extra=extra, **replacements)
+        assert nonstop.HasSubsystemNamed("plant")
+        return
+    said = "gust = Gust may change between samples; the separate blocks are used instead"
+    with pytest.warns(ScenarioWarning, match=said):
+        nonstop = make_nonstop(fused, extra=extra, **replacements)
+    assert nonstop.HasSubsystemNamed("load_plant")
+
+
+def test_the_hold_is_one_of_the_blocks():
+    assert type(make_blocks(scenario(0.01))["sample_and_hold"]) is SampleAndHold
+    assert "sample_and_hold" not in make_blocks(scenario(0.0))
