@@ -42,6 +42,7 @@ from drake_nonstop.systems.traced_block import Equations, TracedBlock
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.version import __version__
 from drake_nonstop.visualization.drawing import draw_diagram
+from drake_nonstop.visualization.geometry import AddGeometry, NonstopGeometry
 from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer, show_in
@@ -92,6 +93,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "StudyInterrupted",
     "draw_diagram",
     # watched
+    "AddGeometry",
+    "NonstopGeometry",
     "NonstopVisualizer",
     "show_in",
     "SceneConfig",
