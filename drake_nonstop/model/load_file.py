@@ -59,7 +59,7 @@ def read_load(path: str | Path, attachment_frames: list[str]) -> dict[str, Any]:
 
 
 def read_load_shapes(path: str | Path, attachments: NDArray) -> list[GeometryInstance]:
-    """The visual and collision shapes in a file, with the properties that Drake's parser gives them.
+    """The visual and collision shapes in a file, with the properties that Drake reads.
 
     Args:
         path: an SDF or URDF file, as `read_load` takes.
@@ -90,7 +90,7 @@ def read_load_shapes(path: str | Path, attachments: NDArray) -> list[GeometryIns
         f"{farthest + 1}, {np.round(attachments[farthest], 6).tolist()} from the centre of mass",
     )
     inspector = scene_graph.model_inspector()
-    shapes = []
+    shapes: list[GeometryInstance] = []
     for index in bodies:
         X_LB = RigidTransform(-centre) @ plant.get_body(index).body_frame().CalcPose(context, base)
         for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(index)):

@@ -18,8 +18,8 @@ from pydrake.geometry import (
     ProximityProperties,
     RenderLabel,
     Rgba,
+    Role,
     SceneGraph,
-    SourceId,
     Sphere,
 )
 from pydrake.math import RigidTransform
@@ -77,6 +77,8 @@ class NonstopGeometry(LeafBlock):
         scenario: has the system, with what is simulated otherwise, and colours and sizes.
         name: of the geometry's source in the SceneGraph.
         load_file: an SDF or URDF file with the load's shapes; without one it is drawn as bars.
+        proximity: whether the bodies have that role. A MultibodyPlant in the same SceneGraph ends
+            the run at a contact with a body that is not its own, or of two such bodies.
 
     Attributes:
         source: the SourceId of the geometry.
@@ -97,6 +99,7 @@ class NonstopGeometry(LeafBlock):
         *,
         name: str = LOOP,
         load_file: str | Path = "",
+        proximity: bool = True,
     ):
         super().__init__()
         system = overridden(scenario.system, scenario.simulated)
@@ -110,8 +113,17 @@ class NonstopGeometry(LeafBlock):
         self.source = scene_graph.RegisterSource(name)
         labels = itertools.count(_first_free_label(scene_graph))
 
-        def add(frame: str, instances: list[GeometryInstance], label: int) -> FrameId:
-            return _add_frame(scene_graph, self.source, frame, instances, RenderLabel(label))
+        def add(body: str, shapes: list[GeometryInstance], label: int) -> FrameId:
+            # Drake's MeshcatVisualizer does not tell frames of one name but two sources apart.
+            frame = scene_graph.RegisterFrame(self.source, GeometryFrame(f"{name}::{body}"))
+            for shape in shapes:
+                if shape.perception_properties() is not None:
+                    properties = shape.mutable_perception_properties()
+                    properties.UpdateProperty("label", "id", RenderLabel(label))
+                geometry = scene_graph.RegisterGeometry(self.source, frame, shape)
+                if not proximity:
+                    scene_graph.RemoveRole(self.source, geometry, Role.kProximity)
+            return frame
 
         bars = load_parts(self._attachments, scene.bar_radius)
         load = load_shapes or [_instance(bar, scene.load_colour, is_solid=True) for bar in bars]
@@ -163,9 +175,10 @@ class NonstopGeometry(LeafBlock):
         p_WA = self._attachments @ X_WL[0, :3, :3].T + load.position
         p_WC = carriers.positions
         headings = unit_vectors(carriers.velocities, otherwise=np.array([1.0, 0.0, 0.0]))
-        lower, upper = cylinder_poses(p_WA, p_WC)[0], cylinder_poses(p_WC, p_WA)[0]
-        lower[:, :3, 3], upper[:, :3, 3] = p_WA, p_WC
-        poses = [*X_WL, *stack_poses(attitudes(headings, up=p_WC - p_WA), p_WC), *lower, *upper]
+        starts, ends = np.vstack([p_WA, p_WC]), np.vstack([p_WC, p_WA])
+        halves, _ = cylinder_poses(starts, ends)
+        halves[:, :3, 3] = starts
+        poses = [*X_WL, *stack_poses(attitudes(headings, up=p_WC - p_WA), p_WC), *halves]
         vector = output.get_mutable_value()
         for frame, pose in zip(self._frames, poses, strict=True):
             vector.set_value(frame, RigidTransform(pose))
@@ -178,6 +191,7 @@ def AddGeometry(  # noqa: N802
     scenario: Scenario,
     *,
     load_file: str | Path = "",
+    proximity: bool = True,
 ) -> NonstopGeometry:
     """Adds the bodies of a loop to a SceneGraph, where cameras, queries and viewers see them.
 
@@ -193,6 +207,8 @@ def AddGeometry(  # noqa: N802
         load_file: an SDF or URDF file, such as the one that `system.load_file` named as the
             scenario was loaded: its visual and collision shapes are the load's. Without it the load
             is drawn as a frame of bars.
+        proximity: whether the bodies have that role: False where a MultibodyPlant that shares the
+            SceneGraph could meet them, since it ends the run at a contact of bodies not its own.
 
     Returns:
         The system that makes the poses; see `NonstopGeometry` for its frames and what is drawn.
@@ -215,7 +231,9 @@ def AddGeometry(  # noqa: N802
         remedy = f"give a loop with {size} values there, for the scenario's {n} attachments"
         require(sizes.get(port) == size, f"loop.{port}", has, remedy)
     name = loop.get_name()
-    geometry = NonstopGeometry(scene_graph, scenario, name=name, load_file=load_file)
+    geometry = NonstopGeometry(
+        scene_graph, scenario, name=name, load_file=load_file, proximity=proximity
+    )
     builder.AddNamedSystem(f"{name}_geometry", geometry)
     for port in expected:
         builder.Connect(loop.GetOutputPort(port), geometry.GetInputPort(port))
@@ -223,22 +241,6 @@ def AddGeometry(  # noqa: N802
         geometry.GetOutputPort("geometry_pose"), scene_graph.get_source_pose_port(geometry.source)
     )
     return geometry
-
-
-def _add_frame(
-    scene_graph: SceneGraph,
-    source: SourceId,
-    name: str,
-    instances: list[GeometryInstance],
-    label: RenderLabel,
-) -> FrameId:
-    """A new frame with these shapes, which have that label."""
-    frame = scene_graph.RegisterFrame(source, GeometryFrame(name))
-    for instance in instances:
-        if instance.perception_properties() is not None:
-            instance.mutable_perception_properties().UpdateProperty("label", "id", label)
-        scene_graph.RegisterGeometry(source, frame, instance)
-    return frame
 
 
 def _instance(

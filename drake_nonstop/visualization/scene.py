@@ -85,6 +85,10 @@ class Scene:
     def _reset(self) -> None:
         """Starts without earlier headings and trails."""
         self._headings = np.tile([1.0, 0.0, 0.0], (self._n, 1))
+        self.restart_trails()
+
+    def restart_trails(self) -> None:
+        """Has the trails begin at the next instant that is shown."""
         self._trail_ends: NDArray | None = None  # (1 + n, 3), m, starts of the next pieces
         self._trail_start = 0.0  # s, of the next pieces
         self._trail_length = 0  # pieces, with those that have faded
@@ -113,16 +117,24 @@ class Scene:
             for piece in range(config.trail_pieces):
                 meshcat.SetObject(f"{root}/trails/{body}/{piece}", unit, Rgba(*colour, 0.0))
 
-    def set_stage(self, meshcat: Meshcat, path: NDArray, carriers: NDArray | None = None) -> None:
+    def set_stage(
+        self,
+        meshcat: Meshcat,
+        path: NDArray,
+        carriers: NDArray | None = None,
+        *,
+        may_follow: bool = True,
+    ) -> None:
         """Sets a plain background, a camera that sees everything, its light and a grid below.
 
-        Along a long path the camera follows the reference; else it stands still.
+        Along a long path the camera follows the reference where it may; else it stands still.
 
         Args:
             meshcat: the Meshcat to set.
             path: (k, 3), m, positions of the load's reference.
             carriers: (k, n, 3), m, at the same instants, where they are known. Those far from
                 the load may be out of view.
+            may_follow: whether the camera may move.
         """
         self._camera = set_stage(
             meshcat,
@@ -132,6 +144,7 @@ class Scene:
             load_radius=self.radius,
             carrier_radius=_MARK_RADIUS * self.wing_span,
             background=rgb(self.config.background_colour),
+            may_follow=may_follow,
         )
 
     def show(self, canvas: Canvas, snapshot: Snapshot) -> None:
@@ -185,10 +198,11 @@ class Scene:
         newest = self._trail_length
         poses, lengths = cylinder_poses(self._trail_ends, bodies)
         for body, colour in enumerate(self._trail_colours):
-            canvas.place(f"{self._root}/trails/{body}/{newest % pieces}", poses[body], lengths[body])
+            trail = f"{self._root}/trails/{body}"
+            canvas.place(f"{trail}/{newest % pieces}", poses[body], lengths[body])
             for age, opacity in self._trail_opacities.items():
                 if age <= newest:
-                    path = f"{self._root}/trails/{body}/{(newest - age) % pieces}"
+                    path = f"{trail}/{(newest - age) % pieces}"
                     canvas.paint(path, colour, opacity, fades=age > 0)
         self._trail_ends, self._trail_start = bodies.copy(), time
         self._trail_length += 1
