@@ -85,6 +85,8 @@ class LiveCanvas:
         """See `Canvas`; without a command to Meshcat where nothing changes."""
         if self._recording is not None:
             self._recording.paint(path, colour, opacity, fades=fades)
+            # Of a material that is opaque at the end Meshcat plays back no other opacity.
+            opacity = min(opacity, 0.999)
         rgba = *colour, opacity
         if self._painted.get(path) != rgba:
             self._painted[path] = rgba
