@@ -63,7 +63,7 @@ def states(attachments, seed=0, stretch=1.0):
 class Loop:
     """Something with the ports of a loop that holds any values, in a diagram with its geometry."""
 
-    def __init__(self, attachments, names=("loop",), **options):
+    def __init__(self, attachments, names=("loop",), add_viewer=None, **options):
         builder = DiagramBuilder()
         self.scene_graph = builder.AddSystem(SceneGraph())
         self.geometries, self._sources = [], []
@@ -80,9 +80,7 @@ class Loop:
             self.geometries.append(
                 AddGeometry(builder, loop, self.scene_graph, described(attachments), **options)
             )
-        self.meshcat = start_meshcat()
-        MeshcatVisualizer.AddToBuilder(builder, self.scene_graph, self.meshcat)
-        self.camera = _add_camera(builder, self.scene_graph)
+        self.seen_by = add_viewer(builder, self.scene_graph) if add_viewer else None
         self.diagram = builder.Build()
         self.context = self.diagram.CreateDefaultContext()
 
@@ -109,7 +107,7 @@ class Loop:
         return found
 
 
-def _add_camera(builder, scene_graph):
+def add_camera(builder, scene_graph):
     """Looks at the origin from 4 m above it."""
     scene_graph.AddRenderer("vtk", MakeRenderEngineVtk(RenderEngineVtkParams()))
     core = RenderCameraCore(
@@ -124,6 +122,12 @@ def _add_camera(builder, scene_graph):
     builder.AddSystem(camera)
     builder.Connect(scene_graph.get_query_output_port(), camera.query_object_input_port())
     return camera
+
+
+def add_meshcat(builder, scene_graph):
+    meshcat = start_meshcat()
+    MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
+    return meshcat
 
 
 @pytest.mark.parametrize("attachments", [irregular(3), spatial(4), spatial(7)])
@@ -215,11 +219,11 @@ def test_only_bodies_that_meet_collide():
 
 def test_a_camera_sees_load_cables_and_carriers_by_labels_of_their_own():
     attachments = irregular(3)
-    made = Loop(attachments)
+    made = Loop(attachments, add_viewer=add_camera)
     outside = 1.6 * attachments + [0, 0, 0.5]
     made.set(UPRIGHT, [*outside.ravel(), *np.ones(9)])
-    context = made.camera.GetMyContextFromRoot(made.context)
-    seen = set(made.camera.label_image_output_port().Eval(context).data.ravel().tolist())
+    context = made.seen_by.GetMyContextFromRoot(made.context)
+    seen = set(made.seen_by.label_image_output_port().Eval(context).data.ravel().tolist())
     inspector = made.scene_graph.model_inspector()
     labels = [
         {
@@ -232,8 +236,8 @@ def test_a_camera_sees_load_cables_and_carriers_by_labels_of_their_own():
     different = set.union(*labels)
     assert len(different) == 1 + 3 + 3
     assert different <= seen
-    picture = made.camera.color_image_output_port().Eval(context).data
-    depth = made.camera.depth_image_32F_output_port().Eval(context).data
+    picture = made.seen_by.color_image_output_port().Eval(context).data
+    depth = made.seen_by.depth_image_32F_output_port().Eval(context).data
     assert len(np.unique(picture.reshape(-1, 4), axis=0)) > 10
     # The wing of a carrier that flies level at 0.5 m is 3.5 m below the camera.
     assert np.isclose(depth, 3.5, atol=0.1).sum() > 20
@@ -241,7 +245,7 @@ def test_a_camera_sees_load_cables_and_carriers_by_labels_of_their_own():
 
 def test_drakes_viewer_shows_two_loops_at_their_poses():
     attachments = irregular(3)
-    made = Loop(attachments, names=("first", "second"))
+    made = Loop(attachments, names=("first", "second"), add_viewer=add_meshcat)
     for which in (0, 1):
         made.set(*states(attachments, seed=which), which=which)
     made.diagram.ForcedPublish(made.context)
@@ -251,7 +255,7 @@ def test_drakes_viewer_shows_two_loops_at_their_poses():
             (geometry.carrier_frames[2], "carriers/2"),
             (geometry.cable_frames[1][0], "cables/1/lower"),
         ):
-            sent = made.meshcat._GetPackedTransform(f"/drake/visualizer/{name}/{path}")
+            sent = made.seen_by._GetPackedTransform(f"/drake/visualizer/{name}/{path}")
             matrix = np.reshape(msgpack.unpackb(sent)["matrix"], (4, 4)).T
             np.testing.assert_allclose(matrix, made.pose(frame).GetAsMatrix4(), atol=1e-12)
 
