@@ -219,7 +219,7 @@ class LoopConfig(Protocol):
     pattern: PatternConfig
     control_period: float
     fused_plant: bool
-    simulator: SimulatorConfig
+    simulator_config: SimulatorConfig
 
     def check(self) -> None:
         """Raises ScenarioError for the first field that cannot be used."""
@@ -246,6 +246,8 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         ScenarioError: the scenario or a replacement cannot be built, or the ports of a
             replacement do not fit; the message names the field, the value and the remedy.
     """
+    is_scenario = callable(getattr(scenario, "check", None))
+    require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
     scenario, others = replaced(scenario, replacements)
     scenario.check()
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
@@ -273,7 +275,11 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
             "give a block's config, a function that takes the model and returns a system, or "
             "None to leave the box out",
         )
-        blocks[name] = make(simulated if box.is_simulated else believed)
+        try:
+            blocks[name] = make(simulated if box.is_simulated else believed)
+        except SystemExit:
+            remedy = "give a function that returns a system, and does not exit"
+            raise ScenarioError(f"replacement {name} = SystemExit: {remedy}") from None
         require(
             isinstance(blocks[name], System),
             f"replacement {name}",
@@ -282,7 +288,7 @@ def make_nonstop(scenario: LoopConfig, **replacements: Callable[[Model], System]
         )
         wiring.check_outputs(name, blocks[name], required, optional)
     if scenario.fused_plant:
-        config = scenario.simulator
+        config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
     replaced_signals = {}
     if scenario.control_period > 0:

@@ -4,6 +4,7 @@ import dataclasses
 import difflib
 import importlib.util
 import math
+import os
 import re
 import stat
 import sys
@@ -44,7 +45,11 @@ def one_line(error: BaseException) -> str:
 def require(condition: Any, field: str, value: Any, remedy: str) -> None:
     """Raises ScenarioError "field = value: remedy", in one line, unless the condition holds."""
     if not condition:
-        raise ScenarioError(_printable(f"{_shown(field)} = {_shown(value)}: {remedy}"))
+        raise _refusal(field, value, remedy)
+
+
+def _refusal(field: str, value: Any, remedy: str) -> ScenarioError:
+    return ScenarioError(_printable(f"{_shown(field)} = {_shown(value)}: {remedy}"))
 
 
 def require_installed(what: str, **packages: str) -> None:
@@ -221,14 +226,17 @@ def read_text(path: str | Path, field: str, remedy: str = "give a file that can 
     """
     require_file(path, field, remedy)
     try:
-        with Path(path).open("rb") as file:
+        # Without waiting for what a device may have to say later.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        with os.fdopen(descriptor, "rb") as file:
             content = file.read(_LARGEST_FILE + 1)
+        require(content is not None, field, path, f"{remedy} (it has nothing to read)")
         require(len(content) <= _LARGEST_FILE, field, path, _file_remedy(remedy))
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise ScenarioError(_printable(f"{field} = {path}: {remedy} (it is not UTF-8)")) from None
+        raise _refusal(field, path, f"{remedy} (it is not UTF-8)") from None
     except OSError as error:
-        raise ScenarioError(_printable(f"{field} = {path}: {remedy} ({error})")) from None
+        raise _refusal(field, path, f"{remedy} ({_shown(error)})") from None
 
 
 def require_file(path: str | Path, field: str, remedy: str) -> None:
@@ -236,9 +244,7 @@ def require_file(path: str | Path, field: str, remedy: str) -> None:
     try:
         found = Path(path).stat()
     except (OSError, ValueError) as error:
-        raise ScenarioError(
-            _printable(f"{_shown(field)} = {_shown(path)}: {remedy} ({_shown(error)})")
-        ) from None
+        raise _refusal(field, path, f"{remedy} ({_shown(error)})") from None
     require(stat.S_ISREG(found.st_mode), field, path, f"{remedy} (it is no regular file)")
     require(found.st_size <= _LARGEST_FILE, field, path, _file_remedy(remedy))
 
@@ -254,7 +260,7 @@ def require_array(field: str, value: Any, shape: Sequence[int | None], meaning: 
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise ScenarioError(f"{field} = {_shown(value)}: {remedy}") from None
+        raise _refusal(field, value, remedy) from None
     fits = array.ndim == len(shape) and all(
         size is None or size == actual for size, actual in zip(shape, array.shape, strict=True)
     )

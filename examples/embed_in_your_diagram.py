@@ -96,7 +96,7 @@ def main(duration: float = 15.0, show: bool = False) -> None:
         NonstopVisualizer.AddToBuilder(builder, loop, scenario, meshcat)
     diagram = builder.Build()
     simulator = Simulator(diagram)
-    ApplySimulatorConfig(scenario.simulator, simulator)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
     context = simulator.get_mutable_context()
 
     # The pod starts where it hangs at rest, and the loop where it holds load and pod.

@@ -5,7 +5,7 @@ from drake_nonstop import compute_metrics, load_scenario, simulate
 
 def main(duration: float = 15.0) -> None:
     """Simulates the quintic task for `duration` seconds and prints what matters."""
-    scenario = load_scenario("quintic", [f"duration={duration}"])
+    scenario = load_scenario("quintic", [f"simulation_duration={duration}"])
     metrics = compute_metrics(simulate(scenario))
     carriers, load = metrics["carriers"], metrics["load"]
     print(f"slowest carrier   {carriers['speed_min_m_s']:.3f} m/s")

@@ -46,7 +46,7 @@ def main(duration: float = 4.0) -> None:
     AddGeometry(builder, loop, scene_graph, scenario)
     camera = add_camera(builder, scene_graph)
     simulator = Simulator(builder.Build())
-    ApplySimulatorConfig(scenario.simulator, simulator)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
     context = simulator.get_mutable_context()
     set_equilibrium(loop, loop.GetMyMutableContextFromRoot(context))
     simulator.AdvanceTo(duration)

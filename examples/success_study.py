@@ -25,7 +25,7 @@ def main(
 
     The runs that the folder has are not run again.
     """
-    scenario = load_scenario("quintic", [f"duration={duration}"])
+    scenario = load_scenario("quintic", [f"simulation_duration={duration}"])
     spec = dataclasses.replace(read_sweep(SPEC), runs=runs)
     done = sweep(
         scenario,

@@ -25,7 +25,7 @@ class Gust(LeafSystem):
 
 def main(duration: float = 15.0) -> None:
     """Compares the quintic task in still air and in a gust."""
-    scenario = load_scenario("quintic", [f"duration={duration}"])
+    scenario = load_scenario("quintic", [f"simulation_duration={duration}"])
     for name, replacements in (("still air", {}), ("gust", {"load_disturbance": Gust})):
         metrics = compute_metrics(simulate(scenario, **replacements))
         print(

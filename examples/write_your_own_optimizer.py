@@ -47,7 +47,7 @@ class Hurry(LeafSystem):
 
 def main(duration: float = 15.0) -> None:
     """Compares the two on the quintic task."""
-    scenario = load_scenario("quintic", [f"duration={duration}"])
+    scenario = load_scenario("quintic", [f"simulation_duration={duration}"])
     own = HurryConfig(speed_bound=scenario.optimization_layer.speed_bound)
     for name, layer in (("optimized", scenario.optimization_layer), ("in a hurry", own)):
         metrics = compute_metrics(simulate(scenario, optimization_layer=layer))

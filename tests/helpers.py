@@ -168,7 +168,7 @@ def circling_run(n=4, duration=0.5, cable_length=0.8):
     return Run(
         scenario=Scenario(
             system=system,
-            duration=duration,
+            simulation_duration=duration,
             optimization_layer=NonstopOptimizerConfig(speed_bound=0.7),
         ),
         diagram=None,

@@ -52,7 +52,7 @@ def draw(seed: int) -> tuple[str, list[str]]:
     share = load_mass * 9.81 / n
     pattern = choice("HamiltonianCycle", "HamiltonianCycle", "Carousel", "SpreadCarousel")
     settings = {
-        "duration": duration,
+        "simulation_duration": duration,
         "system.attachments": np.round(attachments, 4).tolist(),
         "system.load_mass": load_mass,
         "load_trajectory": _trajectory(duration, is_large, uniform, choice, chance),
@@ -80,7 +80,7 @@ def draw(seed: int) -> tuple[str, list[str]]:
             layer["frequency_bounds"] = [0.1, 2.0]
     settings["optimization_layer"] = _tagged(name, layer)
     settings["control_period"] = control_period
-    settings["simulator.max_step_size"] = choice(0.0025, 0.005, 0.005, 0.005, 0.01)
+    settings["simulator_config.max_step_size"] = choice(0.0025, 0.005, 0.005, 0.005, 0.01)
     if is_large:
         settings["carrier_controller.frequency"] = uniform(8.0, 30.0)
         settings["carrier_controller.damping"] = uniform(0.3, 1.0)
@@ -116,18 +116,18 @@ def draw(seed: int) -> tuple[str, list[str]]:
         "load_plant": "!MultibodyLoadPlant {}",
         "fused_plant": "true",
         "wrench_controller": "!TunedWrenchController {}",
-        "simulator.integration_scheme": choice(
+        "simulator_config.integration_scheme": choice(
             "runge_kutta2", "bogacki_shampine3", "explicit_euler", "implicit_euler", "radau3"
         ),
-        "simulator.use_error_control": "true",
+        "simulator_config.use_error_control": "true",
         "simulated.cable_damping": 0.0,
     }
     for path, value in further.items():
         if chance({"fused_plant": 0.25}.get(path, 0.06)):
             settings[path] = value
     if settings.get("system.cable_damping", 0.0) > 1e3:  # what no explicit scheme can fly
-        settings.pop("simulator.integration_scheme", None)
-        settings.pop("simulator.use_error_control", None)
+        settings.pop("simulator_config.integration_scheme", None)
+        settings.pop("simulator_config.use_error_control", None)
     return (
         "real_scale_spread" if is_large else "quintic",
         [f"{path}={value}" for path, value in settings.items()],
@@ -205,9 +205,11 @@ def fly(seed: int) -> Flight:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            finer = [f"simulator.max_step_size={max(run.step / 5, 1e-5)!r}"]
-            if scenario.simulator.use_error_control:
-                finer.append(f"simulator.accuracy={scenario.simulator.accuracy / 100!r}")
+            finer = [f"simulator_config.max_step_size={max(run.step / 5, 1e-5)!r}"]
+            if scenario.simulator_config.use_error_control:
+                finer.append(
+                    f"simulator_config.accuracy={scenario.simulator_config.accuracy / 100!r}"
+                )
             fine = compute_metrics(simulate(changed(scenario, finer), check_step=StepCheck.NOTHING))
     except (ScenarioError, RunStopped) as error:
         flight.moves = [f"with a fifth of the step: {error}"]

@@ -13,8 +13,8 @@ from pathlib import Path
 from drake_nonstop import Run, Scenario, compute_metrics, simulate
 from drake_nonstop.scenario.loading import dump_scenario
 
-# The scenario and the diagram cannot be pickled: who asks for a run has the one, and builds the
-# other where it is needed.
+# Who asks for a run has its scenario; its diagram, which cannot be pickled, is built where it is
+# needed.
 _STORED = [field.name for field in dataclasses.fields(Run)]
 _STORED = [name for name in _STORED if name not in ("scenario", "diagram")]
 

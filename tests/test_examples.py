@@ -70,7 +70,9 @@ def test_readme_layer_runs_in_an_ablation(tmp_path, monkeypatch):
     after = README[README.index(code) :]
     command = re.search(r"drake-nonstop (ablate .*?)```", after, re.DOTALL).group(1)
     arguments = shlex.split(command.replace("\\\n", " "))
-    assert main([*arguments, "--no-replay", "--out", "out", "--set", "duration=0.5"]) == 0
+    assert (
+        main([*arguments, "--no-replay", "--out", "out", "--set", "simulation_duration=0.5"]) == 0
+    )
     table = (tmp_path / "out" / "table.md").read_text()
     assert "Faster" in table
     assert "ConstantParameters" in table

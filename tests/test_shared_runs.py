@@ -8,7 +8,9 @@ from drake_nonstop import compute_metrics, load_scenario, simulate
 
 
 def test_a_shared_run_is_simulated_once_and_is_that_of_the_scenario(tmp_path, monkeypatch):
-    scenario = load_scenario("quintic", ["duration=0.1", "optimization_layer=ConstantParameters"])
+    scenario = load_scenario(
+        "quintic", ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
+    )
     fresh = simulate(scenario)
     stores = [shared_runs.SharedRuns(tmp_path) for _ in range(2)]  # as of two processes
     runs = [stores[0].run(scenario)]
@@ -26,7 +28,9 @@ def test_a_shared_run_is_simulated_once_and_is_that_of_the_scenario(tmp_path, mo
 
 
 def test_a_shared_run_cannot_be_changed(tmp_path):
-    scenario = load_scenario("quintic", ["duration=0.1", "optimization_layer=ConstantParameters"])
+    scenario = load_scenario(
+        "quintic", ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
+    )
     run = shared_runs.SharedRuns(tmp_path).run(scenario)
     with pytest.raises(ValueError, match="read-only"):
         run.signal("load_state")[0, 0] = 1.0

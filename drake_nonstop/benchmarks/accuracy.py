@@ -13,7 +13,7 @@ from drake_nonstop.simulation.run import Run, RunStopped, StepCheck
 from drake_nonstop.simulation.run_quantities import carrier_speeds
 from drake_nonstop.simulation.simulate import simulate
 
-_STEP = "simulator.max_step_size={}"
+_STEP = "simulator_config.max_step_size={}"
 _REFERENCE_STEP = 0.0005  # s; a run with half of it shows the error of the reference
 
 # The overrides of each run that is compared, besides the scenario as it is.
@@ -21,10 +21,10 @@ OVERRIDES: tuple[tuple[str, ...], ...] = (
     ("fused_plant=true",),
     (_STEP.format(0.0025),),
     (_STEP.format(0.001),),
-    ("simulator.use_error_control=true",),
-    ("simulator.integration_scheme=bogacki_shampine3",),
-    ("simulator.integration_scheme=runge_kutta2", _STEP.format(0.001)),
-    ("simulator.integration_scheme=semi_explicit_euler", _STEP.format(0.001)),
+    ("simulator_config.use_error_control=true",),
+    ("simulator_config.integration_scheme=bogacki_shampine3",),
+    ("simulator_config.integration_scheme=runge_kutta2", _STEP.format(0.001)),
+    ("simulator_config.integration_scheme=semi_explicit_euler", _STEP.format(0.001)),
 )
 
 
@@ -58,8 +58,8 @@ def benchmark_accuracy(
     """
     fine = [
         "fused_plant=false",
-        "simulator.integration_scheme=runge_kutta3",
-        "simulator.use_error_control=false",
+        "simulator_config.integration_scheme=runge_kutta3",
+        "simulator_config.use_error_control=false",
     ]
     reference, finer = (
         simulate(
@@ -87,11 +87,11 @@ def benchmark_accuracy(
             row |= _errors(run, reference) | {"steps": len(run.steps["time"]) - 1}
             row["is_fused"] = run.diagram.HasSubsystemNamed("plant")
             wall = statistics.median(row["wall_s"])
-            row["real_time_factor"] = scenario.duration / wall
+            row["real_time_factor"] = scenario.simulation_duration / wall
     progress("running", 1.0)
     return {
         "scenario": scenario.name,
-        "simulated_s": scenario.duration,
+        "simulated_s": scenario.simulation_duration,
         "repeats": repeats,
         "reference_step_s": _REFERENCE_STEP,
         "reference": _errors(reference, finer),

@@ -52,7 +52,7 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _START, _END = "<!-- measured", "-->"  # of the rows of a paragraph
 _LINEARIZED = "stability"  # the first argument of a claim on the linearized loop
 _AT_THEIR_STEP = "paper_"  # how the scenarios begin whose results are those at their step
-_STEP = "simulator.max_step_size="  # an argument that states it
+_STEP = "simulator_config.max_step_size="  # an argument that states it
 
 
 @dataclass(frozen=True, kw_only=True)

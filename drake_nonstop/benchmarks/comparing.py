@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import statistics
 import subprocess
 import sys
@@ -79,9 +80,8 @@ class FreshRuns:
             self._process.wait()
             self._errors.seek(0)
             lines = self._errors.read().strip().splitlines() or ["no message"]
-            raise ScenarioError(
-                f"run in {self._parent} = {lines[-1].strip()}: give what runs there"
-            )
+            said = re.sub(r"^[\w.]*Scenario(Error|Warning): ", "", lines[-1].strip())
+            raise ScenarioError(f"run in {self._parent} = {said}: give what runs there")
         answer: dict[str, Any] = json.loads(line)
         require(
             Path(answer["package"]).resolve().parent == self._parent.resolve(),

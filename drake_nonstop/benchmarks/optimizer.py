@@ -190,7 +190,7 @@ def _closed_loop() -> tuple[list[UpdateData], float, Model, Any]:
         run = simulate(scenario)
         shares.append(float(np.sum(run.solve_times)) / run.wall_time)
     # Looking for the equilibrium takes updates, too, before the run's.
-    count = round(scenario.duration / config.period)
+    count = round(scenario.simulation_duration / config.period)
     return updates[-count:], float(np.median(shares)), models[0], config
 
 

@@ -70,7 +70,7 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
 
 def _patterns() -> dict[str, Run]:
     """The real-scale scenarios' patterns above a resting load, for a turn."""
-    overrides = ["duration=23", "load_trajectory.start_time=30", "fused_plant=true"]
+    overrides = ["simulation_duration=23", "load_trajectory.start_time=30", "fused_plant=true"]
     return {
         title: simulate(load_scenario(name, overrides))
         for name, title in (
@@ -85,7 +85,7 @@ def _runs() -> list[Run]:
     """The line task without and with optimization, a little longer than it is shown."""
     runs = []
     for overrides in (["optimization_layer=!ConstantParameters {}"], []):
-        duration = f"duration={_SPAN[1] + 1.0}"
+        duration = f"simulation_duration={_SPAN[1] + 1.0}"
         runs.append(simulate(load_scenario("line", [duration, *overrides])))
     return runs
 

@@ -92,7 +92,9 @@ def benchmark_scale(
     """
     counts = [n for n in COUNTS if n <= max_n]
     require(len(counts) > 1, "--max-n", max_n, f"give at least {COUNTS[1]}")
-    scenarios = [dataclasses.replace(scaled(scenario, n), duration=duration) for n in counts]
+    scenarios = [
+        dataclasses.replace(scaled(scenario, n), simulation_duration=duration) for n in counts
+    ]
     walls: list[list[float]] = [[] for _ in counts]
     rows = []
     for turn in range(repeats):

@@ -38,10 +38,10 @@ def benchmark_viewer(
     differences = [a - b for a, b in zip(seconds[True], seconds[False], strict=True)]
     return {
         "scenario": scenario.name,
-        "simulated_s": scenario.duration,
+        "simulated_s": scenario.simulation_duration,
         "cpu_s_with": seconds[True],
         "cpu_s_without": seconds[False],
-        "cost_of_real_time": statistics.median(differences) / scenario.duration,
+        "cost_of_real_time": statistics.median(differences) / scenario.simulation_duration,
     }
 
 

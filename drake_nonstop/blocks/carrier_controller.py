@@ -99,12 +99,15 @@ def _equations(size: int, pid: Equations, feedforward: TracedBlock | None) -> Eq
 
 
 @dataclass(kw_only=True)
-class CarrierPidConfig(StrictFields):
-    """Gains on each axis; the paper gives 1000 and 1.5 and no integral gain."""
-
+class _Gains(StrictFields):
     position_gain: float = 1000.0  # N/m
     velocity_gain: float = 10.0  # N s/m; the paper's 1.5 is a damping ratio of 0.075
     integral_gain: float = 0.0  # N/(m s)
+
+
+@dataclass(kw_only=True)
+class CarrierPidConfig(_Gains):
+    """Gains on each axis; the paper gives 1000 and 1.5 and no integral gain."""
 
 
 class CarrierPid(_PositionPid):
@@ -183,7 +186,7 @@ class _FeedforwardPid(_PositionPid):
 
 
 @dataclass(kw_only=True)
-class FeedforwardCarrierPidConfig(CarrierPidConfig):
+class FeedforwardCarrierPidConfig(_Gains):
     """Gains on each axis."""
 
 
@@ -230,12 +233,15 @@ class FeedforwardCarrierPid(_FeedforwardPid):
 
 
 @dataclass(kw_only=True)
-class TunedCarrierPidConfig(StrictFields):
-    """The desired poles of every carrier; the default is that of `CarrierPid`'s gains."""
-
+class _Poles(StrictFields):
     frequency: float = 100.0  # rad/s, natural frequency of a carrier about its reference
     damping: float = 0.5  # damping ratio
     integral_rate: float = 0.0  # rad/s, of the pole that an integral adds; 0: no integral
+
+
+@dataclass(kw_only=True)
+class TunedCarrierPidConfig(_Poles):
+    """The desired poles of every carrier; the default is that of `CarrierPid`'s gains."""
 
 
 class TunedCarrierPid(_PositionPid):
@@ -270,7 +276,7 @@ class TunedCarrierPid(_PositionPid):
 
 
 @dataclass(kw_only=True)
-class TunedFeedforwardCarrierPidConfig(TunedCarrierPidConfig):
+class TunedFeedforwardCarrierPidConfig(_Poles):
     """The desired poles of every carrier."""
 
 
@@ -313,7 +319,7 @@ class TunedFeedforwardCarrierPid(_FeedforwardPid):
         super().__init__(model, _tuned_gains(model, config or TunedFeedforwardCarrierPidConfig()))
 
 
-def _tuned_gains(model: Model, config: TunedCarrierPidConfig) -> dict[str, float]:
+def _tuned_gains(model: Model, config: _Poles) -> dict[str, float]:
     require_non_negative(_BOX, **asdict(config))
     require_positive(_BOX, frequency=config.frequency)
     names = ("position_gain", "velocity_gain", "integral_gain")

@@ -72,8 +72,8 @@ class _WrenchPid(TracedBlock):
 
 
 @dataclass(kw_only=True)
-class WrenchControllerConfig(StrictFields):
-    """The paper's gains (Table I), and the feedforward that its equations leave out."""
+class _PaperGains(StrictFields):
+    """The paper's gains (Table I)."""
 
     position_gain: float = 5.0  # N/m, K_p
     velocity_gain: float = 2.0  # N s/m, K_v
@@ -81,6 +81,12 @@ class WrenchControllerConfig(StrictFields):
     orientation_gain: float = 0.5  # N m, K_R
     angular_velocity_gain: float = 0.06  # N m s, K_omega
     orientation_integral_gain: float = 0.1  # N m/s, K_iR
+
+
+@dataclass(kw_only=True)
+class WrenchControllerConfig(_PaperGains):
+    """The paper's gains (Table I), and the feedforward that its equations leave out."""
+
     feedforward: float = 1.0  # weight of the reference's own wrench; 0: as in the paper
 
 
@@ -124,7 +130,7 @@ class WrenchController(_WrenchPid):
 
 
 @dataclass(kw_only=True)
-class PaperWrenchControllerConfig(WrenchControllerConfig):
+class PaperWrenchControllerConfig(_PaperGains):
     """The paper's gains (Table I)."""
 
     feedforward: float = 0.0  # weight of the reference's own wrench; 0: as in the paper

@@ -7,11 +7,14 @@ import atexit
 import codecs
 import locale
 import os
+import resource
 import sys
 
 from drake_nonstop.cli.ending import CommandInterruption, exit_code, handling_signals, say_end
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.cli.output import GuardedStream, guarded_output, open_closed_streams
+
+_LEAST_OPEN_FILES = 32
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -49,6 +52,14 @@ def _finished(code: int, interruption: CommandInterruption, out: GuardedStream) 
 def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int:
     import warnings
 
+    open_files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 <= open_files < _LEAST_OPEN_FILES:  # pydrake would crash
+        remedy = f"allow it more, `ulimit -n {_LEAST_OPEN_FILES}`"
+        print(
+            f"drake-nonstop: the process may open {open_files} files at a time: {remedy}",
+            file=sys.stderr,
+        )
+        return FAILED
     if codecs.lookup(locale.getpreferredencoding(False)).name == "ascii":
         remedy = "set PYTHONUTF8=1, or a locale of UTF-8"
         print(

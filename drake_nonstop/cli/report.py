@@ -7,7 +7,7 @@ from pathlib import Path
 from drake_nonstop.cli.arguments import Commands
 from drake_nonstop.cli.exit_codes import FAILED
 from drake_nonstop.studies.files import replacing_file, require_writable
-from drake_nonstop.validation import ScenarioError, require_installed
+from drake_nonstop.validation import read_text, require_installed
 from drake_nonstop.visualization.progress import TaskProgress
 
 
@@ -32,11 +32,7 @@ def _report_claims(options: argparse.Namespace) -> int:
     # Imported here: other commands need none of it.
     from drake_nonstop.benchmarks import claims as report
 
-    try:
-        text = options.readme.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        remedy = f"run it in a checkout, or give the file ({error})"
-        raise ScenarioError(f"--readme = {options.readme}: {remedy}") from None
+    text = read_text(options.readme, "--readme", "run it in a checkout, or give the file")
     claims = [
         claim for claim in report.read_claims(text) if not (options.quick and claim.is_of_speed)
     ]

@@ -131,7 +131,7 @@ def run_into(
     is_new = not os.path.lexists(folder)
     own_code = own_code_of(dump_scenario(scenario))  # before somebody edits it
     code = 0
-    progress = None if is_quiet else RunProgress(scenario.name, scenario.duration)
+    progress = None if is_quiet else RunProgress(scenario.name, scenario.simulation_duration)
 
     def runs() -> Iterator[Run]:
         if not is_live:
@@ -151,6 +151,8 @@ def run_into(
             The metrics, where the results are, and what of them is missing ("": nothing is).
         """
         interruption.is_writing = True
+        if progress is not None:
+            progress.close()
         place = stopped_folder(folder) if run.stopped else folder
         metrics = _write_somewhere(run, place, own_code)
         interruption.is_writing = False
@@ -176,8 +178,6 @@ def run_into(
         try:
             require_writable(folder, RUN_FILES, room=_least_size(scenario))
             for run in runs():
-                if progress is not None:
-                    progress.close()
                 metrics, place, missing = write(run)
                 if interruption.number:
                     rest = f"the results are in {place}{missing and f', {missing}'}"
@@ -242,7 +242,7 @@ def _write_somewhere(run: Run, folder: Path, own_code: str | None) -> dict[str, 
 def _least_size(scenario: Scenario) -> float:
     """Bytes that the results of a scenario take at least, roughly: its signals, compressed."""
     columns = 126 + 27 * len(scenario.system.attachments)
-    samples = scenario.duration / SIGNAL_PERIOD
+    samples = scenario.simulation_duration / SIGNAL_PERIOD
     return 4 * columns * samples
 
 

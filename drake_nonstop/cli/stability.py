@@ -26,8 +26,8 @@ def _stability(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
     folder = study_folder(options, scenario.name, margins_settings(scenario))
     require_writable(folder)
-    fine_step = min(_FINE_STEP, scenario.simulator.max_step_size)
-    fine = changed(scenario, [f"simulator.max_step_size={fine_step}"], trust=options.trust)
+    fine_step = min(_FINE_STEP, scenario.simulator_config.max_step_size)
+    fine = changed(scenario, [f"simulator_config.max_step_size={fine_step}"], trust=options.trust)
     with TaskProgress() as progress:
         found, found_finely = find_stability(scenario, fine, progress=progress)
         margins = find_margins(scenario, progress, folder=folder, restart=options.restart)

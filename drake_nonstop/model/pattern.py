@@ -5,6 +5,7 @@ class with such a `make` is one.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,7 @@ class HamiltonianCycleConfig(StrictFields):
             ScenarioError: neighbouring edges are collinear, or neighbouring phases
                 coincide modulo π; a carrier would then stop twice a turn.
         """
+        attachments = _checked(attachments)
         n = len(attachments)
         edges = attachments - np.roll(attachments, -1, axis=0)
         lengths = np.linalg.norm(edges, axis=1)
@@ -86,6 +88,7 @@ class CarouselConfig(StrictFields):
 
     def make(self, attachments: NDArray) -> InternalForcePattern:
         """The pattern for attachments (n, 3) in L; raises ScenarioError as `check_pattern`."""
+        attachments = _checked(attachments)
         _require_directions(attachments)
         phases = np.array([0.0, -np.pi / 2])
         return InternalForcePattern(carousel(attachments), phases, np.zeros(3 * len(attachments)))
@@ -109,8 +112,14 @@ class SpreadCarouselConfig(StrictFields):
             ScenarioError: the spread is not positive, or as `check_pattern`.
         """
         require_positive("pattern", spread=self.spread)
+        attachments = _checked(attachments)
         wheel = CarouselConfig().make(attachments)
         return InternalForcePattern(wheel.basis, wheel.phases, self.spread * spread(attachments))
+
+
+def _checked(attachments: Any) -> NDArray:
+    """The attachments as an array; raises ScenarioError for what is no (n, 3)."""
+    return require_array("attachments", attachments, [None, 3], "one position per cable, in L")
 
 
 def _require_directions(attachments: NDArray) -> None:
@@ -137,6 +146,7 @@ class LinearPatternConfig(StrictFields):
 
     def make(self, attachments: NDArray) -> InternalForcePattern:
         """The pattern for attachments (n, 3) in L; raises ScenarioError for wrong shapes."""
+        attachments = _checked(attachments)
         rows = 3 * len(attachments)
         basis = hamiltonian_cycle(attachments)
         if self.basis:

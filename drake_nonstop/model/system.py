@@ -59,6 +59,7 @@ SystemOverrides: Any = dataclasses.make_dataclass(
     bases=(StrictFields,),
     kw_only=True,
 )
+SystemOverrides.__module__ = __name__  # where to find it in a pickle
 
 
 def overridden(system: SystemParameters, overrides: Any) -> SystemParameters:

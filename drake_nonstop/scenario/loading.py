@@ -19,7 +19,7 @@ from drake_nonstop.scenario.own_blocks import make_importable
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import BASE, Tree, block_name, from_tree, to_tree
 from drake_nonstop.scenario.yaml_text import TreeDumper, parse_plain
-from drake_nonstop.validation import read_text, require, require_file
+from drake_nonstop.validation import read_text, require, require_file, require_type
 
 SCENARIOS = diagrams.FOLDER / "scenarios"
 _MAX_BASES = 20
@@ -48,6 +48,7 @@ def load_scenario(
         ScenarioError: there is no such scenario or file, or its content cannot be used;
             the message names the field, the value and the remedy.
     """
+    require_type("trust", trust, bool)
     is_path = isinstance(name_or_file, (str, Path))
     require(is_path, "scenario", name_or_file, "give a scenario's name, or a .yaml file")
     path = _path(name_or_file, "scenario")
@@ -65,6 +66,7 @@ def parse_scenario(text: str, source: str = "scenario", *, trust: bool = False) 
     Raises:
         ScenarioError: see `load_scenario`.
     """
+    require_type("trust", trust, bool)
     return _parsed(text, source, Path(), trust, [])
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from drake_nonstop.diagrams.box import kept_parameters
 from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.scenario.schema import CHOICES, Scenario
+from drake_nonstop.scenario.schema import CHOICES, Scenario, require_current
 from drake_nonstop.scenario.tree import (
     Tree,
     Trusted,
@@ -19,7 +19,7 @@ from drake_nonstop.scenario.tree import (
     to_tree,
 )
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
-from drake_nonstop.validation import number_text, read_text, require, require_known
+from drake_nonstop.validation import number_text, read_text, require, require_known, require_type
 
 
 def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False) -> Scenario:
@@ -30,8 +30,11 @@ def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False
     Raises:
         ScenarioError: a path or value cannot be used.
     """
+    require_type("trust", trust, bool)
     is_list = isinstance(overrides, Iterable) and not isinstance(overrides, str)
-    require(is_list, "overrides", overrides, 'give a list of texts, such as ["duration=5"]')
+    require(
+        is_list, "overrides", overrides, 'give a list of texts, such as ["simulation_duration=5"]'
+    )
     tree = to_tree(scenario)
     before = copy.deepcopy(tree)
     trusted = True if trust else own_tags(tree)
@@ -95,6 +98,9 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
     require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
     value = parse_plain(text, f"--set {path}", path)
     *parents, last = path.split(".")
+    require("_tag" not in path.split("."), "--set", path, "choose a block by its name, phase=X")
+    if parents:
+        require_current(parents[0], "--set", override)
     branch: Any = tree
     for i, key in enumerate(parents):
         parts = [part for part in branch if part != "_tag"]

@@ -1,5 +1,6 @@
 """What one run is: a tree of dataclasses."""
 
+import copyreg
 import dataclasses
 import functools
 import operator
@@ -19,6 +20,7 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
+from drake_nonstop.scenario.by_fields import comparable, reduced
 from drake_nonstop.scenario.run_limits import RunLimits, check_limits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import (
@@ -33,8 +35,30 @@ from drake_nonstop.validation import (
 
 PATTERN = "pattern"  # the field that is chosen like a box's block, and belongs to several
 
+# What earlier versions had as fields of a scenario, and what has taken their place.
+_FORMER_FIELDS = {
+    "duration": "duration is called simulation_duration now",
+    "simulator": "simulator is called simulator_config now",
+    "safe_carrier_distance": "give limits.carrier_distance instead, a share of the reach: of the "
+    "farthest attachment's distance from the load's centre plus a cable's length",
+    "safe_cable_distance": "give limits.cable_distance instead, a share of the distance between "
+    "the two cables' attachments",
+}
 
-def _default_simulator() -> SimulatorConfig:
+
+def require_current(name: Any, field: str, value: Any) -> None:
+    """Raises ScenarioError for the name of a field that only earlier versions had.
+
+    `field` is what the error message calls it, and `value` what it was to be.
+    """
+    if name in _FORMER_FIELDS:
+        require(False, field, value, _FORMER_FIELDS[name])
+
+
+copyreg.pickle(SimulatorConfig, reduced)
+
+
+def _default_simulator_config() -> SimulatorConfig:
     return SimulatorConfig(
         integration_scheme="runge_kutta3", max_step_size=0.005, use_error_control=False
     )
@@ -46,13 +70,13 @@ class _Common(StrictFields):
 
     name: str = "unnamed"
     description: str = ""
-    duration: float = 15.0  # s
+    simulation_duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
     fused_plant: bool = False  # load, cables, carriers and their controller in one fast block
     # What the run is held against: beyond which figures it is not ok, or not plausible.
     limits: RunLimits = field(default_factory=RunLimits)
     # Of Drake's Simulator: max_step_size in s, and the rest as in SimulatorConfig.
-    simulator: SimulatorConfig = field(default_factory=_default_simulator)
+    simulator_config: SimulatorConfig = field(default_factory=_default_simulator_config)
     # What the controllers believe of load, cables and carriers.
     system: SystemParameters = field(default_factory=SystemParameters)
     # Fields of system that differ in the simulated plant.
@@ -78,9 +102,49 @@ _Boxes: Any = dataclasses.make_dataclass(
 
 @_dataclass
 class Scenario(_Boxes):
-    """The system, a config per box of the figure, and how to simulate them."""
+    """The system, a config per box of the figure, and how to simulate them.
+
+    It can be copied and pickled, and equals another one whose fields are all equal. Drake's
+    `yaml_dump_typed` writes it, where its blocks are the package's, and `yaml_load_typed` with
+    `schema=Scenario` reads that back; what it reads is checked where it is used, or by `check`.
+    """
 
     scene: SceneConfig = field(default_factory=SceneConfig)
+
+    def __new__(cls, *_: Any, **fields: Any) -> "Scenario":
+        """Raises ScenarioError for a field of an earlier version, which __init__ would not name."""
+        for name, value in fields.items():
+            require_current(name, f"Scenario.{name}", value)
+        return super().__new__(cls)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        require_current(name, f"Scenario.{name}", value)
+        super().__setattr__(name, value)
+
+    def __getattr__(self, name: str) -> Any:
+        """Raises AttributeError for what is no attribute."""
+        remedy = _FORMER_FIELDS.get(name, f"there is no {name}")
+        raise AttributeError(f"Scenario.{name}: {remedy}", name=name, obj=self)
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return bool(comparable(self) == comparable(other))
+
+    def _rewrite_yaml_dump_attr_name(self, name: str) -> str:
+        """Drake's `yaml_dump_typed` asks for the attribute that a field's value is in.
+
+        It would take a config of the user's own for that of the package which it inherits from.
+
+        Raises:
+            ScenarioError: the field's value is of a class that `yaml_load_typed` would not make.
+        """
+        if name in CHOICES:
+            config = getattr(self, name)
+            _check_choice(name, config)
+            remedy = "write it with dump_scenario, which can name a block of your own"
+            require(type(config) in CHOICES[name], name, import_path(type(config)), remedy)
+        return name
 
     @property
     def speed_bound(self) -> float:
@@ -133,31 +197,31 @@ def check(scenario: Scenario) -> None:
             require_type(f"{scenario.name}.{path}", value, kind)
     for owner in ("system", "simulated"):
         _check_is_read(owner, getattr(scenario, owner))
-    require_positive(scenario.name, duration=scenario.duration)
+    require_positive(scenario.name, simulation_duration=scenario.simulation_duration)
     check_limits(scenario.limits)
-    simulator = scenario.simulator
+    config = scenario.simulator_config
     require_positive(
-        "simulator", max_step_size=simulator.max_step_size, accuracy=simulator.accuracy
+        "simulator_config", max_step_size=config.max_step_size, accuracy=config.accuracy
     )
-    require_non_negative("simulator", target_realtime_rate=simulator.target_realtime_rate)
+    require_non_negative("simulator_config", target_realtime_rate=config.target_realtime_rate)
     require(
-        simulator.max_step_size >= 1e-5,
-        "simulator.max_step_size",
-        simulator.max_step_size,
+        config.max_step_size >= 1e-5,
+        "simulator_config.max_step_size",
+        config.max_step_size,
         "give at least 1e-5 s, or the run would not come to an end",
     )
-    require(simulator.start_time == 0, "simulator.start_time", simulator.start_time, "give 0")
+    require(config.start_time == 0, "simulator_config.start_time", config.start_time, "give 0")
     require(
         is_number(scenario.control_period) and 0 <= scenario.control_period <= _LONGEST_PERIOD,
         "control_period",
         scenario.control_period,
         f"give 0 for continuous controllers, or 1e-4 to {_LONGEST_PERIOD:g} s",
     )
-    step = min(simulator.max_step_size, scenario.control_period or _LONGEST_PERIOD)
+    step = min(config.max_step_size, scenario.control_period or _LONGEST_PERIOD)
     require(
-        scenario.duration <= _MAX_STEPS * step,
-        f"{scenario.name}.duration",
-        scenario.duration,
+        scenario.simulation_duration <= _MAX_STEPS * step,
+        f"{scenario.name}.simulation_duration",
+        scenario.simulation_duration,
         f"give at most {_MAX_STEPS * step:g} s, which are {_MAX_STEPS:.0e} steps of {step:g} s",
     )
 

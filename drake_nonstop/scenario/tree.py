@@ -17,7 +17,7 @@ from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.own_blocks import import_config, is_import_path
 from drake_nonstop.scenario.run_limits import RunLimits
-from drake_nonstop.scenario.schema import CHOICES, Scenario, check, check_name
+from drake_nonstop.scenario.schema import CHOICES, Scenario, check, check_name, require_current
 from drake_nonstop.validation import (
     ScenarioError,
     fields_of,
@@ -29,14 +29,6 @@ from drake_nonstop.validation import (
 )
 
 BASE = "based_on"  # a key of files, which `loading` replaces by what it stands for
-
-# What earlier versions had as fields, and what has taken their place.
-_MOVED = {
-    "safe_carrier_distance": "give limits.carrier_distance instead, a share of the reach: of the "
-    "farthest attachment's distance from the load's centre plus a cable's length",
-    "safe_cable_distance": "give limits.cable_distance instead, a share of the distance between "
-    "the two cables' attachments",
-}
 
 Tree = dict[str, Any]
 Trusted = bool | set[str]  # tags of blocks of the user's own that may be imported; True: all
@@ -78,8 +70,8 @@ def from_tree(
         scenario = copy.deepcopy(defaults)
         for key in tree.keys() & vars(scenario).keys():
             setattr(scenario, key, getattr(Scenario(), key))
-    for field_name, remedy in _MOVED.items():
-        require(field_name not in tree, f"{name}.{field_name}", tree.get(field_name), remedy)
+    for key, value in tree.items():
+        require_current(key, f"{name}.{key}", value)
     _check_fields(name, tree, Scenario, BASE)
     require("name" not in tree, f"{name}.name", tree.get("name"), "leave it to the file's one key")
     own = {}
@@ -95,7 +87,7 @@ def from_tree(
         ("system", SystemParameters),
         ("simulated", SystemParameters),
         ("limits", RunLimits),
-        ("simulator", SimulatorConfig),
+        ("simulator_config", SimulatorConfig),
     ):
         if field_name in tree:
             tree[field_name] = {} if tree[field_name] is None else tree[field_name]

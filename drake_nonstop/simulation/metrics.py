@@ -172,7 +172,7 @@ METRICS = (
     ),
     Metric(
         path="simulator.step_s",
-        measure=lambda run: run.run.step or run.run.scenario.simulator.max_step_size,
+        measure=lambda run: run.run.step or run.run.scenario.simulator_config.max_step_size,
         label="longest step",
         unit="ms",
         scale=1e3,

@@ -144,7 +144,7 @@ class Recording:
                 raise RecordingError(
                     f"the temporary folder {tempfile.gettempdir()} cannot take the signals "
                     f"({error.strerror}): set TMPDIR to a folder with more room, or give a "
-                    "shorter duration"
+                    "shorter simulation_duration"
                 ) from None
 
     def collect(self) -> tuple[NDArray, Mapping[str, NDArray], Mapping[str, NDArray]]:
@@ -296,9 +296,9 @@ def expected_size(nonstop: Diagram, scenario: Scenario) -> float:
         scenario: what is to be run.
     """
     is_fused = any(isinstance(block, FusedPlant) for block in nonstop.GetSystems())
-    step = scenario.control_period if is_fused else scenario.simulator.max_step_size
+    step = scenario.control_period if is_fused else scenario.simulator_config.max_step_size
     sampled, stepped = _recorded_ports(nonstop)
-    return scenario.duration * (
+    return scenario.simulation_duration * (
         _row_size(sampled) / SIGNAL_PERIOD + _row_size(stepped) / min(step, SIGNAL_PERIOD)
     )
 
@@ -315,11 +315,13 @@ def require_room(nonstop: Diagram, scenario: Scenario) -> None:
     """
     size = expected_size(nonstop, scenario)
     room = shutil.disk_usage(tempfile.gettempdir()).free
-    longest = 0.9 * max(room, MEMORY_LIMIT) / (size / scenario.duration)  # s; 0.9: it is rounded
+    longest = (
+        0.9 * max(room, MEMORY_LIMIT) / (size / scenario.simulation_duration)
+    )  # s; 0.9: it is rounded
     require(
         size <= max(room, MEMORY_LIMIT),
-        "duration",
-        f"{scenario.duration:g}",
+        "simulation_duration",
+        f"{scenario.simulation_duration:g}",
         f"give at most {longest:.2g} s, or set TMPDIR to a folder with more room: the signals take "
         f"{size / 1e9:.3g} GB, and {tempfile.gettempdir()} has {room / 1e9:.3g} GB left",
     )

@@ -104,15 +104,17 @@ def _simulate(
     check(scenario)
     schemes = GetIntegrationSchemes()
     require(
-        scenario.simulator.integration_scheme in schemes,
-        "simulator.integration_scheme",
-        scenario.simulator.integration_scheme,
+        scenario.simulator_config.integration_scheme in schemes,
+        "simulator_config.integration_scheme",
+        scenario.simulator_config.integration_scheme,
         f"give one of {', '.join(schemes)}",
     )
     for name, block in replacements.items():
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
+    remedy = "give a list of functions, such as [show_in(meshcat)]"
+    require(isinstance(viewers, (list, tuple)), "viewers", viewers, remedy)
     for viewer in viewers:
-        require(callable(viewer), "viewers", viewer, "give functions, such as show_in(meshcat)")
+        require(callable(viewer), "viewers", viewer, remedy)
     is_second = interruption.collect is not None  # of a run that is there already
     stated = scenario.speed_bound
     scenario, replacements = replaced(scenario, replacements)
@@ -121,8 +123,8 @@ def _simulate(
     chosen = None
     if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
         chosen = _chosen(scenario, nonstop, _at_equilibrium(nonstop))
-        if chosen.config is not scenario.simulator:  # the steps are the block's own
-            shorter = dataclasses.replace(scenario, simulator=chosen.config)
+        if chosen.config is not scenario.simulator_config:  # the steps are the block's own
+            shorter = dataclasses.replace(scenario, simulator_config=chosen.config)
             nonstop = make_nonstop(shorter, **replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
@@ -170,7 +172,7 @@ def _simulate(
         _warn_of_other_bound(nonstop, nonstop_context, stated)
         chosen = chosen or _chosen(scenario, nonstop, nonstop_context)
         if after_step is None:  # which may end a run of any duration
-            require_room(nonstop, dataclasses.replace(scenario, simulator=chosen.config))
+            require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
         ApplySimulatorConfig(chosen.config, simulator)
         with monitor:
             simulator.set_monitor(monitor)
@@ -178,24 +180,22 @@ def _simulate(
             if not is_second:
                 interruption.collect = lambda: finished(interrupted())
             simulator.Initialize()
-            simulator.AdvanceTo(scenario.duration)
+            simulator.AdvanceTo(scenario.simulation_duration)
             for visualizer in visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
-    except KeyboardInterrupt:
-        raise RunInterrupted(finished(interrupted())) from None
     except NotFiniteError as error:
         message = (
             f"the run diverged at t = {context.get_time():.4f} s: "
             f"{source_of_fault(error, nonstop, nonstop_context)} made a value that is not "
             f"finite, or beyond {LARGEST:.0e} in SI units; the loop may be unstable, or "
-            "simulator.max_step_size too large"
+            "simulator_config.max_step_size too large"
         )
         raise RunStopped(message, finished(message)) from None
     except RecordingError as error:
         message = f"the run stopped at t = {context.get_time():.4f} s: {error}"
         raise RunStopped(message, finished(message)) from None
-    except BaseException as error:  # such as the SystemExit of a block
-        if interruption.number:  # a KeyboardInterrupt that went through C++
+    except BaseException as error:  # such as the SystemExit or KeyboardInterrupt of a block
+        if interruption.number:  # which may have become another error on its way through C++
             raise RunInterrupted(finished(interrupted())) from None
         if isinstance(error, ScenarioError) and context.get_time() == 0:
             raise
@@ -207,7 +207,7 @@ def _simulate(
             interruption.collect = None
     if interruption.number:
         return finished(interrupted())
-    if context.get_time() < scenario.duration:
+    if context.get_time() < scenario.simulation_duration:
         return finished(f"the run was ended at t = {context.get_time():.4f} s")
     run = finished()
     if chosen.unresolved and check_step is not StepCheck.NOTHING:
@@ -238,9 +238,11 @@ def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) ->
 
 def _verified(run: Run, progress: Callable[[float], None] | None, doubt: str = "") -> Run:
     """As `verify_step`; an interrupted run keeps the doubt for which it is flown again."""
-    finer = with_half_the_step(run.scenario.simulator, run.step)
+    finer = with_half_the_step(run.scenario.simulator_config, run.step)
     duration = float(run.steps["time"][-1])
-    scenario = dataclasses.replace(run.scenario, simulator=finer, duration=duration)
+    scenario = dataclasses.replace(
+        run.scenario, simulator_config=finer, simulation_duration=duration
+    )
     doubted = dataclasses.replace(run, unresolved=(*run.unresolved, doubt)) if doubt else run
     try:
         with warnings.catch_warnings(), current_interruption() as interruption:
@@ -263,17 +265,17 @@ def _chosen(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenSte
     """The scenario's configuration, or one with a shorter step, which a warning tells."""
     with block_named(nonstop, context):
         chosen = chosen_step(
-            scenario.simulator,
+            scenario.simulator_config,
             nonstop,
             context,
             control_period=scenario.control_period,
-            duration=scenario.duration,
+            duration=scenario.simulation_duration,
             length=scenario.system.cable_length,
         )
     if chosen.reasons:
         warnings.warn(
-            f"simulator.max_step_size = {scenario.simulator.max_step_size:g}: steps of "
-            f"{chosen.config.max_step_size:.3g} s are taken instead, for the sake of "
+            f"simulator_config.max_step_size = {scenario.simulator_config.max_step_size:g}: "
+            f"steps of {chosen.config.max_step_size:.3g} s are taken instead, for the sake of "
             f"{' and '.join(chosen.reasons)}",
             ScenarioWarning,
             stacklevel=4,

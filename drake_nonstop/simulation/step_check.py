@@ -65,14 +65,14 @@ def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
     """
     if len(run.time) <= _ORDER + 2 or not _has_all_signals(run):
         return False
-    if _order(run.scenario.simulator) < _ORDER or np.min(run.steps["tensions"]) <= 0:
+    if _order(run.scenario.simulator_config) < _ORDER or np.min(run.steps["tensions"]) <= 0:
         return True
     flown = _flown(run)
     roughness = _roughness(run, flown)
     accumulated = (run.step / SIGNAL_PERIOD) ** _ORDER * np.max(roughness)
     if np.max(roughness) > _JUMP or accumulated > _ROUGH:
         return True
-    config = with_step(run.scenario.simulator, run.step)
+    config = with_step(run.scenario.simulator_config, run.step)
     period = run.scenario.control_period
     flights = ShortFlights(run.diagram, context, config, period)
     time = max(_FLIGHT, 2 * period)
@@ -141,7 +141,7 @@ def compared(run: Run, half: Run) -> Run:
 
     Half a step shows 7/8 of a third-order scheme's error, and half of a first-order one's.
     """
-    shown = 1 - 0.5 ** _order(run.scenario.simulator)
+    shown = 1 - 0.5 ** _order(run.scenario.simulator_config)
     moves = moved_metrics(compute_metrics(run), compute_metrics(half), share=_MARGIN * shown)
     half_step = {
         "step_s": half.step,
@@ -159,8 +159,8 @@ def in_doubt(run: Run) -> str:
 
 
 def _steps(run: Run) -> str:
-    if run.scenario.simulator.use_error_control:
-        return f"an accuracy of {run.scenario.simulator.accuracy:g}"
+    if run.scenario.simulator_config.use_error_control:
+        return f"an accuracy of {run.scenario.simulator_config.accuracy:g}"
     return f"steps of {1e3 * run.step:.3g} ms"
 
 
@@ -168,7 +168,7 @@ def _remedy(run: Run) -> str:
     """What may resolve a run."""
     if "tensions" in run.steps and np.min(run.steps["tensions"]) <= 0:
         return "cables that go slack and taut again may be resolved by no step: keep them taut"
-    if run.scenario.simulator.use_error_control:
-        accuracy = run.scenario.simulator.accuracy / 64
-        return f"give a smaller simulator.accuracy, such as {accuracy:.2g}"
-    return f"give a shorter simulator.max_step_size, such as {run.step / 4:.3g}"
+    if run.scenario.simulator_config.use_error_control:
+        accuracy = run.scenario.simulator_config.accuracy / 64
+        return f"give a smaller simulator_config.accuracy, such as {accuracy:.2g}"
+    return f"give a shorter simulator_config.max_step_size, such as {run.step / 4:.3g}"

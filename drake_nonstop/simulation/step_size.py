@@ -121,7 +121,7 @@ def _hidden_growth(loop: LinearizedLoop, step: float, duration: float) -> str:
     return (
         f"at the start a small deviation grows by {exact:.2g} 1/s, and by {stepped:.2g} 1/s with "
         f"steps of {1e3 * step:.3g} ms, which do not show whether the loop is stable; give a "
-        f"shorter simulator.max_step_size, such as {step / 8:.2g}"
+        f"shorter simulator_config.max_step_size, such as {step / 8:.2g}"
     )
 
 

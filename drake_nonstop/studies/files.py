@@ -44,7 +44,7 @@ def require_writable(
         remedy = f"give a folder that can be written ({_cause(error)})"
         require(False, "--out", folder, remedy)
     needed = f"give a folder with room for {room / 1e6:.0f} MB, {free / 1e6:.0f} MB are free"
-    require(free > room, "--out", folder, f"{needed}; or a shorter duration")
+    require(free > room, "--out", folder, f"{needed}; or a shorter simulation_duration")
 
 
 def as_path(folder: Path | str) -> Path:

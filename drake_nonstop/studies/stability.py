@@ -112,7 +112,7 @@ def linearize(scenario: Scenario) -> Stability:
     sample = scenario.control_period or 0.01
     turn = 2 * math.pi / resting.optimization_layer.frequency
     samples = max(1, round(turn / sample))
-    config = stable_config(resting.simulator, nonstop, context)
+    config = stable_config(resting.simulator_config, nonstop, context)
 
     coordinates = _Coordinates(nonstop)
     simulator = Simulator(nonstop, context)

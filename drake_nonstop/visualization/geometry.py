@@ -29,11 +29,11 @@ from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, Pose
 from drake_nonstop.model.load_file import read_load_shapes
 from drake_nonstop.model.system import overridden
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.systems.block import LOOP, LeafBlock
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import output_sizes
-from drake_nonstop.validation import require
+from drake_nonstop.validation import require, require_array
 from drake_nonstop.visualization.colours import Colour
 from drake_nonstop.visualization.poses import attitudes, cylinder_poses, stack_poses, unit_vectors
 from drake_nonstop.visualization.scene import Scene
@@ -103,8 +103,10 @@ class NonstopGeometry(LeafBlock):
     ):
         super().__init__()
         system = overridden(scenario.system, scenario.simulated)
+        self._attachments = require_array(
+            "system.attachments", system.attachments, [None, 3], "one position per cable"
+        )
         scene = Scene(system, scenario.scene)
-        self._attachments = np.array(system.attachments)
         load_shapes = read_load_shapes(load_file, self._attachments) if load_file else []
         inspector = scene_graph.model_inspector()
         sources = [inspector.GetName(source) for source in inspector.GetAllSourceIds()]
@@ -215,11 +217,13 @@ def AddGeometry(  # noqa: N802
 
     Raises:
         ScenarioError: the loop or the SceneGraph is not in the builder, the builder is built, the
-            loop has no such ports, or as `NonstopGeometry`.
+            loop has no such ports, the scenario cannot be used, or as
+            `NonstopGeometry`.
     """
-    require(
-        not builder.already_built(), "builder", "built", "call AddGeometry before builder.Build()"
-    )
+    check(scenario)
+    require(isinstance(builder, DiagramBuilder), "builder", builder, "give a DiagramBuilder")
+    remedy = "call AddGeometry before builder.Build()"
+    require(not builder.already_built(), "builder", "built", remedy)
     for field, system, kind in (("loop", loop, System), ("scene_graph", scene_graph, SceneGraph)):
         is_there = any(system is present for present in builder.GetSystems())
         remedy = f"give a {kind.__name__} that builder.AddSystem was given before"

@@ -52,10 +52,10 @@ def run_live(
 ) -> Iterator[Run]:
     """Runs a scenario in view, with controls in the page, and yields every run that ends.
 
-    A run ends with the scenario's duration, or when "stop" is pressed, which ends the live runs
-    as well. After a run, "restart" starts the next one, as long as a page is connected; the live
-    runs end when none is. During a run, "restart" discards it and starts the next one. The
-    sliders keep their values.
+    A run ends with the scenario's `simulation_duration`, or when "stop" is pressed, which ends
+    the live runs as well. After a run, "restart" starts the next one, as long as a page is
+    connected; the live runs end when none is. During a run, "restart" discards it and starts the
+    next one. The sliders keep their values.
 
     Args:
         scenario: what to run.

@@ -136,7 +136,7 @@ class NonstopVisualizer(LeafBlock):
                 overridden(scenario.system, scenario.simulated),
                 meshcat,
                 scenario.scene,
-                reference_path=_reference_path(nonstop, scenario.duration),
+                reference_path=_reference_path(nonstop, scenario.simulation_duration),
                 speed_bound=scenario.speed_bound,
                 frame_rate=frame_rate,
                 path=path,

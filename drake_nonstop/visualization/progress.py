@@ -7,6 +7,8 @@ log file, a line is written every two seconds instead.
 import sys
 from typing import TYPE_CHECKING, Any, TextIO
 
+from drake_nonstop.validation import is_number, require
+
 if TYPE_CHECKING:
     from tqdm import tqdm
 
@@ -36,6 +38,7 @@ class _Progress:
 
     def _show(self, value: float, **options: Any) -> "tqdm[Any]":
         """The bar at this value; a new one with these options where there is none at a lower."""
+        require(is_number(value), "progress", value, "give a finite number")
         if self._bar is not None and value < self._bar.n:
             self._bar.leave = False
             self.close()
@@ -75,7 +78,7 @@ class RunProgress(_Progress):
     """Simulated time and real-time factor of a run: the `progress` of `simulate` and `run_live`.
 
     Example:
-        with RunProgress(scenario.name, scenario.duration) as progress:
+        with RunProgress(scenario.name, scenario.simulation_duration) as progress:
             run = simulate(scenario, progress=progress)
 
     Args:

@@ -97,7 +97,7 @@ def _text(rng: np.random.Generator) -> str:
 
 def _arguments(rng: np.random.Generator) -> list[str]:
     """A call that ends soon, whatever is accepted."""
-    quick = ["--set", "duration=0.02"]
+    quick = ["--set", "simulation_duration=0.02"]
     command = str(
         rng.choice(
             [
@@ -162,8 +162,8 @@ def _arguments(rng: np.random.Generator) -> list[str]:
             ["--out"],
             ["--out", "é"],
             ["--out", "🛩"],
-            ["--set=duration=0.01"],
-            ["--se", "duration=0.01"],
+            ["--set=simulation_duration=0.01"],
+            ["--se", "simulation_duration=0.01"],
             ["--set", "optimization_layer.speed_bound=0.7"],
             ["--quiet"],
             ["--set", "phase=PaperPhase"],
@@ -192,7 +192,7 @@ def _arguments(rng: np.random.Generator) -> list[str]:
             ["--swap"],
             ["--grid", _text(rng)],
             ["--grid", "paper"],
-            ["--swap", f"duration={_number(rng)[:8]}", "a=b"],
+            ["--swap", f"simulation_duration={_number(rng)[:8]}", "a=b"],
             ["--swap", "é=1"],
             ["--swap", "phase=PaperPhase", "--swap", "phase=PaperPhase"],
             ["--swap", "=1"],
@@ -268,7 +268,8 @@ def _attempt(
     here = folder / "work"
     here.mkdir()
     (here / "s.yaml").write_text(
-        "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 2\noverrides: [duration=0.02]\n"
+        "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 2\n"
+        "overrides: [simulation_duration=0.02]\n"
     )
     if place == "read-only":
         here.chmod(0o500)

@@ -11,8 +11,8 @@ import numpy as np
 
 from adversary.verdicts import LEFTOVER, LOST_WORK, Verdict
 
-FILES = "scenario.yaml", "metrics.json", "signals.npz", "diagram.svg"
-_DIFFERENT = FILES[:3]  # in any two runs with different settings
+# What was flown, different in any two runs with different settings; pictures can be made again.
+FILES = "scenario.yaml", "metrics.json", "signals.npz"
 
 
 @functools.cache
@@ -22,7 +22,10 @@ def finished() -> Path:
 
     folder = Path(tempfile.mkdtemp(prefix="adversary-finished-"))
     write_results(
-        simulate(load_scenario("line", ["duration=0.05"])), folder, figures=False, replay=False
+        simulate(load_scenario("line", ["simulation_duration=0.05"])),
+        folder,
+        figures=False,
+        replay=False,
     )
     (folder / "notes.txt").write_text("mine")
     return folder
@@ -49,19 +52,19 @@ def judge_results(verdict: Verdict, folder: Path, flown: float) -> None:
     before, now = hashes(finished()), hashes(folder)
     if now.get("notes.txt") not in (None, before["notes.txt"]):
         verdict.add(LOST_WORK, "a file of the user's is changed")
-    old = [name for name in _DIFFERENT if now.get(name) == before[name]]
+    old = [name for name in FILES if now.get(name) == before[name]]
     missing = [name for name in FILES if name not in now]
     has_earlier = "notes.txt" in now
     if missing and (has_earlier or len(missing) < len(FILES)):
         verdict.add(LOST_WORK, f"{missing} missing from the results")
         return
-    if has_earlier and 0 < len(old) < len(_DIFFERENT) and "scenario.yaml" not in old:
+    if has_earlier and 0 < len(old) < len(FILES) and "scenario.yaml" not in old:
         verdict.add(LOST_WORK, f"results of two runs: {old} are the earlier one's")
         return
-    if flown > 0 and (missing or len(old) == len(_DIFFERENT)):
+    if flown > 0 and (missing or len(old) == len(FILES)):
         verdict.add(LOST_WORK, f"{flown:.3g} s were flown, but no results are written")
         return
-    if not missing and len(old) < len(_DIFFERENT):
+    if not missing and len(old) < len(FILES):
         try:
             metrics = json.loads((folder / "metrics.json").read_text())
             with np.load(folder / "signals.npz") as signals:

@@ -14,8 +14,11 @@ from adversary import earlier
 from adversary.commands import Command, ended
 from adversary.verdicts import ACCEPTED, EXIT_CODE, LOST_WORK, MISREAD, REFUSED, Case, Verdict
 
-_QUICK = ["--set", "duration=0.02", "--no-figures", "--no-replay"]
-_SWEPT = "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 2\noverrides: [duration=0.02]\n"
+_QUICK = ["--set", "simulation_duration=0.02", "--no-figures", "--no-replay"]
+_SWEPT = (
+    "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 2\n"
+    "overrides: [simulation_duration=0.02]\n"
+)
 _CSV = "t,x,y,z\n0,0,0,0\n1,0.1,0,0\n2,0.2,0,0\n"
 _SDF = """<sdf version="1.7"><model name="crate"><link name="box"><inertial><mass>1.2</mass>
 <inertia><ixx>0.01</ixx><ixy>0</ixy><ixz>0</ixz><iyy>0.01</iyy><iyz>0</iyz><izz>0.02</izz></inertia>
@@ -104,11 +107,21 @@ def _read(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         rng.choice(["mine", "mine", "mine", "a b", "é", "-x", "a'b", "a,b", "[x]", "a:b", "~"])
     )
     if what == "scenario":
-        _made(rng, folder / f"{name}.yaml", "mine:\n  based_on: line\n  duration: 0.02\n", form)
+        _made(
+            rng,
+            folder / f"{name}.yaml",
+            "mine:\n  based_on: line\n  simulation_duration: 0.02\n",
+            form,
+        )
         call = ["run", f"./{name}.yaml", "--out", "out", *_QUICK]
     elif what == "base":
-        _made(rng, folder / "base.yaml", "mine:\n  based_on: line\n  duration: 0.02\n", form)
-        (folder / "top.yaml").write_text("top: {based_on: base.yaml, duration: 0.02}")
+        _made(
+            rng,
+            folder / "base.yaml",
+            "mine:\n  based_on: line\n  simulation_duration: 0.02\n",
+            form,
+        )
+        (folder / "top.yaml").write_text("top: {based_on: base.yaml, simulation_duration: 0.02}")
         call = ["run", "top.yaml", "--out", "out", *_QUICK]
     elif what == "trajectory":
         _made(rng, folder / f"{name}.csv", _CSV, form)
@@ -143,7 +156,7 @@ def _read(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         _made(rng, folder / f"{name}.yaml", _SWEPT, form)
         call = ["sweep", "line", f"./{name}.yaml", "--serial", "--out", "out"]
     elif what == "grid":
-        _made(rng, folder / f"{name}.yaml", "variants:\n  a: [duration=0.01]\n", form)
+        _made(rng, folder / f"{name}.yaml", "variants:\n  a: [simulation_duration=0.01]\n", form)
         call = [
             "ablate",
             "line",
@@ -153,7 +166,7 @@ def _read(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             "out",
             "--no-replay",
             "--set",
-            "duration=0.02",
+            "simulation_duration=0.02",
         ]
     else:
         _made(rng, folder / "README.md", "| `quintic` | slowest speed (m/s) | | 0.5 |\n" * 3, form)
@@ -204,7 +217,7 @@ def _written(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
     _made(rng, folder / "out" / name if name != "." else folder / "out", "text\n" * 20, form)
     if command == "run":
         figures = [] if "figures" in name else ["--no-figures"]
-        call = ["run", "line", "--out", "out", "--set", "duration=0.02", *figures]
+        call = ["run", "line", "--out", "out", "--set", "simulation_duration=0.02", *figures]
     elif command == "ablate":
         call = [
             "ablate",
@@ -215,16 +228,16 @@ def _written(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             "out",
             "--no-replay",
             "--set",
-            "duration=0.02",
+            "simulation_duration=0.02",
         ]
     elif command == "sweep":
         (folder / "s.yaml").write_text(_SWEPT)
         call = ["sweep", "line", "s.yaml", "--serial", "--out", "out"]
         call += ["--restart"] if rng.random() < 0.3 else []
     else:
-        call = ["robustness", "line", "--out", "out", "--set", "duration=-1"]
+        call = ["robustness", "line", "--out", "out", "--set", "simulation_duration=-1"]
         if form not in ("directory", "full directory"):
-            call[-1] = "duration=0.02"
+            call[-1] = "simulation_duration=0.02"
     return call, f"out/{name} is {form}"
 
 
@@ -292,7 +305,7 @@ def _named(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             "--swap",
             "phase=PaperPhase",
             "--set",
-            "duration=0.02",
+            "simulation_duration=0.02",
             "--no-replay",
         ],
         "sweep": ["sweep", "line", "s.yaml", "--serial"],
@@ -363,14 +376,14 @@ def _scarce(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
     (folder / "s.yaml").write_text(_SWEPT)
     earlier.put(folder / "out")
     call = {
-        "run": ["run", "line", "--set", "duration=0.1", "--no-figures"],
+        "run": ["run", "line", "--set", "simulation_duration=0.1", "--no-figures"],
         "ablate": [
             "ablate",
             "line",
             "--swap",
             "phase=PaperPhase",
             "--set",
-            "duration=0.1",
+            "simulation_duration=0.1",
             "--no-replay",
         ],
         "sweep": ["sweep", "line", "s.yaml"],

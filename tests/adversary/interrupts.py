@@ -26,20 +26,26 @@ from adversary.verdicts import (
     Verdict,
 )
 
-SPEC = "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 30\noverrides: [duration=0.1]\n"
+SPEC = (
+    "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 30\n"
+    "overrides: [simulation_duration=0.1]\n"
+)
 GRID = "grid: {system.load_mass: [0.9, 0.95, 1.0, 1.05, 1.1, 1.15]}\n"
 
 # Calls, and how long each takes on an idle machine, in s, from its start in a forked process.
 CALLS: dict[str, tuple[list[str], float]] = {
-    "run": (["run", "line", "--set", "duration=1000", "--no-figures", "--out", "out"], 3.0),
-    "run to its end": (["run", "line", "--set", "duration=3", "--out", "out"], 4.0),
+    "run": (
+        ["run", "line", "--set", "simulation_duration=1000", "--no-figures", "--out", "out"],
+        3.0,
+    ),
+    "run to its end": (["run", "line", "--set", "simulation_duration=3", "--out", "out"], 4.0),
     "run live": (
         [
             "run",
             "line",
             "--live",
             "--set",
-            "duration=1000",
+            "simulation_duration=1000",
             "--no-figures",
             "--no-replay",
             "--out",
@@ -57,13 +63,13 @@ CALLS: dict[str, tuple[list[str], float]] = {
             "g.yaml",
             "--no-replay",
             "--set",
-            "duration=0.3",
+            "simulation_duration=0.3",
             "--out",
             "out",
         ],
         6.0,
     ),
-    "robustness": (["robustness", "line", "--set", "duration=0.2", "--out", "out"], 6.0),
+    "robustness": (["robustness", "line", "--set", "simulation_duration=0.2", "--out", "out"], 6.0),
     "stability": (["stability", "line", "--out", "out"], 20.0),
     "view": (["view", "out", "--no-open"], 1.0),
     "bench scale": (["bench", "scale", "--max-n", "4", "--duration", "0.1"], 4.0),
@@ -208,7 +214,11 @@ def _judge_work(
 ) -> None:
     """What was finished before the signal has to be there."""
     if name.startswith("run"):
-        if out.exists():
+        stopped = out.with_name("out_stopped")
+        if stopped.exists():  # beside the earlier results, which stay as they are
+            earlier.judge_results(verdict, stopped, flown if times == 1 else 0.0)
+            earlier.judge_results(verdict, out, 0.0)
+        elif out.exists():
             earlier.judge_results(verdict, out, flown if times == 1 else 0.0)
         elif flown > 0 and times == 1:
             verdict.add(LOST_WORK, f"{flown:.3g} s were flown, but there is no folder")
@@ -254,6 +264,7 @@ def _judge_continued(
         if sorted(numbers) != list(range(30)):
             verdict.add(LOST_WORK, f"{name} again: runs {numbers}")
     repeated = [path.parent.name for path, t in variants.items() if path.stat().st_mtime_ns != t]
-    if repeated:
+    # A complete comparison is run again, and so is what the journal did not have yet.
+    if kept and len(repeated) > len(variants) - (len(kept) - 1):
         verdict.add(LOST_WORK, f"{name} again: finished variants {repeated} were run again")
     earlier.judge_tidiness(verdict, out)

@@ -16,13 +16,16 @@ from adversary.values import (
 )
 from adversary.verdicts import ACCEPTED, LOST_WORK, MISREAD, REFUSED, Case, Verdict
 
-_LENGTHY = "duration", "simulator.target_realtime_rate"  # whose values say how long it takes
+_LENGTHY = (
+    "simulation_duration",
+    "simulator_config.target_realtime_rate",
+)  # whose values say how long it takes
 _EVERY_BLOCK = [block for blocks in BLOCKS.values() for block in blocks]
 
 
 def draw(rng: np.random.Generator) -> Case:
     name, count = scenario_name(rng), int(rng.choice([1, 1, 1, 2, 3]))
-    overrides, expected = ["duration=0.02"], ""
+    overrides, expected = ["simulation_duration=0.02"], ""
     for _ in range(count):
         override, expected = _override(rng, name)
         overrides.append(override)

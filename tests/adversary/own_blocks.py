@@ -188,12 +188,28 @@ def _attempt(folder: Path, fault: str, stage: str, box: str, how: str, expected:
     (folder / "bad.py").write_text(_module(fault, stage, box), errors="surrogatepass")
     (folder / "s.yaml").write_text(
         f"draws: {{system.load_mass: {{uniform: [0.9, 1.1]}}}}\nruns: 2\n"
-        f"overrides: [duration=0.2, {box}=bad.Bad]\n"
+        f"overrides: [simulation_duration=0.2, {box}=bad.Bad]\n"
     )
     brief = ["--no-replay", "--trust"]
     arguments = {
-        "run": ["run", "line", "--no-figures", *brief, "--set", "duration=0.2", f"{box}=bad.Bad"],
-        "ablate": ["ablate", "line", *brief, "--set", "duration=0.2", "--swap", f"{box}=bad.Bad"],
+        "run": [
+            "run",
+            "line",
+            "--no-figures",
+            *brief,
+            "--set",
+            "simulation_duration=0.2",
+            f"{box}=bad.Bad",
+        ],
+        "ablate": [
+            "ablate",
+            "line",
+            *brief,
+            "--set",
+            "simulation_duration=0.2",
+            "--swap",
+            f"{box}=bad.Bad",
+        ],
         "sweep": ["sweep", "line", "s.yaml", "--trust"],
         "sweep serial": ["sweep", "line", "s.yaml", "--trust", "--serial"],
     }[how]

@@ -53,23 +53,23 @@ _ALIENS = (
     *("dataclasses", "CarrierPid", "CarrierPidConfig", "CarrierPidConfig()", "ConstantParameters"),
     *("decimal.Decimal('1.5')", "fractions.Fraction(1, 3)", "set()", "...", "float", "'é' * 300"),
 )
-_RUN = "run = simulate(load_scenario('quintic', ['duration=0.02']))\n"
-_SCENARIO = "scenario = load_scenario({name!r}, ['duration=0.02'])\n"
+_RUN = "run = simulate(load_scenario('quintic', ['simulation_duration=0.02']))\n"
+_SCENARIO = "scenario = load_scenario({name!r}, ['simulation_duration=0.02'])\n"
 
 # What is called, with `{}` for each drawn argument.
 _CALLS = (
     "load_scenario({})",
     "load_scenario('quintic', {})",
     "load_scenario('quintic', [{}])",
-    "load_scenario('quintic', ['duration=1'], trust={})",
+    "load_scenario('quintic', ['simulation_duration=1'], trust={})",
     "parse_scenario({})",
-    "parse_scenario('a: {{duration: 1}}', {})",
+    "parse_scenario('a: {{simulation_duration: 1}}', {})",
     "dump_scenario({})",
     "simulate({})",
-    "simulate(Scenario(duration=0.02), progress={})",
-    "simulate(Scenario(duration=0.02), viewers={})",
-    "simulate(Scenario(duration=0.02), viewers=[{}])",
-    "simulate(Scenario(duration=0.02), after_step={})",
+    "simulate(Scenario(simulation_duration=0.02), progress={})",
+    "simulate(Scenario(simulation_duration=0.02), viewers={})",
+    "simulate(Scenario(simulation_duration=0.02), viewers=[{}])",
+    "simulate(Scenario(simulation_duration=0.02), after_step={})",
     "make_nonstop({})",
     "make_nonstop(Scenario(), no_such_box={})",
     "set_equilibrium({}, {})",
@@ -83,32 +83,35 @@ _CALLS = (
     _RUN + "run.signal('tension')",
     _RUN + "record_replay({})",
     "draw_diagram({})",
-    "ablate({}, {{'a': ['duration=0.02']}}, 'out')",
-    "ablate(Scenario(duration=0.02), {}, 'out')",
-    "ablate(Scenario(duration=0.02), {{'a': {}}}, 'out')",
-    "ablate(Scenario(duration=0.02), {{'a': [{}]}}, 'out')",
-    "ablate(Scenario(duration=0.02), [({}, ['phase=PaperPhase'])], 'out')",
-    "ablate(Scenario(duration=0.02), [{}], 'out')",
-    "ablate(Scenario(duration=0.02), {{'a': ['phase=No']}}, {})",
+    "ablate({}, {{'a': ['simulation_duration=0.02']}}, 'out')",
+    "ablate(Scenario(simulation_duration=0.02), {}, 'out')",
+    "ablate(Scenario(simulation_duration=0.02), {{'a': {}}}, 'out')",
+    "ablate(Scenario(simulation_duration=0.02), {{'a': [{}]}}, 'out')",
+    "ablate(Scenario(simulation_duration=0.02), [({}, ['phase=PaperPhase'])], 'out')",
+    "ablate(Scenario(simulation_duration=0.02), [{}], 'out')",
+    "ablate(Scenario(simulation_duration=0.02), {{'a': ['phase=No']}}, {})",
     "read_grid({})",
     "read_sweep({})",
     "sweep(Scenario(), {}, 'out')",
-    "sweep({}, SweepSpec(grid={{'duration': [0.01]}}), 'out', executor=SerialExecutor())",
-    "sweep(Scenario(), SweepSpec(grid={{'duration': [0.01]}}), {}, executor=SerialExecutor())",
-    "sweep(Scenario(), SweepSpec(grid={{'duration': [0.01]}}), 'out', executor={})",
-    "sweep(Scenario(), SweepSpec(grid={{'duration': [{}]}}), 'out', executor=SerialExecutor())",
+    "sweep({}, SweepSpec(grid={{'simulation_duration': [0.01]}}), 'out', "
+    "executor=SerialExecutor())",
+    "sweep(Scenario(), SweepSpec(grid={{'simulation_duration': [0.01]}}), {}, "
+    "executor=SerialExecutor())",
+    "sweep(Scenario(), SweepSpec(grid={{'simulation_duration': [0.01]}}), 'out', executor={})",
+    "sweep(Scenario(), SweepSpec(grid={{'simulation_duration': [{}]}}), 'out', "
+    "executor=SerialExecutor())",
     "sweep(Scenario(), SweepSpec(grid={{{}: [0.01]}}), 'out', executor=SerialExecutor())",
-    "sweep(Scenario(), SweepSpec(overrides=[{}], grid={{'duration': [0.01]}}), 'out')",
+    "sweep(Scenario(), SweepSpec(overrides=[{}], grid={{'simulation_duration': [0.01]}}), 'out')",
     "SweepSpec(grid={})",
-    "SweepSpec(grid={{'duration': {}}})",
-    "SweepSpec(draws={{'duration': {}}}, runs=2)",
-    "SweepSpec(draws={{'duration': {{'uniform': {}}}}}, runs=2)",
-    "SweepSpec(draws={{'duration': {{'uniform': [{}, 1]}}}}, runs=2)",
-    "SweepSpec(draws={{'duration': {{'choice': [{}, 1]}}}}, runs=2).run(0)",
-    "SweepSpec(draws={{'duration': {{'seed': {}}}}}, runs=2)",
-    "SweepSpec(draws={{'duration': {{'normal': [0, 1]}}}}, runs={}, seed={})",
-    "SweepSpec(draws={{'duration': {{'normal': [0, 1]}}}}, runs=2).run({})",
-    "SweepSpec(grid={{'duration': [1]}}, overrides={}, description={})",
+    "SweepSpec(grid={{'simulation_duration': {}}})",
+    "SweepSpec(draws={{'simulation_duration': {}}}, runs=2)",
+    "SweepSpec(draws={{'simulation_duration': {{'uniform': {}}}}}, runs=2)",
+    "SweepSpec(draws={{'simulation_duration': {{'uniform': [{}, 1]}}}}, runs=2)",
+    "SweepSpec(draws={{'simulation_duration': {{'choice': [{}, 1]}}}}, runs=2).run(0)",
+    "SweepSpec(draws={{'simulation_duration': {{'seed': {}}}}}, runs=2)",
+    "SweepSpec(draws={{'simulation_duration': {{'normal': [0, 1]}}}}, runs={}, seed={})",
+    "SweepSpec(draws={{'simulation_duration': {{'normal': [0, 1]}}}}, runs=2).run({})",
+    "SweepSpec(grid={{'simulation_duration': [1]}}, overrides={}, description={})",
     "Model({}, HamiltonianCycleConfig())",
     "Model(SystemParameters(), {})",
     "Model(SystemParameters(), HamiltonianCycleConfig(), {})",
@@ -178,7 +181,7 @@ def _assigned(rng: np.random.Generator) -> tuple[str, bool]:
             ]
         )
     )
-    is_used = not path.startswith(("scene", "description", "safe", "simulator.publish"))
+    is_used = not path.startswith(("scene", "description", "safe", "simulator_config.publish"))
     must = is_senseless and use.startswith("simulate") and is_used
     return f"{_SCENARIO.format(name=name)}{setting}\n{use}", must
 
@@ -187,8 +190,8 @@ def _misspelt(rng: np.random.Generator) -> tuple[str, bool]:
     name = scenario_name(rng)
     found = list(paths(resolved(name)))
     path, _ = found[rng.integers(len(found))]
-    if path.startswith("simulator"):  # Drake's own class refuses it
-        path = "duration"
+    if path.startswith("simulator_config"):  # Drake's own class refuses it
+        path = "simulation_duration"
     slip = str(rng.choice([path + "s", path[:-1], path + "_", path + path[-1]]))
     return f"{_SCENARIO.format(name=name)}scenario.{slip} = 5\nsimulate(scenario)", True
 
@@ -234,7 +237,7 @@ def _replaced(rng: np.random.Generator) -> tuple[str, bool]:
             ]
         )
     )
-    text = f"simulate(load_scenario('quintic', ['duration=0.02']), {box}={entry})"
+    text = f"simulate(load_scenario('quintic', ['simulation_duration=0.02']), {box}={entry})"
     return text, False
 
 
@@ -255,7 +258,7 @@ def _configured(rng: np.random.Generator) -> tuple[str, bool]:
         model = "Model(SystemParameters(), HamiltonianCycleConfig())"
         return f"{name}({model}, {config})", False
     is_senseless = value in _SENSELESS
-    text = f"simulate(load_scenario('quintic', ['duration=0.02']), {box}={config})"
+    text = f"simulate(load_scenario('quintic', ['simulation_duration=0.02']), {box}={config})"
     return text, is_senseless and name not in ("Wind",)
 
 
@@ -307,7 +310,9 @@ def _attempt(folder: Path, text: str, must_refuse: bool) -> Verdict:
     blocks = {block_name(config) for box in BOXES.values() for config in box.configs}
     takes_objects = call.startswith((*_OF_OBJECTS, *(f"{block}(" for block in blocks)))
     # What a function in place of a block raises is left as it is.
-    is_given_no_block = call.startswith("simulate(load_scenario('quintic', ['duration=0.02']), ")
+    is_given_no_block = call.startswith(
+        "simulate(load_scenario('quintic', ['simulation_duration=0.02']), "
+    )
     is_fine = ".no_such" in text or takes_objects or is_given_no_block
     allowed = (AttributeError, TypeError) if is_fine else ()
     _, verdict = attempt_call(

@@ -23,7 +23,7 @@ from adversary.verdicts import (
 )
 
 _IMPORTS = "import warnings\nfrom drake_nonstop import *\n"
-_SCENARIO = "scenario = load_scenario('line', ['duration=0.02'])\n"
+_SCENARIO = "scenario = load_scenario('line', ['simulation_duration=0.02'])\n"
 _WORK = {
     "sweep": "spec = SweepSpec(grid={'system.load_mass': [0.9, 1.0, 1.1]})\n"
     "print(sweep(scenario, spec, 'out').table)\n",

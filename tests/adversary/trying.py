@@ -100,7 +100,7 @@ def warm_up() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for name in ("quintic", "three_carriers"):
-            simulate(load_scenario(name, ["duration=0.02"]))
+            simulate(load_scenario(name, ["simulation_duration=0.02"]))
         earlier.finished()
 
 

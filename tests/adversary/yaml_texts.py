@@ -123,7 +123,7 @@ def _unknown(rng: np.random.Generator, text: str) -> _Mutated:
 
 
 def _part_unknown(rng: np.random.Generator, text: str) -> _Mutated:
-    part = str(rng.choice([*BLOCKS, "system", "simulated", "simulator"]))
+    part = str(rng.choice([*BLOCKS, "system", "simulated", "simulator_config"]))
     name = str(rng.choice(["gain", "_tag", "load_masss", "null", "1", "__init__", "x" * 400]))
     return f"mine:\n  {part}:\n    {name}: {drawn_value(rng)}\n", _REFUSED
 
@@ -177,8 +177,8 @@ def _top(rng: np.random.Generator, text: str) -> _Mutated:
                 "a: {}\nb: {}",
                 "--- {a: {}}\n--- {b: {}}",
                 "!Tag {a: {}}",
-                "!Tag\na: {duration: 1}",
-                "a: !Tag {duration: 1}",
+                "!Tag\na: {simulation_duration: 1}",
+                "a: !Tag {simulation_duration: 1}",
                 "!!map {a: {}}",
                 "!!set {a}",
                 "? [a]\n: {}",
@@ -200,24 +200,24 @@ def _top(rng: np.random.Generator, text: str) -> _Mutated:
                 "con: {}",
                 "a: &a {system: *a}",
                 "a: &a\n  system: {load_mass: *a}",
-                "&x a: {duration: 1}",
-                "a: {<<: {duration: 1}}",
+                "&x a: {simulation_duration: 1}",
+                "a: {<<: {simulation_duration: 1}}",
                 "%YAML 9.9\n---\na: {}",
                 "%TAG ! x\n---\na: {}",
-                "a: {duration: 1",
+                "a: {simulation_duration: 1",
                 "a: |\n  text",
                 "a:\n\tduration: 1",
                 "{{}: 1}",
                 "? \n: ",
                 "- - - a",
                 "a: !!python/none",
-                "a: {duration: !!float 3}",
+                "a: {simulation_duration: !!float 3}",
                 "a: {description: !!binary aGk=}",
                 "a: {description: >\n}",
                 "2024-01-01: {}",
                 "1.5: {}",
                 "a.b: {}",
-                "a-b: {duration: 0.5}",
+                "a-b: {simulation_duration: 0.5}",
             ]
         )
     ), _ANY
@@ -227,7 +227,9 @@ def _nested(rng: np.random.Generator, text: str) -> _Mutated:
     depth = int(rng.choice([3, 10, 19, 21, 50, 300, 1000, 3000, 20_000, 200_000]))
     opening, closing = (("[", "]"), ("{a: ", "}"), ("[[", "]]"), ("!A {a: ", "}"))[rng.integers(4)]
     path = str(
-        rng.choice(["duration", "system.load_inertia", "pattern.phases", "scene.trail_time"])
+        rng.choice(
+            ["simulation_duration", "system.load_inertia", "pattern.phases", "scene.trail_time"]
+        )
     )
     if rng.random() < 0.2:
         return opening * depth + closing * depth, _REFUSED
@@ -251,7 +253,10 @@ def _aliases(rng: np.random.Generator, text: str) -> _Mutated:
     if form == 2:
         bomb = ", ".join(f"&a{k} [{', '.join([f'*a{k - 1}'] * width)}]" for k in range(1, levels))
         return _at_a_path(rng, "system.attachments", f"[&a0 [1, 1, 1], {bomb}]"), _REFUSED
-    return f"mine: &m\n  duration: 1\n  {rng.choice(['system', 'scene', 'a'])}: *m\n", _REFUSED
+    return (
+        f"mine: &m\n  simulation_duration: 1\n  {rng.choice(['system', 'scene', 'a'])}: *m\n",
+        _REFUSED,
+    )
 
 
 def _large(rng: np.random.Generator, text: str) -> _Mutated:
@@ -262,12 +267,12 @@ def _large(rng: np.random.Generator, text: str) -> _Mutated:
     if form == 1:
         return "mine:\n" + "".join(f"  a{k}: {k}\n" for k in range(count)), _REFUSED
     if form == 2:
-        return f"mine: {{description: {'x' * count}, duration: 1}}", _ANY
+        return f"mine: {{description: {'x' * count}, simulation_duration: 1}}", _ANY
     if form == 3:
         count = min(max(count, 1000), 30_000)
         points = ", ".join(f"[{math.cos(k):.3f}, {math.sin(k):.3f}, 0]" for k in range(count))
         return _at_a_path(rng, "system.attachments", f"[{points}]"), _ANY
-    return "#" + "x" * count + "\n" * count + "mine: {duration: 1}", _ANY
+    return "#" + "x" * count + "\n" * count + "mine: {simulation_duration: 1}", _ANY
 
 
 def _damaged(rng: np.random.Generator, text: str) -> _Mutated:
@@ -340,7 +345,7 @@ def _base(rng: np.random.Generator, text: str) -> _Mutated:
             ]
         )
     )
-    return f"mine:\n  based_on: {base}\n  duration: 1\n".encode(), _ANY
+    return f"mine:\n  based_on: {base}\n  simulation_duration: 1\n".encode(), _ANY
 
 
 _MUTATIONS: dict[_Mutation, float] = {
@@ -417,4 +422,4 @@ def _written_again(scenario: Any) -> tuple[str, str]:
 def _fly(scenario: Any) -> Any:
     from drake_nonstop import simulate
 
-    return simulate(changed(scenario, ["duration=0.02"], trust=True))
+    return simulate(changed(scenario, ["simulation_duration=0.02"], trust=True))

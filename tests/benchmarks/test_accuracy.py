@@ -10,13 +10,13 @@ from drake_nonstop.benchmarks.accuracy import OVERRIDES, benchmark_accuracy, tab
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.overrides import changed
 
-BRIEF = ["duration=0.4", "optimization_layer=ConstantParameters"]
-LONG = ("simulator.integration_scheme=runge_kutta2", "simulator.max_step_size=0.01")
+BRIEF = ["simulation_duration=0.4", "optimization_layer=ConstantParameters"]
+LONG = ("simulator_config.integration_scheme=runge_kutta2", "simulator_config.max_step_size=0.01")
 
 
 @pytest.fixture(scope="module")
 def results():
-    overrides = [("fused_plant=true",), ("simulator.max_step_size=0.001",), LONG]
+    overrides = [("fused_plant=true",), ("simulator_config.max_step_size=0.001",), LONG]
     return benchmark_accuracy(load_scenario("line", BRIEF), overrides=overrides, repeats=2)
 
 
@@ -32,7 +32,8 @@ def test_shorter_steps_are_nearer_to_the_truth(results):
 def test_errors_are_the_largest_of_any_sample_and_carrier(results):
     scenario = load_scenario("line", BRIEF)
     runs = [
-        simulate(changed(scenario, [f"simulator.max_step_size={step}"])) for step in (5e-3, 5e-4)
+        simulate(changed(scenario, [f"simulator_config.max_step_size={step}"]))
+        for step in (5e-3, 5e-4)
     ]
     loads = [run.signal("load_state") for run in runs]
     far = max(np.linalg.norm(a[4:7] - b[4:7]) for a, b in zip(*loads, strict=True))
@@ -55,7 +56,7 @@ def test_a_run_that_diverges_is_reported(results):
 
 def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     arguments = ["bench", "accuracy", "line", "--repeats", "1", "--out", str(tmp_path)]
-    assert main([*arguments, "--set", "duration=0.05", BRIEF[1]]) == 0
+    assert main([*arguments, "--set", "simulation_duration=0.05", BRIEF[1]]) == 0
     assert "(as it is)" in capsys.readouterr().out
     runs = json.loads((tmp_path / "accuracy.json").read_text())["runs"]
     assert len(runs) == 1 + len(OVERRIDES)

@@ -21,7 +21,7 @@ from drake_nonstop.cli.main import main
 from drake_nonstop.simulation.metrics import METRICS
 from drake_nonstop.validation import ScenarioError
 
-RUN = "quintic duration=0.1 optimization_layer=ConstantParameters"
+RUN = "quintic simulation_duration=0.1 optimization_layer=ConstantParameters"
 ROW = "| `{}` | {} | | {} |"
 SHARES = "| search | 1.4 / 3.2 | 100.0% | {}% | 0.3 / 0.6 |"
 
@@ -106,12 +106,12 @@ def test_claims_of_speed_are_measured_by_their_benchmark(monkeypatch):
     asked = []
 
     def found(scenario, progress):
-        asked.append(scenario.duration)
+        asked.append(scenario.simulation_duration)
         return {"cost_of_real_time": 0.05}
 
     viewer = dataclasses.replace(BENCHMARKS["viewer"], measure=_of_scenario(found))
     monkeypatch.setitem(BENCHMARKS, "viewer", viewer)
-    row = ROW.format("bench viewer quintic duration=2", "share of real time (%)", "4")
+    row = ROW.format("bench viewer quintic simulation_duration=2", "share of real time (%)", "4")
     (claim,) = read_claims(row)
     assert measure([claim]) == {claim: Measured(value=5.0)}
     assert asked == [2.0]
@@ -129,7 +129,7 @@ def test_every_metric_that_is_one_value_can_be_claimed():
     ("arguments", "quantity", "words"),
     [
         (
-            "quintic duration=0.5 simulator.integration_scheme=explicit_euler",
+            "quintic simulation_duration=0.5 simulator_config.integration_scheme=explicit_euler",
             "final A (N)",
             "diverged",
         ),
@@ -161,7 +161,7 @@ def test_command_fails_with_a_claim(tmp_path, capsys):
     [
         ("quintic", False),
         ("line phase=PaperPhase", False),
-        ("line load_trajectory.blend_time=2 simulator.max_step_size=0.001", True),
+        ("line load_trajectory.blend_time=2 simulator_config.max_step_size=0.001", True),
         ("paper_line load_trajectory.blend_time=0", True),
     ],
 )
@@ -192,7 +192,7 @@ def test_only_what_half_the_step_leaves_is_resolved():
 
 def test_a_run_that_its_step_does_not_resolve_fails_its_claim():
     points = "[[0.8,0.75,0],[-0.75,0.7,0],[-0.75,-0.75,0],[0.75,-0.75,0]]"
-    arguments = f"quintic duration=2 simulated.attachments={points}"
+    arguments = f"quintic simulation_duration=2 simulated.attachments={points}"
     claim = Claim(arguments=arguments, quantity="slowest final speed (m/s)", printed="1")
     assert not measure([claim])[claim].is_resolved
 

@@ -25,7 +25,7 @@ from drake_nonstop.systems.traced_block import _Traced
 from drake_nonstop.validation import ScenarioError
 
 # The integrator's name is written out, since what is counted depends on it.
-SHORT = ["duration=0.1", "simulator.integration_scheme=runge_kutta3"]
+SHORT = ["simulation_duration=0.1", "simulator_config.integration_scheme=runge_kutta3"]
 QUICK = Source("quintic", SHORT)
 SWAPS = {
     "as it is": [],
@@ -120,7 +120,7 @@ def test_calls_are_counted(timed):
     run, timers = timed
     assert timers.steps == len(run.steps["time"]) - 1
     assert calls(timers, "load_plant", "_calc") == 3 * timers.steps
-    updates = round(run.scenario.duration / run.scenario.optimization_layer.period)
+    updates = round(run.scenario.simulation_duration / run.scenario.optimization_layer.period)
     assert abs(calls(timers, "optimization_layer", "_update_at_sample") - updates) <= 1
     evaluations = sum(f.evaluations for f in timers.root.walk() if f.box == "load_plant")
     assert evaluations == 3 * timers.steps
@@ -459,7 +459,7 @@ def test_commands_print_tables_and_write_files(tmp_path, capsys, monkeypatch):
     assert f"{found['real_time_factor']['median']:.2f}" in text
     assert all(block["name"] in text for block in found["blocks"])
     arguments = ["bench", "run", "quintic", "--set", *SHORT, *out]
-    assert main([*arguments, "--against", "simulator.max_step_size=0.0025"]) == 0
+    assert main([*arguments, "--against", "simulator_config.max_step_size=0.0025"]) == 0
     text = capsys.readouterr().out
     found = json.loads((tmp_path / "comparison.json").read_text())
     ratio, factors = found["present_over_other"], found["real_time_factor"]

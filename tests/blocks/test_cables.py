@@ -89,9 +89,12 @@ def test_alike_cables_are_the_plain_ones_and_unlike_ones_are_not():
 
 def test_a_cable_that_goes_slack_and_taut_does_not_chatter():
     """One cable 3 % too long: it is slack part of each turn, and the tension has no jumps."""
-    settings = ["cables=!IndividualCables {rest_length: [0.8, 0.8, 0.8, 0.83]}", "duration=4"]
+    settings = [
+        "cables=!IndividualCables {rest_length: [0.8, 0.8, 0.8, 0.83]}",
+        "simulation_duration=4",
+    ]
     run = simulate(load_scenario("quintic", settings))
-    fine = simulate(load_scenario("quintic", [*settings, "simulator.max_step_size=0.001"]))
+    fine = simulate(load_scenario("quintic", [*settings, "simulator_config.max_step_size=0.001"]))
     switches = []
     for each in (run, fine):
         slack = each.steps["tensions"][each.steps["time"] > 1.0, 3] <= 0

@@ -88,7 +88,7 @@ def test_with_the_cables_reaction_and_a_wrong_mass_the_bound_holds(mass):
 
 
 def test_carriers_too_weak_for_the_load_let_it_down():
-    settings = [*LOADED, "carrier_dynamics.max_force=3.0", "duration=2"]
+    settings = [*LOADED, "carrier_dynamics.max_force=3.0", "simulation_duration=2"]
     run = simulate(load_scenario("quintic", settings))
     assert run.signal("load_state")[-1, 6] < -0.1
 

@@ -71,7 +71,7 @@ def test_a_delayed_state_is_that_of_so_many_samples_ago():
     """In the loop: what the controllers hold is what the load was N periods before."""
     for periods in (1, 3):
         setting = f"load_feedback=!NoisyFeedback {{delay: {0.01 * periods}}}"
-        run = simulate(load_scenario("quintic", [setting, "duration=1"]))
+        run = simulate(load_scenario("quintic", [setting, "simulation_duration=1"]))
         held, load = run.signal("held_measured_load_state"), run.signal("load_state")
         # The signals at a sample's instant hold what was taken at the one before.
         for k in (20, 57, 99):

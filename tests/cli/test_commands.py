@@ -52,7 +52,10 @@ def test_list_has_a_line_for_each_scenario(capsys):
 
 
 def test_a_run_leaves_all_its_results_and_a_table(tmp_path, capsys):
-    assert main(["run", "quintic", "--out", str(tmp_path / "a"), "--set", "duration=0.3"]) == 0
+    assert (
+        main(["run", "quintic", "--out", str(tmp_path / "a"), "--set", "simulation_duration=0.3"])
+        == 0
+    )
     folder = tmp_path / "a"
     assert contents(folder) == RESULTS
     assert contents(folder / "figures") == {f"{name}.png" for name in FIGURES}
@@ -83,7 +86,7 @@ def brief_runs(tmp_path_factory):
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text):
         for folder in (new, used):
-            overrides = ["--set", "duration=0.3", "system.load_mass=1.3"]
+            overrides = ["--set", "simulation_duration=0.3", "system.load_mass=1.3"]
             assert main(["run", "quintic", "--out", str(folder), *overrides, *BRIEF]) == 0
     return new, used, text.getvalue()
 
@@ -112,7 +115,7 @@ def test_quiet_prints_nothing(brief_runs):
 
 def test_verified_steps_are_reported(tmp_path, capsys):
     arguments = ["run", "quintic", "--out", str(tmp_path), "--no-figures", "--no-replay"]
-    assert main([*arguments, "--verify-step", "--set", "duration=0.3"]) == 0
+    assert main([*arguments, "--verify-step", "--set", "simulation_duration=0.3"]) == 0
     assert "with steps of 2.5 ms no metric moves" in capsys.readouterr().out
     half_step = json.loads((tmp_path / "metrics.json").read_text())["half_step"]
     assert half_step == {"step_s": 0.0025, "moved": {}}
@@ -128,7 +131,7 @@ def test_bad_input_leaves_no_new_folder(tmp_path):
 
 
 def test_dangerous_metrics_are_warned_of(tmp_path, capsys):
-    overrides = ["--set", "optimization_layer.speed_bound=0.8", "duration=0.3"]
+    overrides = ["--set", "optimization_layer.speed_bound=0.8", "simulation_duration=0.3"]
     overrides += ["optimization_layer.frequency_bounds=[1, 2.05]"]
     overrides += ["optimization_layer.amplitude_bounds=[1, 1.25]"]
     overrides += ["limits.carrier_distance=2", "limits.cable_distance=0.01", "limits.speed=0.1"]
@@ -157,6 +160,18 @@ def test_what_limits_have_replaced_is_said(capsys):
         error = capsys.readouterr().err
         assert error.startswith(f"drake-nonstop: quintic.{name} = 5: give {field} instead, ")
         assert load_scenario("quintic", [f"{field}=0.3"])
+
+
+def test_the_former_name_of_a_field_is_refused_with_its_name_of_today(capsys):
+    for setting, field, now in (
+        ("duration=5", "quintic.duration = 5: duration", "simulation_duration"),
+        ("simulator.accuracy=0.1", "--set = simulator.accuracy=0.1: simulator", "simulator_config"),
+        ("simulator={}", "quintic.simulator = {}: simulator", "simulator_config"),
+    ):
+        assert main(["run", "quintic", "--set", setting]) == BAD_INPUT
+        assert capsys.readouterr().err == f"drake-nonstop: {field} is called {now} now\n"
+        former = setting.partition("=")[0].partition(".")[0]
+        assert load_scenario("quintic", [setting.replace(former, now, 1)])
 
 
 @pytest.mark.parametrize(
@@ -188,7 +203,11 @@ def test_an_unwritable_folder_is_reported_before_the_run(tmp_path, capsys, monke
 
 
 def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys):
-    overrides = ["--set", "simulator.integration_scheme=explicit_euler", "duration=2"]
+    overrides = [
+        "--set",
+        "simulator_config.integration_scheme=explicit_euler",
+        "simulation_duration=2",
+    ]
     assert main(["run", "quintic", "--out", str(tmp_path), *overrides, *BRIEF]) == 1
     error = capsys.readouterr().err
     assert "diverged at t = " in error
@@ -202,7 +221,7 @@ def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys)
 
 
 def test_ctrl_c_keeps_what_was_simulated(tmp_path):
-    arguments = ["run", "line", "--out", tmp_path, "--set", "duration=1000", *BRIEF[1:]]
+    arguments = ["run", "line", "--out", tmp_path, "--set", "simulation_duration=1000", *BRIEF[1:]]
     process = subprocess.Popen(
         [sys.executable, "-m", "drake_nonstop.cli", *arguments],
         stderr=subprocess.PIPE,
@@ -253,7 +272,7 @@ def test_a_taken_port_is_reported(tmp_path, capsys):
 
 
 def test_a_live_run_without_a_browser_ends_with_its_results(tmp_path, capsys):
-    options = ["--live", "--realtime", "0", "--set", "duration=0.2", *BRIEF[1:]]
+    options = ["--live", "--realtime", "0", "--set", "simulation_duration=0.2", *BRIEF[1:]]
     assert main(["run", "quintic", "--out", str(tmp_path), *options]) == 0
     assert "http://localhost:" in capsys.readouterr().out
     assert contents(tmp_path) == RESULTS - {"figures", "replay.html"}
@@ -277,7 +296,11 @@ def test_bad_options_of_a_live_run(options, words, tmp_path, capsys):
 
 
 def test_warnings_are_errors_output_and_quiet_silences_them(tmp_path, capsys):
-    settings = ["duration=0.05", "optimization_layer=ConstantParameters", "limits.speed=0.1"]
+    settings = [
+        "simulation_duration=0.05",
+        "optimization_layer=ConstantParameters",
+        "limits.speed=0.1",
+    ]
     settings += ["fused_plant=true", "load_plant=MultibodyLoadPlant"]
     arguments = ["run", "line", "--out", str(tmp_path), *BRIEF[1:]]
     assert main([*arguments, "--set", *settings]) == 0

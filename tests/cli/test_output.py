@@ -61,7 +61,7 @@ def run(arguments, redirections, folder):
     ],
 )
 def test_results_do_not_depend_on_what_is_printed(tmp_path, redirections, code, words):
-    options = "--no-figures --no-replay --set duration=0.1"
+    options = "--no-figures --no-replay --set simulation_duration=0.1"
     done = run(f"run quintic {options}", redirections, tmp_path)
     assert done.returncode == code
     assert words in done.stderr

@@ -28,7 +28,7 @@ class Steady(LeafSystem):
             "parameters", 2, lambda context, output: output.SetFromVector([1.0, 1.0])
         )
 """
-SHORT = ["duration=0.05", "optimization_layer=ConstantParameters"]
+SHORT = ["simulation_duration=0.05", "optimization_layer=ConstantParameters"]
 
 
 @pytest.fixture(scope="module")

@@ -144,9 +144,18 @@ def flown(folder):
 _DRAWN = {  # commands, and within how many s of their start they are signalled
     ("list",): 1.5,
     ("blocks",): 2.0,
-    ("run", "quintic", "--out", "o", "--set", "duration=3"): 5.0,
-    ("run", "line", "--out", "o", "--no-replay", "--set", "duration=1000"): 5.0,
-    ("run", "quintic", "--out", "o", "--live", "--no-figures", "--set", "duration=2"): 5.0,
+    ("run", "quintic", "--out", "o", "--set", "simulation_duration=3"): 5.0,
+    ("run", "line", "--out", "o", "--no-replay", "--set", "simulation_duration=1000"): 5.0,
+    (
+        "run",
+        "quintic",
+        "--out",
+        "o",
+        "--live",
+        "--no-figures",
+        "--set",
+        "simulation_duration=2",
+    ): 5.0,
     ("bench", "optimizer", "--out", "o", "--instances", "30"): 4.0,
     ("view", ".", "--no-open"): 2.0,
 }
@@ -210,7 +219,9 @@ def test_a_blocks_exit_is_its_error_and_what_was_flown_is_kept(start, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_one_signal_ends_a_run_in_order(start, tmp_path, number):
     options = ["--no-figures", "--no-replay", "--out", "o", "--trust"]
-    process = start("run", "quintic", *options, "--set", "duration=1000", "phase=stays.FliesOn")
+    process = start(
+        "run", "quintic", *options, "--set", "simulation_duration=1000", "phase=stays.FliesOn"
+    )
     wait_for(tmp_path / "there")
     process.send_signal(number)
     code, sentences, _ = ended(process)

@@ -470,7 +470,7 @@ def test_scenario_is_left_as_it_was():
     make_nonstop(scenario, phase=PaperPhase)
     after = dataclasses.asdict(scenario)
     for key in before:
-        if key != "simulator":
+        if key != "simulator_config":
             assert after[key] == before[key], key
 
 

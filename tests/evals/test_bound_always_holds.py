@@ -24,7 +24,7 @@ def variation(seed: int) -> Scenario:
     rng = np.random.default_rng([3, seed])
     name = ("quintic", "line", "three_carriers")[seed % 3]
     scenario = load_scenario(name)
-    scenario.duration = 10.0
+    scenario.simulation_duration = 10.0
     system, move = scenario.system, scenario.load_trajectory
     system.load_mass *= rng.uniform(0.8, 1.2)
     system.carrier_mass *= rng.uniform(0.8, 1.2)
@@ -65,5 +65,5 @@ def test_a_higher_bound_holds_at_any_rate_of_the_optimization(name, rate, contro
     scenario.optimization_layer.period = 1 / rate
     scenario.optimization_layer.speed_bound *= 1.2
     if name == "line":
-        scenario.duration = 10.0
+        scenario.simulation_duration = 10.0
     assert_no_carrier_is_ever_below_its_bound(scenario)

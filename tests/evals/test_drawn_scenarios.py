@@ -29,7 +29,7 @@ FIELDS = [
     *("system.load_mass", "system.load_drag", "system.load_angular_drag", "system.cable_length"),
     *("system.cable_stiffness", "system.cable_damping", "system.carrier_mass", "system.gravity"),
     *("simulated.load_mass", "simulated.cable_length", "simulated.carrier_mass"),
-    *("control_period", "simulator.max_step_size", "load_trajectory.move_time"),
+    *("control_period", "simulator_config.max_step_size", "load_trajectory.move_time"),
     *("wrench_controller.position_gain", "wrench_controller.feedforward"),
     *("optimization_layer.speed_bound", "optimization_layer.tightening"),
     *("optimization_layer.frequency", "optimization_layer.amplitude"),
@@ -91,7 +91,7 @@ SETTINGS = st.one_of(
 def draw_and_run(name, optimized, drawn, duration):
     layer = [] if optimized else ["optimization_layer=ConstantParameters"]
     try:
-        scenario = changed(loaded(name), [*layer, f"duration={duration}", *drawn])
+        scenario = changed(loaded(name), [*layer, f"simulation_duration={duration}", *drawn])
         run = simulate(scenario)
     except ScenarioError as error:
         counts["invalid"] += 1
@@ -118,7 +118,7 @@ def draw_and_run(name, optimized, drawn, duration):
             assert kind not in message
         return
     counts["sound"] += 1
-    assert run.time[-1] == scenario.duration
+    assert run.time[-1] == scenario.simulation_duration
     for signal, values in run.signals.items():
         assert np.isfinite(values).all(), signal
 

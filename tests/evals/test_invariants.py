@@ -18,7 +18,7 @@ CONSTANT = ["optimization_layer=!ConstantParameters {}"]
 def fine(shared_runs):
     """The quintic, slowly turning and moving, with its signals at every ms."""
     return shared_runs.run(
-        load_scenario("quintic", ["duration=6", "simulator.max_step_size=0.001"])
+        load_scenario("quintic", ["simulation_duration=6", "simulator_config.max_step_size=0.001"])
     )
 
 
@@ -101,7 +101,7 @@ def test_internal_forces_have_no_net_wrench(fine):
 def test_a_turned_and_moved_run_gives_the_turned_and_moved_result(overrides, tolerance):
     yaw, shift = 0.7, np.array([3.0, -2.0, 5.0])
     turn = Rotation.from_euler("z", yaw).as_matrix()
-    scenario = load_scenario("quintic", ["duration=4", *overrides])
+    scenario = load_scenario("quintic", ["simulation_duration=4", *overrides])
     trajectory = scenario.load_trajectory
     turned = dataclasses.replace(
         scenario,
@@ -122,7 +122,7 @@ def test_a_turned_and_moved_run_gives_the_turned_and_moved_result(overrides, tol
 
 def test_carriers_of_a_square_follow_each_other():
     """With phases a quarter of a turn apart each does what its neighbour did before."""
-    scenario = load_scenario("quintic", ["duration=12.5", "pattern.phases=[]"])
+    scenario = load_scenario("quintic", ["simulation_duration=12.5", "pattern.phases=[]"])
     scenario.optimization_layer = ConstantParametersConfig(frequency=2 * np.pi / 3.2)
     scenario.load_trajectory = dataclasses.replace(
         scenario.load_trajectory, displacement=[0.0] * 3, roll_pitch_yaw=[0.0] * 3
@@ -144,7 +144,7 @@ def test_the_integrator_converges_in_its_nominal_order():
     results = []
     steps = (0.005, 0.0025, 0.00125, 0.000625, 0.0003125)
     for step in steps:
-        overrides = ["duration=2", f"simulator.max_step_size={step}", *CONSTANT]
+        overrides = ["simulation_duration=2", f"simulator_config.max_step_size={step}", *CONSTANT]
         run = simulate(load_scenario("quintic", overrides))
         states = [run.signal("load_state")[-1, :7], run.signal("carrier_state")[-1]]
         results.append(np.concatenate(states))

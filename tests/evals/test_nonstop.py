@@ -34,7 +34,9 @@ def test_without_optimization_the_same_task_would_stop_the_carriers(evaluated):
 
 def test_the_bound_holds_between_the_steps_too():
     """The default step of 5 ms hides no dip that one of 1 ms would show."""
-    scenario = load_scenario("line", ["simulator.max_step_size=0.001", "duration=9"])
+    scenario = load_scenario(
+        "line", ["simulator_config.max_step_size=0.001", "simulation_duration=9"]
+    )
     metrics = compute_metrics(simulate(scenario))
     assert metrics["optimizer"]["solved"] > 0
     assert metrics["carriers"]["time_below_bound_s"] == 0

@@ -9,7 +9,7 @@ from drake_nonstop import Scenario, compute_metrics, load_scenario, simulate
 def octagon(**fields: float) -> Scenario:
     """A load on the corners of an octagon of radius 1 m, whose carriers would meet."""
     scenario = load_scenario("quintic")
-    scenario.duration = 8.0
+    scenario.simulation_duration = 8.0
     angles = 2 * np.pi * np.arange(8) / 8
     corners = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(8)])
     scenario.system.attachments = corners.tolist()

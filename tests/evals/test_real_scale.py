@@ -40,7 +40,7 @@ def test_spread_carousel_flies_any_number_of_carriers_apart(n, shared_runs):
 
 def test_without_the_optimization_carriers_are_too_slow():
     scenario = load_scenario(
-        "real_scale_spread", ["optimization_layer=ConstantParameters", "duration=12"]
+        "real_scale_spread", ["optimization_layer=ConstantParameters", "simulation_duration=12"]
     )
     carriers = compute_metrics(simulate(scenario))["carriers"]
     assert carriers["speed_bound_m_s"] == 8

@@ -23,7 +23,7 @@ def growth_per_turn(resting, turns):
     nonstop = make_nonstop(resting)
     equilibrium = nonstop.CreateDefaultContext()
     set_equilibrium(nonstop, equilibrium)
-    config = stable_config(resting.simulator, nonstop, equilibrium)
+    config = stable_config(resting.simulator_config, nonstop, equilibrium)
     runs = []
     for size in (0.0, 1e-8):
         context = equilibrium.Clone()
@@ -112,7 +112,7 @@ def test_printed_gains_are_unstable_on_a_heavy_carrier_and_stable_on_a_light_one
 def test_a_shorter_step_shows_what_a_long_one_damps(paper_quintic):
     """The printed gains, sampled at 100 Hz, are stable by the damping of the 5 ms step only."""
     assert paper_quintic.is_stable
-    fine = load_scenario("paper_quintic", ["simulator.max_step_size=0.001"])
+    fine = load_scenario("paper_quintic", ["simulator_config.max_step_size=0.001"])
     found = linearize(fine)
     assert found.largest == pytest.approx(growth_per_turn(at_rest(fine), 3), rel=0.1)
     assert found.largest > 3

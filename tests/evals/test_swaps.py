@@ -29,7 +29,9 @@ ALTERNATIVES = [
 @pytest.fixture(scope="module")
 def scenario():
     """The quintic task for 2 s, without the optimization, which takes the longest to build."""
-    return load_scenario("quintic", ["duration=2", "optimization_layer=ConstantParameters"])
+    return load_scenario(
+        "quintic", ["simulation_duration=2", "optimization_layer=ConstantParameters"]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +46,10 @@ def test_swap_changes_nothing_but_the_box(scenario, with_block, box, old, new):
     after = changed(before, [f"{box}={new}"])
     assert type(getattr(after, box)).__name__ == f"{new}Config"
     for field in dataclasses.fields(scenario):
-        if field.name not in (box, "simulator"):
+        if field.name not in (box, "simulator_config"):
             assert getattr(after, field.name) == getattr(before, field.name), field.name
     for field in SimulatorConfig.__fields__:
-        values = [getattr(each.simulator, field.name) for each in (before, after)]
+        values = [getattr(each.simulator_config, field.name) for each in (before, after)]
         assert values[0] == values[1], field.name
 
 

@@ -187,7 +187,7 @@ def spread_carousel(n, spread):
 def test_spread_carousel_holds_a_load_at_rest_and_every_carrier_in_motion(n):
     share = 9.81 / n
     scenario = Scenario(
-        duration=1.0,
+        simulation_duration=1.0,
         system=SystemParameters(attachments=regular(n).tolist()),
         pattern=spread_carousel(n, share),
         optimization_layer=ConstantParametersConfig(frequency=2.0, amplitude=0.4 * share),

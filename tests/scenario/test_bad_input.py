@@ -229,7 +229,7 @@ def test_extreme_values_build_or_are_said(seed):
         old = getattr(target, field, None)
         if part == "simulated":
             old = getattr(scenario.system, field)
-        is_part = dataclasses.is_dataclass(old) or field == "simulator"
+        is_part = dataclasses.is_dataclass(old) or field == "simulator_config"
         new = None if is_part else extreme(old, draw)
 
         def action(part=part, field=field, new=new, target=target, scenario=scenario):
@@ -246,10 +246,13 @@ def test_extreme_values_build_or_are_said(seed):
 def test_any_sweep_and_grid(seed, tmp_path):
     draw = random.Random(4000 + seed)
     specs = [
-        "seed: 3\nruns: 4\noverrides: [duration=1]\ngrid:\n  system.load_mass: [1, 2]\n"
-        "draws:\n  system.load_drag: {uniform: [0.1, 1]}\n  duration: {log_uniform: [1, 2]}\n",
-        "runs: 2\ndraws: {load_disturbance.seed: {seed: true}, duration: {normal: [5, 0.1]}}\n",
-        "description: x\nvariants:\n  a: [duration=1]\n  b: [duration=2, phase=PaperPhase]\n",
+        "seed: 3\nruns: 4\noverrides: [simulation_duration=1]\ngrid:\n  system.load_mass: [1, 2]\n"
+        "draws:\n  system.load_drag: {uniform: [0.1, 1]}\n"
+        "  simulation_duration: {log_uniform: [1, 2]}\n",
+        "runs: 2\n"
+        "draws: {load_disturbance.seed: {seed: true}, simulation_duration: {normal: [5, 0.1]}}\n",
+        "description: x\nvariants:\n  a: [simulation_duration=1]\n"
+        "  b: [simulation_duration=2, phase=PaperPhase]\n",
         "grid:\n  phase: [PaperPhase, AccumulatedPhase]\n  system.load_mass: [1, 2, 3]\n",
     ]
     file = tmp_path / "spec.yaml"
@@ -352,8 +355,8 @@ def test_what_is_no_regular_file_is_not_read(tmp_path):
 
 def test_a_file_with_a_byte_order_mark_is_read(tmp_path):
     path = tmp_path / "mine.yaml"
-    path.write_bytes(b"\xef\xbb\xbfmine: {duration: 2}\n")
-    assert load_scenario(path).duration == 2
+    path.write_bytes(b"\xef\xbb\xbfmine: {simulation_duration: 2}\n")
+    assert load_scenario(path).simulation_duration == 2
 
 
 @pytest.mark.parametrize(("part", "config"), CONFIGS, ids=lambda item: str(item)[:40])
@@ -394,7 +397,7 @@ def test_scalars_are_those_of_yaml_1_2(text, value):
         ("description=5", "give a text, in quotes"),
         ("phase='!PaperPhase {}'", "give it without quotes, or the name alone: PaperPhase"),
         ("system=!Foo {}", "take the tag away"),
-        ("duration=1e8", "give at most"),
+        ("simulation_duration=1e8", "give at most"),
     ],
 )
 def test_the_remedy_is_the_right_one(setting, remedy):
@@ -405,9 +408,9 @@ def test_the_remedy_is_the_right_one(setting, remedy):
 def test_what_is_assigned_is_checked_before_a_run():
     scenario = load_scenario("quintic")
     for value in (math.inf, math.nan, -1, 0, None, "5", [5], np.array([5.0]), 10**400, True):
-        scenario.duration = value
+        scenario.simulation_duration = value
         for action in (make_nonstop, simulate, dump_scenario):
-            with pytest.raises(ScenarioError, match=r"quintic\.duration = .*: give"):
+            with pytest.raises(ScenarioError, match=r"quintic\.simulation_duration = .*: give"):
                 action(scenario)
     for scenario in (None, "quintic", {}, Scenario):
         for action in (simulate, dump_scenario):
@@ -427,7 +430,7 @@ def test_numpy_in_a_field_is_python_in_the_scenario():
     scenario.system.attachments = np.array(scenario.system.attachments)
     scenario.system.load_mass = np.float32(1.0)
     scenario.pattern.phases = tuple(scenario.pattern.phases)
-    scenario.duration = np.int64(15)
+    scenario.simulation_duration = np.int64(15)
     assert dump_scenario(scenario) == dump_scenario(load_scenario("quintic"))
     scenario.system.attachments[0][0] = np.float64(0.75)  # in place
     assert dump_scenario(scenario) == dump_scenario(load_scenario("quintic"))
@@ -447,7 +450,7 @@ def test_a_swap_in_python_is_that_of_the_command_line(box):
 
 
 def test_a_run_is_judged_by_the_bound_that_the_scenario_states():
-    scenario = load_scenario("quintic", ["duration=0.02"])
+    scenario = load_scenario("quintic", ["simulation_duration=0.02"])
     run = simulate(scenario, optimization_layer=ConstantParameters)
     assert run.scenario.speed_bound == 0.55
     assert run.steps["speed_bound"][-1] == 0.55
@@ -464,6 +467,6 @@ class OwnOptimizer(NonstopOptimizer):
     [lambda model: ConstantParameters(model), ConstantParametersConfig(), OwnOptimizer],
 )
 def test_a_bound_of_the_replacement_itself_is_warned_of(replacement):
-    scenario = load_scenario("quintic", ["duration=0.02"])
+    scenario = load_scenario("quintic", ["simulation_duration=0.02"])
     with pytest.warns(ScenarioWarning, match="judged by the 0.2 m/s .* bound of 0.55 m/s"):
         simulate(scenario, optimization_layer=replacement)

@@ -44,11 +44,16 @@ def test_another_block_begins_with_its_own_defaults():
 
 def test_a_chain_of_files_is_found_from_folder_to_folder(tmp_path):
     (tmp_path / "bases").mkdir()
-    (tmp_path / "bases" / "a.yaml").write_text("a: {based_on: line, duration: 3.0}")
+    (tmp_path / "bases" / "a.yaml").write_text("a: {based_on: line, simulation_duration: 3.0}")
     (tmp_path / "bases" / "b.yaml").write_text("b: {based_on: a.yaml, system: {load_mass: 1.1}}")
     (tmp_path / "c.yaml").write_text("c: {based_on: bases/b.yaml, description: mine}")
     scenario = load_scenario(tmp_path / "c.yaml", ["system.load_drag=0.5"])
-    overrides = ["duration=3.0", "system.load_mass=1.1", "system.load_drag=0.5", "description=mine"]
+    overrides = [
+        "simulation_duration=3.0",
+        "system.load_mass=1.1",
+        "system.load_drag=0.5",
+        "description=mine",
+    ]
     assert resolved(scenario) == resolved(load_scenario("line", overrides))
 
 

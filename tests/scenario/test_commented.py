@@ -54,7 +54,7 @@ def test_new_writes_a_file_that_runs_and_replaces_none(tmp_path, monkeypatch, ca
     assert main(["new", "mine.yaml", "--from", "three_carriers"]) == 0
     (name,) = yaml.compose((tmp_path / "mine.yaml").read_text()).value[0][:1]
     assert name.value == "mine"
-    brief = ["--quiet", "--no-figures", "--no-replay", "--set", "duration=0.05"]
+    brief = ["--quiet", "--no-figures", "--no-replay", "--set", "simulation_duration=0.05"]
     assert main(["run", "mine.yaml", *brief]) == 0
     before = (tmp_path / "mine.yaml").read_bytes()
     assert main(["new", "mine.yaml"]) == 2

@@ -65,9 +65,9 @@ def test_the_paper_scenarios_are_as_printed():
 
 def test_a_setting_changes_one_field_and_keeps_the_rest():
     plain = load_scenario("quintic")
-    changed = load_scenario("quintic", ["system.load_mass=1.2", "duration=2"])
+    changed = load_scenario("quintic", ["system.load_mass=1.2", "simulation_duration=2"])
     assert changed.system.load_mass == 1.2
-    assert changed.duration == 2.0
+    assert changed.simulation_duration == 2.0
     assert changed.optimization_layer == plain.optimization_layer
 
 
@@ -91,9 +91,9 @@ def test_a_setting_overrides_the_simulated_system_alone():
 
 
 def test_a_number_in_exponent_notation_is_a_number():
-    assert load_scenario("quintic", ["simulator.max_step_size=5e-3"]).simulator.max_step_size == (
-        0.005
-    )
+    assert load_scenario(
+        "quintic", ["simulator_config.max_step_size=5e-3"]
+    ).simulator_config.max_step_size == (0.005)
 
 
 def test_a_file_with_defaults_only_needs_no_more_than_its_name(tmp_path):
@@ -126,10 +126,10 @@ def test_a_file_with_defaults_only_needs_no_more_than_its_name(tmp_path):
         ("optimization_layer.look_ahead_points=1.5", ["look_ahead_points = 1.5", "whole number"]),
         ("phase=!Phase {}", ["phase = !Phase", "!AccumulatedPhase, !PaperPhase"]),
         ("control_period=-1", ["control_period = -1", "0 for continuous"]),
-        ("duration=1:30", ["duration = 1:30", "plain digits"]),
-        ("simulator.start_time=5", ["simulator.start_time = 5", "give 0"]),
+        ("simulation_duration=1:30", ["simulation_duration = 1:30", "plain digits"]),
+        ("simulator_config.start_time=5", ["simulator_config.start_time = 5", "give 0"]),
         ("optimization_layer.speed_bound=1e-9", ["speed_bound = 1e-09", "no bound"]),
-        ("duration=0", ["duration = 0", "greater than zero"]),
+        ("simulation_duration=0", ["simulation_duration = 0", "greater than zero"]),
         ("duration", ["--set = duration", "path=value"]),
         ("simulated.attachments=[[1,0,0],[0,1,0],[-1,-1,0]]", ["simulated.attachments", "4"]),
     ],

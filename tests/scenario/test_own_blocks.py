@@ -112,7 +112,8 @@ def folder(tmp_path, monkeypatch):
     """The current folder, with a module and a scenario of the user's."""
     (tmp_path / "own_test_blocks.py").write_text(textwrap.dedent(MODULE))
     (tmp_path / "mine.yaml").write_text(
-        "mine: {duration: 0.2, optimization_layer: !own_test_blocks.Steady {frequency: 1.5}}"
+        "mine: {simulation_duration: 0.2, "
+        "optimization_layer: !own_test_blocks.Steady {frequency: 1.5}}"
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -219,7 +220,7 @@ def test_constructor_that_fails_is_told_in_a_sentence(folder):
 
 def test_error_during_a_run_names_block_and_line(folder):
     setting = "optimization_layer=own_test_blocks.Failing"
-    scenario = load_scenario("quintic", ["duration=0.3", setting], trust=True)
+    scenario = load_scenario("quintic", ["simulation_duration=0.3", setting], trust=True)
     with pytest.raises(
         RunStopped,
         match=r"optimization_layer \(own_test_blocks.py:\d+\): ZeroDivisionError: nothing",

@@ -35,9 +35,11 @@ CASES = [
 
 @pytest.mark.parametrize(("box", "signal", "value", "fault"), CASES)
 def test_the_source_of_a_value_is_named(box, signal, value, fault):
-    scenario = load_scenario("quintic", ["duration=0.3"])
+    scenario = load_scenario("quintic", ["simulation_duration=0.3"])
     if box != "load_disturbance":
-        scenario = load_scenario("quintic", ["duration=0.3", "load_feedback=DesiredStateFeedback"])
+        scenario = load_scenario(
+            "quintic", ["simulation_duration=0.3", "load_feedback=DesiredStateFeedback"]
+        )
     with pytest.raises(RunStopped, match=f"diverged at t = 0.1.* s: {box} made a value"):
         simulate(scenario, **{box: lambda model: Faulty(signal, value, fault)})
 
@@ -63,7 +65,7 @@ def test_a_fault_inside_the_loop_is_blamed_on_its_block():
             self.DeclareVectorOutputPort("tensions", model.n, lambda context, output: None)
 
     with pytest.raises(RunStopped, match=r"diverged at t = 0\.1\d* s: cables made a value"):
-        simulate(load_scenario("quintic", ["duration=0.3"]), cables=FaultyCables)
+        simulate(load_scenario("quintic", ["simulation_duration=0.3"]), cables=FaultyCables)
 
 
 def test_a_load_of_many_tonnes_does_not_count_as_diverged():
@@ -91,11 +93,13 @@ def test_a_load_of_many_tonnes_does_not_count_as_diverged():
                 ("orientation_integral_gain", 0.1),
             )
         ),
-        "duration=0.5",
+        "simulation_duration=0.5",
     ]
     heavy = simulate(load_scenario("quintic", overrides))
     light = simulate(
-        load_scenario("quintic", ["optimization_layer=!ConstantParameters {}", "duration=0.5"])
+        load_scenario(
+            "quintic", ["optimization_layer=!ConstantParameters {}", "simulation_duration=0.5"]
+        )
     )
     assert np.abs(heavy.signal("load_state") - light.signal("load_state")).max() < 1e-6
     assert heavy.signal("tensions").max() > 1e6

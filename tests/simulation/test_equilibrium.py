@@ -12,7 +12,7 @@ GENERATOR = np.random.default_rng(16)
 
 
 def short(*overrides):
-    return load_scenario("quintic", ["duration=0.05", *overrides])
+    return load_scenario("quintic", ["simulation_duration=0.05", *overrides])
 
 
 @pytest.mark.parametrize("points", GENERATOR.uniform(-1, 1, (5, 4, 3)).tolist())

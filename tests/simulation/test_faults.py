@@ -18,7 +18,7 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
-BRIEF = ["--quiet", "--no-figures", "--no-replay", "--set", "duration=0.3"]
+BRIEF = ["--quiet", "--no-figures", "--no-replay", "--set", "simulation_duration=0.3"]
 
 
 def command(folder, *more):
@@ -87,7 +87,7 @@ def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch):
     solve = UpdateSolver.solve
     monkeypatch.setattr(UpdateSolver, "solve", broken)
     with pytest.raises(ScenarioError, match=r"start = optimization_layer: .*not finite"):
-        simulate(load_scenario("quintic", ["duration=0.3"]))
+        simulate(load_scenario("quintic", ["simulation_duration=0.3"]))
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.05])
@@ -96,7 +96,7 @@ def test_ctrl_c_while_results_are_written_leaves_what_was_flown(tmp_path, result
     before = contents(tmp_path)
     # The signal comes as the new folder appears.
     process = subprocess.Popen(
-        [*command(tmp_path, "system.load_mass=1.1"), "duration=1"],
+        [*command(tmp_path, "system.load_mass=1.1"), "simulation_duration=1"],
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},

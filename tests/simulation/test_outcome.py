@@ -292,7 +292,9 @@ def test_limits_are_checked_dumped_and_loaded(field):
 
 
 def test_a_load_that_falls_is_lost():
-    metrics = compute_metrics(simulate(load_scenario("quintic", ["duration=0.8", *FALLING])))
+    metrics = compute_metrics(
+        simulate(load_scenario("quintic", ["simulation_duration=0.8", *FALLING]))
+    )
     assert metrics["outcome"] == "load_lost"
     assert metrics["reasons"][0].startswith("the load was ")
     assert any("carrier_dynamics.max_force: 1 N" in text for text in metrics["warnings"])
@@ -300,13 +302,17 @@ def test_a_load_that_falls_is_lost():
 
 def test_a_bound_on_tensions_that_was_not_kept_is_said():
     swap = ["force_distribution=BoundedTensionDistribution", "force_distribution.min_tension=2.9"]
-    metrics = compute_metrics(simulate(load_scenario("quintic", ["duration=0.3", *swap])))
+    metrics = compute_metrics(
+        simulate(load_scenario("quintic", ["simulation_duration=0.3", *swap]))
+    )
     said = "a cable's tension fell to 2.85 N (force_distribution.min_tension: 2.9 N)"
     assert metrics["warnings"] == [said]
 
 
 def short():
-    return load_scenario("line", ["duration=0.2", "optimization_layer=ConstantParameters"])
+    return load_scenario(
+        "line", ["simulation_duration=0.2", "optimization_layer=ConstantParameters"]
+    )
 
 
 @pytest.mark.parametrize("after", [0.0, 0.1, 0.2])
@@ -326,7 +332,7 @@ def test_a_run_that_is_ended_before_its_time_has_stopped(after):
 
 
 def test_a_run_that_diverges_or_is_interrupted_has_stopped():
-    unstable = load_scenario("line", ["simulator.integration_scheme=explicit_euler"])
+    unstable = load_scenario("line", ["simulator_config.integration_scheme=explicit_euler"])
     with pytest.raises(RunStopped) as diverged:
         simulate(unstable)
     metrics = compute_metrics(diverged.value.run)

@@ -110,7 +110,7 @@ def flown(limit=None, **options):
     with pytest.MonkeyPatch.context() as patch:
         if limit is not None:
             patch.setattr(recording, "MEMORY_LIMIT", limit)
-        return simulate(load_scenario("quintic", ["duration=0.4"]), **options)
+        return simulate(load_scenario("quintic", ["simulation_duration=0.4"]), **options)
 
 
 def fields(run):
@@ -264,17 +264,17 @@ def _let_go(folders):
 def test_a_run_without_room_for_its_signals_is_refused_and_the_remedy_works(duration, monkeypatch):
     usage = shutil.disk_usage(".")._replace(free=300_000_000)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
-    scenario = load_scenario("quintic", [f"duration={duration}"])
-    with pytest.raises(ScenarioError, match=r"^duration = \S+: give at most ") as caught:
+    scenario = load_scenario("quintic", [f"simulation_duration={duration}"])
+    with pytest.raises(ScenarioError, match=r"^simulation_duration = \S+: give at most ") as caught:
         simulate(scenario)
-    scenario.duration = float(re.search(r"give at most (\S+) s", str(caught.value))[1])
-    assert scenario.duration > 100
+    scenario.simulation_duration = float(re.search(r"give at most (\S+) s", str(caught.value))[1])
+    assert scenario.simulation_duration > 100
     require_room(make_nonstop(scenario), scenario)
 
 
 def test_the_expected_size_is_that_of_the_signals():
-    for overrides in ([], ["fused_plant=true"], ["simulator.max_step_size=0.002"]):
-        scenario = load_scenario("quintic", ["duration=1", *overrides])
+    for overrides in ([], ["fused_plant=true"], ["simulator_config.max_step_size=0.002"]):
+        scenario = load_scenario("quintic", ["simulation_duration=1", *overrides])
         run = simulate(scenario)
         arrays = [run.time, *run.signals.values(), *run.steps.values()]
         expected = recording.expected_size(make_nonstop(scenario), scenario)

@@ -8,7 +8,7 @@ from drake_nonstop import ConstantParameters, RunStopped, ScenarioError, load_sc
 
 
 def short(name, *overrides, duration=0.5):
-    return load_scenario(name, [*overrides, f"duration={duration}"])
+    return load_scenario(name, [*overrides, f"simulation_duration={duration}"])
 
 
 def test_two_runs_of_one_scenario_are_equal_to_the_bit():
@@ -22,7 +22,7 @@ def test_two_runs_of_one_scenario_are_equal_to_the_bit():
 
 
 def test_signals_are_sampled_at_100_hz_and_hold_no_wall_time():
-    run = simulate(short("quintic", "simulator.max_step_size=0.003"))
+    run = simulate(short("quintic", "simulator_config.max_step_size=0.003"))
     np.testing.assert_allclose(run.time, np.arange(51) / 100, atol=1e-12)
     assert not any("solve_time" in name for name in run.signals)
     assert len(run.steps["time"]) > len(run.time)
@@ -76,7 +76,7 @@ def test_a_load_that_the_cables_cannot_hold_is_an_error_before_the_run():
 
 
 def test_a_diverging_run_stops_with_time_and_block_and_keeps_its_signals():
-    scenario = short("quintic", "simulator.integration_scheme=explicit_euler", duration=2)
+    scenario = short("quintic", "simulator_config.integration_scheme=explicit_euler", duration=2)
     with pytest.raises(RunStopped, match=r"diverged at t = 0\.\d+ s: \w+ made a value") as caught:
         simulate(scenario)
     run = caught.value.run
@@ -123,7 +123,7 @@ def test_an_interrupt_keeps_the_signals():
 
 def test_a_finer_step_gives_the_same_run():
     coarse = simulate(short("quintic", duration=1))
-    fine = simulate(short("quintic", "simulator.max_step_size=0.001", duration=1))
+    fine = simulate(short("quintic", "simulator_config.max_step_size=0.001", duration=1))
     difference = coarse.signal("load_state") - fine.signal("load_state")
     assert np.max(np.abs(difference[:, 4:7])) < 1e-6
 

@@ -63,13 +63,15 @@ def test_damping_makes_a_mode_fast(exponent, stiffness):
 @pytest.mark.parametrize("damping", [1e4, 1e5, 1e6, 3e8])
 def test_steps_that_would_take_for_ever_are_refused(damping):
     with pytest.raises(ScenarioError, match=r"fastest mode = .* less stiffness, damping"):
-        simulate(load_scenario("quintic", [f"system.cable_damping={damping}", "duration=1"]))
+        simulate(
+            load_scenario("quintic", [f"system.cable_damping={damping}", "simulation_duration=1"])
+        )
 
 
 def test_where_everything_is_resolved_the_step_stays_and_nothing_is_said():
     with warnings.catch_warnings():
         warnings.simplefilter("error", ScenarioWarning)
-        run = simulate(load_scenario("quintic", ["duration=3"]))
+        run = simulate(load_scenario("quintic", ["simulation_duration=3"]))
     assert run.step == 0.005
     assert run.unresolved == ()
     assert compute_metrics(run)["simulator"]["step_s"] == 0.005
@@ -77,19 +79,21 @@ def test_where_everything_is_resolved_the_step_stays_and_nothing_is_said():
 
 
 def test_slow_samples_shorten_the_step():
-    scenario = load_scenario("quintic", [*SLOW_SAMPLES, "duration=4"])
+    scenario = load_scenario("quintic", [*SLOW_SAMPLES, "simulation_duration=4"])
     with pytest.warns(ScenarioWarning, match="commanded motion between the controllers' samples"):
         run = simulate(scenario)
     assert run.step <= 0.0025
-    finer = with_step(scenario.simulator, run.step / 5)
-    fine = simulate(dataclasses.replace(scenario, simulator=finer), check_step=StepCheck.NOTHING)
+    finer = with_step(scenario.simulator_config, run.step / 5)
+    fine = simulate(
+        dataclasses.replace(scenario, simulator_config=finer), check_step=StepCheck.NOTHING
+    )
     moves = moved_metrics(compute_metrics(run), compute_metrics(fine))
     assert not moves or run.unresolved
 
 
 @pytest.mark.parametrize("fused", [False, True])
 def test_what_the_step_does_not_resolve_is_said(fused):
-    overrides = [TURN, "duration=7", CONSTANT, f"fused_plant={str(fused).lower()}"]
+    overrides = [TURN, "simulation_duration=7", CONSTANT, f"fused_plant={str(fused).lower()}"]
     run = simulate(
         load_scenario("quintic", overrides),
         optimization_layer=load_scenario("quintic").optimization_layer,
@@ -105,7 +109,11 @@ def test_what_the_step_does_not_resolve_is_said(fused):
 
 def test_growth_that_the_step_hides_is_said():
     """With steps of 2.5 ms this run diverges; with 5 ms it seems to fly."""
-    overrides = [CONSTANT, "carrier_trajectory=MeasuredCarrierTrajectory", "duration=0.5"]
+    overrides = [
+        CONSTANT,
+        "carrier_trajectory=MeasuredCarrierTrajectory",
+        "simulation_duration=0.5",
+    ]
     (said,) = simulate(load_scenario("line", overrides)).unresolved
     assert said.startswith("at the start a small deviation grows by 11 1/s")
 
@@ -113,12 +121,12 @@ def test_growth_that_the_step_hides_is_said():
 def test_growth_of_the_linearized_loop_is_that_of_the_simulated_one():
     """The carriers hardly orbit, so that the loop stays what it is linearized at."""
     gains = ["optimization_layer.frequency=0.01", "carrier_trajectory=MeasuredCarrierTrajectory"]
-    step = "simulator.max_step_size=0.001"
+    step = "simulator_config.max_step_size=0.001"
     _, nonstop, context = at_start(*gains, step)
     exact, (stepped, same) = LinearizedLoop(nonstop, context, 0.01).growths([0.001, 1e-4])
     assert same == pytest.approx(exact, rel=1e-4)
     assert stepped == pytest.approx(exact, rel=0.05)
-    scenario = load_scenario("quintic", [CONSTANT, *gains, step, "duration=2.4"])
+    scenario = load_scenario("quintic", [CONSTANT, *gains, step, "simulation_duration=2.4"])
     sizes = []
     for moved in (0.0, 1e-7):
         move = dataclasses.replace(
@@ -140,7 +148,7 @@ def test_a_live_run_in_doubt_is_said_to_be_without_a_second_flight():
         flown.append(simulator.get_context().get_time())
         return StepAction.CONTINUE
 
-    scenario = load_scenario("quintic", [TURN, "duration=6"])
+    scenario = load_scenario("quintic", [TURN, "simulation_duration=6"])
     run = simulate(scenario, after_step=after_step, check_step=StepCheck.PARTS)
     assert len(run.unresolved) == 1
     assert "flown again with half the step, differ" in run.unresolved[0]
@@ -149,7 +157,7 @@ def test_a_live_run_in_doubt_is_said_to_be_without_a_second_flight():
 
 
 def test_a_verified_run_says_what_it_was_compared_with():
-    run = verify_step(simulate(load_scenario("quintic", ["duration=0.5"])))
+    run = verify_step(simulate(load_scenario("quintic", ["simulation_duration=0.5"])))
     assert run.half_step == {"step_s": 0.0025, "moved": {}}
     assert run.unresolved == ()
 
@@ -157,9 +165,9 @@ def test_a_verified_run_says_what_it_was_compared_with():
 @pytest.mark.parametrize("scheme", ["explicit_euler", "runge_kutta2"])
 def test_schemes_of_low_order_are_always_verified(scheme):
     overrides = [
-        "duration=0.3",
-        f"simulator.integration_scheme={scheme}",
-        "simulator.max_step_size=0.001",
+        "simulation_duration=0.3",
+        f"simulator_config.integration_scheme={scheme}",
+        "simulator_config.max_step_size=0.001",
     ]
     assert simulate(load_scenario("quintic", overrides)).half_step is not None
 
@@ -167,7 +175,7 @@ def test_schemes_of_low_order_are_always_verified(scheme):
 @pytest.mark.parametrize("overrides", [(), ("fused_plant=true",), ("control_period=0",)])
 def test_a_short_flight_repeats_its_part_of_the_run(overrides):
     scenario = load_scenario(
-        "quintic", ["duration=0.5", "optimization_layer.speed_bound=0.9", *overrides]
+        "quintic", ["simulation_duration=0.5", "optimization_layer.speed_bound=0.9", *overrides]
     )
     states = []
 
@@ -179,7 +187,7 @@ def test_a_short_flight_repeats_its_part_of_the_run(overrides):
 
     run = simulate(scenario, after_step=after_step, check_step=StepCheck.NOTHING)
     context = run.diagram.CreateDefaultContext()
-    flights = ShortFlights(run.diagram, context, scenario.simulator, scenario.control_period)
+    flights = ShortFlights(run.diagram, context, scenario.simulator_config, scenario.control_period)
     for _ in range(2):  # one flight leaves nothing for the next
         flown = flights.fly(states[0], 0.1)
         np.testing.assert_allclose(flown.tensions, run.signal("tensions")[21:31], atol=1e-10)
@@ -191,7 +199,7 @@ def test_a_fused_plant_and_separate_blocks_are_refined_alike():
     flights = []
     for fused in ("false", "true"):
         scenario, nonstop, context = at_start(*SLOW_SAMPLES[:1], f"fused_plant={fused}")
-        short = ShortFlights(nonstop, context, scenario.simulator, scenario.control_period)
+        short = ShortFlights(nonstop, context, scenario.simulator_config, scenario.control_period)
         short.context.SetTime(2.0)
         on_reference(nonstop, short.context)
         start = SavedState.of(short.context)
@@ -202,7 +210,7 @@ def test_a_fused_plant_and_separate_blocks_are_refined_alike():
 
 
 def test_what_counts_as_moved():
-    metrics = compute_metrics(simulate(load_scenario("quintic", ["duration=0.1"])))
+    metrics = compute_metrics(simulate(load_scenario("quintic", ["simulation_duration=0.1"])))
 
     def moved(path, change):
         *groups, name = path.split(".")

@@ -100,9 +100,9 @@ class TestGrids:
         assert name_overrides(["phase=my.Own", "carrier_controller=!CarrierPid {}"]) == (
             "my.Own, CarrierPid"
         )
-        assert name_overrides(["system.load_mass=1", "simulated.load_mass=2", "duration=3"]) == (
-            "system.load_mass=1, simulated.load_mass=2, duration=3"
-        )
+        assert name_overrides(
+            ["system.load_mass=1", "simulated.load_mass=2", "simulation_duration=3"]
+        ) == ("system.load_mass=1, simulated.load_mass=2, simulation_duration=3")
 
     @pytest.mark.parametrize(
         ("text", "words"),
@@ -236,9 +236,13 @@ class TestTables:
 
 def test_equal_names_and_folders_get_numbers(tmp_path):
     names = [BASE, "a b", "A_b", "a b", "table.csv", "ε"]
-    variants = [(name, ["duration=0.04"]) for name in names[1:]]
-    scenario = load_scenario("line", ["duration=0.03", "optimization_layer=ConstantParameters"])
-    rows = ablate(scenario, [(BASE, ["duration=0.05"]), *variants], tmp_path, replay=False)
+    variants = [(name, ["simulation_duration=0.04"]) for name in names[1:]]
+    scenario = load_scenario(
+        "line", ["simulation_duration=0.03", "optimization_layer=ConstantParameters"]
+    )
+    rows = ablate(
+        scenario, [(BASE, ["simulation_duration=0.05"]), *variants], tmp_path, replay=False
+    )
     assert {row.variant: row.folder for row in rows} == {
         "as it is": "as_it_is",
         "as it is (2)": "as_it_is_2",
@@ -259,7 +263,7 @@ def compared(tmp_path_factory):
     (folder / "as_it_is").mkdir(parents=True)
     (folder / "as_it_is" / "notes.txt").write_text("mine")
     arguments = ["ablate", "line", "--grid", "paper", "--swap", "phase=Nope"]
-    arguments += ["--set", "duration=0.5", "--out", str(folder)]
+    arguments += ["--set", "simulation_duration=0.5", "--out", str(folder)]
     with contextlib.redirect_stdout(io.StringIO()) as shown:
         code = main(arguments)
     return folder, code, shown.getvalue()
@@ -272,7 +276,8 @@ def test_all_results_are_there_and_nothing_of_the_users_is_lost(compared):
     assert contents(folder / "as_it_is") == RUN | {"notes.txt"}
     assert contents(folder / "without_optimization") == RUN
     for name in PLOTS:
-        assert Image.open(folder / name).width > 1000
+        with Image.open(folder / name) as picture:
+            assert picture.width > 1000
 
 
 def test_the_csv_holds_every_metric_to_the_last_digit(compared):
@@ -327,8 +332,8 @@ def test_the_page_refers_to_its_own_folder_only(compared):
 
 
 def test_a_diverged_variant_is_a_result(tmp_path):
-    unstable = {"bad": ["simulator.integration_scheme=explicit_euler"]}
-    scenario = load_scenario("line", ["duration=0.6"])
+    unstable = {"bad": ["simulator_config.integration_scheme=explicit_euler"]}
+    scenario = load_scenario("line", ["simulation_duration=0.6"])
     shares = []
     rows = ablate(
         scenario,
@@ -349,7 +354,9 @@ def test_a_diverged_variant_is_a_result(tmp_path):
 
 
 def test_a_variant_that_ends_its_process_has_failed(tmp_path, faulty_blocks):
-    scenario = load_scenario("line", ["duration=0.1", "optimization_layer=ConstantParameters"])
+    scenario = load_scenario(
+        "line", ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
+    )
     fatal = {"fatal": ["load_disturbance=!faulty_blocks.FaultyWind {fault: dies}"]}
     rows = ablate(scenario, fatal, tmp_path, replay=False, trust=True)
     assert [row.ending for row in rows] == [COMPLETED, FAILED]
@@ -395,7 +402,14 @@ def test_ctrl_c_ends_all_processes_and_leaves_the_earlier_results(tmp_path):
     (tmp_path / "table.md").write_text("earlier")
     arguments = ["ablate", "line", "--grid", "paper", "--out", str(tmp_path)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "drake_nonstop.cli", *arguments, "--set", "duration=1000"],
+        [
+            sys.executable,
+            "-m",
+            "drake_nonstop.cli",
+            *arguments,
+            "--set",
+            "simulation_duration=1000",
+        ],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -412,7 +426,9 @@ def test_ctrl_c_ends_all_processes_and_leaves_the_earlier_results(tmp_path):
 
 
 def test_an_interrupted_repetition_keeps_table_page_and_plots(tmp_path, monkeypatch):
-    scenario = load_scenario("line", ["duration=0.05", "optimization_layer=ConstantParameters"])
+    scenario = load_scenario(
+        "line", ["simulation_duration=0.05", "optimization_layer=ConstantParameters"]
+    )
     earlier = {*PLOTS, "table.md", "table.csv", PAGE}
     for name in earlier:
         (tmp_path / name).write_text("earlier")

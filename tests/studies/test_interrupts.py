@@ -30,7 +30,7 @@ pytestmark = pytest.mark.usefixtures("faulty_blocks")
 COUNT = int(os.environ.get("NONSTOP_SIGNALS", "4"))
 SEED = int(os.environ.get("NONSTOP_SEED", "0"))
 ENDS_WITHIN = 2.0  # s, from the last signal, on a machine that has nothing else to do
-SHORT = ["duration=0.1", "optimization_layer=ConstantParameters"]
+SHORT = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
 SPEC = "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 300\n"
 COMMANDS = {
     "sweep": ["sweep", "line", "spec.yaml"],
@@ -110,7 +110,7 @@ def test_any_study_ends_by_ctrl_c_at_any_time(tmp_path, number):
     drawn = (
         f"{name}, {times} signals, the first at {first:.3f} s, then every {second} s, {is_group}"
     )
-    arguments = [*COMMANDS[name], "--out", "out", "--set", *SHORT, "duration=0.5"]
+    arguments = [*COMMANDS[name], "--out", "out", "--set", *SHORT, "simulation_duration=0.5"]
     process = begun(tmp_path, arguments)
     send = os.killpg if is_group else os.kill  # a terminal sends it to the whole group
     time.sleep(first)

@@ -137,7 +137,7 @@ def test_other_code_is_other_settings(tmp_path, monkeypatch):
 
 def test_default_folders_hold_one_kind_of_settings_each(tmp_path):
     """Any sequence of runs and studies: none is written over another's results."""
-    scenarios = [load_scenario("line", [f"duration={k}"]) for k in (1, 2)]
+    scenarios = [load_scenario("line", [f"simulation_duration={k}"]) for k in (1, 2)]
     kinds = [*scenarios, "study a", "study b"]
     random_ = random.Random(0)
     places = {}

@@ -31,4 +31,5 @@ def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch)
     for value, largest in zip(mass["values"], mass["largest"], strict=True):
         assert (largest < 1.0001) == (value <= mass["high"])
     assert delay["high"] == 0.03
-    assert Image.open(tmp_path / "stability.png").width > 500
+    with Image.open(tmp_path / "stability.png") as picture:
+        assert picture.width > 500

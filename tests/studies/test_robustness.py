@@ -20,7 +20,7 @@ def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(
         robustness, "_errors", lambda *given: [e for e in errors(*given) if e[0] in wanted]
     )
-    arguments = ["robustness", "quintic", "--out", str(tmp_path), "--set", "duration=1"]
+    arguments = ["robustness", "quintic", "--out", str(tmp_path), "--set", "simulation_duration=1"]
     assert main(arguments) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len([line for line in lines if line.startswith(wanted)]) == 9
@@ -29,7 +29,8 @@ def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     assert all(case["ending"] == "completed" for case in cases)
     none, *others = (case["metrics"]["load.position_error_mean_m"] for case in cases)
     assert all(error > 1.5 * none for error in others)
-    assert Image.open(tmp_path / "robustness.png").width > 300
+    with Image.open(tmp_path / "robustness.png") as picture:
+        assert picture.width > 300
 
 
 def test_the_outcome_and_the_warnings_of_each_case_are_said_with_it(tmp_path, capfd, monkeypatch):
@@ -37,9 +38,16 @@ def test_the_outcome_and_the_warnings_of_each_case_are_said_with_it(tmp_path, ca
     monkeypatch.setattr(
         robustness, "_errors", lambda *given: [e for e in errors(*given) if e[:2] in CASES]
     )
-    arguments = ["robustness", "quintic", "--out", str(tmp_path), "--set", "duration=0.5"]
+    arguments = [
+        "robustness",
+        "quintic",
+        "--out",
+        str(tmp_path),
+        "--set",
+        "simulation_duration=0.5",
+    ]
     # The step is shortened in every case, and a load that is too heavy counts as lost.
-    arguments += ["simulator.max_step_size=0.02", "limits.position_error=0.0002"]
+    arguments += ["simulator_config.max_step_size=0.02", "limits.position_error=0.0002"]
     assert main(arguments) == 0
     lines = capfd.readouterr().out.splitlines()
     assert not [line for line in lines if line.startswith("warning")]
@@ -84,7 +92,10 @@ def test_a_run_that_does_not_complete_says_how_it_ended(
         lambda *given: [e for e in errors(*given) if e[0] in ("none", "constant wind")],
     )
     arguments = ["robustness", "quintic", "--out", str(tmp_path), "--trust", "--set"]
-    arguments += ["duration=0.1", f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}"]
+    arguments += [
+        "simulation_duration=0.1",
+        f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}",
+    ]
     assert main(arguments) == 0
     lines = capsys.readouterr().out.splitlines()
     none = next(line for line in lines if line.startswith("none"))

@@ -98,7 +98,7 @@ def test_the_ending_of_an_attempt(faulty_blocks):
     endings = {}
     for fault in ("none", "raises", "diverges", "constructor", "exits", "constructor exits"):
         block = f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}"
-        overrides = ["duration=0.1", "optimization_layer=ConstantParameters", block]
+        overrides = ["simulation_duration=0.1", "optimization_layer=ConstantParameters", block]
         tried = attempt(lambda given=overrides: load_scenario("line", given, trust=True))
         endings[fault] = tried.ending
         assert (tried.run is None) == fault.startswith("constructor")
@@ -124,7 +124,9 @@ from drake_nonstop import *
 from drake_nonstop.studies.margins import find_margins
 from drake_nonstop.studies.robustness import robustness
 
-scenario = load_scenario('line', ['duration=0.1', 'optimization_layer=ConstantParameters'])
+scenario = load_scenario(
+    'line', ['simulation_duration=0.1', 'optimization_layer=ConstantParameters']
+)
 """
 
 
@@ -159,7 +161,7 @@ def test_modules_that_only_this_process_has_end_a_study(tmp_path, monkeypatch, f
     for name in ("FaultyWind", "FaultyWindConfig"):
         getattr(module, name).__module__ = "blocks_in_memory"
     monkeypatch.setitem(sys.modules, "blocks_in_memory", module)
-    short = ["duration=0.1", "optimization_layer=ConstantParameters"]
+    short = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
     block = "load_disturbance=blocks_in_memory.FaultyWind"
     plain = load_scenario("line", short)
     own = load_scenario("line", [*short, block], trust=True)
@@ -203,9 +205,9 @@ def test_anything_but_an_executor_that_takes_calls_is_refused():
         (lambda s, f: ablate(s, {1: ["a=1"]}, f), "give a mapping from names"),
         (lambda s, f: ablate(s, ConstantParameters, f), "give a mapping from names"),
         (lambda s, f: ablate(s, ["phase=PaperPhase"], f), "give a mapping from names"),
-        (lambda s, f: ablate(s, {"a": ["duration=1"]}, 3), "folder = 3: give a path"),
+        (lambda s, f: ablate(s, {"a": ["simulation_duration=1"]}, 3), "folder = 3: give a path"),
         (lambda s, f: sweep(s, {"grid": {}}, f), "give a SweepSpec"),
-        (lambda s, f: sweep(s, SweepSpec(grid={"duration": [1]}), None), "give a path"),
+        (lambda s, f: sweep(s, SweepSpec(grid={"simulation_duration": [1]}), None), "give a path"),
         (lambda s, f: robustness(s, seed="a"), "seed = a"),
         (lambda s, f: robustness(s, progress=3, folder=f), "progress = 3: give a function"),
     ],

@@ -26,7 +26,7 @@ from drake_nonstop.validation import ScenarioError
 
 pytestmark = pytest.mark.usefixtures("faulty_blocks")
 
-SHORT = ["duration=0.1", "optimization_layer=ConstantParameters"]
+SHORT = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ class TestSpec:
         description: all there is
         seed: 7
         runs: 3
-        overrides: ["phase=!PaperPhase {}", duration=2]
+        overrides: ["phase=!PaperPhase {}", simulation_duration=2]
         grid: {a.b: [1, 2.5], phase: [!PaperPhase {}, AccumulatedPhase]}
         draws: {c: {normal: [0, 1e-1]}, d: {seed: true}}
         """
@@ -82,7 +82,7 @@ class TestSpec:
         assert len(spec) == 12
         first, second, last = (spec.run(k) for k in (0, 1, 11))
         assert first.overrides == [
-            *("phase=!PaperPhase {}", "duration=2", "a.b=1", "phase=!PaperPhase {}"),
+            *("phase=!PaperPhase {}", "simulation_duration=2", "a.b=1", "phase=!PaperPhase {}"),
             *(f"c={first.values['c']!r}", f"d={first.seed}"),
         ]
         assert second.values["a.b"] == 1
@@ -204,7 +204,7 @@ class TestTable:
                 "system.load_mass": [1, 1.5],
                 "phase": ["PaperPhase"],
                 "pattern.phases": [[0.0, 1.5, 0.0, 1.5]],
-                "simulator.use_error_control": [False],
+                "simulator_config.use_error_control": [False],
             },
             draws={"optimization_layer.frequency": {"choice": [2]}},
             runs=1,
@@ -213,7 +213,7 @@ class TestTable:
         schema = parquet.read_schema(path)
         assert str(schema.field("system.load_mass").type) == "double"
         assert str(schema.field("phase").type) == "string"
-        assert str(schema.field("simulator.use_error_control").type) == "bool"
+        assert str(schema.field("simulator_config.use_error_control").type) == "bool"
         assert str(schema.field("optimization_layer.frequency").type) == "int64"
         assert rows(tmp_path)[0]["pattern.phases"] == "[0.0, 1.5, 0.0, 1.5]"
         assert rows(tmp_path)[0]["carriers.n"] == 4
@@ -375,7 +375,7 @@ class TestCommand:
 
     def test_pyarrow_is_asked_for_before_anything_is_run(self, tmp_path, capsys, monkeypatch):
         monkeypatch.setitem(sys.modules, "pyarrow", None)
-        spec = self.spec(tmp_path, "grid: {duration: [1]}")
+        spec = self.spec(tmp_path, "grid: {simulation_duration: [1]}")
         assert main(["sweep", "line", spec, "--out", str(tmp_path / "out")]) == BAD_INPUT
         assert "sweep = no pyarrow: install it, `pip install pyarrow`" in capsys.readouterr().err
 

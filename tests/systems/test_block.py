@@ -45,7 +45,7 @@ def held(run):
 
 @pytest.mark.parametrize("overrides", SWAPS, ids=lambda s: ", ".join(s) or "default")
 def test_a_run_leaves_nothing_in_memory(overrides):
-    run = simulate(load_scenario("line", ["duration=0.02", *overrides]))
+    run = simulate(load_scenario("line", ["simulation_duration=0.02", *overrides]))
     references = held(run)
     del run
     gc.collect()
@@ -72,7 +72,7 @@ def test_a_continuous_state_without_rates_is_an_error():
 
 
 def test_release_frees_the_rest_beside_a_block_of_the_users():
-    run = simulate(load_scenario("line", ["duration=0.02"]), load_disturbance=PlainWind)
+    run = simulate(load_scenario("line", ["simulation_duration=0.02"]), load_disturbance=PlainWind)
     reference, blocks = weakref.ref(run.diagram), held(run)
     release(run.diagram)
     del run

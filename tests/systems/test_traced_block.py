@@ -131,4 +131,4 @@ def test_a_block_of_nothing_is_refused():
 def test_an_error_names_the_block_however_deep_inside_it():
     block = "force_distribution=!BoundedTensionDistribution {max_tension: 1.2}"
     with pytest.raises(RunStopped, match=r": force_distribution \(force_distribution.py"):
-        simulate(load_scenario("line", ["duration=0.1", block]))
+        simulate(load_scenario("line", ["simulation_duration=0.1", block]))

@@ -406,6 +406,8 @@ def test_bad_input_is_told_in_a_sentence():
     other = builder.AddSystem(PassThrough(3))
     refused("loop.load_state = no such output port: give a loop with 13 values", loop=other)
     refused("loop.carrier_state = 24 values: ", scenario=described(irregular(3)))
+    refused("scenario = {}: give a Scenario", scenario={})
+    refused("system.attachments = ", scenario=described([[1.0, 2.0]] * 4))
     AddGeometry(builder, loop, scene_graph, scenario)
     refused("loop = ports: add the geometry of a loop once")
     builder.Build()

@@ -67,7 +67,7 @@ def live_runs(scenario, actions, monkeypatch, *, page=None, realtime_rate=0.0, *
 
 
 def short(duration, name="quintic"):
-    return load_scenario(name, [f"duration={duration}"])
+    return load_scenario(name, [f"simulation_duration={duration}"])
 
 
 def test_a_run_that_is_not_changed_equals_one_without_a_page(monkeypatch):
@@ -114,7 +114,9 @@ def test_a_raised_bound_is_kept_after_its_time_and_reached_smoothly(monkeypatch)
 
 @pytest.mark.parametrize("constraint", ["min_separation=0.9", "max_speed=1.3", "min_tension=2.5"])
 def test_with_other_constraints_the_commands_do_not_jump_either(monkeypatch, constraint):
-    scenario = load_scenario("quintic", ["duration=4", f"optimization_layer.{constraint}"])
+    scenario = load_scenario(
+        "quintic", ["simulation_duration=4", f"optimization_layer.{constraint}"]
+    )
     actions = [
         (0.3, lambda page: page.SetSliderValue(live.ENABLED, 0.0)),
         (1.0, lambda page: page.SetSliderValue(live.BOUND, 1.5)),

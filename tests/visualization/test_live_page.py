@@ -17,7 +17,7 @@ from drake_nonstop.visualization import live
 @pytest.fixture
 def flight(tmp_path, request):
     """A live run of some s in a process of its own: (process, address, results)."""
-    duration = f"duration={getattr(request, 'param', 60)}"
+    duration = f"simulation_duration={getattr(request, 'param', 60)}"
     options = ["--live", "--quiet", "--no-figures", "--no-replay", "--set", duration]
     options += ["scene.trail_pieces=2"]  # a browser without a GPU has enough to draw
     command = [sys.executable, "-m", "drake_nonstop.cli", "run", "quintic", *options]
@@ -90,7 +90,7 @@ def test_viewers_that_come_and_leave_do_not_change_a_run(watched, flight):
     assert process.poll() is None
     page.close()
     assert process.wait(timeout=60) == 0
-    alone = simulate(load_scenario("quintic", ["duration=4"]))
+    alone = simulate(load_scenario("quintic", ["simulation_duration=4"]))
     with np.load(results / "signals.npz") as signals:
         assert len(signals) == len(alone.signals) + 1
         for name, values in alone.signals.items():

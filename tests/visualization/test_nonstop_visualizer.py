@@ -33,7 +33,7 @@ def transforms(meshcat):
 
 
 def short(name="quintic", duration=0.3):
-    return load_scenario(name, [f"duration={duration}"])
+    return load_scenario(name, [f"simulation_duration={duration}"])
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -53,7 +53,7 @@ def beside(scenario, meshcat, **options):
     builder.AddSystem(nonstop)
     visualizer = NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat, **options)
     simulator = Simulator(builder.Build())
-    ApplySimulatorConfig(scenario.simulator, simulator)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
     context = simulator.get_mutable_context()
     set_equilibrium(nonstop, nonstop.GetMyMutableContextFromRoot(context))
     return simulator, visualizer
@@ -172,7 +172,7 @@ def test_a_recording_has_a_frame_per_instant_at_the_signals_poses():
         for name in ("load_state", "reference", "carrier_state")
     ]
     simulator = Simulator(builder.Build())
-    ApplySimulatorConfig(short().simulator, simulator)
+    ApplySimulatorConfig(short().simulator_config, simulator)
     context = simulator.get_mutable_context()
     set_equilibrium(nonstop, nonstop.GetMyMutableContextFromRoot(context))
     meshcat.StartRecording(frames_per_second=rate)

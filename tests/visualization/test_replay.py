@@ -21,7 +21,7 @@ MEGABYTE = 1e6
 @pytest.fixture(scope="module")
 def simulated():
     scenario = load_scenario("quintic")
-    scenario.duration = 0.5
+    scenario.simulation_duration = 0.5
     return simulate(scenario)
 
 

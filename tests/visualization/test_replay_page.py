@@ -50,7 +50,7 @@ def opened(watched, path):
 @pytest.fixture(scope="module", params=["quintic", "three_carriers"])
 def replay(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
-    options = ["--quiet", "--no-figures", "--set", "duration=2.0"]
+    options = ["--quiet", "--no-figures", "--set", "simulation_duration=2.0"]
     assert main(["run", request.param, "--out", str(folder), *options]) == 0
     return folder / "replay.html", {"quintic": 4, "three_carriers": 3}[request.param]
 
