@@ -46,25 +46,27 @@ class LiveCanvas:
         self._root = root
         self._painted: dict[str, tuple[float, ...]] = {}
         self._recording: RecordingCanvas | None = None
+        self._animation: MeshcatAnimation | None = None  # the Meshcat's, when last set a time
 
     def set_time(self, time: float) -> bool:
         """Tells the time in s of what comes next; returns whether a recording begins with it."""
+        self._animation = self._meshcat.get_mutable_recording()
         if not _is_recording(self._meshcat, self._root):
             self._recording = None
             return False
-        animation = self._meshcat.get_mutable_recording()
-        begins = self._recording is None or self._recording.animation is not animation
+        begins = self._recording is None or self._recording.animation is not self._animation
         if begins:
-            self._recording = RecordingCanvas(animation)
+            self._recording = RecordingCanvas(self._animation)
         assert self._recording is not None
-        self._recording.frame = animation.frame(time)
+        self._recording.frame = self._animation.frame(time)
         return begins
 
     def lacks_frame(self, time: float) -> bool:
-        """Whether the Meshcat, when last asked, recorded, and nothing in that time's frame yet."""
+        """Whether a recording has no frame of that time in s yet, or may have begun since."""
+        animation = self._meshcat.get_mutable_recording()
         if self._recording is None:
-            return False
-        return self._meshcat.get_mutable_recording().frame(time) > self._recording.frame
+            return animation is not self._animation  # a recording that starts has a new one
+        return animation.frame(time) > self._recording.frame
 
     def follow(self, position: NDArray, camera: FollowingCamera) -> None:
         """See `Canvas`."""
