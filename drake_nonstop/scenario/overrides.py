@@ -11,6 +11,7 @@ from drake_nonstop.diagrams.box import kept_parameters
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.schema import CHOICES, Scenario, require_current
 from drake_nonstop.scenario.tree import (
+    BASE,
     Tree,
     Trusted,
     config_class_of,
@@ -98,6 +99,7 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
     require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
     value = parse_plain(text, f"--set {path}", path)
     *parents, last = path.split(".")
+    require(path != BASE, "--set", override, "run that scenario itself, or name it in a file")
     require("_tag" not in path.split("."), "--set", path, "choose a block by its name, phase=X")
     if parents:
         require_current(parents[0], "--set", override)
