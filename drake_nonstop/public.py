@@ -51,6 +51,7 @@ from drake_nonstop.systems.wiring import connect_by_name
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.version import __version__
 from drake_nonstop.visualization.drawing import draw_diagram
+from drake_nonstop.visualization.geometry import AddGeometry, NonstopGeometry
 from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer, show_in
@@ -110,6 +111,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "StudyInterrupted",
     "draw_diagram",
     # watched
+    "AddGeometry",
+    "NonstopGeometry",
     "NonstopVisualizer",
     "show_in",
     "SceneConfig",
