@@ -181,6 +181,7 @@ class _Loop:
             new = self._checked(holder, changed, {field: _plain(value)} if is_own else {}, path)
             if is_written:
                 self._require_following(holder, name, path, value)
+                self._require_effect(holder, name, value)
                 writes.append((holder, new if changed is not None and name == OFFSET else value))
         self._require_unread(models, name, path, value)
         known = sorted(entry.path for entry in self.listed() if entry.path.startswith(f"{scope}."))
@@ -271,6 +272,13 @@ class _Loop:
             value,
             f"{holder.box} = {block} keeps what it was built with; {_BUILD}",
         )
+
+    def _require_effect(self, holder: _Holder, name: str, value: Any) -> None:
+        """Raises ScenarioError where a signal that the block reads takes the parameter's place."""
+        require_effect = getattr(holder.block, "require_effect", None)
+        if require_effect is not None:
+            context = self._loop.GetSubsystemContext(holder.block, self._context)
+            require_effect(context, name, value)
 
     def _require_unread(self, models: dict[str, Model], name: str, path: str, value: Any) -> None:
         """Raises ScenarioError where a block of the user's own has read the field."""

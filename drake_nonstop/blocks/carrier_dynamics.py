@@ -183,6 +183,7 @@ class IdealCarriers(Selector, metaclass=BlockType):
     def __init__(self, model: Model, config: IdealCarriersConfig | None = None):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""
         super().__init__(stacking({"carrier_reference": 6 * model.n}, "carrier_state"))
+        self.parameters = BlockParameters(model, rules=Rules(fixed=("carrier_mass",)))
         self._mass = model.carrier_mass
 
     def CalcKineticEnergy(self, context: Context) -> float:

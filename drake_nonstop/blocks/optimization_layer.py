@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import asdict, dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,11 +201,16 @@ class NonstopOptimizer(LeafBlock):
             ScenarioError: the bound is neither 0 nor at least 1e-3 m/s, or not below
                 `highest_speed_bound`; or `speed_bound_command` is connected.
         """
-        _require_no_command(self._command, context, speed_bound)
+        self.require_effect(context, "speed_bound", speed_bound)
         _check_bound(self.highest_speed_bound, speed_bound)
         values = context.get_mutable_numeric_parameter(0)
         values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
         self.begin_anew(context)
+
+    def require_effect(self, context: Context, name: str, value: Any) -> None:
+        """Raises ScenarioError where a parameter that is set would have none in this context."""
+        if name == "speed_bound":
+            _require_no_command(self._command, context, value)
 
     def begin_anew(self, context: Context) -> None:
         """Lets what has not been updated begin with the parameters of the context, its own."""
@@ -429,10 +434,15 @@ class ConstantParameters(LeafBlock):
         Raises:
             ScenarioError: the bound is negative, or `speed_bound_command` is connected.
         """
-        _require_no_command(self._command, context, speed_bound)
+        self.require_effect(context, "speed_bound", speed_bound)
         require_non_negative(_BOX, speed_bound=speed_bound)
         values = context.get_mutable_numeric_parameter(0)
         values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
+
+    def require_effect(self, context: Context, name: str, value: Any) -> None:
+        """Raises ScenarioError where a parameter that is set would have none in this context."""
+        if name == "speed_bound":
+            _require_no_command(self._command, context, value)
 
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
@@ -453,7 +463,7 @@ def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
     require_non_negative(_BOX, speed_bound=config.speed_bound)
 
 
-def _require_no_command(command: InputPort, context: Context, speed_bound: float) -> None:
+def _require_no_command(command: InputPort, context: Context, speed_bound: Any) -> None:
     """Raises ScenarioError where a bound that is set would be overruled."""
     require(
         not command.HasValue(context),

@@ -106,7 +106,8 @@ def signals(scenario, changes):
     ApplySimulatorConfig(scenario.simulator_config, simulator)
     simulator.AdvanceTo(DURATION)
     ports = [loop.get_output_port(i) for i in range(loop.num_output_ports())]
-    return {
+    energies = {"kinetic": loop.CalcKineticEnergy, "potential": loop.CalcPotentialEnergy}
+    return {name: calculate(context) for name, calculate in energies.items()} | {
         port.get_name(): port.Eval(context).copy()
         for port in ports
         if port.get_name() != "solve_time"
@@ -178,7 +179,12 @@ def test_parameters_are_listed_with_units_and_blocks():
     found = {entry.path: entry for entry in parameters(loop, context)}
     mass = found["system.load_mass"]
     assert (mass.value, mass.meaning) == (1.0, "kg")
-    assert mass.blocks == ("wrench_controller", "optimization_layer", "load_plant")
+    assert mass.blocks == (
+        "wrench_controller",
+        "optimization_layer",
+        "carrier_trajectory",
+        "load_plant",
+    )
     assert found["optimization_layer.speed_bound"].meaning == "m/s, ε"
 
 
@@ -230,6 +236,26 @@ def test_what_a_block_keeps_names_the_block():
     assert get_parameter(loop, context, "system.load_mass") == 1.0
     set_parameter(loop, context, "system.load_drag", 0.8)
     assert get_parameter(loop, context, "simulated.load_drag") == 0.8
+
+
+def test_carriers_without_inertia_keep_their_mass():
+    loop, context = quintic("carrier_dynamics=IdealCarriers")
+    with pytest.raises(ScenarioError, match="carrier_dynamics = IdealCarriers keeps what it was"):
+        set_parameter(loop, context, "system.carrier_mass", 0.2)
+
+
+@pytest.mark.parametrize("layer", ["NonstopOptimizer", "ConstantParameters"])
+def test_a_bound_that_is_commanded_is_not_set(layer):
+    scenario = load_scenario("quintic", [f"optimization_layer={layer}"])
+    loop = make_nonstop(scenario, inputs=["speed_bound_command"])
+    context = loop.CreateDefaultContext()
+    set_parameter(loop, context, "optimization_layer.speed_bound", 0.3)
+    assert loop.GetOutputPort("speed_bound").Eval(context) == 0.3
+    loop.GetInputPort("speed_bound_command").FixValue(context, [0.4])
+    with pytest.raises(ScenarioError, match="signal speed_bound_command sets the bound"):
+        set_parameter(loop, context, "optimization_layer.speed_bound", 0.5)
+    assert get_parameter(loop, context, "optimization_layer.speed_bound") == 0.3
+    set_parameter(loop, context, "optimization_layer.frequency", 2.1)
 
 
 def test_a_fused_plant_keeps_what_it_was_built_with():
