@@ -45,6 +45,8 @@ class Box:
             of the internal force, texts such as "3n" and "2m". The numbers become texts, too.
         optional: the signals among them that a block may leave out; nothing in the figure
             reads them.
+        recorded_where_read: the signals that take time to evaluate and are in a run's recorded
+            signals only where a block reads them.
         place: where the drawing has it.
         is_simulated: its block takes the model that is simulated, not the one that the
             controllers believe in.
@@ -62,6 +64,7 @@ class Box:
     signals: Mapping[str, str | int]
     place: Place
     optional: tuple[str, ...] = ()
+    recorded_where_read: tuple[str, ...] = ()
     is_simulated: bool = False
     is_fused: bool = False
     feeds_fused_plant: bool = False
@@ -146,3 +149,8 @@ def import_path(config: type) -> str:
     """The name of a block outside the package: "module.X" for the dataclass XConfig."""
     module = config.__module__.replace("__mp_main__", "__main__")  # in a process of a study
     return f"{module}.{config.__name__.removesuffix('Config')}"
+
+
+def is_of_package(block: Any) -> bool:
+    """Whether a block is one of this package's, and not a user's own."""
+    return type(block).__module__.split(".")[0] == __name__.split(".")[0]

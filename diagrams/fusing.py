@@ -10,6 +10,7 @@ from pydrake.systems.framework import System
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.box import Box
+from drake_nonstop.systems.parameters import declared
 from drake_nonstop.systems.traced_block import Equations
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import ScenarioWarning
@@ -51,7 +52,11 @@ def fuse(
         warnings.warn(message, ScenarioWarning, stacklevel=4)
         return dict(blocks)
     others = {box: block for box, block in blocks.items() if box not in fused}
-    return others | {name: FusedPlant(ordered, period=control_period, steps=steps)}
+    plant = FusedPlant(ordered, period=control_period, steps=steps)
+    plant.kept_parameters = {
+        box: [parameters for _, parameters, _ in declared(blocks[box])] for box in fused
+    }
+    return others | {name: plant}
 
 
 def _reason_against(

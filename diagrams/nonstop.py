@@ -44,6 +44,7 @@ from drake_nonstop.diagrams.box import (
     block_class,
     block_of,
     import_path,
+    is_of_package,
     kept_parameters,
 )
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
@@ -57,10 +58,17 @@ from drake_nonstop.mechanics.signals import (
     TRACKING_ERROR_SIZE,
     WRENCH_SIZE,
 )
-from drake_nonstop.model.system import Model, PatternConfig, SystemParameters, overridden
+from drake_nonstop.model.system import (
+    Model,
+    PatternConfig,
+    SystemParameters,
+    WatchedModel,
+    overridden,
+)
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
+from drake_nonstop.systems.energy import LoopDiagram
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
 # The boxes of the figure, in its order.
@@ -121,7 +129,13 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_trajectory": Box(
         variants=carrier_trajectory.VARIANTS,
-        signals={"carrier_reference": "6n"},
+        signals={
+            "carrier_reference": "6n",
+            "carrier_reference_acceleration": "3n",
+            "carrier_reference_jerk": "3n",
+        },
+        optional=("carrier_reference_acceleration", "carrier_reference_jerk"),
+        recorded_where_read=("carrier_reference_acceleration", "carrier_reference_jerk"),
         place=Place(4, 2, 1, Kind.INNER_LOOP),
         feeds_fused_plant=True,
     ),
@@ -193,6 +207,8 @@ phase.phase -> optimization_layer.phase
 phase.phase -> internal_force.phase
 internal_force.internal_force -> force_distribution.internal_force
 
+internal_force.internal_force -> carrier_trajectory.internal_force
+optimization_layer.parameters -> carrier_trajectory.parameters
 force_distribution.desired_cable_forces -> carrier_trajectory.desired_cable_forces
 force_distribution.desired_cable_force_rates -> carrier_trajectory.desired_cable_force_rates
 carrier_trajectory.carrier_reference -> carrier_controller.carrier_reference
@@ -251,6 +267,8 @@ def make_nonstop(
     Every signal is exported under its name: `diagram.GetOutputPort("load_state")`. With
     `fused_plant` one subsystem, `plant`, takes the place of the boxes that are `is_fused`; where
     that is not possible a ScenarioWarning tells why, and the separate blocks are built.
+    `CalcKineticEnergy` and `CalcPotentialEnergy` of the diagram sum those of its blocks, see
+    `LoopDiagram`.
 
     New contexts of the diagram start at its equilibrium, see `set_equilibrium`. Where a block's
     default state cannot be set once it is built (`diagrams/plant_states.py` says how it can), all
@@ -340,6 +358,7 @@ class _Parts(NamedTuple):
 
     model: Model  # that the controllers believe
     blocks: dict[str, System]  # by the names of their boxes
+    watched: dict[str, WatchedModel]  # what blocks read of their models
 
 
 def _made_parts(
@@ -364,33 +383,37 @@ def _made_parts(
         plant.attachments,
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
+    given = [name for name, value in vars(scenario.simulated).items() if value is not None]
     simulated = Model(
         plant,
         scenario.pattern,
         scenario.control_period,
         field="simulated",
         initial_states=initial_states,
+        overridden=given,
     )
     sizes = _figure_sizes(believed)
     blocks: dict[str, System] = {}
+    watched: dict[str, WatchedModel] = {}  # what blocks read of their models
     for name, box in BOXES.items():
         entry = others.get(name, getattr(scenario, name))
         if entry is None:
             continue
         make = _constructor(name, entry) if is_dataclass(entry) else entry
-        model = simulated if box.is_simulated else believed
+        model = watched[name] = WatchedModel(simulated if box.is_simulated else believed)
         blocks[name] = _made(f"replacement {name}", make, model, ", or None to leave the box out")
         made = wiring.check_outputs(name, blocks[name], *box.required_and_optional(believed))
         _check_others(name, blocks[name], made.keys() - box.signals.keys(), sizes)
     for name, entry in _checked_extra(extra).items():
-        blocks[name] = _made(f"extra {name}", _maker(name, entry), believed, "")
+        model = watched[name] = WatchedModel(believed)
+        blocks[name] = _made(f"extra {name}", _maker(name, entry), model, "")
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
-    return _Parts(believed, blocks)
+    return _Parts(believed, blocks, watched)
 
 
 def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     """The blocks, which may be fused, with the hold in front of sampled ones."""
-    believed, blocks = parts
+    believed, blocks, _ = parts
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
@@ -408,8 +431,12 @@ def _connected(
     outside = _signals_left_out(parts.model, blocks) | wiring.sizes_of_inputs(blocks, inputs)
     builder = DiagramBuilder()
     wiring.connect_by_name(builder, blocks, inputs=outside)
-    diagram = builder.Build()
+    diagram = LoopDiagram()
+    builder.BuildInto(diagram)
     diagram.set_name(LOOP)
+    diagram.watched_models = {
+        name: model for name, model in parts.watched.items() if not is_of_package(blocks.get(name))
+    }
     is_default = all(type(blocks.get(name)) is box.variants[0] for name, box in BOXES.items())
     if is_default and not has_extra:
         difference = _without_sampling(wiring.connections(diagram)) ^ figure_wires()

@@ -12,6 +12,12 @@ from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, make_blocks, make_nonstop
+from drake_nonstop.diagrams.parameters import (
+    LoopParameter,
+    get_parameter,
+    parameters,
+    set_parameter,
+)
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     HamiltonianCycleConfig,
@@ -40,12 +46,14 @@ from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
+from drake_nonstop.systems.energy import kinetic_energy, potential_energy
 from drake_nonstop.systems.point_forces import PointForces
 from drake_nonstop.systems.traced_block import Equations, TracedBlock
 from drake_nonstop.systems.wiring import connect_by_name
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.version import __version__
 from drake_nonstop.visualization.drawing import draw_diagram
+from drake_nonstop.visualization.geometry import AddGeometry, NonstopGeometry
 from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer, show_in
@@ -78,6 +86,10 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "make_blocks",
     "connect_by_name",
     "set_equilibrium",
+    "set_parameter",
+    "get_parameter",
+    "parameters",
+    "LoopParameter",
     "simulate",
     "make_simulator",
     "verify_step",
@@ -88,6 +100,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "RunStopped",
     "RunInterrupted",
     "compute_metrics",
+    "kinetic_energy",
+    "potential_energy",
     "RunOutcome",
     "write_results",
     "ablate",
@@ -101,6 +115,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "StudyInterrupted",
     "draw_diagram",
     # watched
+    "AddGeometry",
+    "NonstopGeometry",
     "NonstopVisualizer",
     "show_in",
     "SceneConfig",

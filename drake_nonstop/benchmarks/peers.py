@@ -6,7 +6,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE, UpdateData
+from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import UpdateSolver
 
 Solve = Callable[[UpdateData], NDArray]
@@ -14,7 +14,7 @@ Solve = Callable[[UpdateData], NDArray]
 
 def casadi_ipopt(updates: UpdateSolver) -> Solve:
     """CasADi's IPOPT, with the exact Hessian of the traced problem, from [ξ⁻, A⁻] on."""
-    x, data = casadi.MX.sym("x", 2), casadi.MX.sym("data", UPDATE_DATA_SIZE)
+    x, data = casadi.MX.sym("x", 2), casadi.MX.sym("data", updates.data_size)
     cost, margins = (function.expressions(x, data)[0] for function in updates.functions())
     options = {
         "print_time": False,

@@ -1,15 +1,26 @@
 """Box "Cable Forces" of the figure."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.systems.framework import Context
 
-from drake_nonstop.mechanics.cable import cable_forces_and_tensions
+from drake_nonstop.mechanics.cable import cable_forces_and_tensions, cables_elastic_energy
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
+from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
+from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import StrictFields, is_number, require, require_array
+
+# What the cables are made of, and the fields of the system that say it.
+_OF_SYSTEM = {
+    "rest_length": "cable_length",
+    "stiffness": "cable_stiffness",
+    "damping": "cable_damping",
+}
 
 
 class _CableForces(TracedBlock):
@@ -17,34 +28,53 @@ class _CableForces(TracedBlock):
 
     Args:
         model: the model with the attachments.
-        rest_length: in m, one for all or (n, 1), as are the others.
-        stiffness: in N/m.
-        damping: in N s/m.
+        config: the block's.
+        check: of the block.
+        own: what the config says of each cable; else the system says it of all.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        *,
-        rest_length: float | NDArray,
-        stiffness: float | NDArray,
-        damping: float | NDArray,
-    ):
-        def forces(load_state: NDArray, carrier_state: NDArray) -> tuple[NDArray, NDArray]:
+    def __init__(self, model: Model, config: Any, check: Any, own: tuple[str, ...] = ()):
+        attachments = model.attachments
+
+        def forces(
+            load_state: NDArray, carrier_state: NDArray, **cables: NDArray
+        ) -> tuple[NDArray, NDArray]:
             return cable_forces_and_tensions(
-                load_state,
-                carrier_state,
-                attachments=model.attachments,
-                rest_length=rest_length,
-                stiffness=stiffness,
-                damping=damping,
+                load_state, carrier_state, attachments=attachments, **_columns(cables)
             )
 
         super().__init__(
             forces,
             inputs={"load_state": LOAD_STATE_SIZE, "carrier_state": 6 * model.n},
             outputs={"cable_forces": 3 * model.n, "tensions": model.n},
+            parameters=BlockParameters(
+                model,
+                [field for name, field in _OF_SYSTEM.items() if name not in own],
+                config=config,
+                own=own,
+                rules=Rules(
+                    check=check,
+                    structure=lambda _, config: [len(getattr(config, name)) for name in own],
+                ),
+            ),
+            key=("cables", attachments, own),
         )
+        self._attachments = attachments
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """That of the stretched cables, J; the context is the block's own."""
+        states = (self.GetInputPort(name).Eval(context) for name in ("load_state", "carrier_state"))
+        columns = _columns(parameters_in(self, context))
+        del columns["damping"]
+        return float(cables_elastic_energy(*states, attachments=self._attachments, **columns)[0])
+
+
+def _columns(parameters: dict[str, NDArray]) -> dict[str, NDArray]:
+    """What the cables are made of, each (1, 1) or (n, 1), of a block's parameters."""
+    values = {
+        name: parameters.get(name, parameters.get(field)) for name, field in _OF_SYSTEM.items()
+    }
+    return {name: value[:, None] for name, value in values.items() if value is not None}
 
 
 @dataclass(kw_only=True)
@@ -75,19 +105,18 @@ class Cables(_CableForces):
     """
 
     def __init__(self, model: Model, config: CablesConfig | None = None):
-        require(
-            is_number(model.cable_stiffness),
-            "simulated.cable_stiffness",
-            model.cable_stiffness,
-            "simulated cables stretch: give a finite number greater than zero here, also where "
-            "system.cable_stiffness is .inf",
-        )
-        super().__init__(
-            model,
-            rest_length=model.cable_length,
-            stiffness=model.cable_stiffness,
-            damping=model.cable_damping,
-        )
+        _check(model, config)
+        super().__init__(model, config, _check)
+
+
+def _check(model: Model, config: CablesConfig | None) -> None:
+    require(
+        is_number(model.system.cable_stiffness),
+        "simulated.cable_stiffness",
+        model.system.cable_stiffness,
+        "simulated cables stretch: give a finite number greater than zero here, also where "
+        "system.cable_stiffness is .inf",
+    )
 
 
 @dataclass(kw_only=True)
@@ -129,16 +158,22 @@ class IndividualCables(_CableForces):
 
     def __init__(self, model: Model, config: IndividualCablesConfig | None = None):
         config = config or IndividualCablesConfig()
-        stiffness = _column(model, "stiffness", config.stiffness, model.cable_stiffness)
-        damping = _column(model, "damping", config.damping, model.cable_damping)
-        rest_length = _column(model, "rest_length", config.rest_length, model.cable_length)
-        require(np.all(stiffness > 0), "cables.stiffness", config.stiffness, "give no zero")
-        require(np.all(rest_length > 0), "cables.rest_length", config.rest_length, "give no zero")
-        super().__init__(model, rest_length=rest_length, stiffness=stiffness, damping=damping)
+        _check_individual(model, config)
+        given = tuple(name for name in _OF_SYSTEM if getattr(config, name))
+        super().__init__(model, config, _check_individual, given)
 
 
-def _column(model: Model, name: str, given: list[float], default: float) -> NDArray:
-    """The given values as a column (n, 1), or n times the default."""
+def _check_individual(model: Model, config: IndividualCablesConfig) -> None:
+    system = model.system
+    stiffness = _each(model, "stiffness", config.stiffness, system.cable_stiffness)
+    _each(model, "damping", config.damping, system.cable_damping)
+    rest_length = _each(model, "rest_length", config.rest_length, system.cable_length)
+    require(np.all(stiffness > 0), "cables.stiffness", config.stiffness, "give no zero")
+    require(np.all(rest_length > 0), "cables.rest_length", config.rest_length, "give no zero")
+
+
+def _each(model: Model, name: str, given: list[float], default: float) -> NDArray:
+    """The given values (n,), or n times the default."""
     values = require_array(f"cables.{name}", given or [default] * model.n, [None], "one per cable")
     require(
         len(values) == model.n and np.all(values >= 0),
@@ -146,7 +181,7 @@ def _column(model: Model, name: str, given: list[float], default: float) -> NDAr
         given or default,
         f"give {model.n} numbers that are not negative, one per cable, or none",
     )
-    return values[:, None]
+    return values
 
 
 # The blocks that the box can be, the default first.

@@ -1,21 +1,25 @@
 """The controller half of box "Carrier Controller + Dynamics"."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Adder, Gain
+from pydrake.systems.primitives import Adder, Gain, Integrator, Selector
 
+from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_acceleration, loaded_pid_forces, pid_forces
 from drake_nonstop.mechanics.internal_force import internal_force_acceleration
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, PARAMETERS_SIZE, Pose
 from drake_nonstop.mechanics.tuning import pid_gains
+from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock
-from drake_nonstop.systems.linear_block import LinearBlock
-from drake_nonstop.systems.traced_block import Equations, TracedBlock
+from drake_nonstop.systems.linear_block import AdjustableLinearBlock
+from drake_nonstop.systems.traced_block import Equations, TracedBlock, splitting
 from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import StrictFields, require_non_negative, require_positive
 
@@ -26,28 +30,46 @@ class _PositionPid(DiagramBlock):
     """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), for every carrier.
 
     The integrals are the state, where their gain is not zero. Drake's own systems evaluate the
-    law, in half the time of a callback; `equations` are the same, for a fused plant.
+    law while the gains are those that it was built with, in half the time of a callback;
+    `equations` are the same, for a fused plant.
 
     Args:
         model: the number of carriers.
-        gains: position_gain (N/m), velocity_gain (N s/m) and integral_gain (N/(m s)).
+        config: the block's.
+        law: how the gains follow from its fields.
         feedforward: a block with one output, forces (3n) to add; its input ports are the
             controller's, too.
     """
 
     def __init__(
-        self, model: Model, gains: dict[str, float], feedforward: TracedBlock | None = None
+        self, model: Model, config: Any, law: "_Law", feedforward: TracedBlock | None = None
     ):
         super().__init__()
+        law.check(model, config)
         size = 3 * model.n
         builder = DiagramBuilder()
         minus = builder.AddNamedSystem("minus", Gain(-1.0, 2 * size))
         error = builder.AddNamedSystem("error", Adder(2, 2 * size))
-        pid = builder.AddNamedSystem("pid", _pid(size, gains))
+        has_integral = law.has_integral(model, config)
+        parameters = BlockParameters(
+            model,
+            law.of_system,
+            config=config,
+            own=asdict(config),
+            rules=Rules(check=law.check, structure=law.has_integral),
+        )
+        pid = builder.AddNamedSystem("pid", _pid(size, law, has_integral, parameters))
         reference_input, negated_state_input = map(error.get_input_port, range(2))
-        self.equations = _equations(size, pid.equations, feedforward)
+        self.equations = _equations(size, pid.equations, has_integral, feedforward)
         builder.Connect(minus.get_output_port(), negated_state_input)
-        builder.Connect(error.get_output_port(), pid.get_input_port())
+        builder.Connect(error.get_output_port(), pid.GetInputPort("error"))
+        if has_integral:
+            parts = splitting({"positions": size, "velocities": size})
+            positions = builder.AddNamedSystem("positions", Selector(parts))
+            integral = builder.AddNamedSystem("integral", Integrator(size))
+            builder.Connect(error.get_output_port(), positions.get_input_port())
+            builder.Connect(positions.GetOutputPort("positions"), integral.get_input_port())
+            builder.Connect(integral.get_output_port(), pid.GetInputPort("integral"))
         builder.ExportInput(reference_input, "carrier_reference")
         builder.ExportInput(minus.get_input_port(), "carrier_state")
         forces = pid.get_output_port()
@@ -63,39 +85,77 @@ class _PositionPid(DiagramBlock):
         builder.BuildInto(self)
 
 
-def _pid(size: int, gains: dict[str, float]) -> LinearBlock:
-    """The forces (`size`, 3n) of the error, and its integral as the state if that has a gain."""
-    inputs, outputs = {"error": 2 * size}, {"forces": size}
-    if gains["integral_gain"] == 0:
-        return LinearBlock(
-            lambda error: pid_forces(error, np.zeros(size), **gains), inputs=inputs, outputs=outputs
-        )
-    return LinearBlock(
-        lambda integral, error: (np.split(error, 2)[0], pid_forces(error, integral, **gains)),
-        inputs=inputs,
-        outputs=outputs,
-        state_size=size,
+@dataclass(frozen=True)
+class _Law:
+    """How the gains of a PID follow from the fields of its config.
+
+    Attributes:
+        gains: takes the fields by name, and the carriers' mass where `of_system` names it, and
+            returns position_gain (N/m), velocity_gain (N s/m) and integral_gain (N/(m s)).
+        check: raises ScenarioError for a config that cannot be used.
+        of_system: the fields of the system.
+    """
+
+    gains: Callable[..., dict[str, Any]]
+    check: Callable[[Model, Any], None]
+    of_system: tuple[str, ...] = ()
+
+    def has_integral(self, model: Model, config: Any) -> bool:
+        """Whether the integral has a gain."""
+        values = {name: model.number(name) for name in self.of_system} | asdict(config)
+        return bool(self.gains(**values)["integral_gain"] != 0)
+
+
+def _pid(
+    size: int, law: _Law, has_integral: bool, parameters: BlockParameters
+) -> AdjustableLinearBlock:
+    """The forces (`size`, 3n) of the error and of its integral, if that has a gain."""
+
+    def forces(error: NDArray, *integral: NDArray, **numbers: NDArray) -> NDArray:
+        given = integral[0] if integral else np.zeros(size)
+        return pid_forces(error, given, **law.gains(**numbers))
+
+    return AdjustableLinearBlock(
+        forces,
+        inputs={"error": 2 * size} | ({"integral": size} if has_integral else {}),
+        output=("forces", size),
+        parameters=parameters,
+        key=("pid", size, has_integral, law.gains.__qualname__),
     )
 
 
-def _equations(size: int, pid: Equations, feedforward: TracedBlock | None) -> Equations:
+def _equations(
+    size: int, pid: Equations, has_integral: bool, feedforward: TracedBlock | None
+) -> Equations:
     """Those of `_PositionPid`, whose `size` is 3n."""
     inputs = {"carrier_reference": 2 * size, "carrier_state": 2 * size}
     added = feedforward.equations if feedforward is not None else None
     if added is not None:
         inputs |= added.inputs
-    has_integral = len(pid.initial_state) > 0
 
     def function(*values: NDArray) -> tuple[NDArray, ...]:
         integral, others = ([values[0]], values[1:]) if has_integral else ([], values)
         reference, state, *further = others
-        results = pid.function(*integral, reference - state)
-        *rate, forces = results if has_integral else (results,)
+        error = reference - state
+        forces = pid.function(error, *integral)
+        rate = [np.split(error, 2)[0]] if has_integral else []
         if added is not None:
             forces = forces + added.function(*further)
         return (*rate, forces)
 
-    return Equations(function, inputs, {"carrier_forces": size}, pid.initial_state)
+    initial_state = np.zeros(size if has_integral else 0)
+    return Equations(function, inputs, {"carrier_forces": size}, initial_state)
+
+
+def _check(model: Model, config: Any) -> None:
+    require_non_negative(_BOX, **asdict(config))
+
+
+def _as_given(**gains: Any) -> dict[str, Any]:
+    return gains
+
+
+_GIVEN = _Law(_as_given, _check)
 
 
 @dataclass(kw_only=True)
@@ -138,9 +198,7 @@ class CarrierPid(_PositionPid):
     """
 
     def __init__(self, model: Model, config: CarrierPidConfig | None = None):
-        gains = asdict(config or CarrierPidConfig())
-        require_non_negative(_BOX, **gains)
-        super().__init__(model, gains)
+        super().__init__(model, config or CarrierPidConfig(), _GIVEN)
 
 
 class _FeedforwardPid(_PositionPid):
@@ -148,11 +206,12 @@ class _FeedforwardPid(_PositionPid):
 
     Args:
         model: carriers, cables and pattern.
-        gains: as of `_PositionPid`.
+        config: as of `_PositionPid`.
+        law: likewise.
     """
 
-    def __init__(self, model: Model, gains: dict[str, float]):
-        n = model.n
+    def __init__(self, model: Model, config: Any, law: _Law):
+        n, basis, attachments = model.n, model.pattern.basis, model.attachments
 
         def inertial_forces(
             reference: NDArray,
@@ -160,6 +219,10 @@ class _FeedforwardPid(_PositionPid):
             rates: NDArray,
             internal_force: NDArray,
             parameters: NDArray,
+            *,
+            carrier_mass: NDArray,
+            cable_length: NDArray,
+            cable_stiffness: NDArray,
         ) -> NDArray:
             second_rates = internal_force_acceleration(parameters, internal_force)
             R_WL = rotation_matrix(Pose.view(reference).quaternion)
@@ -167,12 +230,12 @@ class _FeedforwardPid(_PositionPid):
                 reference,
                 cable_forces.reshape(n, 3),
                 rates.reshape(n, 3),
-                (model.pattern.basis @ second_rates).reshape(n, 3) @ R_WL.T,
-                attachments=model.attachments,
-                rest_length=model.cable_length,
-                compliance=model.cable_compliance,
+                (basis @ second_rates).reshape(n, 3) @ R_WL.T,
+                attachments=attachments,
+                rest_length=cable_length,
+                compliance=compliance_of(cable_stiffness),
             )
-            return model.carrier_mass * acceleration.reshape(3 * n)
+            return carrier_mass * acceleration.reshape(3 * n)
 
         sizes = {
             "reference": LOAD_REFERENCE_SIZE,
@@ -181,8 +244,14 @@ class _FeedforwardPid(_PositionPid):
             "internal_force": 2 * model.m,
             "parameters": PARAMETERS_SIZE,
         }
-        feedforward = TracedBlock(inertial_forces, inputs=sizes, outputs={"inertial_forces": 3 * n})
-        super().__init__(model, gains, feedforward)
+        feedforward = TracedBlock(
+            inertial_forces,
+            inputs=sizes,
+            outputs={"inertial_forces": 3 * n},
+            parameters=BlockParameters(model, ("carrier_mass", "cable_length", "cable_stiffness")),
+            key=("inertial forces", basis, attachments),
+        )
+        super().__init__(model, config, law, feedforward)
 
 
 @dataclass(kw_only=True)
@@ -227,9 +296,23 @@ class FeedforwardCarrierPid(_FeedforwardPid):
     """
 
     def __init__(self, model: Model, config: FeedforwardCarrierPidConfig | None = None):
-        gains = asdict(config or FeedforwardCarrierPidConfig())
-        require_non_negative(_BOX, **gains)
-        super().__init__(model, gains)
+        super().__init__(model, config or FeedforwardCarrierPidConfig(), _GIVEN)
+
+
+def _check_tuned(model: Model, config: Any) -> None:
+    _check(model, config)
+    require_positive(_BOX, frequency=config.frequency)
+
+
+def _tuned(
+    *, carrier_mass: Any, frequency: Any, damping: Any, integral_rate: Any
+) -> dict[str, Any]:
+    names = ("position_gain", "velocity_gain", "integral_gain")
+    poles = pid_gains(frequency, damping, integral_rate)
+    return {name: carrier_mass * gain for name, gain in zip(names, poles, strict=True)}
+
+
+_TUNED = _Law(_tuned, _check_tuned, ("carrier_mass",))
 
 
 @dataclass(kw_only=True)
@@ -272,7 +355,7 @@ class TunedCarrierPid(_PositionPid):
     """
 
     def __init__(self, model: Model, config: TunedCarrierPidConfig | None = None):
-        super().__init__(model, _tuned_gains(model, config or TunedCarrierPidConfig()))
+        super().__init__(model, config or TunedCarrierPidConfig(), _TUNED)
 
 
 @dataclass(kw_only=True)
@@ -316,15 +399,7 @@ class TunedFeedforwardCarrierPid(_FeedforwardPid):
     """
 
     def __init__(self, model: Model, config: TunedFeedforwardCarrierPidConfig | None = None):
-        super().__init__(model, _tuned_gains(model, config or TunedFeedforwardCarrierPidConfig()))
-
-
-def _tuned_gains(model: Model, config: _Poles) -> dict[str, float]:
-    require_non_negative(_BOX, **asdict(config))
-    require_positive(_BOX, frequency=config.frequency)
-    names = ("position_gain", "velocity_gain", "integral_gain")
-    poles = pid_gains(config.frequency, config.damping, config.integral_rate)
-    return {name: model.carrier_mass * gain for name, gain in zip(names, poles, strict=True)}
+        super().__init__(model, config or TunedFeedforwardCarrierPidConfig(), _TUNED)
 
 
 @dataclass(kw_only=True)
@@ -364,16 +439,11 @@ class LoadedCarrierPid(TracedBlock):
 
     def __init__(self, model: Model, config: LoadedCarrierPidConfig | None = None):
         config = config or LoadedCarrierPidConfig()
-        require_non_negative(_BOX, **asdict(config))
+        _check(model, config)
         n = model.n
         super().__init__(
-            lambda reference, state, cables: loaded_pid_forces(
-                reference,
-                state,
-                cables,
-                mass=model.carrier_mass,
-                gravity=model.gravity,
-                **asdict(config),
+            lambda *values, carrier_mass, gravity, **gains: loaded_pid_forces(
+                *values, mass=carrier_mass, gravity=gravity, **gains
             ),
             inputs={
                 "carrier_reference": 6 * n,
@@ -381,6 +451,14 @@ class LoadedCarrierPid(TracedBlock):
                 "desired_cable_forces": 3 * n,
             },
             outputs={"carrier_forces": 3 * n},
+            parameters=BlockParameters(
+                model,
+                ("carrier_mass", "gravity"),
+                config=config,
+                own=asdict(config),
+                rules=Rules(check=_check),
+            ),
+            key=("loaded pid", n),
         )
 
 

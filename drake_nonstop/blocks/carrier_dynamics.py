@@ -4,13 +4,20 @@ import math
 from dataclasses import dataclass
 
 from numpy.typing import NDArray
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, DiagramBuilder, System
 from pydrake.systems.primitives import Integrator, Selector
 
-from drake_nonstop.mechanics.carrier import double_integrator_rate, loaded_carrier_rate
+from drake_nonstop.mechanics.carrier import (
+    carriers_kinetic_energy,
+    carriers_potential_energy,
+    double_integrator_rate,
+    loaded_carrier_rate,
+)
+from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import BlockType
-from drake_nonstop.systems.linear_block import LinearBlock
+from drake_nonstop.systems.block import BlockType, DiagramBlock
+from drake_nonstop.systems.linear_block import AdjustableLinearBlock, LinearBlock
+from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.traced_block import TracedBlock, stacking
 from drake_nonstop.validation import StrictFields, is_number, require
 
@@ -20,7 +27,7 @@ class CarrierDynamicsConfig(StrictFields):
     """No parameters: the carrier mass is the system's."""
 
 
-class CarrierDynamics(LinearBlock):
+class CarrierDynamics(DiagramBlock):
     """Double integrators: m_c p̈ = u, without weight or cable reaction, as in the paper.
 
     .. pydrake_system::
@@ -36,12 +43,34 @@ class CarrierDynamics(LinearBlock):
     """
 
     def __init__(self, model: Model, config: CarrierDynamicsConfig | None = None):
-        super().__init__(
-            lambda state, forces: double_integrator_rate(state, forces, mass=model.carrier_mass),
-            inputs={"carrier_forces": 3 * model.n},
+        super().__init__()
+        size, mass = 3 * model.n, model.system.carrier_mass
+        # The carriers have the mass that they are built with; another one scales their forces.
+        scaled = AdjustableLinearBlock(
+            lambda forces, carrier_mass: forces * (mass / carrier_mass),
+            inputs={"carrier_forces": size},
+            output=("scaled_forces", size),
+            parameters=BlockParameters(model, ("carrier_mass",)),
+            key=("carrier forces", size, mass),
+        )
+        motion = LinearBlock(
+            lambda state, forces: double_integrator_rate(state, forces, mass=mass),
+            inputs={"carrier_forces": size},
             initial_state=model.initial_carrier_state,
             state_port="carrier_state",
         )
+        self.equations = motion.equations
+        builder = DiagramBuilder()
+        builder.AddNamedSystem("scaled", scaled)
+        builder.AddNamedSystem("motion", motion)
+        builder.Connect(scaled.get_output_port(), motion.get_input_port())
+        builder.ExportInput(scaled.get_input_port(), "carrier_forces")
+        builder.ExportOutput(motion.get_output_port(), "carrier_state")
+        builder.BuildInto(self)
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
+        return _kinetic_energy(self, context)
 
     def SetCarrierState(self, context: Context, value: NDArray) -> None:
         context.SetContinuousState(value)
@@ -80,29 +109,59 @@ class LoadedCarrierDynamics(TracedBlock):
 
     def __init__(self, model: Model, config: LoadedCarrierDynamicsConfig | None = None):
         config = config or LoadedCarrierDynamicsConfig()
-        limit = config.max_force
-        require(
-            (is_number(limit) and limit > 0) or limit == math.inf,
-            "carrier_dynamics.max_force",
-            limit,
-            "give a number greater than zero, or .inf for no limit",
-        )
+        _check(model, config)
         n = model.n
         super().__init__(
-            lambda state, forces, cables: loaded_carrier_rate(
-                state,
-                forces,
-                cables,
-                mass=model.carrier_mass,
-                gravity=model.gravity,
-                max_force=limit,
+            lambda *values, carrier_mass, gravity, max_force=None: loaded_carrier_rate(
+                *values, mass=carrier_mass, gravity=gravity, max_force=max_force
             ),
             inputs={"carrier_forces": 3 * n, "cable_forces": 3 * n},
             state=Integrator(model.initial_carrier_state),
             state_port="carrier_state",
+            parameters=BlockParameters(
+                model,
+                ("carrier_mass", "gravity"),
+                config=config,
+                own=("max_force",) if _is_limited(model, config) else (),
+                rules=Rules(check=_check, structure=_is_limited),
+            ),
+            key=("loaded carriers", n, _is_limited(model, config)),
         )
 
     SetCarrierState = CarrierDynamics.SetCarrierState
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m_c Σ ‖v_i‖², J; the context is the block's own."""
+        return _kinetic_energy(self, context)
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """Those of the weights, m_c g Σ z_i, J; the context is the block's own."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        values = parameters_in(self, context)
+        energy = carriers_potential_energy(
+            state, mass=values["carrier_mass"], gravity=values["gravity"]
+        )
+        return float(energy[0])
+
+
+def _kinetic_energy(block: System, context: Context) -> float:
+    state = block.GetOutputPort("carrier_state").Eval(context)
+    mass = parameters_in(block, context)["carrier_mass"]
+    return float(carriers_kinetic_energy(state, mass=mass)[0])
+
+
+def _check(model: Model, config: LoadedCarrierDynamicsConfig) -> None:
+    limit = config.max_force
+    require(
+        (is_number(limit) and limit > 0) or limit == math.inf,
+        "carrier_dynamics.max_force",
+        limit,
+        "give a number greater than zero, or .inf for no limit",
+    )
+
+
+def _is_limited(model: Model, config: LoadedCarrierDynamicsConfig) -> bool:
+    return config.max_force < math.inf
 
 
 @dataclass(kw_only=True)
@@ -130,6 +189,13 @@ class IdealCarriers(Selector, metaclass=BlockType):
     def __init__(self, model: Model, config: IdealCarriersConfig | None = None):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""
         super().__init__(stacking({"carrier_reference": 6 * model.n}, "carrier_state"))
+        self.parameters = BlockParameters(model, rules=Rules(fixed=("carrier_mass",)))
+        self._mass = model.carrier_mass
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        return float(carriers_kinetic_energy(state, mass=self._mass)[0])
 
 
 # The blocks that the box can be, the default first.

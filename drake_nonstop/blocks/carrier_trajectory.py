@@ -1,14 +1,25 @@
 """Box "Carrier Desired Trajectories" of the figure."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.systems.framework import DiagramBuilder
 
-from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE
+from drake_nonstop.mechanics.cable import compliance_of
+from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk, carrier_motion
+from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    PARAMETERS_SIZE,
+)
+from drake_nonstop.model.block_parameters import LOAD, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.systems.wiring import input_names, output_names
 from drake_nonstop.validation import StrictFields
 
 
@@ -22,20 +33,29 @@ class _TrajectoryAboveLoad(TracedBlock):
         model: attachments and cables.
         pose: the signal with the load's pose, and its size: a load state, or what begins with
             one.
-        compliance: the cables' 1/K_c (m/N).
+        stretches: whether the cables do, by their stiffness.
     """
 
     is_sampled = True
 
-    def __init__(self, model: Model, *, pose: tuple[str, int], compliance: float):
-        def motion(state: NDArray, forces: NDArray, rates: NDArray, *times: NDArray) -> NDArray:
+    def __init__(self, model: Model, *, pose: tuple[str, int], stretches: bool = True):
+        attachments = model.attachments
+
+        def motion(
+            state: NDArray,
+            forces: NDArray,
+            rates: NDArray,
+            *times: NDArray,
+            cable_length: NDArray,
+            cable_stiffness: NDArray | None = None,
+        ) -> NDArray:
             positions, velocities = carrier_motion(
                 state,
                 forces.reshape(-1, 3),
                 rates.reshape(-1, 3),
-                attachments=model.attachments,
-                rest_length=model.cable_length,
-                compliance=compliance,
+                attachments=attachments,
+                rest_length=cable_length,
+                compliance=_compliance(cable_stiffness),
             )
             if times:
                 sample_time, time = times
@@ -52,7 +72,104 @@ class _TrajectoryAboveLoad(TracedBlock):
             inputs=inputs,
             outputs={"carrier_reference": 6 * model.n},
             reads_time=is_sampled,
+            parameters=BlockParameters(model, _of_cables(stretches)),
+            key=("carrier trajectory", pose, is_sampled, stretches, attachments),
         )
+
+
+class _TrajectoryAboveReference(DiagramBlock):
+    """A `_TrajectoryAboveLoad` on its reference, with accelerations and jerks.
+
+    These are a system of their own, so that they are evaluated where something reads them only.
+    """
+
+    is_sampled = True
+    optional_inputs = ("internal_force", "parameters")
+
+    def __init__(self, model: Model, *, stretches: bool = True):
+        super().__init__()
+        builder = DiagramBuilder()
+        pose = ("reference", LOAD_REFERENCE_SIZE)
+        motion = builder.AddNamedSystem(
+            "motion", _TrajectoryAboveLoad(model, pose=pose, stretches=stretches)
+        )
+        derivatives = builder.AddNamedSystem("derivatives", _derivatives(model, stretches))
+        for name in input_names(derivatives):
+            builder.ExportInput(derivatives.GetInputPort(name), name)
+        for name in input_names(motion):
+            if name in input_names(derivatives):
+                builder.ConnectInput(name, motion.GetInputPort(name))
+            else:
+                builder.ExportInput(motion.GetInputPort(name), name)
+        for part in (motion, derivatives):
+            for name in output_names(part):
+                builder.ExportOutput(part.GetOutputPort(name), name)
+        builder.BuildInto(self)
+
+
+def _derivatives(model: Model, stretches: bool) -> TracedBlock:
+    """The carriers' accelerations and jerks while the load is on its reference."""
+    attachments, pseudo_inverse = model.attachments, model.pseudo_inverse
+    basis = model.pattern.basis
+
+    def derivatives(
+        reference: NDArray,
+        forces: NDArray,
+        rates: NDArray,
+        internal_force: NDArray,
+        parameters: NDArray,
+        *,
+        cable_length: NDArray,
+        cable_stiffness: NDArray | None = None,
+        **load: NDArray,
+    ) -> tuple[NDArray, NDArray]:
+        forces, rates = forces.reshape(-1, 3), rates.reshape(-1, 3)
+        higher_rates = second_and_third_force_rates(
+            rigid_load(**load),
+            reference,
+            forces,
+            rates,
+            internal_force,
+            parameters,
+            pseudo_inverse=pseudo_inverse,
+            basis=basis,
+        )
+        cables: dict[str, Any] = {
+            "attachments": attachments,
+            "rest_length": cable_length,
+            "compliance": _compliance(cable_stiffness),
+        }
+        return (
+            carrier_acceleration(reference, forces, rates, higher_rates[0], **cables),
+            carrier_jerk(reference, forces, rates, *higher_rates, **cables),
+        )
+
+    return TracedBlock(
+        derivatives,
+        inputs={
+            "reference": LOAD_REFERENCE_SIZE,
+            "desired_cable_forces": 3 * model.n,
+            "desired_cable_force_rates": 3 * model.n,
+            "internal_force": 2 * model.m,
+            "parameters": PARAMETERS_SIZE,
+        },
+        outputs=dict.fromkeys(
+            ("carrier_reference_acceleration", "carrier_reference_jerk"), 3 * model.n
+        ),
+        parameters=BlockParameters(model, (*_of_cables(stretches), *LOAD)),
+        key=("carrier derivatives", stretches, attachments, basis),
+        is_traced_late=True,
+    )
+
+
+def _of_cables(stretches: bool) -> tuple[str, ...]:
+    """The fields of the system that cables go by."""
+    return ("cable_length", "cable_stiffness") if stretches else ("cable_length",)
+
+
+def _compliance(stiffness: NDArray | None) -> NDArray:
+    """Of cables of a stiffness (1,) in N/m, None if they do not stretch: (1,) in m/N."""
+    return np.zeros(1) if stiffness is None else compliance_of(stiffness)
 
 
 @dataclass(kw_only=True)
@@ -60,7 +177,7 @@ class CarrierTrajectoryConfig(StrictFields):
     """No parameters: cable length and stiffness are the system's."""
 
 
-class CarrierTrajectory(_TrajectoryAboveLoad):
+class CarrierTrajectory(_TrajectoryAboveReference):
     """Carriers above the desired load pose, on cables stretched by the desired forces (eqs. 1, 22).
 
     The cables stretch by the system's stiffness (.inf: L_i = L₀, as in the paper).
@@ -72,19 +189,26 @@ class CarrierTrajectory(_TrajectoryAboveLoad):
         - reference
         - desired_cable_forces
         - desired_cable_force_rates
+        - internal_force
+        - parameters
         - sample_time (where the model has a control period)
         output_ports:
         - carrier_reference
+        - carrier_reference_acceleration
+        - carrier_reference_jerk
 
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
-    `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W.
-    Between samples the reference moves along its velocity.
+    `internal_force` (2m) = [λ (N); λ̇ (N/s)] and `parameters` (2) = [ξ (rad/s), A (N)], which only
+    accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m),
+    velocities (m/s)] in W. Between samples the reference moves along its velocity.
+
+    `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
+    those of constant ξ and A while the load is on its reference, whose snap and angular jerk are
+    taken as zero, see `mechanics.force_rates`; between samples they stand still.
     """
 
     def __init__(self, model: Model, config: CarrierTrajectoryConfig | None = None):
-        super().__init__(
-            model, pose=("reference", LOAD_REFERENCE_SIZE), compliance=model.cable_compliance
-        )
+        super().__init__(model)
 
 
 @dataclass(kw_only=True)
@@ -92,7 +216,7 @@ class InextensibleCarrierTrajectoryConfig(StrictFields):
     """No parameters: the cable length is the system's."""
 
 
-class InextensibleCarrierTrajectory(_TrajectoryAboveLoad):
+class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
     """Carriers above the desired load pose, on inextensible cables L_i = L₀, as in the paper.
 
     If the simulated cables stretch, the load hangs lower until the wrench controller's integral
@@ -105,17 +229,26 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveLoad):
         - reference
         - desired_cable_forces
         - desired_cable_force_rates
+        - internal_force
+        - parameters
         - sample_time (where the model has a control period)
         output_ports:
         - carrier_reference
+        - carrier_reference_acceleration
+        - carrier_reference_jerk
 
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
-    `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W.
-    Between samples the reference moves along its velocity.
+    `internal_force` (2m) = [λ (N); λ̇ (N/s)] and `parameters` (2) = [ξ (rad/s), A (N)], which only
+    accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m),
+    velocities (m/s)] in W. Between samples the reference moves along its velocity.
+
+    `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
+    those of constant ξ and A while the load is on its reference, whose snap and angular jerk are
+    taken as zero, see `mechanics.force_rates`; between samples they stand still.
     """
 
     def __init__(self, model: Model, config: InextensibleCarrierTrajectoryConfig | None = None):
-        super().__init__(model, pose=("reference", LOAD_REFERENCE_SIZE), compliance=0.0)
+        super().__init__(model, stretches=False)
 
 
 @dataclass(kw_only=True)
@@ -126,7 +259,8 @@ class MeasuredCarrierTrajectoryConfig(StrictFields):
 class MeasuredCarrierTrajectory(_TrajectoryAboveLoad):
     """Carriers above the measured load pose: they follow the load wherever it is.
 
-    Only the wrench controller then corrects the load's pose.
+    Only the wrench controller then corrects the load's pose. It does not make the accelerations and
+    jerks that the others make: those of the measured load are not known.
 
     .. pydrake_system::
 
@@ -145,9 +279,7 @@ class MeasuredCarrierTrajectory(_TrajectoryAboveLoad):
     """
 
     def __init__(self, model: Model, config: MeasuredCarrierTrajectoryConfig | None = None):
-        super().__init__(
-            model, pose=("measured_load_state", LOAD_STATE_SIZE), compliance=model.cable_compliance
-        )
+        super().__init__(model, pose=("measured_load_state", LOAD_STATE_SIZE))
 
 
 # The blocks that the box can be, the default first.

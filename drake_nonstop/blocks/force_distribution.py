@@ -21,6 +21,7 @@ from drake_nonstop.mechanics.grasp import (
 )
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadState
+from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock, weakly
 from drake_nonstop.systems.traced_block import TracedBlock
@@ -64,12 +65,15 @@ class CableForceDistribution(TracedBlock):
     is_sampled = True
 
     def __init__(self, model: Model, config: CableForceDistributionConfig | None = None):
-        def distribute(*inputs: NDArray) -> tuple[NDArray, NDArray]:
+        pseudo_inverse, basis, none = (
+            model.pseudo_inverse,
+            model.pattern.basis,
+            np.zeros(3 * model.n),
+        )
+
+        def distribute(*inputs: NDArray, pattern_offset: NDArray = none) -> tuple[NDArray, NDArray]:
             return cable_forces_and_rates(
-                *inputs,
-                pseudo_inverse=model.pseudo_inverse,
-                basis=model.pattern.basis,
-                offset=model.pattern.offset,
+                *inputs, pseudo_inverse=pseudo_inverse, basis=basis, offset=pattern_offset
             )
 
         super().__init__(
@@ -81,7 +85,8 @@ class CableForceDistribution(TracedBlock):
                 "internal_force": 2 * model.m,
             },
             outputs=dict.fromkeys(_OUTPUTS, 3 * model.n),
-            key=("distribution", vars(model)),
+            parameters=BlockParameters(model, model.offset_parameter),
+            key=("distribution", pseudo_inverse, basis, model.offset_parameter),
         )
 
 
@@ -170,45 +175,61 @@ class _TensionBounds(InnerBlock):
         self._measured_load_state = self.DeclareVectorInputPort(
             "measured_load_state", LOAD_STATE_SIZE
         )
-        self._desired = [self.DeclareVectorInputPort(name, 3 * model.n) for name in _OUTPUTS]
+        self._forces, self._rates = (
+            self.DeclareVectorInputPort(name, 3 * model.n) for name in _OUTPUTS
+        )
+        known = {
+            self.input_port_ticket(port.get_index())
+            for port in (self._measured_load_state, self._forces)
+        }
         entry = self.DeclareCacheEntry(
-            "forces and rates",
-            ValueProducer(Value(()).Clone, weakly(self._calc)),
-            {self.all_input_ports_ticket()},
+            "cables on a bound", ValueProducer(Value(()).Clone, weakly(self._calc_active)), known
         )
         self._entry_index = entry.cache_index()  # the entry would keep this block alive
-        for name, calc in zip(_OUTPUTS, (self._calc_forces, self._calc_rates), strict=True):
-            self.DeclareVectorOutputPort(name, 3 * model.n, calc, {entry.ticket()})
-
-    def _forces_and_rates(self, context: Context) -> tuple[NDArray, NDArray]:
-        return self.get_cache_entry(self._entry_index).Eval(context)
+        all_known = {entry.ticket(), self.all_input_ports_ticket()}
+        forces, rates = _OUTPUTS
+        self.DeclareVectorOutputPort(
+            forces, 3 * model.n, self._calc_forces, {entry.ticket(), *known}
+        )
+        self.DeclareVectorOutputPort(rates, 3 * model.n, self._calc_rates, all_known)
 
     def _calc_forces(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._forces_and_rates(context)[0])
+        forces = self._forces.Eval(context).reshape(-1, 3)
+        output.SetFromVector(self._bounded(context, forces, np.zeros(forces.shape))[0].ravel())
 
     def _calc_rates(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._forces_and_rates(context)[1])
+        forces, rates = (port.Eval(context).reshape(-1, 3) for port in (self._forces, self._rates))
+        output.SetFromVector(self._bounded(context, forces, rates)[1].ravel())
 
-    def _calc(self, context: Context, value: AbstractValue) -> None:
-        forces, rates = (port.Eval(context).reshape(-1, 3) for port in self._desired)
-        state = self._measured_load_state.Eval(context)
-        forces, rates = self._bounded(forces, rates, state)
-        value.set_value((forces.ravel(), rates.ravel()))
-
-    def _bounded(self, forces: NDArray, rates: NDArray, state: NDArray) -> tuple[NDArray, NDArray]:
+    def _calc_active(self, context: Context, value: AbstractValue) -> None:
+        """The forces' directions, in L, and `_active_bounds`; () where no bound is violated."""
+        self.require_floats("give CableForceDistribution in place of BoundedTensionDistribution")
+        forces = self._forces.Eval(context).reshape(-1, 3)
         tensions = np.linalg.norm(forces, axis=1)
         low, high = self._config.min_tension - tensions, self._config.max_tension - tensions
         if np.all(low <= 0) and np.all(high >= 0):
+            value.set_value(())
+            return
+        R_WL = rotation_matrix(LoadState.view(self._measured_load_state.Eval(context)).quaternion)
+        directions = forces @ R_WL / tensions[:, None]
+        value.set_value((directions, *self._active_bounds(directions, low, high)))
+
+    def _bounded(
+        self, context: Context, forces: NDArray, rates: NDArray
+    ) -> tuple[NDArray, NDArray]:
+        """The changed forces and rates; the forces do not depend on the rates."""
+        found = self.get_cache_entry(self._entry_index).Eval(context)
+        if not found:
             return forces, rates
-        load = LoadState.view(state)
+        directions, active, shortfalls = found
+        load = LoadState.view(self._measured_load_state.Eval(context))
         R_WL, angular_velocity = rotation_matrix(load.quaternion), load.angular_velocity
         # In the load frame, where the null space is constant.
         forces_L = forces @ R_WL
         rates_L = (rates - np.cross(angular_velocity, forces)) @ R_WL
-        directions = forces_L / tensions[:, None]
+        tensions = np.linalg.norm(forces, axis=1)
         tension_rates = (directions * rates_L).sum(axis=1)
         direction_rates = (rates_L - tension_rates[:, None] * directions) / tensions[:, None]
-        active, shortfalls = self._active_bounds(directions, low, high)
         rows = np.zeros((len(active), *forces.shape))
         row_rates = np.zeros(rows.shape)
         rows[np.arange(len(active)), active] = directions[active]

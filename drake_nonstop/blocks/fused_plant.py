@@ -1,6 +1,6 @@
 """Load, cables, carriers and their controller in one block, stepped from sample to sample."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +10,10 @@ from pydrake.systems.primitives import Selector
 
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
+from drake_nonstop.systems.parameters import NumericParameters
 from drake_nonstop.systems.traced_block import Equations, splitting, stacking
 from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.validation import ScenarioError
 
 _HELD = "disturbance_wrench"
 _MOVING = "carrier_reference"
@@ -48,10 +50,17 @@ class FusedPlant(DiagramBlock):
         parts: the equations of the blocks by their names, each after its sources.
         period: the controllers' sample time in s.
         steps: the integrator's steps in a period.
+
+    Attributes:
+        kept_parameters: by the names of the parts, the parameters of their blocks, whose values it
+            keeps as they were.
     """
+
+    kept_parameters: Mapping[str, Sequence[NumericParameters]]
 
     def __init__(self, parts: Mapping[str, Equations], *, period: float, steps: int):
         super().__init__()
+        self.kept_parameters = {}
         together = _CombinedEquations(parts)
         builder = DiagramBuilder()
         stepped = builder.AddNamedSystem("stepped", _Stepped(together, period, steps))
@@ -70,6 +79,14 @@ class FusedPlant(DiagramBlock):
                 source = states if name in together.states else outputs
                 builder.ExportOutput(source.GetOutputPort(name), name)
         builder.BuildInto(self)
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """Raises ScenarioError: of the parts it has the equations only."""
+        raise _no_energy()
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """Raises ScenarioError, likewise."""
+        raise _no_energy()
 
     def set_states(self, context: Context, **states: NDArray) -> None:
         """Sets states by the names that `states` gives them; the context is the block's own."""
@@ -93,6 +110,12 @@ class FusedPlant(DiagramBlock):
         """The states' rates at the last sample, by the same names."""
         stepped = self.GetSubsystemByName("stepped")
         return stepped.rates(self.GetSubsystemContext(stepped, context))
+
+
+def _no_energy() -> ScenarioError:
+    return ScenarioError(
+        "fused_plant = true: energies are those of separate blocks; give fused_plant = false"
+    )
 
 
 class _CombinedEquations:
@@ -155,29 +178,8 @@ class _Stepped(InnerBlock):
         self._sizes = together.states
         self._size = size = sum(together.states.values())
         input_size, output_size = sum(together.inputs.values()), sum(together.outputs.values())
-        self._at = at = TracedFunction(together, [size, input_size, WRENCH_SIZE], name=self.box)
-
-        def stepped(inputs: NDArray, memory: NDArray, time: NDArray) -> NDArray:
-            state, held, sample_time = _Memory.view(memory)
-            elapsed = time - sample_time
-            step = elapsed / steps
-
-            def rate(state: NDArray, since: NDArray) -> NDArray:
-                parts = _split(inputs, together.inputs)
-                positions, velocities = np.split(parts[_MOVING], 2)
-                positions = positions - (elapsed - since) * velocities
-                parts[_MOVING] = np.concatenate([positions, velocities])
-                return at.traced(state, np.concatenate([*parts.values()]), held)[0]
-
-            for i in range(steps):
-                start = i * step
-                first = rate(state, start)
-                second = rate(state + step / 2 * first, start + step / 2)
-                third = rate(state - step * first + 2 * step * second, start + step)
-                state = state + step / 6 * (first + 4 * second + third)
-            return np.concatenate([state, at.traced(state, inputs, held)[1]])
-
-        self._step = TracedFunction(stepped, [input_size, size + WRENCH_SIZE + 1, 1], name=self.box)
+        if self.scalar is float:
+            self._at, self._step = _traced(together, steps, self.box)
         self._inputs = self.DeclareVectorInputPort("inputs", input_size)
         self._held = self.DeclareVectorInputPort(_HELD, WRENCH_SIZE)
         initial_states = np.concatenate([*together.initial_states.values()])
@@ -225,6 +227,7 @@ class _Stepped(InnerBlock):
         return _split(rate.copy(), self._sizes)
 
     def _calc_results(self, context: Context, output: BasicVector) -> None:
+        self.require_floats("set fused_plant = false")
         memory, time = context.get_discrete_state_vector().value(), context.get_time()
         if not memory[_TIME] <= time:  # before the first sample
             memory = np.append(memory[:_TIME], time)
@@ -232,12 +235,14 @@ class _Stepped(InnerBlock):
         output.SetFromVector(results)
 
     def _calc_states(self, context: Context, output: BasicVector) -> None:
+        self.require_floats("set fused_plant = false")
         values = context.get_discrete_state_vector().value()
         if context.get_time() > values[_TIME]:  # neither at the sample nor before the first
             values = self._results.Eval(context)
         output.SetFromVector(values[: self._size])
 
     def _begin(self, context: Context, state: State) -> None:
+        self.require_floats("set fused_plant = false")
         self._remember(context, state, context.get_discrete_state_vector().value())
 
     def _sample(self, context: Context, state: State) -> None:
@@ -246,6 +251,36 @@ class _Stepped(InnerBlock):
     def _remember(self, context: Context, state: State, values: NDArray) -> None:
         memory = [values[: self._size], self._held.Eval(context), [context.get_time()]]
         state.get_mutable_discrete_state().set_value(np.concatenate(memory))
+
+
+def _traced(
+    together: _CombinedEquations, steps: int, name: Callable[[], str]
+) -> tuple[TracedFunction, TracedFunction]:
+    """Rates and outputs of states, inputs and disturbance; states and outputs after `steps`."""
+    size, input_size = sum(together.states.values()), sum(together.inputs.values())
+    at = TracedFunction(together, [size, input_size, WRENCH_SIZE], name=name)
+
+    def stepped(inputs: NDArray, memory: NDArray, time: NDArray) -> NDArray:
+        state, held, sample_time = _Memory.view(memory)
+        elapsed = time - sample_time
+        step = elapsed / steps
+
+        def rate(state: NDArray, since: NDArray) -> NDArray:
+            parts = _split(inputs, together.inputs)
+            positions, velocities = np.split(parts[_MOVING], 2)
+            positions = positions - (elapsed - since) * velocities
+            parts[_MOVING] = np.concatenate([positions, velocities])
+            return at.traced(state, np.concatenate([*parts.values()]), held)[0]
+
+        for i in range(steps):
+            start = i * step
+            first = rate(state, start)
+            second = rate(state + step / 2 * first, start + step / 2)
+            third = rate(state - step * first + 2 * step * second, start + step)
+            state = state + step / 6 * (first + 4 * second + third)
+        return np.concatenate([state, at.traced(state, inputs, held)[1]])
+
+    return at, TracedFunction(stepped, [input_size, size + WRENCH_SIZE + 1, 1], name=name)
 
 
 def _split(vector: NDArray, sizes: Mapping[str, int]) -> dict[str, NDArray]:

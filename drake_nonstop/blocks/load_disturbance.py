@@ -7,7 +7,7 @@ from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.mechanics.signals import WRENCH_SIZE, Wrench
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.validation import (
     StrictFields,
     require_array,
@@ -116,11 +116,10 @@ class Wind(LeafBlock):
     def _calc(self, context: Context, output: BasicVector) -> None:
         time = context.get_time()
         wrench = np.zeros(WRENCH_SIZE)
-        if time >= self._start_time:
+        if number(time) >= self._start_time:
             waves = np.sin(self._frequencies * time + self._phases)
-            wrench = self._constant.copy()
-            force = Wrench.view(wrench).force
-            force += self._amplitude * waves.sum(axis=1)
+            gust = Wrench(torque=np.zeros(3), force=self._amplitude * waves.sum(axis=1))
+            wrench = self._constant + np.concatenate(gust)
         output.SetFromVector(wrench)
 
 

@@ -16,7 +16,7 @@ from drake_nonstop.mechanics.signals import (
     TrackingError,
 )
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import BlockType, LeafBlock
+from drake_nonstop.systems.block import BlockType, LeafBlock, number
 from drake_nonstop.systems.traced_block import stacking
 from drake_nonstop.validation import (
     StrictFields,
@@ -174,11 +174,11 @@ class NoisyFeedback(LeafBlock):
         )
 
     def _sample(self, context: Context, discrete_state: DiscreteValues) -> None:
-        newest = context.get_discrete_state(self._newest).value()[0]
-        if context.get_time() < newest + self._period / 2:
+        newest = number(context.get_discrete_state(self._newest)[0])
+        if number(context.get_time()) < newest + self._period / 2:
             return  # a run that starts at the instant of a sample triggers both events
-        samples = context.get_discrete_state(self._samples).value()
-        count = context.get_discrete_state(self._count).value()[0]
+        samples = context.get_discrete_state(self._samples).CopyToVector()
+        count = number(context.get_discrete_state(self._count)[0])
         samples = np.concatenate([self._load_state.Eval(context), samples[:-LOAD_STATE_SIZE]])
         discrete_state.set_value(self._samples, samples)
         discrete_state.set_value(self._newest, [context.get_time()])
@@ -187,11 +187,11 @@ class NoisyFeedback(LeafBlock):
     def _calc(self, context: Context, output: BasicVector) -> None:
         state = self._load_state.Eval(context)
         if self._periods > 0:
-            count = int(context.get_discrete_state(self._count).value()[0])
+            count = int(number(context.get_discrete_state(self._count)[0]))
             if count > 0:  # otherwise the state at the start
-                samples = context.get_discrete_state(self._samples).value()
+                samples = context.get_discrete_state(self._samples).CopyToVector()
                 state = samples[LOAD_STATE_SIZE * (count - 1) : LOAD_STATE_SIZE * count]
-        output.SetFromVector(self._noisy(state, context.get_time()))
+        output.SetFromVector(self._noisy(state, number(context.get_time())))
 
     def _noisy(self, state: NDArray, time: float) -> NDArray:
         if not self._deviations.any():

@@ -5,16 +5,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
-from pydrake.multibody.math import SpatialForce
-from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
+from pydrake.multibody.math import SpatialForce_
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce_, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, SpatialInertia, UnitInertia
+from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import Integrator
 
-from drake_nonstop.mechanics.rigid_load import load_state_rate
+from drake_nonstop.mechanics.rigid_load import (
+    load_kinetic_energy,
+    load_potential_energy,
+    load_state_rate,
+)
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadState, Wrench
+from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
+from drake_nonstop.systems.parameters import declare_parameters, parameters_in
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import StrictFields
@@ -44,9 +51,13 @@ class LoadPlant(TracedBlock):
     """
 
     def __init__(self, model: Model, config: LoadPlantConfig | None = None):
-        def rate(state: NDArray, cable_forces: NDArray, disturbance: NDArray) -> NDArray:
+        attachments = model.attachments
+
+        def rate(
+            state: NDArray, cable_forces: NDArray, disturbance: NDArray, **load: NDArray
+        ) -> NDArray:
             return load_state_rate(
-                model.load, state, cable_forces, disturbance, attachments=model.attachments
+                rigid_load(**load), state, cable_forces, disturbance, attachments=attachments
             )
 
         super().__init__(
@@ -54,6 +65,8 @@ class LoadPlant(TracedBlock):
             inputs={"cable_forces": 3 * model.n, "disturbance_wrench": WRENCH_SIZE},
             state=Integrator(model.initial_load_state),
             state_port="load_state",
+            parameters=BlockParameters(model, LOAD),
+            key=("load", attachments),
         )
 
     def SetLoadState(self, context: Context, value: NDArray) -> None:
@@ -62,6 +75,18 @@ class LoadPlant(TracedBlock):
     def CalcLoadAcceleration(self, context: Context) -> NDArray:
         rate = LoadState.view(self.EvalTimeDerivatives(context).CopyToVector())
         return np.concatenate([rate.angular_velocity, rate.velocity])
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m ‖ṗ‖² + ½ ω·J ω, J; the context is the block's own."""
+        state = self.GetOutputPort("load_state").Eval(context)
+        load = rigid_load(**parameters_in(self, context))
+        return float(load_kinetic_energy(load, state)[0])
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """That of the weight, m g z, J; the context is the block's own."""
+        state = self.GetOutputPort("load_state").Eval(context)
+        load = rigid_load(**parameters_in(self, context))
+        return float(load_potential_energy(load, state)[0])
 
 
 @dataclass(kw_only=True)
@@ -105,6 +130,9 @@ class MultibodyLoadPlant(DiagramBlock):
         plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -model.load.gravity])
         plant.Finalize()
         forces = builder.AddNamedSystem("forces", _LoadForces(model, load.index()))
+        self.parameters = BlockParameters(
+            model, rules=Rules(fixed=("load_mass", "load_inertia", "gravity"))
+        )
         builder.Connect(plant.get_state_output_port(), forces.GetInputPort("load_state"))
         builder.Connect(forces.get_output_port(), plant.get_applied_spatial_force_input_port())
         for name in ("cable_forces", "disturbance_wrench"):
@@ -121,32 +149,36 @@ class _LoadForces(InnerBlock):
 
     def __init__(self, model: Model, body: BodyIndex):
         super().__init__()
-        self._load = model.load
+        self.parameters = BlockParameters(model, ("load_drag", "load_angular_drag"))
+        declare_parameters(self, self.parameters)
         self._cable_forces = self.DeclareVectorInputPort("cable_forces", 3 * model.n)
         self._disturbance_wrench = self.DeclareVectorInputPort("disturbance_wrench", WRENCH_SIZE)
         self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
+        scalar = self.scalar
         self._body, self._points = body, [*model.attachments, np.zeros(3)]
         self.DeclareAbstractOutputPort(
             "spatial_forces",
-            lambda: AbstractValue.Make([ExternallyAppliedSpatialForce()]),
+            lambda: AbstractValue.Make([ExternallyAppliedSpatialForce_[scalar]()]),
             self._calc,
-            {self.all_input_ports_ticket()},
+            {self.all_input_ports_ticket(), self.all_parameters_ticket()},
         )
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
+        drag, angular_drag = context.get_numeric_parameter(0).CopyToVector()
         state = self._load_state.Eval(context)
-        wrench = self._disturbance_wrench.Eval(context).copy()
+        wrench = self._disturbance_wrench.Eval(context)
         load, (torque, force) = LoadState.view(state), Wrench.view(wrench)
-        torque -= self._load.angular_drag * load.angular_velocity
-        force -= self._load.drag * load.velocity
+        torque = torque - angular_drag * load.angular_velocity
+        force = force - drag * load.velocity
         cables = self._cable_forces.Eval(context).reshape(-1, 3)
-        values = np.concatenate([state, wrench, cables.ravel()])
-        if not values @ values < LARGEST**2:
+        values = np.concatenate([state, torque, force, cables.ravel()])
+        if self.scalar is not Expression and not values @ values < LARGEST**2:
             raise NotFiniteError(self.box(), was_given=True)
-        spatial = [SpatialForce(np.zeros(3), cable) for cable in cables]
+        make = SpatialForce_[self.scalar]
+        spatial = [make(np.zeros(3), cable) for cable in cables]
         applied = []
-        for point, part in zip(self._points, [*spatial, SpatialForce(torque, force)], strict=True):
-            entry = ExternallyAppliedSpatialForce()
+        for point, part in zip(self._points, [*spatial, make(torque, force)], strict=True):
+            entry = ExternallyAppliedSpatialForce_[self.scalar]()
             entry.body_index, entry.p_BoBq_B, entry.F_Bq_W = self._body, point, part
             applied.append(entry)
         output.set_value(applied)

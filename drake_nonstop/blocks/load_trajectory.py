@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.polynomial import Polynomial
-from pydrake.systems.framework import BasicVector, Context
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.mechanics.circle import circular_motion
@@ -16,8 +17,8 @@ from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_q
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
 from drake_nonstop.model.pose_samples import read_samples, sample_array, split_samples
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.systems.block import DiagramBlock
+from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import (
     StrictFields,
     is_number,
@@ -30,7 +31,7 @@ from drake_nonstop.validation import (
 _BOX = "load_trajectory"
 
 
-class LoadTrajectory(LeafBlock):
+class LoadTrajectory(DiagramBlock):
     """The desired motion of the load along a piecewise polynomial.
 
     .. pydrake_system::
@@ -55,35 +56,19 @@ class LoadTrajectory(LeafBlock):
         self, trajectory: PiecewisePolynomial, pose: Callable[[NDArray], NDArray] | None = None
     ):
         super().__init__()
-        self._start, self._end = trajectory.start_time(), trajectory.end_time()
-        self._rows = trajectory.rows()
-        self._trajectory = _with_derivatives(trajectory, 3)
-        self._reference = TracedFunction(
+        builder = DiagramBuilder()
+        coordinates = builder.AddNamedSystem(
+            "coordinates", TrajectorySource(trajectory, 3, zero_derivatives_beyond_limits=True)
+        )
+        traced = TracedBlock(
             lambda values: _reference(pose(values.reshape(4, -1)) if pose else values),
-            [4 * self._rows],
-            name=self.get_name,
+            inputs={"coordinates": 4 * trajectory.rows()},
+            outputs={"reference": LOAD_REFERENCE_SIZE},
         )
-        self.DeclareVectorOutputPort(
-            "reference", LOAD_REFERENCE_SIZE, self._calc_reference, {self.time_ticket()}
-        )
-
-    def _calc_reference(self, context: Context, output: BasicVector) -> None:
-        time = context.get_time()
-        value = self._trajectory.value(time)[:, 0]
-        if not self._start <= time <= self._end:
-            value[self._rows :] = 0
-        output.SetFromVector(self._reference(value)[0])
-
-
-def _with_derivatives(trajectory: PiecewisePolynomial, order: int) -> PiecewisePolynomial:
-    """The trajectory's rows, and below them those of its derivatives up to `order`."""
-    columns = []
-    for segment in range(trajectory.get_number_of_segments()):
-        rows = trajectory.getPolynomialMatrix(segment)
-        columns.append(
-            np.concatenate([[[row.Derivative(k)] for row in rows[:, 0]] for k in range(order + 1)])
-        )
-    return PiecewisePolynomial(columns, trajectory.get_segment_times())
+        builder.AddNamedSystem("reference", traced)
+        builder.Connect(coordinates.get_output_port(), traced.get_input_port())
+        builder.ExportOutput(traced.get_output_port(), "reference")
+        builder.BuildInto(self)
 
 
 def _reference(values: NDArray) -> NDArray:

@@ -59,7 +59,7 @@ class AccumulatedPhase(LeafBlock):
             derivatives.get_mutable_vector().SetFromVector(self._rate(context))
 
     def _step(self, context: Context, state: State) -> None:
-        phase = context.get_discrete_state_vector().value()
+        phase = context.get_discrete_state_vector().CopyToVector()
         state.get_mutable_discrete_state().set_value(phase + self._period * self._rate(context))
 
 

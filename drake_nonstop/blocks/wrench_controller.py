@@ -1,5 +1,6 @@
 """Box "Load Wrench Controller" of the figure."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ from pydrake.systems.framework import System
 from pydrake.systems.primitives import Integrator
 
 from drake_nonstop.mechanics import wrench
+from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -17,6 +19,7 @@ from drake_nonstop.mechanics.signals import (
     TrackingError,
 )
 from drake_nonstop.mechanics.tuning import pid_gains
+from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.sampled_integrator import SampledIntegrator
 from drake_nonstop.systems.traced_block import TracedBlock
@@ -34,23 +37,42 @@ class _WrenchPid(TracedBlock):
 
     Args:
         model: the controller's model of the load.
-        gains: those of `mechanics.wrench.wrench_and_rate`, and its weight `feedforward`.
+        config: the block's.
+        check: of the block.
+        gains: takes the load and, by name, the fields of the config, numbers or symbols, and
+            returns the gains of `mechanics.wrench.wrench_and_rate` and its `feedforward`.
     """
 
     is_sampled = True
 
-    def __init__(self, model: Model, gains: dict[str, Any]):
-        def outputs(integrals: NDArray, state: NDArray, reference: NDArray) -> tuple:
+    def __init__(
+        self,
+        model: Model,
+        config: Any,
+        check: Callable[[Model, Any], None],
+        gains: Callable[..., dict[str, Any]],
+    ):
+        check(model, config)
+
+        def outputs(
+            integrals: NDArray, state: NDArray, reference: NDArray, **numbers: NDArray
+        ) -> tuple:
+            load = rigid_load(**{name: numbers.pop(name) for name in LOAD})
             error = wrench.tracking_error(state, reference)
             return (
                 np.concatenate(TrackingError.view(error)[:2]),  # e_R and e_p
-                *wrench.wrench_and_rate(model.load, state, reference, integrals, **gains),
+                *wrench.wrench_and_rate(
+                    load, state, reference, integrals, **gains(load, **numbers)
+                ),
                 error,
             )
 
-        integrates = any(
-            np.any(gains[name]) for name in ("position_integral_gain", "orientation_integral_gain")
-        )
+        def has_integral(model: Model, config: Any) -> bool:
+            found = gains(model.load, **asdict(config))
+            names = ("position_integral_gain", "orientation_integral_gain")
+            return any(np.any(found[name]) for name in names)
+
+        integrates = has_integral(model, config)
         period = model.control_period
         state: System | None = None
         if integrates:
@@ -59,7 +81,9 @@ class _WrenchPid(TracedBlock):
         super().__init__(
             outputs
             if integrates
-            else lambda *inputs: outputs(np.zeros(_INTEGRALS_SIZE), *inputs)[1:],
+            else lambda *inputs, **numbers: outputs(np.zeros(_INTEGRALS_SIZE), *inputs, **numbers)[
+                1:
+            ],
             inputs={"measured_load_state": LOAD_STATE_SIZE, "reference": LOAD_REFERENCE_SIZE},
             outputs={
                 "wrench": WRENCH_SIZE,
@@ -67,8 +91,23 @@ class _WrenchPid(TracedBlock):
                 "tracking_error": TRACKING_ERROR_SIZE,
             },
             state=state,
-            key=("wrench", integrates, vars(model), gains),
+            parameters=BlockParameters(
+                model,
+                LOAD,
+                config=config,
+                own=asdict(config),
+                rules=Rules(check=check, structure=has_integral),
+            ),
+            key=("wrench", integrates, gains.__module__, gains.__qualname__),
         )
+
+
+def _check(model: Model, config: Any) -> None:
+    require_non_negative(_BOX, **asdict(config))
+
+
+def _as_given(load: RigidLoad, **gains: Any) -> dict[str, Any]:
+    return gains
 
 
 @dataclass(kw_only=True)
@@ -124,9 +163,7 @@ class WrenchController(_WrenchPid):
     """
 
     def __init__(self, model: Model, config: WrenchControllerConfig | None = None):
-        gains = asdict(config or WrenchControllerConfig())
-        require_non_negative(_BOX, **gains)
-        super().__init__(model, gains)
+        super().__init__(model, config or WrenchControllerConfig(), _check, _as_given)
 
 
 @dataclass(kw_only=True)
@@ -174,9 +211,11 @@ class PaperWrenchController(_WrenchPid):
     """
 
     def __init__(self, model: Model, config: PaperWrenchControllerConfig | None = None):
-        gains = asdict(config or PaperWrenchControllerConfig())
-        require_non_negative(_BOX, **gains)
-        super().__init__(model, gains | {"angular_velocity_gain": -gains["angular_velocity_gain"]})
+        super().__init__(model, config or PaperWrenchControllerConfig(), _check, _papers)
+
+
+def _papers(load: RigidLoad, **gains: Any) -> dict[str, Any]:
+    return gains | {"angular_velocity_gain": -gains["angular_velocity_gain"]}
 
 
 @dataclass(kw_only=True)
@@ -218,12 +257,12 @@ class GeometricPd(_WrenchPid):
     """
 
     def __init__(self, model: Model, config: GeometricPdConfig | None = None):
-        gains = asdict(config or GeometricPdConfig())
-        require_non_negative(_BOX, **gains)
-        none = dict.fromkeys(
-            ("position_integral_gain", "orientation_integral_gain", "feedforward"), 0.0
-        )
-        super().__init__(model, gains | none)
+        super().__init__(model, config or GeometricPdConfig(), _check, _without_integrals)
+
+
+def _without_integrals(load: RigidLoad, **gains: Any) -> dict[str, Any]:
+    names = ("position_integral_gain", "orientation_integral_gain", "feedforward")
+    return gains | dict.fromkeys(names, 0.0)
 
 
 @dataclass(kw_only=True)
@@ -278,42 +317,49 @@ class TunedWrenchController(_WrenchPid):
     """
 
     def __init__(self, model: Model, config: TunedWrenchControllerConfig | None = None):
-        config = config or TunedWrenchControllerConfig()
-        require_non_negative(_BOX, **asdict(config))
-        require_positive(
-            _BOX,
-            position_frequency=config.position_frequency,
-            orientation_frequency=config.orientation_frequency,
-        )
-        gains: dict[str, Any] = {"feedforward": config.feedforward}
-        position, velocity, integral = pid_gains(
-            config.position_frequency, config.position_damping, config.position_integral_rate
-        )
-        load = model.load
-        gains["position_gain"] = load.mass * position
-        gains["velocity_gain"] = load.mass * velocity - load.drag
-        gains["position_integral_gain"] = load.mass * integral
+        super().__init__(model, config or TunedWrenchControllerConfig(), _check_tuned, _tuned)
+
+
+def _tuned(load: RigidLoad, **poles: Any) -> dict[str, Any]:
+    position, velocity, integral = pid_gains(
+        poles["position_frequency"], poles["position_damping"], poles["position_integral_rate"]
+    )
+    gains = {
+        "feedforward": poles["feedforward"],
+        "position_gain": load.mass * position,
+        "velocity_gain": load.mass * velocity - load.drag,
+        "position_integral_gain": load.mass * integral,
+    }
+    position, velocity, integral = pid_gains(
+        poles["orientation_frequency"],
+        poles["orientation_damping"],
+        poles["orientation_integral_rate"],
+    )
+    return gains | {
+        "orientation_gain": load.inertia * position,
+        "angular_velocity_gain": load.inertia * velocity - load.angular_drag * np.eye(3),
+        "orientation_integral_gain": load.inertia * integral,
+    }
+
+
+def _check_tuned(model: Model, config: TunedWrenchControllerConfig) -> None:
+    _check(model, config)
+    require_positive(
+        _BOX,
+        position_frequency=config.position_frequency,
+        orientation_frequency=config.orientation_frequency,
+    )
+    gains = _tuned(model.load, **asdict(config))
+    for name, damping in (
+        ("position", gains["velocity_gain"]),
+        ("orientation", np.linalg.eigvalsh(gains["angular_velocity_gain"])[0]),
+    ):
         require(
-            gains["velocity_gain"] >= 0,
-            f"{_BOX}.position_damping",
-            config.position_damping,
+            damping >= 0,
+            f"{_BOX}.{name}_damping",
+            getattr(config, f"{name}_damping"),
             "the load's drag alone damps more; give more damping or a higher frequency",
         )
-        position, velocity, integral = pid_gains(
-            config.orientation_frequency,
-            config.orientation_damping,
-            config.orientation_integral_rate,
-        )
-        gains["orientation_gain"] = load.inertia * position
-        gains["angular_velocity_gain"] = load.inertia * velocity - load.angular_drag * np.eye(3)
-        gains["orientation_integral_gain"] = load.inertia * integral
-        require(
-            np.linalg.eigvalsh(gains["angular_velocity_gain"])[0] >= 0,
-            f"{_BOX}.orientation_damping",
-            config.orientation_damping,
-            "the load's drag alone damps more; give more damping or a higher frequency",
-        )
-        super().__init__(model, gains)
 
 
 # The blocks that the box can be, the default first.

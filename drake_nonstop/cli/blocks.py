@@ -27,22 +27,29 @@ def _blocks(options: argparse.Namespace) -> int:
     for box in boxes:
         needed = _ports([port for port in box.signals if not port.is_optional])
         optional = _ports([port for port in box.signals if port.is_optional])
-        signals = f" -> {needed}{f'; optional {optional}' if optional else ''}" if needed else ""
-        print(f"\n{box.name}{signals}")
+        print()
+        _print_wrapped(
+            f"{needed}{f'; optional {optional}' if optional else ''}",
+            f"{box.name}{' -> ' if needed else ''}",
+        )
         for i, choice in enumerate(box.choices):
             print(f"\n  {choice.name}{' (default)' if i == 0 else ''}")
             _print_wrapped(choice.summary, "    ")
             for label, ports in (("in", choice.inputs), ("out", choice.outputs)):
                 if ports:
-                    _print_wrapped(_ports(ports), f"    {label:3}  ")
+                    text = _ports(ports, says_optional=label == "in")
+                    _print_wrapped(text, f"    {label:3}  ")
             if choice.unbuildable:
                 _print_wrapped(f"not with its defaults: {choice.unbuildable}", "    ")
             _print_parameters(choice.parameters)
     return 0
 
 
-def _ports(ports: Sequence[Port]) -> str:
-    return ", ".join(f"{port.name} ({port.size})" for port in ports)
+def _ports(ports: Sequence[Port], says_optional: bool = False) -> str:
+    return ", ".join(
+        f"{port.name} ({port.size}{', optional' if says_optional and port.is_optional else ''})"
+        for port in ports
+    )
 
 
 def _print_parameters(parameters: Sequence[Parameter]) -> None:

@@ -11,6 +11,14 @@ def positive_part(a: NDArray) -> NDArray:
     return (a + absolute(a)) / 2
 
 
+def compliance_of(stiffness: NDArray) -> NDArray:
+    """1/K_c (m/N) of a stiffness K_c (N/m), 0 where it is infinite.
+
+    Exact, and written so that CasADi does not turn T · (1/K_c) into T/K_c, which rounds otherwise.
+    """
+    return 2 / stiffness * 0.5
+
+
 def cable_forces_and_tensions(
     load_state: NDArray,
     carrier_state: NDArray,
@@ -43,3 +51,18 @@ def cable_forces_and_tensions(
     damped = positive_part(spring + damping * length_rate)
     tension = damped - positive_part(damped - 2 * spring)
     return tension * direction, tension[:, 0]
+
+
+def cables_elastic_energy(
+    load_state: NDArray,
+    carrier_state: NDArray,
+    *,
+    attachments: NDArray,
+    rest_length: float | NDArray,
+    stiffness: float | NDArray,
+) -> NDArray:
+    """Σ ½ K_c max(ℓ_i − L₀, 0)² (1,), J; arguments as of `cable_forces_and_tensions`."""
+    load, carriers = LoadState.view(load_state), CarrierStates.view(carrier_state)
+    levers = attachments @ rotation_matrix(load.quaternion).T
+    stretch = positive_part(norm(carriers.positions - load.position - levers) - rest_length)
+    return (stiffness * stretch * stretch).sum(axis=0) / 2

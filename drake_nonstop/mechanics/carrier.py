@@ -14,8 +14,8 @@ def carrier_motion(
     rates: NDArray,
     *,
     attachments: NDArray,
-    rest_length: float,
-    compliance: float,
+    rest_length: float | NDArray,
+    compliance: float | NDArray,
 ) -> tuple[NDArray, NDArray]:
     """Positions and velocities (n, 3) each, in W, of carriers that pull with f_i (eqs. 1, 22).
 
@@ -52,8 +52,8 @@ def carrier_acceleration(
     second_rates: NDArray,
     *,
     attachments: NDArray,
-    rest_length: float,
-    compliance: float,
+    rest_length: float | NDArray,
+    compliance: float | NDArray,
 ) -> NDArray:
     """Accelerations (n, 3), in W, of the motion of `carrier_motion`.
 
@@ -81,13 +81,54 @@ def carrier_acceleration(
     )
 
 
+def carrier_jerk(
+    reference: NDArray,
+    forces: NDArray,
+    rates: NDArray,
+    second_rates: NDArray,
+    third_rates: NDArray,
+    *,
+    attachments: NDArray,
+    rest_length: float | NDArray,
+    compliance: float | NDArray,
+) -> NDArray:
+    """Jerks (n, 3), in W, of the motion of `carrier_motion`; the load's angular jerk is zero.
+
+    Arguments as of `carrier_acceleration`, and `third_rates` f⃛ (n, 3) in W. With T, a and b as
+    there, c = (3 ḟ·f̈ + f·f⃛)/T² and r = R b_i,
+
+        p⃛ = p⃛_L + 2 ω̇ × (ω × r) + ω × (ω̇ × r) + ω × (ω × (ω × r))
+             + (L₀/T) (f⃛ − 3 a f̈ − 3 b ḟ − (c − 9 a b − 12 a³) f) + f⃛/K_c.
+
+    Own derivation.
+    """
+    load = LoadReference.view(reference)
+    levers = attachments @ rotation_matrix(load.quaternion).T
+    turning = cross(load.angular_velocity, levers)
+    tension = norm(forces)
+    squared = tension * tension
+    a = (forces * rates).sum(axis=1, keepdims=True) / squared
+    b = (rates * rates + forces * second_rates).sum(axis=1, keepdims=True) / squared - 3 * a * a
+    c = (3 * rates * second_rates + forces * third_rates).sum(axis=1, keepdims=True) / squared
+    swing = third_rates - 3 * a * second_rates - 3 * b * rates
+    swing = swing - (c - 9 * a * b - 12 * a * a * a) * forces
+    return (
+        load.jerk
+        + 2 * cross(load.angular_acceleration, turning)
+        + cross(load.angular_velocity, cross(load.angular_acceleration, levers))
+        + cross(load.angular_velocity, cross(load.angular_velocity, turning))
+        + rest_length / tension * swing
+        + compliance * third_rates
+    )
+
+
 def pid_forces(
     error: NDArray,
     integral: NDArray,
     *,
-    position_gain: float,
-    velocity_gain: float,
-    integral_gain: float,
+    position_gain: float | NDArray,
+    velocity_gain: float | NDArray,
+    integral_gain: float | NDArray,
 ) -> NDArray:
     """Forces (3n,) on the carriers, in W, that pull them to their references.
 
@@ -98,7 +139,9 @@ def pid_forces(
     return position_gain * position + velocity_gain * velocity + integral_gain * integral
 
 
-def double_integrator_rate(carrier_state: NDArray, forces: NDArray, *, mass: float) -> NDArray:
+def double_integrator_rate(
+    carrier_state: NDArray, forces: NDArray, *, mass: float | NDArray
+) -> NDArray:
     """The rate (6n,) of [positions, velocities] of free masses under forces (3n,), in W.
 
     It is linear in both arguments.
@@ -107,15 +150,29 @@ def double_integrator_rate(carrier_state: NDArray, forces: NDArray, *, mass: flo
     return np.concatenate([velocities, forces / mass])
 
 
+def carriers_kinetic_energy(carrier_state: NDArray, *, mass: float | NDArray) -> NDArray:
+    """½ m Σ ‖v_i‖² (1,), J, of [positions, velocities] (6n,) in W."""
+    _, velocities = np.split(carrier_state, 2)
+    return mass * (velocities * velocities).sum(keepdims=True) / 2
+
+
+def carriers_potential_energy(
+    carrier_state: NDArray, *, mass: float | NDArray, gravity: float | NDArray
+) -> NDArray:
+    """Of the weights, m g Σ z_i (1,), J, of [positions, velocities] (6n,) in W: zero at z = 0."""
+    positions, _ = np.split(carrier_state, 2)
+    return mass * gravity * positions[2::3].sum(keepdims=True)
+
+
 def loaded_pid_forces(
     carrier_reference: NDArray,
     carrier_state: NDArray,
     desired_cable_forces: NDArray,
     *,
-    position_gain: float,
-    velocity_gain: float,
-    mass: float,
-    gravity: float,
+    position_gain: float | NDArray,
+    velocity_gain: float | NDArray,
+    mass: float | NDArray,
+    gravity: float | NDArray,
 ) -> NDArray:
     """Forces (3n,), in W, on carriers with weight and cable tension.
 
@@ -130,7 +187,7 @@ def loaded_pid_forces(
         velocity_gain=velocity_gain,
         integral_gain=0.0,
     )
-    return feedback + np.tile([0.0, 0.0, mass * gravity], size // 3) + desired_cable_forces
+    return feedback + mass * gravity * np.tile([0.0, 0.0, 1.0], size // 3) + desired_cable_forces
 
 
 def loaded_carrier_rate(
@@ -138,19 +195,22 @@ def loaded_carrier_rate(
     forces: NDArray,
     cable_forces: NDArray,
     *,
-    mass: float,
-    gravity: float,
-    max_force: float,
+    mass: float | NDArray,
+    gravity: float | NDArray,
+    max_force: float | NDArray | None,
 ) -> NDArray:
     """The rate (6n,) of [positions, velocities] of carriers under weight and cable, in W.
 
     `cable_forces` (3n,) are those on the load; each of the `forces` (3n,), with u its norm,
-    is limited to `max_force`, u_max: sat(u) = u u_max / (u_max + max(‖u‖ − u_max, 0)).
+    is limited to `max_force`, u_max: sat(u) = u u_max / (u_max + max(‖u‖ − u_max, 0)); None:
+    there is no limit.
     """
     applied = forces.reshape(-1, 3)
-    if max_force < np.inf:
+    if max_force is not None:
         excess = positive_part(norm(applied) - max_force)
         applied = applied * max_force / (max_force + excess)
-    acceleration = (applied - cable_forces.reshape(-1, 3)) / mass - np.array([0.0, 0.0, gravity])
+    acceleration = (applied - cable_forces.reshape(-1, 3)) / mass - gravity * np.array(
+        [0.0, 0.0, 1.0]
+    )
     _, velocities = np.split(carrier_state, 2)
     return np.concatenate([velocities, acceleration.ravel()])

@@ -82,6 +82,12 @@ def internal_force_acceleration(parameters: NDArray, internal_force: NDArray) ->
     return -frequency * frequency * InternalForce.view(internal_force).values
 
 
+def internal_force_jerk(parameters: NDArray, internal_force: NDArray) -> NDArray:
+    """λ⃛ = −ξ² λ̇ (m,), for constant ξ and A, of [ξ, A] (2,) and [λ; λ̇] (2m,)."""
+    frequency = Parameters.view(parameters).frequency
+    return -frequency * frequency * InternalForce.view(internal_force).rates
+
+
 def ellipse_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
     """The conjugate axes (n, 3) each, in L, of the ellipses along which the forces N₀ λ move.
 

@@ -323,7 +323,7 @@ def polynomial_values(polynomials: NDArray, amplitude: NDArray) -> NDArray:
     return p0 + amplitude * (p1 + amplitude * p2)
 
 
-def speed_squares(values: Any, *, rest_length: float, compliance: float) -> tuple[Any, ...]:
+def speed_squares(values: Any, *, rest_length: Any, compliance: Any) -> tuple[Any, ...]:
     """c, b and a with ‖v‖² = c + 2 b s + a s² for s = A ξ, and the squared tension T².
 
     `values` (10, …) are those of the polynomials of `speed_polynomials` at A, in the order of

@@ -15,22 +15,49 @@ from drake_nonstop.mechanics.signals import LoadState, Wrench
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigidLoad:
-    """The parameters of the load; its frame L is at the centre of mass."""
+    """The parameters of the load; its frame L is at the centre of mass.
 
-    mass: float  # kg
+    Numbers may be arrays (1,), also of symbols.
+    """
+
+    mass: float | NDArray  # kg
     inertia: NDArray  # (3, 3), kg m², about the centre of mass, in L
     inertia_inverse: NDArray = field(init=False)  # (3, 3), 1/(kg m²)
-    drag: float  # N s/m
-    angular_drag: float = 0.0  # N m s/rad
-    gravity: float  # m/s²
+    drag: float | NDArray  # N s/m
+    angular_drag: float | NDArray = 0.0  # N m s/rad
+    gravity: float | NDArray  # m/s²
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "inertia_inverse", np.linalg.inv(self.inertia))
+        object.__setattr__(self, "inertia_inverse", symmetric_inverse(self.inertia))
+
+
+def symmetric_inverse(matrix: NDArray) -> NDArray:
+    """The inverse of a symmetric, positive definite (3, 3) matrix, of numbers or symbols.
+
+    By the decomposition M = L D Lᵀ, without a choice of pivots; the entries above the diagonal are
+    not read.
+    """
+    a, b, c = (matrix[i, :1] for i in range(3))
+    d, e, f = matrix[1, 1:2], matrix[2, 1:2], matrix[2, 2:]
+    first, second = b / a, c / a
+    rest = e - second * b
+    pivot = d - first * b
+    third = rest / pivot
+    zero, one = 0 * a, 0 * a + 1
+    inverse_of_L = np.stack(
+        [
+            np.concatenate([one, zero, zero]),
+            np.concatenate([-first, one, zero]),
+            np.concatenate([first * third - second, -third, one]),
+        ]
+    )
+    pivots = np.stack([a, pivot, f - second * c - third * rest])
+    return inverse_of_L.T @ (inverse_of_L / pivots)
 
 
 def gravity_wrench(mass: float, gravity: float) -> NDArray:
     """The wrench [torque; force] (6,), in W, that holds the load up against gravity."""
-    return np.array([0.0, 0.0, 0.0, 0.0, 0.0, mass * gravity])
+    return mass * gravity * np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 def load_acceleration(
@@ -52,7 +79,7 @@ def load_acceleration(
     force = applied.force - load.drag * state.velocity
     return (
         R_WL @ (load.inertia_inverse @ torque),
-        force / load.mass - np.array([0.0, 0.0, load.gravity]),
+        force / load.mass - load.gravity * np.array([0.0, 0.0, 1.0]),
     )
 
 
@@ -84,3 +111,17 @@ def load_state_rate(
             translational,
         ]
     )
+
+
+def load_kinetic_energy(load: RigidLoad, load_state: NDArray) -> NDArray:
+    """½ m ‖ṗ‖² + ½ ω·J ω (1,), J, of a load state (13,)."""
+    state = LoadState.view(load_state)
+    angular_velocity = rotation_matrix(state.quaternion).T @ state.angular_velocity
+    momentum = load.inertia @ angular_velocity
+    twice = load.mass * state.velocity * state.velocity + angular_velocity * momentum
+    return twice.sum(keepdims=True) / 2
+
+
+def load_potential_energy(load: RigidLoad, load_state: NDArray) -> NDArray:
+    """Of the weight, m g z (1,), J, of a load state (13,): zero at z = 0 in W."""
+    return load.mass * load.gravity * LoadState.view(load_state).position[2:]

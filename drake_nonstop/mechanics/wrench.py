@@ -39,18 +39,18 @@ def wrench_and_rate(
     reference: NDArray,
     integrals: NDArray,
     *,
-    position_gain: float,
-    velocity_gain: float,
-    position_integral_gain: float,
+    position_gain: float | NDArray,
+    velocity_gain: float | NDArray,
+    position_integral_gain: float | NDArray,
     orientation_gain: float | NDArray,
     angular_velocity_gain: float | NDArray,
     orientation_integral_gain: float | NDArray,
-    feedforward: float,
+    feedforward: float | NDArray,
 ) -> tuple[NDArray, NDArray]:
     """w_d and ẇ_d, each (6,) [torque; force] in W.
 
-    `load` is the controller's model. `integrals` (6,) is [∫e_R, ∫e_p]; the orientation's gains
-    are numbers or (3, 3), in L. With k = `feedforward`,
+    `load` is the controller's model. `integrals` (6,) is [∫e_R, ∫e_p]; gains are numbers or (1,),
+    the orientation's also (3, 3), in L. With k = `feedforward`,
 
         f_d  = m g e₃ − K_p e_p − K_v e_v − K_i ∫e_p + k (m p̈_d + B_L ṗ_d)
         ᴸτ_d = ω × J ω − K_R e_R − K_ω e_ω − K_iR ∫e_R + k (J d(RᵀR_d ω_d)/dt + C_L RᵀR_d ω_d)
@@ -73,7 +73,7 @@ def wrench_and_rate(
     # d(Rᵀω_d)/dt, with ω_d in W: the desired angular acceleration as the load sees it.
     desired_omega_rate = desired_alpha - cross(omega, desired_omega)
     force = (
-        np.array([0.0, 0.0, load.mass * load.gravity])
+        load.mass * load.gravity * np.array([0.0, 0.0, 1.0])
         - position_gain * e_p
         - velocity_gain * e_v
         - position_integral_gain * integral.force
@@ -81,9 +81,9 @@ def wrench_and_rate(
     )
     torque = (
         cross(omega, momentum)
-        - np.dot(orientation_gain, e_R)
-        - np.dot(angular_velocity_gain, e_omega)
-        - np.dot(orientation_integral_gain, integral.torque)
+        - _times(orientation_gain, e_R)
+        - _times(angular_velocity_gain, e_omega)
+        - _times(orientation_integral_gain, integral.torque)
         + feedforward * (load.inertia @ desired_omega_rate + load.angular_drag * desired_omega)
     )
     wrench = np.concatenate([R_WL @ torque, force])
@@ -106,10 +106,15 @@ def wrench_and_rate(
     torque_rate = (
         cross(omega_rate, momentum)
         + cross(omega, load.inertia @ omega_rate)
-        - np.dot(orientation_gain, e_R_rate)
-        - np.dot(angular_velocity_gain, omega_rate - desired_omega_rate)
-        - np.dot(orientation_integral_gain, e_R)
+        - _times(orientation_gain, e_R_rate)
+        - _times(angular_velocity_gain, omega_rate - desired_omega_rate)
+        - _times(orientation_integral_gain, e_R)
         + feedforward
         * (load.inertia @ desired_omega_second_rate + load.angular_drag * desired_omega_rate)
     )
     return wrench, np.concatenate([R_WL @ (torque_rate + cross(omega, torque)), force_rate])
+
+
+def _times(gain: float | NDArray, vector: NDArray) -> NDArray:
+    """A vector (3,) times a gain, a number, (1,) or (3, 3)."""
+    return gain @ vector if np.ndim(gain) == 2 else gain * vector

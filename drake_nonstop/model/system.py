@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Optional, Protocol
 
@@ -22,6 +22,7 @@ from drake_nonstop.validation import (
     require_positive,
 )
 
+OFFSET = "pattern_offset"  # N, in L, among the parameters of a block
 _MAX_CARRIERS = 100  # whose blocks take ten seconds to trace
 
 
@@ -92,6 +93,7 @@ class Model:
         control_period: the controllers' sample time in s, 0 for continuous.
         field: the system's name in error messages.
         initial_states: of the load and the carriers, by the names of the signals that show them.
+        overridden: the fields that `simulated` replaces.
 
     Raises:
         ScenarioError: a parameter is out of range, there are fewer than 3 attachments,
@@ -106,7 +108,10 @@ class Model:
         *,
         field: str = "system",
         initial_states: Mapping[str, NDArray] | None = None,
+        overridden: Iterable[str] = (),
     ):
+        self.system, self.pattern_config, self.field = system, pattern, field
+        self.overridden = frozenset(overridden)
         require_positive(
             field,
             load_mass=system.load_mass,
@@ -171,13 +176,53 @@ class Model:
         self.initial_carrier_state = initial.get("carrier_state", np.zeros(6 * self.n))
         self.pattern = pattern.make(self.attachments)
         self.m = len(self.pattern.phases)
-        weight = gravity_wrench(self.load.mass, self.gravity)
+        weight = gravity_wrench(system.load_mass, self.gravity)
         check_pattern(self.pattern, self.attachments, (self.pseudo_inverse @ weight).reshape(-1, 3))
 
     @property
     def load_mass(self) -> float:
         """The load's mass in kg, that of `load`."""
-        return self.load.mass
+        return self.system.load_mass
+
+    @property
+    def offset_parameter(self) -> tuple[str, ...]:
+        """The name of the pattern's offset among a block's parameters; none where it has none."""
+        has_offset = hasattr(self.pattern_config, "offset") or bool(np.any(self.pattern.offset))
+        return (OFFSET,) if has_offset else ()
+
+    def number(self, name: str) -> Any:
+        """A field of the system, or the offset (3n,) of the pattern, by its name `OFFSET`."""
+        return self.pattern.offset if name == OFFSET else getattr(self.system, name)
+
+
+class WatchedModel(Model):
+    """A model that notes which numbers have been read, for a block that does not declare any.
+
+    Attributes:
+        read: the names of fields of the system, and `OFFSET`.
+    """
+
+    def __init__(self, model: Model):
+        self.__dict__.update(vars(model), read=set())
+
+    def __getattribute__(self, name: str) -> Any:
+        if name in _READ_WITH:
+            object.__getattribute__(self, "read").update(_READ_WITH[name])
+        return object.__getattribute__(self, name)
+
+
+# The fields of the system that follow from attributes of a model.
+_READ_WITH = {
+    "load": ("load_mass", "load_inertia", "load_drag", "load_angular_drag", "gravity"),
+    "load_mass": ("load_mass",),
+    "cable_length": ("cable_length",),
+    "cable_stiffness": ("cable_stiffness",),
+    "cable_compliance": ("cable_stiffness",),
+    "cable_damping": ("cable_damping",),
+    "carrier_mass": ("carrier_mass",),
+    "gravity": ("gravity",),
+    "pattern": (OFFSET,),
+}
 
 
 def _checked_inertia(name: str, value: list[list[float]]) -> NDArray:

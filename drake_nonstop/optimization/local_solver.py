@@ -1,5 +1,6 @@
 """Drake's nonlinear solvers on the problem of one update, each from one start."""
 
+import threading
 from collections.abc import Callable
 from typing import ClassVar
 
@@ -15,21 +16,23 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
-from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.tracing import TracedFunction
 
 _CONSTRAINT_TOLERANCE = 1e-7  # on a margin
 
 
-class LocalSolver:
+class LocalSolver(threading.local):
     """Two MathematicalPrograms over [ξ, A], built once: the nearest and the fastest point.
+
+    Each thread has its own, built of the same arguments.
 
     Args:
         name: of the solver, one of `NAMES`.
         cost: of [ξ, A] and the flat `UpdateData`; its gradient is the second output.
         margins: likewise, non-negative where the constraints are fulfilled.
         speed_count: how many margins, the first ones, are those of the speed bound.
+        data_size: of the flat `UpdateData`.
     """
 
     NAMES: ClassVar[dict[str, Callable[[], SolverInterface]]] = {
@@ -44,12 +47,13 @@ class LocalSolver:
         cost: TracedFunction,
         margins: TracedFunction,
         speed_count: int,
+        data_size: int,
     ):
         self._cost, self._margins, self._speed_count = cost, margins, speed_count
         self._solver, self._options = self.NAMES[name](), _options()
-        self._data = np.zeros(UPDATE_DATA_SIZE)
+        self._data = np.zeros(data_size)
         nothing = np.zeros(2)
-        count = len(margins(nothing + 1, np.ones(UPDATE_DATA_SIZE))[0])
+        (count,) = margins.output_sizes
         zero, infinity = np.zeros(count), np.full(count, np.inf)
 
         self._nearest = MathematicalProgram()

@@ -53,8 +53,12 @@ def amplitude_range(config: NonstopProblemConfig, model: Model) -> list[float]:
     """The bounds on A (N): the config's, or those that follow from the load's weight."""
     if config.amplitude_bounds != []:
         return config.amplitude_bounds
-    share = model.load_mass * model.gravity / model.n
-    return [min(0.004 * share, config.amplitude / 2), max(3 * share, 2 * config.amplitude)]
+    return range_for(model.load_mass * model.gravity / model.n, config.amplitude)
+
+
+def range_for(share: float, amplitude: float) -> list[float]:
+    """The bounds on A (N) for a cable's share of the load's weight and an initial A, both in N."""
+    return [min(0.004 * share, amplitude / 2), max(3 * share, 2 * amplitude)]
 
 
 def highest_speed_bound(config: NonstopProblemConfig) -> float:
@@ -62,11 +66,11 @@ def highest_speed_bound(config: NonstopProblemConfig) -> float:
     return config.max_speed / _least_ratio(config)
 
 
-def check_speed_bound(box: str, speed_bound: float) -> None:
-    """Raises ScenarioError for what is no speed bound (m/s), in the name of its `box`."""
+def check_speed_bound(box: str, speed_bound: float, name: str = "speed_bound") -> None:
+    """Raises ScenarioError for what is no speed bound (m/s), by the `name` it has in its `box`."""
     require(
         speed_bound == 0 or (is_number(speed_bound) and speed_bound >= LEAST_BOUND),
-        f"{box}.speed_bound",
+        f"{box}.{name}",
         speed_bound,
         f"give 0 (no bound) or at least {LEAST_BOUND:g} m/s",
     )

@@ -28,25 +28,15 @@ class SeparationConstraint:
     Args:
         min_separation: m, of any two carriers.
         axes: p and q (n, 3) of `mechanics.nonstop.orbit_axes`.
-        rest_length: m, of the cables.
-        compliance: m/N, of the cables.
     """
 
-    def __init__(
-        self,
-        min_separation: float,
-        axes: tuple[NDArray, NDArray],
-        *,
-        rest_length: float,
-        compliance: float,
-    ):
+    def __init__(self, min_separation: float, axes: tuple[NDArray, NDArray]):
         self.min_separation = min_separation
         phases = 2 * np.pi * np.arange(_PHASES)[:, None] / _PHASES
         cosine, sine = np.cos(phases), np.sin(phases)
         p, q = (axis.T[:, None] for axis in axes)
         self.directions = cosine * p + sine * q  # (3, phases, n)
         self.direction_rates = cosine * q - sine * p
-        self.cables = {"rest_length": rest_length, "compliance": compliance}
 
 
 class Separation:
@@ -56,10 +46,21 @@ class Separation:
         constraint: what all updates share.
         forces: f₀ (n, 3), N, of `mechanics.nonstop.orbit_ahead`.
         levers: (n, 3), m, likewise.
+        rest_length: m, of the cables.
+        compliance: m/N, of the cables.
     """
 
-    def __init__(self, constraint: SeparationConstraint, forces: NDArray, levers: NDArray):
+    def __init__(
+        self,
+        constraint: SeparationConstraint,
+        forces: NDArray,
+        levers: NDArray,
+        *,
+        rest_length: float,
+        compliance: float,
+    ):
         self._constraint = constraint
+        self._cables = {"rest_length": rest_length, "compliance": compliance}
         self._forces, self._levers = forces.T.copy(), levers.T.copy()
         self._scans: dict[float, tuple[float, NDArray]] = {}  # by amplitude
         self._known = np.zeros((3, 0), int)  # phases, and carriers twice
@@ -114,7 +115,7 @@ class Separation:
             return np.full(len(amplitudes), np.inf)
         forces, levers, directions, direction_rates = self._known_terms
         positions, rates = orbit_positions(
-            amplitudes, forces, levers, directions, direction_rates, **self._constraint.cables
+            amplitudes, forces, levers, directions, direction_rates, **self._cables
         )  # (3, 2, encounters, k)
         return self._margins(positions[:, 0] - positions[:, 1], rates[:, 0] - rates[:, 1]).min(
             axis=0
@@ -139,7 +140,7 @@ class Separation:
                 self._levers[:, None],
                 constraint.directions,
                 constraint.direction_rates,
-                **constraint.cables,
+                **self._cables,
             )  # (3, phases, n)
         close = _close_encounters(positions, rates, _NEAR * constraint.min_separation)
         if not np.isfinite(positions.sum()):

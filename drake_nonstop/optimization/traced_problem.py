@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import nonstop
-from drake_nonstop.mechanics.rigid_load import load_acceleration
+from drake_nonstop.mechanics.rigid_load import RigidLoad, load_acceleration
 from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
@@ -19,7 +19,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig, amplitude_range
 from drake_nonstop.optimization.separation import SeparationConstraint
-from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE, UpdateData
+from drake_nonstop.optimization.update_data import Beliefs, UpdateData, update_data_size
 from drake_nonstop.systems.tracing import TracedFunction
 
 MIN_SPEEDS_FOR_ARRAYS = 90  # from this number on arrays are faster than a trace
@@ -49,9 +49,9 @@ class SpeedTerms(NamedTuple):
 class TracedProblem:
     """What all updates of one model and config share.
 
-    Three traced functions of x = [ξ, A] (2,) and the flat vector of an `UpdateData` (61,):
-    `terms`, `margins` and `cost`. `margins` are in the order of `ConstraintMargins`, without that
-    of the separation.
+    Three traced functions of x = [ξ, A] (2,) and the flat vector of an `UpdateData`: `terms`,
+    `margins` and `cost`. `margins` are in the order of `ConstraintMargins`, without that of the
+    separation. `data_size` is that of the vector, and `beliefs` are those of model and config.
 
     Args:
         model: what the controllers believe.
@@ -61,10 +61,9 @@ class TracedProblem:
 
     def __init__(self, model: Model, config: NonstopProblemConfig, name: Callable[[], str]):
         self.model, self.config, self.name = model, config, name
-        self.nominal = np.array([config.frequency, config.amplitude])
-        self._lower, self._upper = np.transpose(
-            [config.frequency_bounds, amplitude_range(config, model)]
-        )
+        beliefs = beliefs_of(model, config)
+        self.beliefs = np.concatenate(beliefs)
+        self.data_size = update_data_size(len(beliefs.offset))
         points = config.look_ahead_points
         self._instants = np.linspace(0, config.period, points) if points > 1 else np.zeros(1)
         turn_count = config.orbit_points // config.orbit_updates if config.orbit_points > 1 else 0
@@ -74,11 +73,8 @@ class TracedProblem:
         self._instant_of_row = np.minimum(np.arange(points + turn_count), points - 1)
         axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
         self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
-        self.cables = {"rest_length": model.cable_length, "compliance": model.cable_compliance}
         self.constraints = ConstraintMargins(config, len(self._instant_of_row) * model.n)
-        self.separation = SeparationConstraint(
-            self.constraints.min_separation, self._axes, **self.cables
-        )
+        self.separation = SeparationConstraint(self.constraints.min_separation, self._axes)
         self.terms = self._compiled(self._trace_terms)
         self.cost = self._compiled(self._trace_cost)
         if self.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS:
@@ -94,7 +90,10 @@ class TracedProblem:
     ) -> NDArray:
         """`margins` at ξ (1,) and A (1,), of numbers or symbols."""
         values = nonstop.polynomial_values(terms.polynomials[:, :, None], amplitude[:, None])
-        c, b, a, tension_squares = nonstop.speed_squares(values, **self.cables)
+        beliefs = Beliefs.view(data.beliefs)
+        c, b, a, tension_squares = nonstop.speed_squares(
+            values, rest_length=beliefs.rest_length, compliance=beliefs.compliance
+        )
         s = frequency * amplitude
         squares = c + s * (2 * b + s * a)
         margins = [
@@ -110,28 +109,51 @@ class TracedProblem:
             self._compiled(self._trace_margins, jacobian_of=0),
         )
 
-    def bounds(self, previous: NDArray) -> tuple[NDArray, NDArray]:
+    def bounds(self, previous: NDArray, beliefs: Beliefs) -> tuple[NDArray, NDArray]:
         """The lower and upper bounds (2,) of [ξ, A], within reach at the limits of their rates."""
         step = self.config.period * np.array(
             [self.config.max_frequency_rate, self.config.max_amplitude_rate]
         )
-        return np.maximum(self._lower, previous - step), np.minimum(self._upper, previous + step)
+        return (
+            np.maximum(beliefs.lower, previous - step),
+            np.minimum(beliefs.upper, previous + step),
+        )
 
     def _compiled(self, function: Callable, jacobian_of: int | None = None) -> TracedFunction:
         # A solver may try the far ends of the bounds, where values are huge and sound.
         return TracedFunction(
             function,
-            [PARAMETERS_SIZE, UPDATE_DATA_SIZE],
+            [PARAMETERS_SIZE, self.data_size],
             name=self.name,
             largest=1e100,
             jacobian_of=jacobian_of,
-            key=(function.__name__, vars(self.model), self.config),
+            key=(function.__name__, *self._geometry(), self.config),
+        )
+
+    def _geometry(self) -> tuple:
+        """What the traces depend on of the model, which does not change."""
+        pattern, model = self.model.pattern, self.model
+        return (
+            model.attachments,
+            model.pseudo_inverse,
+            pattern.basis,
+            pattern.phases,
+            model.offset_parameter,
         )
 
     def _trace_orbits(self, data: UpdateData) -> tuple[NDArray, NDArray, NDArray]:
         """The products (25, instants, n), and the last instant's forces and levers (n, 3)."""
         state, reference, model = data.load_state, data.reference, self.model
-        accelerations = load_acceleration(model.load, state, data.wrench)
+        beliefs = Beliefs.view(data.beliefs)
+        load = RigidLoad(
+            mass=beliefs.load_mass,
+            inertia=beliefs.load_inertia.reshape(3, 3),
+            drag=beliefs.load_drag,
+            angular_drag=beliefs.load_angular_drag,
+            gravity=beliefs.gravity,
+        )
+        accelerations = load_acceleration(load, state, data.wrench)
+        offset = beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n)
         products = []
         for instant in self._instants:
             ahead = motion = nonstop.advance(state, *accelerations, instant)
@@ -151,7 +173,7 @@ class TracedProblem:
                 data.wrench_second_rate,
                 time=instant,
                 pseudo_inverse=_without_round_off(model.pseudo_inverse),
-                offset=model.pattern.offset,
+                offset=offset,
                 attachments=model.attachments,
             )
             products.append(nonstop.speed_products(forces, rates, velocities, omega, *self._axes))
@@ -193,8 +215,27 @@ class TracedProblem:
             internal_force_weight=self.config.internal_force_weight,
             internal_force_rate_weight=self.config.internal_force_rate_weight,
             anchor_weight=data.anchor_weight,
-            nominal=self.nominal,
+            nominal=Beliefs.view(data.beliefs).nominal,
         )
+
+
+def beliefs_of(model: Model, config: NonstopProblemConfig) -> Beliefs:
+    """Those of a model and a config."""
+    system = model.system
+    lower, upper = np.transpose([config.frequency_bounds, amplitude_range(config, model)])
+    return Beliefs(
+        load_mass=np.array([system.load_mass]),
+        load_inertia=np.array(system.load_inertia, float).ravel(),
+        load_drag=np.array([system.load_drag]),
+        load_angular_drag=np.array([system.load_angular_drag]),
+        gravity=np.array([system.gravity]),
+        rest_length=np.array([system.cable_length]),
+        compliance=np.array([model.cable_compliance]),
+        nominal=np.array([config.frequency, config.amplitude]),
+        lower=lower,
+        upper=upper,
+        offset=model.pattern.offset if model.offset_parameter else np.zeros(0),
+    )
 
 
 def _without_round_off(matrix: NDArray) -> NDArray:

@@ -18,7 +18,8 @@ class UpdateData(NamedTuple):
     """The parts of the data of one update, all in W.
 
     `np.concatenate` of an instance is the flat vector that the traced functions take, and `view` of
-    that gives the parts. The parts are for reading: some are shared between updates.
+    that gives the parts. The parts are for reading: some are shared between updates. The numbers of
+    `beliefs` are those of its view as `Beliefs`.
     """
 
     previous: NDArray  # (2,), [ξ⁻, A⁻], rad/s and N
@@ -32,11 +33,34 @@ class UpdateData(NamedTuple):
     speed_unit: NDArray  # (1,), m/s, scales the margins of the speed bound
     orbit_turn: NDArray  # (1,), rad, added to the phases of the orbit ahead
     anchor_weight: NDArray  # (1,)
+    beliefs: NDArray  # what the controllers believe, a flat `Beliefs`; (0,): what the solver does
 
     @classmethod
     def view(cls, vector: NDArray) -> "UpdateData":
-        """The parts of a flat vector (61,), of numbers or symbols: views, not copies."""
-        return cls(*[vector[part] for part in _PARTS])
+        """The parts of a flat vector, of numbers or symbols: views, not copies."""
+        return cls._make([*(vector[part] for part in _PARTS), vector[_ENDS[-1] :]])
+
+
+class Beliefs(NamedTuple):
+    """Numbers of the controllers' model and of the problem that may change between updates."""
+
+    load_mass: NDArray  # (1,), kg
+    load_inertia: NDArray  # (9,), kg m², in L, row by row
+    load_drag: NDArray  # (1,), N s/m
+    load_angular_drag: NDArray  # (1,), N m s/rad
+    gravity: NDArray  # (1,), m/s²
+    rest_length: NDArray  # (1,), m
+    compliance: NDArray  # (1,), m/N
+    nominal: NDArray  # (2,), [ξ, A] at the start, rad/s and N
+    lower: NDArray  # (2,), bounds of [ξ, A]
+    upper: NDArray  # (2,)
+    offset: NDArray  # (3n,), N, in L, of the pattern; (0,) where it has none
+
+    @classmethod
+    def view(cls, vector: NDArray) -> "Beliefs":
+        """The parts of a flat vector, of numbers or symbols: views, not copies."""
+        end = _BELIEFS[-1].stop
+        return cls._make([*(vector[part] for part in _BELIEFS), vector[end:]])
 
 
 _SIZES = (  # of the parts, in their order
@@ -51,4 +75,10 @@ _SIZES = (  # of the parts, in their order
 )
 _ENDS = list(accumulate(_SIZES))
 _PARTS = [slice(end - size, end) for size, end in zip(_SIZES, _ENDS, strict=True)]
-UPDATE_DATA_SIZE = _ENDS[-1]
+_BELIEF_ENDS = [1, 10, 11, 12, 13, 14, 15, 17, 19, 21]
+_BELIEFS = [slice(a, b) for a, b in zip([0, *_BELIEF_ENDS], _BELIEF_ENDS, strict=False)]
+
+
+def update_data_size(offset_size: int) -> int:
+    """The size of an `UpdateData` with an offset of that size."""
+    return _ENDS[-1] + _BELIEF_ENDS[-1] + offset_size

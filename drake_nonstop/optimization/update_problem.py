@@ -18,7 +18,7 @@ from drake_nonstop.optimization.traced_problem import (
     SpeedTerms,
     TracedProblem,
 )
-from drake_nonstop.optimization.update_data import UpdateData
+from drake_nonstop.optimization.update_data import Beliefs, UpdateData
 from drake_nonstop.systems.tracing import NotFiniteError
 
 
@@ -32,18 +32,25 @@ class UpdateProblem:
 
     def __init__(self, traced: TracedProblem, data: UpdateData):
         self._traced = traced
+        if len(data.beliefs) == 0:
+            data = data._replace(beliefs=traced.beliefs)
         self.data = data
-        self.vector = np.concatenate(data)  # (61,), for the functions of `UpdateSolver.functions`
+        self.vector = np.concatenate(data)  # for the functions of `UpdateSolver.functions`
         self.previous = data.previous.copy()
         # The last x, its margins but for that of the separation, and the least of them: the
         # search has computed the answer's.
         self._last: tuple[NDArray | None, NDArray, float] = (None, self.previous, 0.0)
         self._search_problem: SearchProblem | None = None
 
+    @cached_property
+    def beliefs(self) -> Beliefs:
+        """What the controllers believe."""
+        return Beliefs.view(self.data.beliefs)
+
     @property
     def bounds(self) -> tuple[NDArray, NDArray]:
         """The lower and upper bounds (2,) of x, within reach at the limits of its rates."""
-        return self._traced.bounds(self.previous)
+        return self._traced.bounds(self.previous, self.beliefs)
 
     @property
     def known_bounds(self) -> tuple[NDArray, NDArray]:
@@ -146,7 +153,14 @@ class UpdateProblem:
         constraint = self._traced.separation
         if constraint.min_separation == 0:
             return None
-        return Separation(constraint, self._terms.forces, self._terms.levers)
+        return Separation(constraint, self._terms.forces, self._terms.levers, **self._cables)
+
+    @property
+    def _cables(self) -> dict[str, float]:
+        return {
+            "rest_length": float(self.beliefs.rest_length[0]),
+            "compliance": float(self.beliefs.compliance[0]),
+        }
 
     def _separation_margin(self, x: NDArray) -> float:
         if self._separation is None:
@@ -161,11 +175,11 @@ class UpdateProblem:
         lower, upper = self.bounds
         return SearchProblem(
             polynomials=terms.polynomials,
-            **traced.cables,
+            **self._cables,
             amplitude_margins=self._amplitude_margins(terms.polynomials),
             angles=terms.angles,
             previous=previous,
-            nominal=traced.nominal,
+            nominal=self.beliefs.nominal,
             lower=lower,
             upper=upper,
             speed_bound=data.speed_bound[0],

@@ -19,6 +19,7 @@ from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
 from drake_nonstop.systems.tracing import TracedFunction
 
+_NOT_GIVEN = np.zeros(0)
 _COST_TOLERANCE = 1e-4  # relative; what the global search finds has to be cheaper by more
 _REST_TOLERANCE = 1e-3  # m/s, rad/s, m/s², rad/s²; a reference that moves less is at rest
 
@@ -49,10 +50,14 @@ class UpdateSolver:
         ]
         self._anchor_weight, self._no_anchor = np.array([config.anchor_weight]), np.zeros(1)
         self._traced = TracedProblem(model, config, name)
+        self.data_size = self._traced.data_size  # of the data's flat vector
         self._local: LocalSolver | None = None
         if config.solver in LocalSolver.NAMES:
             self._local = LocalSolver(
-                config.solver, *self._traced.with_gradients(), self._traced.constraints.speed_count
+                config.solver,
+                *self._traced.with_gradients(),
+                self._traced.constraints.speed_count,
+                self._traced.data_size,
             )
 
     def update_data(
@@ -66,6 +71,7 @@ class UpdateSolver:
         wrench_second_rate: NDArray,
         speed_bound: float,
         updates: int = 0,
+        beliefs: NDArray | None = None,
     ) -> UpdateData:
         """The data of an update.
 
@@ -79,6 +85,7 @@ class UpdateSolver:
             wrench_second_rate: (6,), per s².
             speed_bound: m/s, ε before it is tightened.
             updates: how many there were before this one: selects the phases of the orbit ahead.
+            beliefs: a flat `Beliefs`; none: those of model and config.
         """
         config = self._config
         anchor_weight = self._anchor_weight
@@ -98,6 +105,7 @@ class UpdateSolver:
             speed_unit=bound if speed_bound else np.ones(1),  # without a bound any speed is enough
             orbit_turn=self._orbit_turns[updates % config.orbit_updates],
             anchor_weight=anchor_weight,
+            beliefs=_NOT_GIVEN if beliefs is None else beliefs,
         )
 
     def problem(self, data: UpdateData) -> UpdateProblem:
@@ -137,7 +145,7 @@ class UpdateSolver:
         """Whether the anchor asks for something else than the previous parameters."""
         has_anchor = self._config.anchor_weight > 0 and problem.data.anchor_weight[0] > 0
         return has_anchor and not np.allclose(
-            problem.previous, self._traced.nominal, rtol=1e-6, atol=0
+            problem.previous, problem.beliefs.nominal, rtol=1e-6, atol=0
         )
 
     def _best(self, problem: UpdateProblem) -> NDArray:

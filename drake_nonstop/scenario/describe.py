@@ -5,14 +5,9 @@ beside it, their meanings from the comments on its fields, and the ports from a 
 built with the default scenario's model.
 """
 
-import ast
-import contextlib
 import dataclasses
 import inspect
-import io
 import math
-import textwrap
-import tokenize
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +19,7 @@ from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import PATTERN, PATTERNS, Scenario
 from drake_nonstop.systems import wiring
+from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import ScenarioError, require
 
 
@@ -43,7 +39,7 @@ class Port:
 
     name: str
     size: str
-    is_optional: bool = False  # an output that a block in its box need not have
+    is_optional: bool = False  # an output need not be there, an input need not be connected
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,26 +105,6 @@ def parameters(config: type) -> tuple[Parameter, ...]:
     )
 
 
-def meanings(config: type) -> dict[str, str]:
-    """The comments on the fields of a config class, by name: units and meanings."""
-    found: dict[str, str] = {}
-    for base in reversed(config.__mro__):
-        if dataclasses.is_dataclass(base):
-            with contextlib.suppress(OSError, TypeError):  # a class that no source file has
-                found |= _field_comments(base)
-    return found
-
-
-def headings(config: type) -> dict[str, str]:
-    """By name of a field: the comment that heads it and those below, apart by an empty line."""
-    found: dict[str, str] = {}
-    for base in reversed(config.__mro__):
-        if dataclasses.is_dataclass(base):
-            with contextlib.suppress(OSError, TypeError):
-                found |= _field_comments(base, apart=True)
-    return found
-
-
 def _choice(block: type[System], model: Model) -> Choice:
     inputs: tuple[Port, ...] = ()
     outputs: tuple[Port, ...] = ()
@@ -138,7 +114,11 @@ def _choice(block: type[System], model: Model) -> Choice:
     except ScenarioError as error:
         unbuildable = str(error)
     else:
-        inputs = tuple(_port(*item) for item in wiring.input_sizes(built).items())
+        optional = wiring.optional_inputs(built)
+        inputs = tuple(
+            dataclasses.replace(_port(*item), is_optional=item[0] in optional)
+            for item in wiring.input_sizes(built).items()
+        )
         outputs = tuple(_port(*item) for item in wiring.output_sizes(built).items())
     return Choice(
         name=block.__name__,
@@ -192,42 +172,3 @@ class _Dumper(yaml.SafeDumper):
     def ignore_aliases(self, data: Any) -> bool:
         """No anchors and aliases."""
         return True
-
-
-def _field_comments(config: type, *, apart: bool = False) -> dict[str, str]:
-    """By the name of each field that a class body itself has: the comments on its lines.
-
-    They are followed by those in lines of their own right above it; or there are only those which
-    stand `apart`, above an empty line, of the fields that have them.
-    """
-    source = textwrap.dedent(inspect.getsource(config))
-    lines = source.splitlines()
-    comments = {
-        token.start[0]: token.string.removeprefix("#").strip()
-        for token in tokenize.generate_tokens(io.StringIO(source).readline)
-        if token.type == tokenize.COMMENT
-    }
-    (definition,) = ast.parse(source).body
-    assert isinstance(definition, ast.ClassDef)
-    result = {}
-    for statement in definition.body:
-        if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
-            above: list[int] = []
-            line = statement.lineno - 1
-            if apart and lines[line - 1].strip():
-                continue
-            line -= apart
-            while line in comments and lines[line - 1].lstrip().startswith("#"):
-                above.insert(0, line)
-                line -= 1
-            if apart:
-                if above:
-                    result[statement.target.id] = " ".join(comments[line] for line in above)
-                continue
-            within = range(statement.lineno, (statement.end_lineno or statement.lineno) + 1)
-            found = [
-                " ".join(comments[line] for line in group if line in comments)
-                for group in (within, above)
-            ]
-            result[statement.target.id] = "; ".join(text for text in found if text)
-    return result

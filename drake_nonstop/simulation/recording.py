@@ -28,6 +28,7 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -286,6 +287,8 @@ def _last_flight(columns: dict[str, NDArray]) -> dict[str, NDArray]:
 class Recording:
     """The logs of a long run, which go to files: of one context, sampled when that is asked for.
 
+    Signals that are `recorded_where_read` are not among them where no block reads them.
+
     Args:
         builder: has the diagram already; the logs are added to it.
         nonstop: the diagram, as `make_nonstop` builds it.
@@ -500,11 +503,17 @@ def require_room(nonstop: Diagram, scenario: Scenario) -> None:
 
 def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, OutputPort]]:
     """The ports, by name, that are recorded at 100 Hz and at every step."""
+    read = {
+        source.get_output_port(index).get_name()
+        for source, index in nonstop.connection_map().values()
+    }
+    if_read = {name for box in BOXES.values() for name in box.recorded_where_read}
     outputs = [nonstop.get_output_port(i) for i in range(nonstop.num_output_ports())]
     ports = {
         port.get_name(): port
         for port in outputs
         if port.get_data_type() == PortDataType.kVectorValued
+        and port.get_name() not in if_read - read
     }
     return (
         {name: port for name, port in ports.items() if name != WALL_TIME},

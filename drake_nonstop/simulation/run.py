@@ -26,8 +26,9 @@ WALL_TIME = "solve_time"  # differs from run to run: kept out of the samples
 class Run:
     """What a simulation produced.
 
-    `signals` maps "block.port" to the samples of every signal but wall times, (samples,
-    size), at the instants `time` (samples,), 100 Hz; `steps` maps the names of a few ports
+    `signals` maps "block.port" to the samples of every signal but wall times, and accelerations and
+    jerks of carriers that no block reads, (samples, size), at the instants `time` (samples,),
+    100 Hz; `steps` maps the names of a few ports
     to their values at every step, (steps, size), and "time" to the steps' times (steps,), from
     t = 0 on: the integrator's steps, or the controllers' samples where the plant is fused. A
     value at an instant is that before the controllers' update at that instant. `solve_times`

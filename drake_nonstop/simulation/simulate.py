@@ -352,7 +352,7 @@ def with_chosen_step(scenario: Scenario, nonstop: Diagram, context: Context) -> 
 
 def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:
     """Warns where a replacement brings a speed bound of its own, by which a run is judged."""
-    if nonstop.HasOutputPort("speed_bound"):
+    if nonstop.HasOutputPort("speed_bound") and not nonstop.HasOutputPort("speed_bound_command"):
         (own,) = nonstop.GetOutputPort("speed_bound").Eval(context)
         if own != stated:
             message = (

@@ -1,4 +1,9 @@
-"""The base classes of all blocks: systems that Python can free.
+"""The base classes of all blocks: systems of any scalar type, that Python can free.
+
+A block is written once, as a class below `LeafBlock`. Drake's `ToAutoDiffXd`, `ToSymbolic` and
+`Clone` make it again, of the same arguments, by `of_scalar`: from the same class below
+`LeafSystem_[AutoDiffXd]` or `LeafSystem_[Expression]`. A `DiagramBlock` is converted by Drake, as
+a Diagram of blocks that are.
 
 A run has to give its memory back once it is over, or a sweep of many runs out of it. Three
 things keep a system written in Python alive, and with it all of its diagram, some 7 MB a
@@ -14,18 +19,26 @@ run (https://github.com/RobotLocomotion/drake/issues/22515):
 Pydrake bound by nanobind does without the first two.
 """
 
+import copy
 import functools
 import types
 import weakref
-from typing import Any
+from dataclasses import is_dataclass
+from typing import Any, ClassVar
 
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression
 from pydrake.systems.framework import (
     Context,
     ContinuousState,
     Diagram,
     LeafSystem,
+    LeafSystem_,
     OutputPort,
+    SystemScalarConverter,
 )
+
+from drake_nonstop.validation import ScenarioError
 
 _IS_NANOBIND = type(LeafSystem).__module__.startswith("nanobind")
 
@@ -65,15 +78,49 @@ class DiagramBlock(Diagram, metaclass=BlockType):  # type: ignore[metaclass]
 class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
     """A LeafSystem whose methods may be given to its Declare functions, and that is freed.
 
+    It converts to the other scalar types: its methods run with contexts of each of them, where
+    ports give, and take, object arrays.
+
     Attributes:
         is_sampled: as of `DiagramBlock`.
+        scalar: the type of its numbers: float, AutoDiffXd or Expression.
     """
 
     is_sampled = False
+    scalar: ClassVar[type] = float
+    _arguments: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def __new__(cls, *arguments: Any, **named: Any) -> "LeafBlock":
+        """Remembers the arguments, for a conversion; a config may change after that."""
+        block: LeafBlock = super().__new__(cls)
+        kept = [copy.deepcopy(a) if is_dataclass(a) else a for a in arguments]
+        block._arguments = tuple(kept), named
+        return block
 
     def __init__(self) -> None:
         """Makes the block; a box's takes a `model` and a `config` (None: the default values)."""
-        super().__init__()
+        super().__init__(_CONVERTER)
+
+    # Drake's own give a block by itself a shell, whose ports have other names.
+    def ToAutoDiffXd(self) -> Any:  # noqa: N802
+        """As LeafSystem's."""
+        return _converted(AutoDiffXd, self)
+
+    def ToSymbolic(self) -> Any:  # noqa: N802
+        """As LeafSystem's."""
+        return _converted(Expression, self)
+
+    def Clone(self) -> Any:  # noqa: N802
+        """As LeafSystem's."""
+        return _converted(self.scalar, self)
+
+    def require_floats(self, remedy: str) -> None:
+        """Raises ScenarioError, with the remedy, where the scalar type is not float."""
+        if self.scalar is not float:
+            raise ScenarioError(
+                f"scalar type of {self.box()} = {self.scalar.__name__}: it computes with "
+                f"floating-point numbers only; {remedy}"
+            )
 
     def box(self) -> str:
         """What error messages call the block: its name in the diagram."""
@@ -106,6 +153,74 @@ class InnerBlock(LeafBlock):
         names = self.GetSystemPathname().split("::")
         above = names.index(LOOP) if LOOP in names[:-1] else 0  # first comes an empty name
         return names[above + 1]
+
+
+def of_scalar(block: type, scalar: type) -> type:
+    """The class below `LeafBlock`, or that of another scalar type, with numbers of that type."""
+    return _of_scalar(getattr(block, "_of_float", block), scalar)
+
+
+@functools.cache
+def _of_scalar(block: type, scalar: type) -> type:
+    if scalar is float or not issubclass(block, LeafSystem):
+        return block
+    if block is LeafSystem:
+        return LeafSystem_[scalar]
+    bases = tuple(_of_scalar(base, scalar) for base in block.__bases__)
+    members = {k: v for k, v in vars(block).items() if k not in ("__dict__", "__weakref__")}
+    members |= {"scalar": scalar, "_of_float": block}
+    made = type(block)(block.__name__, bases, members)
+    for name, member in members.items():
+        setattr(made, name, _with_super_of(made, member))
+    return made
+
+
+def _with_super_of(owner: type, method: Any) -> Any:
+    """A method with `super()` that of another class; anything else as it is."""
+    if isinstance(method, (staticmethod, classmethod)):
+        return type(method)(_with_super_of(owner, method.__func__))
+    if not isinstance(method, types.FunctionType) or not method.__closure__:
+        return method
+    cells = zip(method.__code__.co_freevars, method.__closure__, strict=True)
+    closure = tuple(types.CellType(owner) if name == "__class__" else cell for name, cell in cells)
+    made = types.FunctionType(
+        method.__code__, method.__globals__, method.__name__, method.__defaults__, closure
+    )
+    return functools.update_wrapper(made, method)
+
+
+def _converted(scalar: type, block: LeafBlock) -> Any:
+    arguments, named = block._arguments
+    made = of_scalar(type(block), scalar)(*arguments, **named)
+    made.set_name(block.get_name())
+    return made
+
+
+def _converter() -> SystemScalarConverter:
+    converter = SystemScalarConverter()
+    for target, source in SystemScalarConverter.SupportedConversionPairs:
+        converter._AddConstructor[target, source](functools.partial(_converted, target))
+    return converter
+
+
+_CONVERTER = _converter()
+
+
+def number(value: Any) -> float:
+    """The value of a number of any scalar type.
+
+    Raises:
+        ScenarioError: it is an Expression with variables.
+    """
+    if isinstance(value, AutoDiffXd):
+        return float(value.value())
+    if isinstance(value, Expression):
+        if value.GetVariables():
+            raise ScenarioError(
+                f"time or state = {value}: a block needs its value; give the context a number"
+            )
+        return float(value.Evaluate())
+    return float(value)
 
 
 def weakly(callback: Any) -> Any:

@@ -7,24 +7,30 @@ not with its square.
 """
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, InputPortIndex
 from pydrake.systems.primitives import (
     Adder,
     Gain,
     Integrator,
     MatrixGain,
+    PortSwitch,
     Selector,
     SelectorParams,
 )
 
-from drake_nonstop.systems.block import DiagramBlock
+from drake_nonstop.systems.block import DiagramBlock, InnerBlock
+from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
 from drake_nonstop.systems.traced_block import Equations, splitting, stacking
+from drake_nonstop.systems.tracing import TracedFunction
 
 _STATE = "(state)"  # not the name of a port
 _RELATIVE_TOLERANCE = 1e-9  # of what counts as linear
+_PORTS = InputPortIndex(1), InputPortIndex(2)  # of a switch, whose selector's is the first
 _LARGEST_DENSE = 1500  # entries of a matrix that is multiplied as it is
 
 
@@ -105,6 +111,110 @@ class LinearBlock(DiagramBlock):
             if state_port:
                 builder.ExportOutput(state.get_output_port(), state_port)
         builder.BuildInto(self)
+
+
+class AdjustableLinearBlock(DiagramBlock):
+    """A linear function without a state, whose coefficients follow from parameters of the context.
+
+    While the parameters have their default values it is a `LinearBlock`, since pydrake has no
+    system that multiplies two signals. With other values it is a traced function, which takes a
+    callback, and whose results may differ by rounding. A function that changes nothing at the
+    default values costs nothing there. `equations` have the default values.
+
+    Args:
+        function: as of `LinearBlock`; it takes the parameters by name, as that of a `TracedBlock`.
+        inputs: the names of the input ports and their sizes.
+        output: the name of the output port and its size.
+        parameters: a numeric parameter of the context.
+        key: as of `TracedFunction`; the parameters' values are no part of it.
+    """
+
+    def __init__(
+        self,
+        function: Callable,
+        *,
+        inputs: Mapping[str, int],
+        output: tuple[str, int],
+        parameters: NumericParameters,
+        key: Any = None,
+    ):
+        super().__init__()
+        name, size = output
+        default = LinearBlock(parameters.filled_in(function), inputs=inputs, outputs={name: size})
+        self.equations = default.equations
+        builder = DiagramBuilder()
+        adjusted = builder.AddNamedSystem(
+            "adjusted", _Adjusted(function, inputs, size, parameters, key)
+        )
+        switch = builder.AddNamedSystem("switch", PortSwitch(size))
+        first, second = (switch.DeclareInputPort(label) for label in ("default", "adjusted"))
+        for label in inputs:
+            builder.ExportInput(adjusted.GetInputPort(label), label)
+        matrix = _matrix(default.equations)
+        if np.array_equal(matrix, np.eye(size)):
+            builder.ConnectInput(*inputs, first)
+        else:
+            builder.AddNamedSystem("default", default)
+            builder.Connect(default.get_output_port(), first)
+            for label in inputs:
+                builder.ConnectInput(label, default.GetInputPort(label))
+        builder.Connect(adjusted.GetOutputPort("results"), second)
+        builder.Connect(adjusted.GetOutputPort("choice"), switch.get_port_selector_input_port())
+        builder.ExportOutput(switch.get_output_port(), name)
+        builder.BuildInto(self)
+
+
+class _Adjusted(InnerBlock):
+    """The function with the parameters of the context, and which port of a switch to take.
+
+    That is the first where the parameters are floats with their default values.
+    """
+
+    def __init__(
+        self,
+        function: Callable,
+        inputs: Mapping[str, int],
+        size: int,
+        parameters: NumericParameters,
+        key: Any,
+    ):
+        super().__init__()
+        self.parameters = parameters
+        self._function = parameters.as_argument(function, len(inputs))
+        self._sizes, self._key = [*inputs.values(), len(parameters)], key
+        self._evaluate: TracedFunction | None = None
+        self._inputs = [self.DeclareVectorInputPort(*port) for port in inputs.items()]
+        declare_parameters(self, parameters)
+        self.DeclareVectorOutputPort(
+            "results",
+            size,
+            self._calc_results,
+            {self.all_input_ports_ticket(), self.all_parameters_ticket()},
+        )
+        self.DeclareAbstractOutputPort(
+            "choice",
+            lambda: AbstractValue.Make(_PORTS[0]),
+            self._calc_choice,
+            {self.all_parameters_ticket()},
+        )
+
+    def _calc_results(self, context: Context, output: BasicVector) -> None:
+        values = [port.Eval(context) for port in self._inputs]
+        values.append(context.get_numeric_parameter(0).CopyToVector())
+        if values[-1].dtype != float:
+            output.SetFromVector(self._function(*values))
+            return
+        if self._evaluate is None:
+            self._evaluate = TracedFunction(
+                self._function, self._sizes, name=self.box, key=self._key
+            )
+        (results,) = self._evaluate(*values)
+        output.SetFromVector(results)
+
+    def _calc_choice(self, context: Context, output: AbstractValue) -> None:
+        values = context.get_numeric_parameter(0).CopyToVector()
+        is_default = values.dtype == float and np.array_equal(values, self.parameters.vector)
+        output.set_value(_PORTS[0 if is_default else 1])
 
 
 def _matrix(equations: Equations) -> NDArray:

@@ -28,5 +28,5 @@ class SampledIntegrator(LeafBlock):
         self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._add)
 
     def _add(self, context: Context, discrete_state: DiscreteValues) -> None:
-        integral = context.get_discrete_state_vector().value()
+        integral = context.get_discrete_state_vector().CopyToVector()
         discrete_state.set_value(integral + self._period * self._rate.Eval(context))

@@ -5,9 +5,9 @@ as the traced function. Drake's systems, in C++, therefore stack the inputs to o
 outputs and hold the state, and Python is called once, for the function.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,12 @@ from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, Syst
 from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
-from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
+from drake_nonstop.systems.tracing import LateTrace, Trace
 
 _STATE = "(state)"  # no name of a port
+_NUMBERS = "(parameters)"  # likewise
+_INNER = {_STATE, _NUMBERS}  # inputs of the function that are no ports of the block
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,10 @@ class Equations:
 class TracedBlock(DiagramBlock):
     """A block whose outputs are a traced function of its inputs and its state.
 
-    For Drake every output depends on every input, and only the state's port on none.
+    What feeds through to an output are the inputs that its trace reads. Outputs that do not read
+    the same inputs are made by calls of their own into Python. On AutoDiffXd and Expression the
+    function itself is evaluated, on object arrays.
+
     `equations` can be a part of a larger trace; they are None where the state is not continuous
     or the time is read.
 
@@ -55,7 +61,11 @@ class TracedBlock(DiagramBlock):
             output of one size.
         state_port: the name of the output port that shows the state; none: no port does.
         reads_time: `function` takes the time (1,) in s after all others.
-        key: as of `TracedFunction`.
+        parameters: what `function` takes by name, as arrays, numbers as (1,), besides: a numeric
+            parameter of the context. `equations` have the default values.
+        key: as of `TracedFunction`; the parameters' values are no part of it.
+        is_traced_late: the function is traced when an output is evaluated for the first time, for
+            what most loops do not read; every output feeds through every input.
 
     Raises:
         ValueError: there is nothing to take: neither an input nor a state nor the time.
@@ -70,37 +80,67 @@ class TracedBlock(DiagramBlock):
         state: System | None = None,
         state_port: str = "",
         reads_time: bool = False,
+        parameters: NumericParameters | None = None,
         key: Any = None,
+        is_traced_late: bool = False,
     ):
         super().__init__()
+        parameters = parameters or NumericParameters({})
         read, made = dict(inputs), dict(outputs or {})
         initial = np.zeros(0)
         if state is not None:
             initial = state.get_output_port().Eval(state.CreateDefaultContext()).copy()
         self.equations: Equations | None = None
         if not reads_time and (state is None or isinstance(state, Integrator)):
-            self.equations = Equations(function, dict(inputs), dict(made), initial, state_port)
+            self.equations = Equations(
+                parameters.filled_in(function), dict(inputs), dict(made), initial, state_port
+            )
         if state is not None:
             own = {_STATE: len(initial)}
             read, made = own | read, own | made
         if not read and not reads_time:
             raise ValueError("inputs = none: give some, a state, or reads_time")
+        if len(parameters) > 0:
+            function = parameters.as_argument(function, len(read))
+            read = read | {_NUMBERS: len(parameters)}
+        time = len(read)
+        sizes = [*read.values(), *([1] if reads_time else [])]
+        if is_traced_late:
+            trace: Trace = LateTrace(function, sizes, [*made.values()], key=key)
+        else:
+            trace = Trace(function, sizes, key=key)
+        inner = {i for i, name in enumerate(read) if name in _INNER}
+        groups = _groups(trace.dependence, {*inner, time}, has_state=state is not None)
         builder = DiagramBuilder()
-        traced = builder.AddNamedSystem(
-            "traced", _Traced(function, [*read.values()], sum(made.values()), reads_time, key)
-        )
-        inputs_of, outputs_of = traced.get_input_port, traced.get_output_port
-        if len(read) > 1:
-            stacked = builder.AddNamedSystem("stacked", Selector(stacking(read)))
-            builder.Connect(stacked.get_output_port(), traced.get_input_port())
+        traced = [
+            builder.AddNamedSystem(
+                f"traced_{k}" if k else "traced",
+                _Traced(trace, group, time, None if k else parameters),
+            )
+            for k, group in enumerate(groups)
+        ]
+        names = [part.get_name() for part in traced]
+        inputs_of, outputs_of = traced[0].get_input_port, traced[0].get_output_port
+        if len(read) > 1 or (read and groups != [_Group([0], [*range(len(made))])]):
+            chosen = [[i for i in group.reads if i != time] for group in groups]
+            params = _stacking_of(read, dict(zip(names, chosen, strict=True)))
+            stacked = builder.AddNamedSystem("stacked", Selector(params))
             inputs_of = stacked.get_input_port
+            for part, numbers in zip(traced, chosen, strict=True):
+                if numbers:
+                    source = stacked.GetOutputPort(part.get_name())
+                    builder.Connect(source, part.get_input_port())
         if len(made) > 1:
-            parts = builder.AddNamedSystem("parts", Selector(splitting(made)))
-            builder.Connect(traced.get_output_port(), parts.get_input_port())
+            makes = {name: group.makes for name, group in zip(names, groups, strict=True)}
+            parts = builder.AddNamedSystem("parts", Selector(_splitting_of(made, makes)))
             outputs_of = parts.get_output_port
+            for part in traced:
+                builder.Connect(part.GetOutputPort("results"), parts.GetInputPort(part.get_name()))
         for i, name in enumerate(read):
-            if name != _STATE:
+            if name not in _INNER:
                 builder.ExportInput(inputs_of(i), name)
+        if len(parameters) > 0:
+            builder.Connect(traced[0].GetOutputPort("parameters"), inputs_of(len(read) - 1))
         for i, name in enumerate(made):
             if name != _STATE:
                 builder.ExportOutput(outputs_of(i), name)
@@ -113,32 +153,75 @@ class TracedBlock(DiagramBlock):
         builder.BuildInto(self)
 
 
+class _Group(NamedTuple):
+    """Outputs that depend on the same input ports, made together."""
+
+    reads: list[int]  # the numbers of the inputs that any of them depends on
+    makes: list[int]  # the outputs' numbers
+
+
+def _groups(dependence: list[set[int]], inner: set[int], has_state: bool) -> list[_Group]:
+    """The outputs in groups, in the order of their first ones.
+
+    Args:
+        dependence: as of `Trace`.
+        inner: the numbers of the inputs that are no ports. An output is taken to depend on
+            one of these where another one of its group does.
+        has_state: the first output goes into the state: no port shows on which inputs it
+            depends, and it is made with others that read these and more.
+    """
+    ports = [frozenset(depends - inner) for depends in dependence]
+    if has_state:
+        wider = [other for other in ports[1:] if other >= ports[0]]
+        ports[0] = min(wider, key=len, default=ports[0])
+    groups = []
+    for own in dict.fromkeys(ports):
+        makes = [i for i, other in enumerate(ports) if other == own]
+        groups.append(_Group(sorted(set().union(*(dependence[i] for i in makes))), makes))
+    return groups
+
+
 class _Traced(InnerBlock):
-    """A traced function of one vector, the inputs stacked, with one output, likewise."""
+    """A part of a trace: a function of one vector, the inputs stacked, with one output, likewise.
+
+    The parameters are another output, for the stack: a system of their own would cost time at each
+    step, and Drake's ConstantVectorSource makes what reads it depend on the time.
+
+    Args:
+        trace: of the whole function.
+        group: the part's inputs and outputs.
+        time: the number of the input that is the time.
+        parameters: of the whole function; None: another part has them.
+    """
 
     def __init__(
-        self, function: Callable, sizes: list[int], result_size: int, reads_time: bool, key: Any
+        self, trace: Trace, group: _Group, time: int, parameters: NumericParameters | None
     ):
         super().__init__()
-
-        def stacked(*inputs: NDArray) -> NDArray:
-            results = function(*inputs)
-            return np.concatenate(results if isinstance(results, tuple) else (results,), axis=None)
-
-        self._evaluate = TracedFunction(
-            stacked,
-            [*sizes, 1] if reads_time else sizes,
-            name=self.box,
-            key=key,
-        )
+        make = trace.compiled if self.scalar is float else trace.on_arrays
+        self._evaluate = make(group.reads, group.makes, name=self.box)
+        input_size = sum(trace.input_sizes[i] for i in group.reads if i != time)
         calc, prerequisites = self._calc, set()
-        if sizes:
-            self._inputs = self.DeclareVectorInputPort("inputs", sum(sizes))
+        if input_size > 0:
+            self._inputs = self.DeclareVectorInputPort("inputs", input_size)
             prerequisites.add(self.all_input_ports_ticket())
-        if reads_time:
-            calc = self._calc_at_time if sizes else self._calc_of_time
+        if time in group.reads:
             prerequisites.add(self.time_ticket())
-        self.DeclareVectorOutputPort("results", result_size, calc, prerequisites)
+        if input_size == 0 or time in group.reads:
+            calc = self._calc_at_time if input_size > 0 else self._calc_of_time
+        result_size = sum(trace.output_sizes[i] for i in group.makes)
+        self.DeclareVectorOutputPort(
+            "results", result_size, calc, prerequisites or {self.nothing_ticket()}
+        )
+        if parameters is not None and len(parameters) > 0:
+            self.parameters = parameters
+            declare_parameters(self, parameters)
+            sources = {self.all_parameters_ticket()}
+            size = len(parameters)
+            self.DeclareVectorOutputPort("parameters", size, self._calc_parameters, sources)
+
+    def _calc_parameters(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_numeric_parameter(0).CopyToVector())
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         (results,) = self._evaluate(self._inputs.Eval(context))
@@ -149,7 +232,7 @@ class _Traced(InnerBlock):
         output.SetFromVector(results)
 
     def _calc_at_time(self, context: Context, output: BasicVector) -> None:
-        (results,) = self._evaluate(self._inputs.Eval(context), np.array([context.get_time()]))
+        (results,) = self._evaluate(self._inputs.Eval(context), (context.get_time(),))
         output.SetFromVector(results)
 
 
@@ -158,25 +241,43 @@ def stacking(sizes: Mapping[str, int], output: str = "stacked") -> SelectorParam
 
     Unlike Drake's Multiplexer it does nothing while only the time changes.
     """
-    selections = [(i, k) for i, size in enumerate(sizes.values()) for k in range(size)]
+    return _stacking_of(sizes, {output: range(len(sizes))})
+
+
+def _stacking_of(sizes: Mapping[str, int], outputs: Mapping[str, Sequence[int]]) -> SelectorParams:
+    """Of a Selector that stacks these of the inputs, by their numbers, for each of the outputs."""
+    counts = [*sizes.values()]
     return SelectorParams(
-        inputs=[
-            SelectorParams.InputPortParams(name=name, size=size) for name, size in sizes.items()
+        inputs=_inputs(sizes),
+        outputs=[
+            _output(name, [(i, k) for i in chosen for k in range(counts[i])])
+            for name, chosen in outputs.items()
         ],
-        outputs=[_output(output, selections)],
     )
 
 
 def splitting(sizes: Mapping[str, int]) -> SelectorParams:
     """Of a Selector that makes outputs of these names and sizes of one vector."""
-    ends = np.cumsum([*sizes.values()])
+    return _splitting_of(sizes, {"stacked": range(len(sizes))})
+
+
+def _splitting_of(sizes: Mapping[str, int], inputs: Mapping[str, Sequence[int]]) -> SelectorParams:
+    """Of a Selector that splits inputs, each of which has these of the outputs stacked."""
+    counts = [*sizes.values()]
+    places: dict[int, list[tuple[int, int]]] = {}
+    for i, chosen in enumerate(inputs.values()):
+        start = 0
+        for number in chosen:
+            places[number] = [(i, start + k) for k in range(counts[number])]
+            start += counts[number]
     return SelectorParams(
-        inputs=[SelectorParams.InputPortParams(name="stacked", size=int(ends[-1]))],
-        outputs=[
-            _output(name, [(0, k) for k in range(end - size, end)])
-            for (name, size), end in zip(sizes.items(), ends, strict=True)
-        ],
+        inputs=_inputs({name: sum(counts[i] for i in chosen) for name, chosen in inputs.items()}),
+        outputs=[_output(name, places[i]) for i, name in enumerate(sizes)],
     )
+
+
+def _inputs(sizes: Mapping[str, int]) -> list[SelectorParams.InputPortParams]:
+    return [SelectorParams.InputPortParams(name=name, size=size) for name, size in sizes.items()]
 
 
 def _output(name: str, selections: list[tuple[int, int]]) -> SelectorParams.OutputPortParams:

@@ -6,15 +6,18 @@ this size. CasADi is used here, and for comparison in `benchmarks.peers`, and no
 """
 
 import pickle
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.autodiffutils import AutoDiffXd, ExtractValue
+from pydrake.symbolic import Variable
 
 _MAX_TRACES = 32
-_traces: dict[bytes, casadi.Function] = {}  # by their keys; the most recently used is the last
+_traces: dict[bytes, Any] = {}  # by their keys; the most recently used is the last
 
 LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
 
@@ -40,7 +43,7 @@ class TracedFunction:
 
     Args:
         function: takes one flat array per entry of `input_sizes` and returns an array
-            or a tuple of arrays of any shape.
+            or a tuple of arrays of any shape. It may be a trace already, see `_traced`.
         input_sizes: the length of each input.
         name: tells what evaluates the function, for the error.
         largest: an output whose norm exceeds it counts as a divergence; SI units.
@@ -51,7 +54,7 @@ class TracedFunction:
             that can be pickled: a second function with an equal key is not traced again.
 
     A call returns the outputs in a tuple, each flat but for the Jacobian. They are views
-    of buffers that the next call overwrites; copy them to keep them.
+    of buffers that the thread's next call overwrites; copy them to keep them.
 
     Raises:
         NotFiniteError: an output is NaN, infinite or beyond `largest`. Fixed-step
@@ -68,23 +71,18 @@ class TracedFunction:
         jacobian_of: int | None = None,
         key: Any = None,
     ):
-        self._function = _traced(function, input_sizes, jacobian_of, key)
-        self._count = count = self._function.n_out() - (2 if jacobian_of is not None else 1)
-        # The buffer borrows the function and the arrays: all must live as long as it.
-        self._buffer, self._evaluate = self._function.buffer()
-        self._input = np.zeros(sum(input_sizes))
-        self._outputs = [
-            np.zeros(self._function.size_out(i), order="F") for i in range(self._function.n_out())
-        ]
-        self._buffer.set_arg(0, self._input.data)
-        for i, array in enumerate(self._outputs):
-            self._buffer.set_res(i, array.reshape(-1, order="F").data)
-        self._results = tuple(
-            [array[:, 0] for array in self._outputs[:count]] + self._outputs[count + 1 :]
-        )
-        self._squared_norm = self._outputs[count][:, 0]
+        self._function: casadi.Function = function
+        if not isinstance(function, casadi.Function):
+            self._function = _traced(function, input_sizes, jacobian_of, key)
+        self._count = self._function.n_out() - (2 if jacobian_of is not None else 1)
+        self._scratch = _Scratch(self._function, self._count)
         self._largest, self._largest_squared = largest, largest**2
         self._name = name
+
+    @property
+    def output_sizes(self) -> tuple[int, ...]:
+        """The sizes of the outputs but for the Jacobian."""
+        return tuple(self._function.size1_out(i) for i in range(self._count))
 
     def traced(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs, each flat, for symbolic inputs: as a part of another trace."""
@@ -95,46 +93,203 @@ class TracedFunction:
         """The outputs as expressions of CasADi's, for its solvers."""
         return tuple(self._function(casadi.vertcat(*inputs)))[: self._count]
 
-    def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
+    def __call__(self, *inputs: NDArray | tuple[float, ...]) -> tuple[NDArray, ...]:
         """The outputs for flat inputs of the declared sizes."""
+        vector, evaluate, squared_norm, results = self._scratch.parts
         if len(inputs) == 1:
-            self._input[:] = inputs[0]
+            vector[:] = inputs[0]
+        elif len(inputs) == 2 and len(inputs[0]) + len(inputs[1]) == len(vector):
+            end = len(inputs[0])  # this is faster than to concatenate them
+            vector[:end], vector[end:] = inputs
         else:
-            np.concatenate(inputs, out=self._input)
-        self._evaluate()
-        if not self._squared_norm[0] < self._largest_squared:
-            was_given = not np.all(np.abs(self._input) < self._largest)
+            np.concatenate(inputs, out=vector)
+        evaluate()
+        if not squared_norm[0] < self._largest_squared:
+            was_given = not np.all(np.abs(vector) < self._largest)
             raise NotFiniteError(self._name(), was_given=was_given)
-        return self._results
+        return results
+
+
+class _Scratch(threading.local):
+    """The memory in which a thread evaluates a function: each thread has its own.
+
+    `parts` are the input, what evaluates it, the square of the outputs' norm, and the results.
+    """
+
+    def __init__(self, function: casadi.Function, count: int):
+        # The buffer borrows the function and the arrays: all must live as long as it.
+        self._function = function
+        self._buffer, evaluate = function.buffer()
+        vector = np.zeros(function.size1_in(0))
+        outputs = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
+        self._buffer.set_arg(0, vector.data)
+        for i, array in enumerate(outputs):
+            self._buffer.set_res(i, array.reshape(-1, order="F").data)
+        results = tuple([array[:, 0] for array in outputs[:count]] + outputs[count + 1 :])
+        self.parts = vector, evaluate, outputs[count][:, 0], results
+
+
+class Trace:
+    """A function, traced once, and its parts: some of its outputs of some of its inputs.
+
+    Args:
+        function: as of `TracedFunction`.
+        input_sizes: the length of each input.
+        key: as of `TracedFunction`.
+
+    Attributes:
+        input_sizes: as given.
+        output_sizes: the length of each output, flat.
+        dependence: for each output the inputs, by their numbers, on which an entry depends.
+    """
+
+    def __init__(self, function: Callable, input_sizes: Sequence[int], *, key: Any = None):
+        self._function, self.input_sizes = function, list(input_sizes)
+        self._expressions: _Expressions = _cached(
+            lambda: _Expressions(function, self.input_sizes), "parts", self.input_sizes, key
+        )
+        self.output_sizes = self._expressions.output_sizes
+        self.dependence = self._expressions.dependence
+
+    def compiled(
+        self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
+    ) -> Callable[..., tuple[NDArray, ...]]:
+        """The function of the inputs `reads` to the outputs `makes`, stacked, on floats.
+
+        Where it reads none, it takes a number (1,), and leaves that alone.
+        """
+        function = self._expressions.part(tuple(reads), tuple(makes))
+        return TracedFunction(function, [function.size1_in(0)], name=name)
+
+    def on_arrays(
+        self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
+    ) -> Callable[..., tuple[NDArray]]:
+        """The same on object arrays: of AutoDiffXd or Expression."""
+        ends = np.cumsum([self.input_sizes[i] for i in reads])
+
+        def evaluate(*inputs: NDArray) -> tuple[NDArray]:
+            flat = np.concatenate(inputs)
+            scalar = type(flat[0])
+            unread = scalar(1.0) if scalar is AutoDiffXd else scalar(Variable("unread"))
+            given = [np.full(size, unread) for size in self.input_sizes]
+            for i, values in zip(reads, np.split(flat, ends[:-1]), strict=False):
+                given[i] = values
+            with np.errstate(invalid="ignore"):  # Expression raises the flag without a cause
+                outputs = self._function(*given)
+            if not isinstance(outputs, tuple):
+                outputs = (outputs,)
+            stacked = np.concatenate([np.ravel(outputs[i]) for i in makes])
+            stacked = np.array([v if isinstance(v, scalar) else scalar(v) for v in stacked])
+            if scalar is AutoDiffXd and not np.linalg.norm(ExtractValue(stacked)) < LARGEST:
+                was_given = not np.all(np.abs(ExtractValue(flat)) < LARGEST)
+                raise NotFiniteError(name(), was_given=was_given)
+            return (stacked,)
+
+        return evaluate
+
+
+class LateTrace(Trace):
+    """A `Trace` that is made when it is evaluated for the first time.
+
+    Until then it is not known what depends on what: every output is taken to do on every input.
+
+    Args:
+        function: as of `Trace`, and so are `input_sizes` and `key`.
+        output_sizes: the length of each output, flat.
+    """
+
+    def __init__(
+        self,
+        function: Callable,
+        input_sizes: Sequence[int],
+        output_sizes: Sequence[int],
+        *,
+        key: Any = None,
+    ):
+        self._function, self.input_sizes, self._key = function, list(input_sizes), key
+        self.output_sizes = list(output_sizes)
+        self.dependence = [set(range(len(self.input_sizes))) for _ in self.output_sizes]
+
+    def compiled(
+        self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
+    ) -> Callable[..., tuple[NDArray, ...]]:
+        """As of `Trace`."""
+        made: list[Callable[..., tuple[NDArray, ...]]] = []
+
+        def evaluate(*inputs: NDArray | tuple[float, ...]) -> tuple[NDArray, ...]:
+            if not made:
+                trace = Trace(self._function, self.input_sizes, key=self._key)
+                made.append(trace.compiled(reads, makes, name=name))
+            return made[0](*inputs)
+
+        return evaluate
+
+
+class _Expressions:
+    """What a function makes of symbols, and functions of parts of it."""
+
+    def __init__(self, function: Callable, input_sizes: Sequence[int]):
+        self._inputs, self._outputs = _expressions(function, input_sizes)
+        self.output_sizes = [output.numel() for output in self._outputs]
+        every_input, every_output = tuple(range(len(input_sizes))), tuple(range(len(self._outputs)))
+        self._parts: dict[tuple, casadi.Function] = {}
+        whole = self.part(every_input, every_output)
+        rows, columns = whole.jac_sparsity(0, 0).get_triplet()
+        numbers = np.searchsorted(np.cumsum(self.output_sizes), rows, "right")
+        read = np.searchsorted(np.cumsum(input_sizes), columns, "right")
+        self.dependence: list[set[int]] = [{*read[numbers == i].tolist()} for i in every_output]
+
+    def part(self, reads: tuple[int, ...], makes: tuple[int, ...]) -> casadi.Function:
+        """Outputs, stacked, and the square of their norm, of inputs, stacked."""
+        if (reads, makes) not in self._parts:
+            read = casadi.vertcat(*[self._inputs[i] for i in reads] or [casadi.SX.sym("nothing")])
+            stacked = casadi.vertcat(*[self._outputs[i] for i in makes])
+            made = [stacked, casadi.densify(casadi.sumsqr(stacked))]
+            self._parts[reads, makes] = casadi.Function("mechanics", [read], made)
+        return self._parts[reads, makes]
+
+
+def _expressions(
+    function: Callable, input_sizes: Sequence[int]
+) -> tuple[list[casadi.SX], list[casadi.SX]]:
+    """A symbol for each input, and the outputs, each dense and flat."""
+    symbols = [casadi.SX.sym(f"input_{i}", size) for i, size in enumerate(input_sizes)]
+    outputs = function(*map(_object_array, symbols))
+    if not isinstance(outputs, tuple):
+        outputs = (outputs,)
+    return symbols, [casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs]
+
+
+def _cached(make: Callable[[], Any], *key: Any) -> Any:
+    """What is made, or what was made for an equal key; the last of it is no key if it is None."""
+    if key[-1] is None:
+        return make()
+    pickled = pickle.dumps(key)
+    found = _traces.pop(pickled, None)
+    if found is None:
+        found = make()
+    _traces[pickled] = found
+    if len(_traces) > _MAX_TRACES:
+        _traces.pop(next(iter(_traces)), None)
+    return found
 
 
 def _traced(
     function: Callable, input_sizes: Sequence[int], jacobian_of: int | None, key: Any
 ) -> casadi.Function:
     """The outputs, the square of their norm and the Jacobian that was asked for, of one input."""
-    if key is not None:
-        pickled = pickle.dumps((list(input_sizes), jacobian_of, key))
-        if pickled in _traces:
-            _traces[pickled] = found = _traces.pop(pickled)
-            return found
-    symbol = casadi.SX.sym("inputs", sum(input_sizes))
-    ends = np.cumsum([0, *input_sizes])
-    outputs = function(*np.split(_object_array(symbol), ends[1:-1]))
-    if not isinstance(outputs, tuple):
-        outputs = (outputs,)
-    expressions = [casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs]
-    stacked = casadi.vertcat(*expressions)
-    expressions.append(casadi.densify(casadi.sumsqr(stacked)))
-    if jacobian_of is not None:
-        columns = slice(ends[jacobian_of], ends[jacobian_of + 1])
-        jacobian = casadi.jacobian(stacked, symbol)[:, columns]
-        expressions.append(casadi.densify(jacobian))
-    result = casadi.Function("mechanics", [symbol], expressions)
-    if key is not None:
-        _traces[pickled] = result
-        if len(_traces) > _MAX_TRACES:
-            del _traces[next(iter(_traces))]
-    return result
+
+    def make() -> casadi.Function:
+        symbols, expressions = _expressions(function, input_sizes)
+        symbol, stacked = casadi.vertcat(*symbols), casadi.vertcat(*expressions)
+        expressions.append(casadi.densify(casadi.sumsqr(stacked)))
+        if jacobian_of is not None:
+            ends = np.cumsum([0, *input_sizes])
+            columns = slice(int(ends[jacobian_of]), int(ends[jacobian_of + 1]))
+            expressions.append(casadi.densify(casadi.jacobian(stacked, symbol)[:, columns]))
+        return casadi.Function("mechanics", [symbol], expressions)
+
+    return _cached(make, list(input_sizes), jacobian_of, key)
 
 
 def _object_array(symbol: casadi.SX) -> NDArray:

@@ -14,6 +14,7 @@ from pydrake.systems.framework import (
     System,
 )
 
+from drake_nonstop.systems.energy import LoopDiagram
 from drake_nonstop.validation import ScenarioError, require
 
 OUTSIDE = "outside"  # what wires call the diagram's own input ports
@@ -40,6 +41,24 @@ def output_names(block: System) -> list[str]:
 def input_names(block: System) -> list[str]:
     """The names of the block's input ports, in order."""
     return list(input_sizes(block))
+
+
+def optional_inputs(block: System) -> set[str]:
+    """The names of the block's input ports that may be left unconnected.
+
+    They are those of its attribute `optional_inputs`, and of a Diagram those that lead to such
+    ports of its subsystems only.
+    """
+    found = set(getattr(block, "optional_inputs", ()))
+    if isinstance(block, Diagram):
+        for i, name in enumerate(input_names(block)):
+            readers = block.GetInputPortLocators(InputPortIndex(i))
+            if name not in found and all(
+                reader.get_input_port(index).get_name() in optional_inputs(reader)
+                for reader, index in readers
+            ):
+                found.add(name)
+    return found
 
 
 def output_sizes(block: System) -> Sizes:
@@ -149,7 +168,7 @@ def wires(blocks: Mapping[str, System], inputs: Collection[str] | Sizes = ()) ->
     result = []
     for block_name, block in blocks.items():
         given = read_by[block_name]
-        optional = getattr(block, "optional_inputs", ())
+        optional = optional_inputs(block)
         replaced = {} if block_name in upstream else held
         read = {
             port: replaced.get(port, port)
@@ -233,7 +252,9 @@ def connect_by_name(
         else:
             builder.ExportInput(port, signal)
             exported.add(signal)
-    for block in blocks.values():
+    # Drake's FirstOrderTaylorApproximation takes the first output, and crashes where that depends
+    # on no state, as the signals of a block without inputs.
+    for block in sorted(blocks.values(), key=lambda block: block.num_input_ports() == 0):
         for signal in output_names(block):
             builder.ExportOutput(block.GetOutputPort(signal), signal)
 
@@ -274,7 +295,7 @@ def nested(diagram: Diagram, signals: Collection[str]) -> list[Diagram]:
     found = [diagram]
     while True:
         maker = maker_of(found[-1], next(iter(signals)))
-        if type(maker) is not Diagram or not all(map(maker.HasOutputPort, signals)):
+        if type(maker) not in (Diagram, LoopDiagram) or not all(map(maker.HasOutputPort, signals)):
             return found
         found.append(maker)
 
@@ -302,7 +323,7 @@ def unconnected(diagram: Diagram, context: Context) -> str:
             connected.add((reader.get_name(), int(index)))
     for block in diagram.GetSystems():
         for index, port in enumerate(input_names(block)):
-            is_optional = port in getattr(block, "optional_inputs", ())
+            is_optional = port in optional_inputs(block)
             if not is_optional and (block.get_name(), index) not in connected:
                 return f"{block.get_name()}.{port} = not connected: {_connection_of(port)}"
     return ""

@@ -41,6 +41,7 @@ def set_stage(
     load_radius: float,
     carrier_radius: float,
     background: Colour,
+    may_follow: bool = True,
 ) -> FollowingCamera | None:
     """Sets a plain background, a camera that sees everything, its light and a grid below.
 
@@ -53,14 +54,15 @@ def set_stage(
         load_radius: m, about the load's centre of mass.
         carrier_radius: m, about a carrier.
         background: its colour.
+        may_follow: whether the camera may move.
 
     Returns:
-        What the camera follows the reference with; None where the path is short, and the
-        camera stands still.
+        What the camera follows the reference with; None where it stands still, as it does where
+        the path is short.
     """
     if carriers is None:
         carriers = path[:, None] + reach * _SIX_DIRECTIONS[:5]  # all but straight below
-    follows = np.ptp(path, axis=0).max() > _FOLLOWING_EXTENT * reach
+    follows = may_follow and np.ptp(path, axis=0).max() > _FOLLOWING_EXTENT * reach
     shifts = path - path[0] if follows else np.zeros((len(path), 3))  # of the camera
     is_near = np.linalg.norm(carriers - path[:, None], axis=2) < _FARTHEST_CARRIER * reach
     load_points = (path[:, None] + load_radius * _SIX_DIRECTIONS).reshape(-1, 3)

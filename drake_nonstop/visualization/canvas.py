@@ -34,11 +34,39 @@ class Canvas(Protocol):
 
 
 class LiveCanvas:
-    """A Meshcat as a canvas: changes are seen at once."""
+    """A Meshcat as a canvas: changes are seen at once, and recorded while the Meshcat records.
 
-    def __init__(self, meshcat: Meshcat):
+    Args:
+        meshcat: the Meshcat.
+        root: what the paths of the scene's objects begin with.
+    """
+
+    def __init__(self, meshcat: Meshcat, root: str = ROOT):
         self._meshcat = meshcat
+        self._root = root
         self._painted: dict[str, tuple[float, ...]] = {}
+        self._recording: RecordingCanvas | None = None
+        self._animation: MeshcatAnimation | None = None  # the Meshcat's, when last set a time
+
+    def set_time(self, time: float) -> bool:
+        """Tells the time in s of what comes next; returns whether a recording begins with it."""
+        self._animation = self._meshcat.get_mutable_recording()
+        if not _is_recording(self._meshcat, self._root):
+            self._recording = None
+            return False
+        begins = self._recording is None or self._recording.animation is not self._animation
+        if begins:
+            self._recording = RecordingCanvas(self._animation)
+        assert self._recording is not None
+        self._recording.frame = self._animation.frame(time)
+        return begins
+
+    def lacks_frame(self, time: float) -> bool:
+        """Whether a recording has no frame of that time in s yet, or may have begun since."""
+        animation = self._meshcat.get_mutable_recording()
+        if self._recording is None:
+            return animation is not self._animation  # a recording that starts has a new one
+        return animation.frame(time) > self._recording.frame
 
     def follow(self, position: NDArray, camera: FollowingCamera) -> None:
         """See `Canvas`."""
@@ -48,6 +76,8 @@ class LiveCanvas:
 
     def place(self, path: str, pose: NDArray, length: float = 1.0) -> None:
         """See `Canvas`."""
+        if self._recording is not None:
+            self._recording.place(path, pose, length)
         if length != 1.0:
             pose = pose.copy()
             pose[:3, 2] *= length
@@ -55,6 +85,10 @@ class LiveCanvas:
 
     def paint(self, path: str, colour: Colour, opacity: float, *, fades: bool = False) -> None:
         """See `Canvas`; without a command to Meshcat where nothing changes."""
+        if self._recording is not None:
+            self._recording.paint(path, colour, opacity, fades=fades)
+            # Of a material that is opaque at the end Meshcat plays back no other opacity.
+            opacity = min(opacity, 0.999)
         rgba = *colour, opacity
         if self._painted.get(path) != rgba:
             self._painted[path] = rgba
@@ -69,7 +103,7 @@ class RecordingCanvas:
     """
 
     def __init__(self, animation: MeshcatAnimation):
-        self._animation = animation
+        self.animation = animation
         self.frame = 0
         self._tracks: dict[tuple[str, str], tuple[int, Any]] = {}  # last frame and value of each
 
@@ -119,6 +153,20 @@ class RecordingCanvas:
     def _record(self, frame: int, path: str, name: str, value: Any) -> None:
         self._tracks[path, name] = frame, value
         if name == "transform":
-            self._animation.SetTransform(frame, path, RigidTransform(np.reshape(value, (4, 4))))
+            self.animation.SetTransform(frame, path, RigidTransform(np.reshape(value, (4, 4))))
         else:
-            self._animation.SetProperty(frame, path, name, value)
+            self.animation.SetProperty(frame, path, name, value)
+
+
+def _is_recording(meshcat: Meshcat, path: str) -> bool:
+    """Whether a Meshcat records, which it does not tell.
+
+    A property that its recording has with another type is refused, only while it records. That
+    of the object at `path` has no effect there.
+    """
+    meshcat.get_mutable_recording().SetProperty(0, path, "renderOrder", False)
+    try:
+        meshcat.SetProperty(path, "renderOrder", 0.0, time_in_recording=0.0)
+    except RuntimeError:
+        return True
+    return False

@@ -150,9 +150,11 @@ class _Controls:
         if not self._has_started:
             self._has_started = True
             simulator.set_target_realtime_rate(self._realtime_rate)
+            is_commanded = nonstop.HasOutputPort("speed_bound_command")
             for name, method in ((BOUND, "set_speed_bound"), (ENABLED, "set_enabled")):
-                if not hasattr(layer, method) and name in self._meshcat.GetSliderNames():
-                    self._meshcat.DeleteSlider(name)  # it would have no effect
+                is_of_no_effect = not hasattr(layer, method) or (name == BOUND and is_commanded)
+                if is_of_no_effect and name in self._meshcat.GetSliderNames():
+                    self._meshcat.DeleteSlider(name)
         for name, value in self._take_changes().items():
             if name == RATE:
                 simulator.set_target_realtime_rate(value)

@@ -15,7 +15,7 @@ from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import is_number, require
-from drake_nonstop.visualization.canvas import LiveCanvas
+from drake_nonstop.visualization.canvas import ROOT, LiveCanvas
 from drake_nonstop.visualization.scene import Scene
 from drake_nonstop.visualization.snapshot import Snapshot
 
@@ -30,6 +30,10 @@ class NonstopVisualizer(LeafBlock):
     no steps and does not fall behind them at any real-time rate, and the signals are the same to
     the bit with any number of visualizers. A forced publish shows the context's instant at once.
     An instant with a value that is not finite is not shown. See `Scene` for what is drawn.
+
+    While the Meshcat records (`meshcat.StartRecording()`), each step that begins a frame of the
+    recording is shown as well, and all that is shown is recorded; trails then begin with the
+    recording, and the camera stands still. `meshcat.PublishRecording()` plays it back.
 
     .. pydrake_system::
 
@@ -52,15 +56,18 @@ class NonstopVisualizer(LeafBlock):
 
     Args:
         system: the load, attachments and cables that are shown.
-        meshcat: the Meshcat to show them in, in place of those of another visualizer there.
+        meshcat: the Meshcat to show them in, in place of those of another visualizer of the path.
         config: colours and sizes.
-        path: (k, 3) in m, future positions of the reference, which the camera will have in view;
-            without it the camera is set for the start.
+        reference_path: (k, 3) in m, future positions of the reference, which the camera will have
+            in view; without it the camera is set for the start.
         speed_bound: ε in m/s, where that port is not connected.
         frame_rate: the most frames per second of wall time.
+        path: what the objects' paths in the Meshcat begin with. With another one than the
+            default, as the second of two loops in one Meshcat needs it, the camera, its light, the
+            background and the grid are left as they are.
 
     Raises:
-        ScenarioError: a field of the config, or the frame rate, is out of range.
+        ScenarioError: a field of the config, the frame rate or the path is out of range.
     """
 
     def __init__(
@@ -69,9 +76,10 @@ class NonstopVisualizer(LeafBlock):
         meshcat: Meshcat,
         config: SceneConfig | None = None,
         *,
-        path: NDArray | None = None,
+        reference_path: NDArray | None = None,
         speed_bound: float = 0.0,
         frame_rate: float = FRAME_RATE,
+        path: str = ROOT,
     ):
         super().__init__()
         require(
@@ -80,12 +88,13 @@ class NonstopVisualizer(LeafBlock):
             frame_rate,
             "give a finite number greater than zero",
         )
-        self.scene = Scene(system, config)
+        self.scene = Scene(system, config, root=path)
         self._meshcat = meshcat
         self._path = path
+        self._reference_path = reference_path
         self._default_speed_bound = speed_bound
         self._frame_time = 1 / frame_rate
-        self._canvas = LiveCanvas(meshcat)
+        self._canvas = LiveCanvas(meshcat, path)
         self._last_time = math.inf  # s, of the instant shown
         self._next_frame = -math.inf  # s of wall time, when it is due
         self._n = len(system.attachments)
@@ -105,6 +114,7 @@ class NonstopVisualizer(LeafBlock):
         meshcat: Meshcat,
         *,
         frame_rate: float = FRAME_RATE,
+        path: str = ROOT,
     ) -> "NonstopVisualizer":
         """Adds a visualizer beside the loop of a scenario, connected by the signals' names.
 
@@ -115,18 +125,21 @@ class NonstopVisualizer(LeafBlock):
             scenario: what is shown, and its colours and sizes.
             meshcat: the Meshcat to show it in.
             frame_rate: the most frames per second of wall time.
+            path: what the objects' paths in the Meshcat begin with; see the class.
 
         Raises:
-            ScenarioError: a field of the scenario's scene, or the frame rate, is out of range.
+            ScenarioError: a field of the scenario's scene, the frame rate or the path is out of
+                range.
         """
         visualizer = builder.AddSystem(
             NonstopVisualizer(
                 overridden(scenario.system, scenario.simulated),
                 meshcat,
                 scenario.scene,
-                path=_reference_path(nonstop, scenario.simulation_duration),
+                reference_path=_reference_path(nonstop, scenario.simulation_duration),
                 speed_bound=scenario.speed_bound,
                 frame_rate=frame_rate,
+                path=path,
             )
         )
         for i in range(visualizer.num_input_ports()):
@@ -136,7 +149,12 @@ class NonstopVisualizer(LeafBlock):
         return visualizer
 
     def _publish(self, context: Context) -> EventStatus:
-        if time.perf_counter() >= self._next_frame or context.get_time() < self._last_time:
+        now = context.get_time()
+        if (
+            time.perf_counter() >= self._next_frame
+            or now < self._last_time
+            or self._canvas.lacks_frame(now)
+        ):
             return self._show(context)
         return EventStatus.DidNothing()
 
@@ -155,11 +173,17 @@ class NonstopVisualizer(LeafBlock):
         )
         if not snapshot.is_finite:  # the block at fault raises the error
             return EventStatus.DidNothing()
-        if snapshot.time < self._last_time:
-            path = snapshot.reference_position[None] if self._path is None else self._path
-            self.scene.set_stage(self._meshcat, path)
+        is_new_run = snapshot.time < self._last_time
+        if is_new_run:
             self.scene.draw(self._meshcat)
-            self._canvas = LiveCanvas(self._meshcat)
+            self._canvas = LiveCanvas(self._meshcat, self._path)
+        begins_recording = self._canvas.set_time(snapshot.time)
+        if begins_recording:
+            self.scene.restart_trails()
+        if self._path == ROOT and (is_new_run or begins_recording):
+            path = self._reference_path
+            path = snapshot.reference_position[None] if path is None else path
+            self.scene.set_stage(self._meshcat, path, may_follow=not begins_recording)
         self._last_time = snapshot.time
         # Counted from when this frame was due, so that a short delay does not lower the rate.
         now = time.perf_counter()
@@ -171,18 +195,19 @@ class NonstopVisualizer(LeafBlock):
 
 
 def show_in(
-    meshcat: Meshcat, *, frame_rate: float = FRAME_RATE
+    meshcat: Meshcat, *, frame_rate: float = FRAME_RATE, path: str = ROOT
 ) -> Callable[[DiagramBuilder, Diagram, Scenario], NonstopVisualizer]:
     """A viewer for `simulate` that shows the run in a Meshcat.
 
     Args:
         meshcat: the Meshcat to show it in.
         frame_rate: the most frames per second of wall time.
+        path: what the objects' paths in the Meshcat begin with; see `NonstopVisualizer`.
     """
 
     def add(builder: DiagramBuilder, nonstop: Diagram, scenario: Scenario) -> NonstopVisualizer:
         return NonstopVisualizer.AddToBuilder(
-            builder, nonstop, scenario, meshcat, frame_rate=frame_rate
+            builder, nonstop, scenario, meshcat, frame_rate=frame_rate, path=path
         )
 
     return add

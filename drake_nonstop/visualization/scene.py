@@ -1,23 +1,26 @@
 """The objects of a run in Meshcat: load, reference, cables, carriers and trails."""
 
 import itertools
+import re
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Meshcat, Rgba, Sphere
-from pydrake.math import RigidTransform
+from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
 
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.scene_config import SceneConfig, check_scene
+from drake_nonstop.validation import require
 from drake_nonstop.visualization.camera import FollowingCamera, set_stage
 from drake_nonstop.visualization.canvas import ROOT, Canvas
 from drake_nonstop.visualization.colours import Colour, make_shades, pick_shade, rgb
 from drake_nonstop.visualization.poses import SMALL, attitudes, cylinder_poses, stack_poses
+from drake_nonstop.visualization.shapes import Part, carrier_parts, load_parts
 from drake_nonstop.visualization.snapshot import Snapshot
 
 _REFERENCE_BAR_RATIO = 1.7  # to the load's bars, which the reference's enclose: both are seen
 _MARK_RADIUS = 0.42  # of the wing span
+_MESHCATS_OWN = "Background", "Lights", "Grid", "Axes", "Cameras"  # first parts of paths
 _TRAIL_OPACITIES = 8  # different ones, of a trail's pieces
 
 
@@ -34,27 +37,40 @@ class Scene:
     Args:
         system: attachments, cable length, load mass and gravity of what is shown.
         config: colours and sizes.
+        root: what the objects' paths in Meshcat begin with.
 
     Raises:
-        ScenarioError: a field of the config is out of range.
+        ScenarioError: a field of the config is out of range, or the root is no path for a scene.
     """
 
-    def __init__(self, system: SystemParameters | Model, config: SceneConfig | None = None):
+    def __init__(
+        self,
+        system: SystemParameters | Model,
+        config: SceneConfig | None = None,
+        *,
+        root: str = ROOT,
+    ):
+        _check_root(root)
+        self._root = root
         self.config = config or SceneConfig()
         check_scene(self.config)
         self._attachments = np.array(system.attachments)
         self._n = len(self._attachments)
         self.radius = float(np.max(np.linalg.norm(self._attachments, axis=1)))  # m, of the load
         self.reach = self.radius + system.cable_length
-        self._weight_share = system.load_mass * system.gravity / self._n
+        self.cable_radius = self.config.cable_radius * self.reach  # m
+        self.bar_radius = max(self.config.bar_radius * self.radius, 2 * self.cable_radius)  # m
+        self.wing_span = self.config.wing_span * self.reach  # m
+        self.weight_share = system.load_mass * system.gravity / self._n  # N, of a cable
         fading = self.config.trail_time * np.sqrt(self.reach / system.gravity)
         self.piece_time = fading / self.config.trail_pieces  # s
         self._mark_colours = make_shades(self.config.mark_colours)
         self._cable_colours = make_shades(self.config.cable_colours)
         self._slack_colour = rgb(self.config.slack_colour)
         palette = itertools.cycle(self.config.carrier_colours)
-        self._carrier_colours = [rgb(next(palette)) for _ in range(self._n)]
-        self._trail_colours = [rgb(self.config.load_colour), *self._carrier_colours]
+        self.carrier_colours = [rgb(next(palette)) for _ in range(self._n)]
+        self.load_colour = rgb(self.config.load_colour)
+        self._trail_colours = [self.load_colour, *self.carrier_colours]
         opacities = [
             _trail_opacity(age, self.config.trail_pieces) for age in range(self.config.trail_pieces)
         ]
@@ -69,6 +85,10 @@ class Scene:
     def _reset(self) -> None:
         """Starts without earlier headings and trails."""
         self._headings = np.tile([1.0, 0.0, 0.0], (self._n, 1))
+        self.restart_trails()
+
+    def restart_trails(self) -> None:
+        """Has the trails begin at the next instant that is shown."""
         self._trail_ends: NDArray | None = None  # (1 + n, 3), m, starts of the next pieces
         self._trail_start = 0.0  # s, of the next pieces
         self._trail_length = 0  # pieces, with those that have faded
@@ -76,36 +96,45 @@ class Scene:
     def draw(self, meshcat: Meshcat) -> None:
         """Makes the objects in a Meshcat and removes those of an earlier scene there."""
         self._reset()
-        config = self.config
-        cable = config.cable_radius * self.reach
-        bar = max(config.bar_radius * self.radius, 2 * cable)
+        config, root = self.config, self._root
+        bar, span = self.bar_radius, self.wing_span
         translucent = Rgba(*rgb(config.reference_colour), config.reference_opacity)
-        span = config.wing_span * self.reach
-        meshcat.Delete(ROOT)
-        self._draw_load(meshcat, f"{ROOT}/load", bar, Rgba(*rgb(config.load_colour)))
-        self._draw_load(meshcat, f"{ROOT}/reference", _REFERENCE_BAR_RATIO * bar, translucent)
-        for i, colour in enumerate(self._carrier_colours):
-            _draw_carrier(meshcat, f"{ROOT}/carriers/{i}", span, Rgba(*colour))
+        meshcat.Delete(root)
+        load, reference = (
+            load_parts(self._attachments, radius) for radius in (bar, _REFERENCE_BAR_RATIO * bar)
+        )
+        _draw(meshcat, f"{root}/load", load, Rgba(*self.load_colour))
+        _draw(meshcat, f"{root}/reference", reference, translucent)
+        for i, colour in enumerate(self.carrier_colours):
+            _draw(meshcat, f"{root}/carriers/{i}", carrier_parts(span), Rgba(*colour))
             # Marks and trails start translucent: Meshcat prepares a material for that only here.
             mark = Rgba(*self._mark_colours[-1], config.mark_opacity)
-            meshcat.SetObject(f"{ROOT}/carriers/{i}/mark", Sphere(_MARK_RADIUS * span), mark)
-            unit = Cylinder(cable, 1.0)  # m, to be scaled
-            meshcat.SetObject(f"{ROOT}/cables/{i}", unit, Rgba(*self._cable_colours[0]))
+            meshcat.SetObject(f"{root}/carriers/{i}/mark", Sphere(_MARK_RADIUS * span), mark)
+            unit = Cylinder(self.cable_radius, 1.0)  # m, to be scaled
+            meshcat.SetObject(f"{root}/cables/{i}", unit, Rgba(*self._cable_colours[0]))
         unit = Cylinder(config.trail_radius * self.reach, 1.0)
         for body, colour in enumerate(self._trail_colours):
             for piece in range(config.trail_pieces):
-                meshcat.SetObject(f"{ROOT}/trails/{body}/{piece}", unit, Rgba(*colour, 0.0))
+                meshcat.SetObject(f"{root}/trails/{body}/{piece}", unit, Rgba(*colour, 0.0))
 
-    def set_stage(self, meshcat: Meshcat, path: NDArray, carriers: NDArray | None = None) -> None:
+    def set_stage(
+        self,
+        meshcat: Meshcat,
+        path: NDArray,
+        carriers: NDArray | None = None,
+        *,
+        may_follow: bool = True,
+    ) -> None:
         """Sets a plain background, a camera that sees everything, its light and a grid below.
 
-        Along a long path the camera follows the reference; else it stands still.
+        Along a long path the camera follows the reference where it may; else it stands still.
 
         Args:
             meshcat: the Meshcat to set.
             path: (k, 3), m, positions of the load's reference.
             carriers: (k, n, 3), m, at the same instants, where they are known. Those far from
                 the load may be out of view.
+            may_follow: whether the camera may move.
         """
         self._camera = set_stage(
             meshcat,
@@ -113,8 +142,9 @@ class Scene:
             carriers,
             reach=self.reach,
             load_radius=self.radius,
-            carrier_radius=_MARK_RADIUS * self.config.wing_span * self.reach,
+            carrier_radius=_MARK_RADIUS * self.wing_span,
             background=rgb(self.config.background_colour),
+            may_follow=may_follow,
         )
 
     def show(self, canvas: Canvas, snapshot: Snapshot) -> None:
@@ -122,8 +152,8 @@ class Scene:
         quaternions = np.array([snapshot.load_quaternion, snapshot.reference_quaternion])
         positions = np.array([snapshot.load_position, snapshot.reference_position])
         X_WL, X_WR = stack_poses(rotation_matrix(quaternions), positions)
-        canvas.place(f"{ROOT}/load", X_WL)
-        canvas.place(f"{ROOT}/reference", X_WR)
+        canvas.place(f"{self._root}/load", X_WL)
+        canvas.place(f"{self._root}/reference", X_WR)
         if self._camera is not None:
             canvas.follow(snapshot.reference_position, self._camera)
         p_WA = self._attachments @ X_WL[:3, :3].T + X_WL[:3, 3]
@@ -135,11 +165,11 @@ class Scene:
         carriers = stack_poses(attitudes(self._headings, up=p_WC - p_WA), p_WC)
         tensions = snapshot.tensions.tolist()
         for i, (speed, length) in enumerate(zip(speeds.tolist(), lengths.tolist(), strict=True)):
-            canvas.place(f"{ROOT}/cables/{i}", cables[i], length)
-            canvas.paint(f"{ROOT}/cables/{i}", self.cable_colour(tensions[i]), 1.0)
-            canvas.place(f"{ROOT}/carriers/{i}", carriers[i])
+            canvas.place(f"{self._root}/cables/{i}", cables[i], length)
+            canvas.paint(f"{self._root}/cables/{i}", self.cable_colour(tensions[i]), 1.0)
+            canvas.place(f"{self._root}/carriers/{i}", carriers[i])
             colour = self.mark_colour(speed, snapshot.speed_bound)
-            canvas.paint(f"{ROOT}/carriers/{i}/mark", colour, self.config.mark_opacity)
+            canvas.paint(f"{self._root}/carriers/{i}/mark", colour, self.config.mark_opacity)
         self._extend_trails(canvas, snapshot.time, np.vstack([snapshot.load_position, p_WC]))
 
     def mark_colour(self, speed: float, speed_bound: float) -> Colour:
@@ -151,7 +181,7 @@ class Scene:
         """The colour of a cable of this tension in N."""
         if tension <= 0:
             return self._slack_colour
-        full = self.config.tension_range * self._weight_share
+        full = self.config.tension_range * self.weight_share
         return pick_shade(self._cable_colours, tension / full)
 
     def _extend_trails(self, canvas: Canvas, time: float, bodies: NDArray) -> None:
@@ -161,46 +191,35 @@ class Scene:
             self._trail_ends, self._trail_start = bodies.copy(), time
             for body, colour in enumerate(self._trail_colours):
                 for piece in range(pieces):
-                    canvas.paint(f"{ROOT}/trails/{body}/{piece}", colour, 0.0)
+                    canvas.paint(f"{self._root}/trails/{body}/{piece}", colour, 0.0)
             return
         if time < self._trail_start + self.piece_time - 1e-9:
             return
         newest = self._trail_length
         poses, lengths = cylinder_poses(self._trail_ends, bodies)
         for body, colour in enumerate(self._trail_colours):
-            canvas.place(f"{ROOT}/trails/{body}/{newest % pieces}", poses[body], lengths[body])
+            trail = f"{self._root}/trails/{body}"
+            canvas.place(f"{trail}/{newest % pieces}", poses[body], lengths[body])
             for age, opacity in self._trail_opacities.items():
                 if age <= newest:
-                    path = f"{ROOT}/trails/{body}/{(newest - age) % pieces}"
+                    path = f"{trail}/{(newest - age) % pieces}"
                     canvas.paint(path, colour, opacity, fades=age > 0)
         self._trail_ends, self._trail_start = bodies.copy(), time
         self._trail_length += 1
 
-    def _draw_load(self, meshcat: Meshcat, path: str, bar: float, rgba: Rgba) -> None:
-        """Draws bars from attachment to attachment, and from each to the centre of mass."""
-        attachments = self._attachments
-        offsets = attachments - attachments.mean(axis=0)
-        plane = np.linalg.svd(offsets)[2][:2]  # the directions of largest spread
-        rim = attachments[np.argsort(np.arctan2(*(plane @ offsets.T)))]
-        edges = [*zip(rim, np.roll(rim, -1, axis=0), strict=True)]
-        spokes = [(np.zeros(3), end) for end in attachments]
-        poses, lengths = cylinder_poses(*np.array([*edges, *spokes]).swapaxes(0, 1))
-        for k, (pose, length) in enumerate(zip(poses, lengths, strict=True)):
-            meshcat.SetObject(f"{path}/bar{k}", Capsule(bar, length), rgba)
-            meshcat.SetTransform(f"{path}/bar{k}", pose)
-        meshcat.SetObject(f"{path}/centre_of_mass", Sphere(2 * bar), rgba)
+
+def _check_root(root: str) -> None:
+    """Raises ScenarioError for a root that Meshcat, or the rest of its page, would not take."""
+    is_path = isinstance(root, str) and re.fullmatch(r"(/[\w.-]+)+", root)
+    is_free = is_path and root.split("/")[1] not in _MESHCATS_OWN
+    remedy = f"give a path such as {ROOT}_2, below none of /{', /'.join(_MESHCATS_OWN)}"
+    require(is_free, "visualizer.path", root, remedy)
 
 
-def _draw_carrier(meshcat: Meshcat, path: str, span: float, rgba: Rgba) -> None:
-    """Draws an aircraft: nose along x, left wing along y."""
-    for part, shape, position in (
-        ("fuselage", Ellipsoid(0.45 * span, 0.06 * span, 0.06 * span), [0.0, 0.0, 0.0]),
-        ("wing", Ellipsoid(0.11 * span, 0.5 * span, 0.02 * span), [0.1, 0.0, 0.03]),
-        ("tail", Ellipsoid(0.06 * span, 0.18 * span, 0.015 * span), [-0.38, 0.0, 0.02]),
-        ("fin", Box(0.1 * span, 0.02 * span, 0.18 * span), [-0.38, 0.0, 0.1]),
-    ):
-        meshcat.SetObject(f"{path}/{part}", shape, rgba)
-        meshcat.SetTransform(f"{path}/{part}", RigidTransform(span * np.array(position)))
+def _draw(meshcat: Meshcat, path: str, parts: list[Part], rgba: Rgba) -> None:
+    for part in parts:
+        meshcat.SetObject(f"{path}/{part.name}", part.shape, rgba)
+        meshcat.SetTransform(f"{path}/{part.name}", part.pose)
 
 
 def _trail_opacity(age: int, pieces: int) -> float:

@@ -4,14 +4,23 @@ import math
 
 import numpy as np
 import pytest
-from helpers import Motion, fix, model, output, outputs, regular
+from helpers import Motion, difference, fix, model, output, regular
+from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop.blocks.carrier_trajectory import (
     CarrierTrajectory,
     InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
+from drake_nonstop.blocks.load_feedback import DesiredStateFeedback
+from drake_nonstop.blocks.load_trajectory import RestToRestConfig
+from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
+from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.carrier import carrier_motion
+from drake_nonstop.model.pattern import CarouselConfig
+from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.systems import tracing
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
 
@@ -67,10 +76,10 @@ SIGNALS = {"measured_load_state": Motion(3).state(0.3), "reference": Motion(4).r
 
 
 def carried(block, pose):
+    context = block.CreateDefaultContext()
     pulls = {"desired_cable_forces": np.tile([0.3, -0.2, 2.5], 4)}
-    return outputs(block, **pose, **pulls, desired_cable_force_rates=np.full(12, 0.1))[
-        "carrier_reference"
-    ]
+    fix(block, context, **pose, **pulls, desired_cable_force_rates=np.full(12, 0.1))
+    return output(block, context, "carrier_reference")
 
 
 def test_inextensible_cables_are_as_long_as_they_are_unstretched():
@@ -87,3 +96,112 @@ def test_measured_pose_carries_the_cables():
     np.testing.assert_array_equal(measured, same)
     ends = measured[:12].reshape(4, 3) - state[4:7]
     assert np.all(np.linalg.norm(ends, axis=1) < np.linalg.norm(regular(4), axis=1).max() + 0.81)
+
+
+DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
+
+
+class SteadyJerk(LeafSystem):
+    """A reference without rotation whose jerk is constant."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("reference", 22, self._calc)
+
+    def _calc(self, context, reference):
+        time, jerk = context.get_time(), np.array([0.3, -0.5, 0.2])
+        motion = [jerk * time**3 / 6, jerk * time**2 / 2, jerk * time, jerk]
+        position, velocity, acceleration, jerk = motion
+        pose = [1, 0, 0, 0, *position, 0, 0, 0, *velocity]
+        reference.SetFromVector([*pose, 0, 0, 0, *acceleration, *jerk])
+
+
+def carriers_at(diagram, context, time, names=("carrier_reference", *DERIVATIVES)):
+    """Signals of a loop with constant ξ = 2 rad/s at a time, the load on its reference."""
+    context.SetTime(time)
+    phase = diagram.GetSubsystemByName("phase").GetMyMutableContextFromRoot(context)
+    phase.SetContinuousState([2.0 * time, 0.0])
+    return [output(diagram, context, name) for name in names]
+
+
+def loop_on_its_reference(**boxes):
+    """A loop whose controllers take the load to be on its reference, and its context."""
+    fields = {name: boxes.pop(name) for name in ("pattern", "system") if name in boxes}
+    scenario = Scenario(control_period=0.0, **fields)
+    layer = ConstantParametersConfig(frequency=2.0, amplitude=1.2)
+    ends = {"load_feedback": DesiredStateFeedback, "optimization_layer": layer}
+    diagram = make_nonstop(scenario, **ends, **boxes)
+    return diagram, diagram.CreateDefaultContext()
+
+
+@pytest.mark.parametrize("block", [CarrierTrajectory, InextensibleCarrierTrajectory])
+def test_derivatives_in_the_loop_are_differences_of_the_velocities(block):
+    diagram, context = loop_on_its_reference(load_trajectory=SteadyJerk, carrier_trajectory=block)
+    for time in (0.3, 1.1):
+        _, acceleration, jerk = carriers_at(diagram, context, time)
+        velocity = difference(lambda t: carriers_at(diagram, context, t)[0][12:], time)
+        np.testing.assert_allclose(acceleration, velocity, rtol=0, atol=1e-8)
+        expected = difference(lambda t: carriers_at(diagram, context, t)[1], time)
+        np.testing.assert_allclose(jerk, expected, rtol=0, atol=1e-8)
+        assert np.max(np.abs(acceleration)) > 1
+
+
+def test_without_snap_what_is_missing_is_small_while_the_load_moves_slowly():
+    # Of a quintic, over 10 s, of which the snap (0.2 m/s⁴ times the mass) is not told.
+    move = RestToRestConfig(displacement=[1.0, 1.0, 1.0])
+    diagram, context = loop_on_its_reference(load_trajectory=move)
+    for time in (2.0, 5.0):
+        _, acceleration, _ = carriers_at(diagram, context, time)
+        velocity = difference(lambda t: carriers_at(diagram, context, t)[0][12:], time)
+        np.testing.assert_allclose(acceleration, velocity, rtol=0, atol=0.01)
+
+
+@pytest.mark.parametrize("n", [3, 5])
+def test_carousel_over_a_resting_load_in_closed_form(n):
+    attachments = regular(n)
+    system = SystemParameters(attachments=attachments.tolist())
+    diagram, context = loop_on_its_reference(pattern=CarouselConfig(), system=system)
+    share = system.load_mass * system.gravity / n
+    tension = math.hypot(share, 1.2)
+    height = (system.cable_length + tension / system.cable_stiffness) * share / tension
+    for time in (0.0, 1.7):
+        motion, acceleration, jerk = carriers_at(diagram, context, time)
+        positions, velocities = np.split(motion, 2)
+        from_centre = positions - (attachments + np.array([0, 0, height])).ravel()
+        np.testing.assert_allclose(acceleration, -(2.0**2) * from_centre, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(jerk, -(2.0**2) * velocities, rtol=0, atol=1e-12)
+
+
+def test_derivatives_stand_still_between_samples(rng):
+    block = CarrierTrajectory(model(4, 0.01))
+    context = block.CreateDefaultContext()
+    orbit = {"internal_force": rng.normal(size=8), "parameters": np.array([2.0, 1.2])}
+    fix(block, context, **generator_inputs(rng, 4), **orbit, sample_time=np.array([2.0]))
+    values = []
+    for time in (2.0, 2.007):
+        context.SetTime(time)
+        values.append([output(block, context, name) for name in DERIVATIVES])
+    np.testing.assert_array_equal(*values)
+
+
+def test_what_the_derivatives_need_may_be_left_unconnected(rng):
+    block = CarrierTrajectory(model(4))
+    context = block.CreateDefaultContext()
+    fix(block, context, **generator_inputs(rng, 4))
+    assert len(output(block, context, "carrier_reference")) == 24
+    with pytest.raises(RuntimeError, match="internal_force"):
+        output(block, context, DERIVATIVES[0])
+
+
+def test_derivatives_that_nothing_reads_are_not_even_traced(monkeypatch):
+    diagram, context = loop_on_its_reference()
+    traced = []
+    make = tracing.Trace
+    monkeypatch.setattr(
+        tracing, "Trace", lambda *sizes, key: traced.append(1) or make(*sizes, key=key)
+    )
+    diagram.EvalTimeDerivatives(context)
+    carriers_at(diagram, context, 0.1, ["carrier_reference"])
+    assert not traced
+    carriers_at(diagram, context, 0.1)
+    assert traced == [1]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import model, output
+from helpers import fix, model, output
 
 from drake_nonstop.blocks.optimization_layer import ConstantParameters, ConstantParametersConfig
 from drake_nonstop.validation import ScenarioError
@@ -27,3 +27,17 @@ def test_constant_parameters():
 def test_bad_constant_parameter_is_named(field, value):
     with pytest.raises(ScenarioError, match=f"optimization_layer.{field} = {value}: give"):
         ConstantParameters(model(), ConstantParametersConfig(**{field: value}))
+
+
+def test_a_commanded_bound_is_reported_in_place_of_the_one_that_is_set():
+    block = ConstantParameters(model())
+    context = block.CreateDefaultContext()
+    block.set_speed_bound(context, 0.3)
+    np.testing.assert_array_equal(output(block, context, "speed_bound"), [0.3])
+    fix(block, context, speed_bound_command=np.array([0.4]))
+    np.testing.assert_array_equal(output(block, context, "speed_bound"), [0.4])
+    with pytest.raises(ScenarioError, match=r"speed_bound = 0.5: the signal speed_bound_command"):
+        block.set_speed_bound(context, 0.5)
+    fix(block, context, speed_bound_command=np.array([np.nan]))
+    with pytest.raises(ScenarioError, match=r"^optimization_layer.speed_bound_command = nan: give"):
+        output(block, context, "speed_bound")

@@ -278,6 +278,57 @@ def test_a_lowered_bound_is_in_force_at_once_and_a_raised_one_gradually():
         assert layer.diagnostics.speed_margin == pytest.approx(margin, abs=1e-9)
 
 
+def test_a_commanded_bound_is_followed_like_one_that_is_set():
+    commanded, told = Layer(config(0.3)), Layer(config(0.3))
+    for bound in (0.2, 0.2, 0.9, 0.9, 0.0):
+        if commanded.updates:
+            told.block.set_speed_bound(told.context, bound)
+        command = {"speed_bound_command": np.array([bound if commanded.updates else 0.3])}
+        first, second = commanded.update(AT_REST | command), told.update(AT_REST)
+        np.testing.assert_array_equal(first, second)
+        np.testing.assert_array_equal(commanded.diagnostics, told.diagnostics)
+        said = [output(layer.block, layer.context, "speed_bound") for layer in (commanded, told)]
+        np.testing.assert_array_equal(*said)
+
+
+def test_a_command_is_followed_from_the_next_update_on():
+    layer = Layer(config(0.2))
+    layer.update(AT_REST | {"speed_bound_command": np.array([0.2])})
+    before = layer.diagnostics
+    fix(layer.block, layer.context, speed_bound_command=np.array([0.1]))
+    np.testing.assert_array_equal(output(layer.block, layer.context, "speed_bound"), [0.1])
+    np.testing.assert_array_equal(layer.diagnostics, before)
+    layer.update(AT_REST)
+    assert layer.diagnostics.speed_margin == pytest.approx(before.speed_margin + 0.1, abs=1e-9)
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (-0.1, r"speed_bound_command = -0\.1: give 0 \(no bound\) or at least 0\.001 m/s"),
+        (1e-4, r"speed_bound_command = 0\.0001: give 0 \(no bound\) or at least 0\.001 m/s"),
+        (np.nan, "speed_bound_command = nan: give 0"),
+        (np.inf, "speed_bound_command = inf: give 0"),
+        (2.0, r"speed_bound_command = 2\.0: give less than 1\.4703 m/s, for the sake of max_sp"),
+    ],
+)
+def test_a_command_out_of_range_is_an_error(command, said, enabled):
+    layer = Layer(config(0.2, max_speed=1.5))
+    layer.update(AT_REST | {"speed_bound_command": np.array([0.2])})
+    layer.block.set_enabled(layer.context, enabled)
+    with pytest.raises(ScenarioError, match=f"^optimization_layer.{said}"):
+        layer.update(AT_REST | {"speed_bound_command": np.array([command])})
+
+
+def test_a_bound_cannot_be_set_beside_a_command():
+    layer = Layer(config(0.2))
+    layer.update(AT_REST | {"speed_bound_command": np.array([0.2])})
+    said = r"^optimization_layer.speed_bound = 0.3: the signal speed_bound_command sets the bound"
+    with pytest.raises(ScenarioError, match=said):
+        layer.block.set_speed_bound(layer.context, 0.3)
+
+
 def test_solve_time_is_a_duration():
     layer = Layer(config(2.0))
     layer.update(AT_REST)

@@ -9,7 +9,10 @@ import re
 import numpy as np
 import pytest
 import yaml
-from helpers import Motion, fix, model, output
+from helpers import Motion, difference, fix, model, output
+from pydrake.autodiffutils import AutoDiffXd, ExtractValue
+from pydrake.symbolic import Expression
+from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop import blocks
 from drake_nonstop.blocks.cables import Cables, IndividualCables
@@ -65,6 +68,7 @@ from drake_nonstop.blocks.wrench_controller import (
 from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.describe import parameters
+from drake_nonstop.validation import ScenarioError
 
 
 def moving_reference(model):
@@ -94,6 +98,23 @@ def everything(inputs, outputs):
     return inputs, outputs, [(source, target) for source in inputs for target in outputs]
 
 
+DISTRIBUTION = (
+    ["measured_load_state", "wrench", "wrench_rate", "internal_force"],
+    ["desired_cable_forces", "desired_cable_force_rates"],
+    [
+        ("measured_load_state", "desired_cable_forces"),
+        ("measured_load_state", "desired_cable_force_rates"),
+        ("wrench", "desired_cable_forces"),
+        ("wrench", "desired_cable_force_rates"),
+        ("wrench_rate", "desired_cable_force_rates"),
+        ("internal_force", "desired_cable_forces"),
+        ("internal_force", "desired_cable_force_rates"),
+    ],
+)
+_PULLED = ("reference", "desired_cable_forces", "desired_cable_force_rates")
+_ORBIT = ("internal_force", "parameters")
+_DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
+
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
 BLOCKS = {
     moving_reference: ([], ["reference"], []),
@@ -104,12 +125,17 @@ BLOCKS = {
             ["measured_load_state", "reference"], ["wrench", "wrench_rate", "tracking_error"]
         ),
     ),
-    bounded_distribution: everything(
-        ["measured_load_state", "wrench", "wrench_rate", "internal_force"],
-        ["desired_cable_forces", "desired_cable_force_rates"],
-    ),
-    InextensibleCarrierTrajectory: everything(
-        ["reference", "desired_cable_forces", "desired_cable_force_rates"], ["carrier_reference"]
+    bounded_distribution: DISTRIBUTION,
+    **dict.fromkeys(
+        (CarrierTrajectory, InextensibleCarrierTrajectory),
+        (
+            [*_PULLED, *_ORBIT],
+            ["carrier_reference", *_DERIVATIVES],
+            [
+                *((source, "carrier_reference") for source in _PULLED),
+                *((source, target) for source in (*_PULLED, *_ORBIT) for target in _DERIVATIVES),
+            ],
+        ),
     ),
     MeasuredCarrierTrajectory: everything(
         ["measured_load_state", "desired_cable_forces", "desired_cable_force_rates"],
@@ -158,11 +184,22 @@ BLOCKS = {
         ],
     ),
     NonstopOptimizer: (
-        ["measured_load_state", "reference", "wrench", "wrench_rate", "phase"],
+        [
+            "measured_load_state",
+            "reference",
+            "wrench",
+            "wrench_rate",
+            "phase",
+            "speed_bound_command",
+        ],
         ["parameters", "diagnostics", "solve_time", "speed_bound"],
-        [],
+        [("speed_bound_command", "speed_bound")],
     ),
-    ConstantParameters: ([], ["parameters", "speed_bound"], []),
+    ConstantParameters: (
+        ["speed_bound_command"],
+        ["parameters", "speed_bound"],
+        [("speed_bound_command", "speed_bound")],
+    ),
     AccumulatedPhase: (["parameters"], ["phase"], []),
     PaperPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
     InternalForceTrajectory: (
@@ -170,29 +207,7 @@ BLOCKS = {
         ["internal_force"],
         [("parameters", "internal_force"), ("phase", "internal_force")],
     ),
-    CableForceDistribution: (
-        ["measured_load_state", "wrench", "wrench_rate", "internal_force"],
-        ["desired_cable_forces", "desired_cable_force_rates"],
-        [
-            ("measured_load_state", "desired_cable_forces"),
-            ("measured_load_state", "desired_cable_force_rates"),
-            ("wrench", "desired_cable_forces"),
-            ("wrench", "desired_cable_force_rates"),
-            ("wrench_rate", "desired_cable_forces"),  # one calculation makes both outputs
-            ("wrench_rate", "desired_cable_force_rates"),
-            ("internal_force", "desired_cable_forces"),
-            ("internal_force", "desired_cable_force_rates"),
-        ],
-    ),
-    CarrierTrajectory: (
-        ["reference", "desired_cable_forces", "desired_cable_force_rates"],
-        ["carrier_reference"],
-        [
-            ("reference", "carrier_reference"),
-            ("desired_cable_forces", "carrier_reference"),
-            ("desired_cable_force_rates", "carrier_reference"),
-        ],
-    ),
+    CableForceDistribution: DISTRIBUTION,
     CarrierPid: (
         ["carrier_reference", "carrier_state"],
         ["carrier_forces"],
@@ -278,7 +293,7 @@ def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
     held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()}
-    return (sizes | held | {"sample_time": 1})[signal]
+    return (sizes | held | {"sample_time": 1, "speed_bound_command": 1})[signal]
 
 
 def values(signal, seed, n):
@@ -384,7 +399,7 @@ def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, per
     context.SetTime(time)
     after = check("time")
     for name in before:
-        constant = make in (ConstantParameters, NoDisturbance) or name == "speed_bound"
+        constant = make is NoDisturbance or (make is ConstantParameters and name == "parameters")
         assert np.array_equal(before[name], after[name]) == constant, name
 
 
@@ -393,9 +408,83 @@ def test_what_feeds_through_changes_the_output(make, period):
     block = built(make, 4, period)
     inputs = {name: values(name, 1, 4) for name in input_names(block)}
     before = fresh(block, inputs, 1, 5.5)
-    for source, target in feedthrough(block) - {("wrench_rate", "desired_cable_forces")}:
+    for source, target in feedthrough(block):
         after = fresh(block, inputs | {source: values(source, 2, 4)}, 1, 5.5)
         assert not np.array_equal(before[target], after[target]), (source, target)
+
+
+def made_values(block, scalar, vary):
+    """All that the block makes, rates last, where `vary` makes numbers of the scalar type."""
+    context = block.CreateDefaultContext()
+    context.SetTime(scalar(5.5))
+    rng = np.random.default_rng(1)
+    context.SetContinuousState(vary(rng.uniform(0.2, 1.0, context.num_continuous_states())))
+    for i in range(context.num_discrete_state_groups()):
+        size = context.get_discrete_state(i).size()
+        context.SetDiscreteState(i, vary(rng.uniform(0.2, 1.0, size)))
+    for name in input_names(block):
+        block.GetInputPort(name).FixValue(context, vary(values(name, 1, 4)))
+    parts = [block.GetOutputPort(name).Eval(context) for name in output_names(block)]
+    if context.num_continuous_states() > 0:
+        parts.append(block.EvalTimeDerivatives(context).CopyToVector())
+    return np.concatenate(parts)
+
+
+def along(scale):
+    """Numbers plus `scale` times a smooth function of them."""
+    return lambda given: given + scale * np.sin(7 * given)
+
+
+CONVERTIBLE = pytest.mark.parametrize(
+    ("make", "period"), [case for case in CASES if case[0] is not bounded_distribution]
+)
+
+
+@CONVERTIBLE
+def test_of_autodiff_values_are_those_of_floats_and_gradients_differences(make, period):
+    block = built(make, 4, period)
+    result = made_values(block.ToAutoDiffXd(), AutoDiffXd, along(AutoDiffXd(0.0, [1.0])))
+    expected = made_values(block, float, along(0.0))
+    scale = max(1.0, np.max(np.abs(expected)))
+    np.testing.assert_allclose(ExtractValue(result)[:, 0], expected, rtol=0, atol=1e-12 * scale)
+    slopes = [value.derivatives() for value in result]
+    gradient = np.array([slope[0] if slope.size else 0.0 for slope in slopes])
+    slope = difference(lambda step: made_values(block, float, along(step)), 0.0, 1e-4)
+    scale = max(1.0, np.max(np.abs(slope)))
+    np.testing.assert_allclose(gradient, slope, rtol=0, atol=1e-7 * scale)
+
+
+@CONVERTIBLE
+def test_of_expressions_values_are_those_of_floats(make, period):
+    block = built(make, 4, period)
+    expected = made_values(block, float, along(0.0))
+    result = made_values(
+        block.ToSymbolic(), Expression, lambda given: np.array([Expression(v) for v in given])
+    )
+    scale = max(1.0, np.max(np.abs(expected)))
+    numbers = [value.Evaluate() for value in result]
+    np.testing.assert_allclose(numbers, expected, rtol=0, atol=1e-12 * scale)
+
+
+@cases
+def test_a_clone_makes_the_same_to_the_bit(make, period):
+    block = built(make, 4, period)
+    expected = made_values(block, float, along(0.0))
+    np.testing.assert_array_equal(made_values(block.Clone(), float, along(0.0)), expected)
+
+
+def test_a_quadratic_program_is_solved_on_floats_only():
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("force_distribution", bounded_distribution(model()))
+    loop = builder.Build()
+    loop.set_name("nonstop")
+    block = loop.ToAutoDiffXd().GetSubsystemByName("force_distribution")
+    with pytest.raises(ScenarioError) as error:
+        made_values(block, AutoDiffXd, along(AutoDiffXd(0.0, [1.0])))
+    assert str(error.value) == (
+        "scalar type of force_distribution = AutoDiffXd: it computes with floating-point numbers "
+        "only; give CableForceDistribution in place of BoundedTensionDistribution"
+    )
 
 
 @pytest.mark.parametrize("n", [3, 6])

@@ -3,7 +3,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from helpers import output, regular
+from helpers import fix, output, regular
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
@@ -17,6 +17,7 @@ from drake_nonstop.blocks.load_trajectory import ConstantVelocityMoveConfig, Res
 from drake_nonstop.blocks.optimization_layer import (
     ConstantParameters,
     ConstantParametersConfig,
+    NonstopOptimizerConfig,
 )
 from drake_nonstop.blocks.phase import PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
@@ -58,7 +59,7 @@ def block_names(diagram):
 
 def test_figure_as_listed_is_the_figure_as_built(figure):
     assert set(wiring.connections(figure)) == figure_wires()
-    assert len(figure_wires()) == 25
+    assert len(figure_wires()) == 27
 
 
 def test_every_box_is_there_under_its_name_with_its_default_block(figure):
@@ -72,6 +73,7 @@ def test_no_input_is_left_open_and_every_output_is_exported(name, request):
     diagram = request.getfixturevalue(name)
     assert diagram.num_input_ports() == 0
     wired = {wire.split(" -> ")[1] for wire in wiring.connections(diagram)}
+    wired.add("optimization_layer.speed_bound_command")  # which may be left unconnected
     signals = []
     for block in diagram.GetSystems():
         assert {f"{block.get_name()}.{p}" for p in wiring.input_names(block)} <= wired
@@ -83,7 +85,15 @@ def test_no_input_is_left_open_and_every_output_is_exported(name, request):
 def test_every_signal_is_read_but_those_that_only_report(figure):
     read = {wire.split(" -> ")[0].split(".")[1] for wire in wiring.connections(figure)}
     unread = set(wiring.output_names(figure)) - read
-    assert unread == {"tracking_error", "diagnostics", "solve_time", "speed_bound", "tensions"}
+    assert unread == {
+        "tracking_error",
+        "diagnostics",
+        "solve_time",
+        "speed_bound",
+        "tensions",
+        "carrier_reference_acceleration",
+        "carrier_reference_jerk",
+    }
 
 
 def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
@@ -104,7 +114,11 @@ def test_contract_asks_for_what_is_read_and_for_the_tensions():
 
 
 def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
-    assert BOXES["carrier_trajectory"].sizes(5, 3) == {"carrier_reference": 30}
+    assert BOXES["carrier_trajectory"].sizes(5, 3) == {
+        "carrier_reference": 30,
+        "carrier_reference_acceleration": 15,
+        "carrier_reference_jerk": 15,
+    }
     assert BOXES["internal_force"].sizes(5, 3) == {"internal_force": 6}
     assert BOXES["cables"].sizes(5, 3) == {"cable_forces": 15, "tensions": 5}
     assert BOXES["load_trajectory"].sizes(5, 3) == {"reference": 22}
@@ -166,6 +180,41 @@ def test_sampled_commands_stand_still_between_samples_but_for_the_carriers_motio
     for name in names:
         np.testing.assert_array_equal(first[name], same[name], err_msg=name)
         assert not np.array_equal(first[name], next_sample[name]), name
+
+
+class CommandingDisturbance(LeafSystem):
+    """No disturbance, and a speed bound that rises with the time."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort(
+            "disturbance_wrench", 6, lambda context, output: output.SetFromVector(np.zeros(6))
+        )
+        self.DeclareVectorOutputPort(
+            "speed_bound_command",
+            1,
+            lambda context, output: output.SetFromVector([0.3 + 0.01 * context.get_time()]),
+        )
+
+
+@pytest.mark.parametrize("layer", [NonstopOptimizerConfig(), ConstantParametersConfig()])
+def test_speed_bound_command_of_a_block_is_the_bound(layer):
+    scenario = Scenario(optimization_layer=layer)
+    diagram = make_nonstop(scenario, load_disturbance=CommandingDisturbance)
+    wire = "load_disturbance.speed_bound_command -> optimization_layer.speed_bound_command"
+    assert wire in wiring.connections(diagram)
+    context = diagram.CreateDefaultContext()
+    context.SetTime(2.0)
+    np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.32])
+
+
+def test_speed_bound_command_becomes_an_input_where_it_is_asked_for():
+    diagram = make_nonstop(plain(), inputs=["speed_bound_command"])
+    assert wiring.input_sizes(diagram) == {"speed_bound_command": 1}
+    context = diagram.CreateDefaultContext()
+    np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.2])
+    fix(diagram, context, speed_bound_command=np.array([0.4]))
+    np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.4])
 
 
 class Kite(LeafSystem):
@@ -399,6 +448,8 @@ def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
     assert needed <= read
     sources = dict(reversed(wire) for wire in wires)
     for port in wiring.input_names(swapped):
+        if port == "speed_bound_command":
+            continue
         source = sources[f"{name}.{port}"].split(".")[1]
         assert source.removeprefix("held_") == port
 

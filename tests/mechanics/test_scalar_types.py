@@ -10,6 +10,7 @@ from drake_nonstop.mechanics import (
     cable,
     carrier,
     circle,
+    force_rates,
     grasp,
     internal_force,
     nonstop,
@@ -87,6 +88,7 @@ EQUATIONS = {
         internal_force.internal_force_acceleration,
         [2, 2 * N],
     ),
+    "internal_force_jerk": (internal_force.internal_force_jerk, [2, 2 * N]),
     "ellipse_axes": (
         lambda basis, phases: internal_force.ellipse_axes(basis.reshape(9, 3), phases),
         [27, 3],
@@ -95,6 +97,24 @@ EQUATIONS = {
     "load_state_rate": (
         lambda *a: rigid_load.load_state_rate(LOAD, *a, attachments=ATTACHMENTS),
         [13, 3 * N, 6],
+    ),
+    "load_energies": (
+        lambda state: (
+            rigid_load.load_kinetic_energy(LOAD, state),
+            rigid_load.load_potential_energy(LOAD, state),
+        ),
+        [13],
+    ),
+    "carriers_energies": (
+        lambda state: (
+            carrier.carriers_kinetic_energy(state, mass=0.1),
+            carrier.carriers_potential_energy(state, mass=0.1, gravity=9.81),
+        ),
+        [6 * N],
+    ),
+    "cables_elastic_energy": (
+        lambda *a: cable.cables_elastic_energy(*a, stiffness=500.0, **CABLES),
+        [13, 6 * N],
     ),
     "tracking_error": (wrench.tracking_error, [13, 22]),
     "wrench_and_rate": (
@@ -117,6 +137,24 @@ EQUATIONS = {
             reference, *(pull.reshape(-1, 3) for pull in pulls), compliance=0.002, **CABLES
         ),
         [22, 3 * N, 3 * N, 3 * N],
+    ),
+    "carrier_jerk": (
+        lambda reference, *pulls: carrier.carrier_jerk(
+            reference, *(pull.reshape(-1, 3) for pull in pulls), compliance=0.002, **CABLES
+        ),
+        [22, 3 * N, 3 * N, 3 * N, 3 * N],
+    ),
+    "second_and_third_force_rates": (
+        lambda reference, forces, rates, *orbit: force_rates.second_and_third_force_rates(
+            LOAD,
+            reference,
+            forces.reshape(-1, 3),
+            rates.reshape(-1, 3),
+            *orbit,
+            pseudo_inverse=GRASP["pseudo_inverse"],
+            basis=BASIS,
+        ),
+        [22, 3 * N, 3 * N, 2 * N, 2],
     ),
     "pid_forces": (
         lambda *a: carrier.pid_forces(

@@ -182,7 +182,13 @@ def test_other_solvers_agree_with_the_search(seed):
 def test_a_cable_without_tension_has_no_margin():
     drawn = Drawn(0)
     constraint = drawn.solver._traced.separation
-    at = separation.Separation(constraint, 0 * drawn.forces, drawn.levers)
+    at = separation.Separation(
+        constraint,
+        0 * drawn.forces,
+        drawn.levers,
+        rest_length=drawn.model.cable_length,
+        compliance=drawn.model.cable_compliance,
+    )
     assert np.isnan(at.worst_margin(0.0))
     drawn.problem._separation = at
     with pytest.raises(NotFiniteError, match="optimization_layer made"):

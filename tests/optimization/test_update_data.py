@@ -1,14 +1,17 @@
 import numpy as np
 from nonstop_cases import START, TIGHTENING, moving, update_data, update_solver
 
-from drake_nonstop.optimization.update_data import UPDATE_DATA_SIZE, UpdateData
+from drake_nonstop.optimization.update_data import Beliefs, UpdateData, update_data_size
 
 
 def test_the_view_of_a_vector_is_its_parts_in_order_and_writes_to_it():
-    vector = np.arange(float(UPDATE_DATA_SIZE))
+    vector = np.arange(float(update_data_size(12)))
     parts = UpdateData.view(vector)
     np.testing.assert_array_equal(np.concatenate(parts), vector)
-    parts.anchor_weight[:] = -1.0
+    beliefs = Beliefs.view(parts.beliefs)
+    np.testing.assert_array_equal(np.concatenate(beliefs), parts.beliefs)
+    assert beliefs.offset.shape == (12,)
+    beliefs.offset[-1:] = -1.0
     assert vector[-1] == -1.0
 
 
@@ -27,6 +30,7 @@ def test_update_data_are_found_by_their_names():
         updates=7,
     )
     assert np.concatenate(data).shape == (61,)
+    assert np.concatenate(solver.problem(data).data).shape == (update_data_size(0),)
     parts = UpdateData.view(np.concatenate(data))
     np.testing.assert_array_equal(parts.previous, START)
     np.testing.assert_array_equal(parts.load_state, inputs["measured_load_state"])

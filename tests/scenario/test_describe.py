@@ -126,7 +126,8 @@ def test_every_port_is_listed_with_its_size_whatever_n_and_m_are(boxes, n, m):
     model = Model(SystemParameters(attachments=regular(n).tolist()), pattern, 0.01)
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
     texts = {s: k for box in BOXES.values() for s, k in box.signals.items()}
-    sizes["sample_time"], texts["sample_time"] = 1, "1"
+    for single in ("sample_time", "speed_bound_command"):
+        sizes[single], texts[single] = 1, "1"
     for name, box in BOXES.items():
         for block, choice in zip(box.variants, boxes[name].choices, strict=True):
             built = block(model)
@@ -157,13 +158,15 @@ def test_one_box_is_shown_alone(capsys):
     assert "  NonstopOptimizer (default)\n    Changes ξ and A as little" in shown
     assert (
         "    in   measured_load_state (13), reference (22), wrench (6), wrench_rate (6), "
-        "phase (2)\n"
+        "phase (2),\n"
+        "         speed_bound_command (1, optional)\n"
         "    out  parameters (2), diagnostics (7), solve_time (1), speed_bound (1)\n"
         "    speed_bound                 float        0.2          m/s, ε\n"
     ) in shown
     assert shown.endswith(
         "  ConstantParameters\n"
         "    Constant ξ and A: the loop without optimization.\n"
+        "    in   speed_bound_command (1, optional)\n"
         "    out  parameters (2), speed_bound (1)\n"
         "    frequency    float  2.0  rad/s, ξ\n"
         "    amplitude    float  1.2  N, A\n"

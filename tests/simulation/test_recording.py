@@ -21,7 +21,14 @@ from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from drake_nonstop import RunInterrupted, RunStopped, ScenarioError, load_scenario, simulate
+from drake_nonstop import (
+    ConstantParameters,
+    RunInterrupted,
+    RunStopped,
+    ScenarioError,
+    load_scenario,
+    simulate,
+)
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.simulation import recording
 from drake_nonstop.simulation.metrics import compute_metrics
@@ -279,3 +286,28 @@ def test_the_expected_size_is_that_of_the_signals():
         arrays = [run.time, *run.signals.values(), *run.steps.values()]
         expected = recording.expected_size(make_nonstop(scenario), scenario)
         assert sum(values.nbytes for values in arrays) == pytest.approx(expected, rel=0.05)
+
+
+class AccelerationReader(LeafSystem):
+    """No disturbance, from a signal that is recorded only where something reads it."""
+
+    def __init__(self, model):
+        super().__init__()
+        self._input = self.DeclareVectorInputPort("carrier_reference_acceleration", 3 * model.n)
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc)
+
+    def _calc(self, context, output):
+        output.SetFromVector(0 * self._input.Eval(context)[:6])
+
+
+def test_accelerations_are_recorded_where_something_reads_them():
+    scenario = load_scenario("quintic", ["simulation_duration=0.1"])
+    plain = {"optimization_layer": ConstantParameters}
+    unread = simulate(scenario, **plain)
+    read = simulate(scenario, **plain, load_disturbance=AccelerationReader)
+    name = "carrier_trajectory.carrier_reference_acceleration"
+    assert read.signals.keys() - unread.signals.keys() == {name}
+    assert unread.signals.keys() <= read.signals.keys()
+    assert read.signals[name].shape == (11, 12)
+    for signal, values in unread.signals.items():
+        np.testing.assert_array_equal(read.signals[signal], values, err_msg=signal)

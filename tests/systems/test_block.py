@@ -1,16 +1,27 @@
 """A run is freed once nothing refers to it any more."""
 
+import dataclasses
 import gc
 import itertools
 import weakref
 
 import pytest
-from pydrake.systems.framework import BasicVector, LeafSystem
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression, Variable
+from pydrake.systems.framework import BasicVector, Diagram, LeafSystem, LeafSystem_
 
-from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.systems.block import BlockType, LeafBlock, release, weakly
+from drake_nonstop.systems.block import (
+    BlockType,
+    LeafBlock,
+    number,
+    of_scalar,
+    release,
+    weakly,
+)
+from drake_nonstop.validation import ScenarioError
 
 SWAPS = [
     [],
@@ -55,6 +66,73 @@ def test_a_run_leaves_nothing_in_memory(overrides):
 def test_every_block_is_one_that_is_freed():
     for block in itertools.chain.from_iterable(box.variants for box in BOXES.values()):
         assert isinstance(block, BlockType)
+
+
+@pytest.mark.parametrize("convert", [Diagram.ToAutoDiffXd, Diagram.ToSymbolic, Diagram.Clone])
+def test_a_converted_loop_leaves_nothing_in_memory(convert):
+    scenario = load_scenario("line", ["load_plant=MultibodyLoadPlant", "phase=PaperPhase"])
+    converted = convert(make_nonstop(scenario))
+    references = [weakref.ref(thing) for thing in (converted, *converted.GetSystems())]
+    context = converted.CreateDefaultContext()
+    converted.GetOutputPort("phase").Eval(context)
+    del context, converted
+    gc.collect()
+    gc.collect()  # what Drake's systems in C++ held
+    assert [r() for r in references if r() is not None] == []
+
+
+@dataclasses.dataclass
+class ScaledConfig:
+    factor: float
+
+
+class Scaled(LeafBlock):
+    """A block below another one, with a keyword and a static method."""
+
+    def __init__(self, config, *, offset):
+        super().__init__()
+        self.sum = self.sum_of(config.factor, offset)
+        self.DeclareVectorOutputPort("sum", 1, self.calc)
+
+    @staticmethod
+    def sum_of(first, second):
+        return first + second
+
+    def calc(self, context, output):
+        output.SetFromVector([self.sum])
+
+
+class ScaledMore(Scaled):
+    """Which calls what it is below."""
+
+    def calc(self, context, output):
+        super().calc(context, output)
+        output.SetFromVector(2 * output.CopyToVector())
+
+
+def test_a_block_converts_with_its_name_and_its_first_arguments():
+    config = ScaledConfig(3.0)
+    block = ScaledMore(config, offset=4.0)
+    block.set_name("more")
+    config.factor = 100.0
+    for other, scalar in (
+        (block.ToAutoDiffXd(), AutoDiffXd),
+        (block.ToSymbolic(), Expression),
+        (block.Clone(), float),
+        (block.ToAutoDiffXd().ToSymbolic().Clone(), Expression),
+    ):
+        assert (other.get_name(), other.scalar) == ("more", scalar)
+        assert isinstance(other, LeafSystem_[scalar])
+        value = other.GetOutputPort("sum").Eval(other.CreateDefaultContext())[0]
+        assert number(value) == 14.0
+    assert type(block.ToSymbolic().Clone().ToAutoDiffXd()) is of_scalar(ScaledMore, AutoDiffXd)
+    assert of_scalar(of_scalar(ScaledMore, Expression), float) is ScaledMore
+
+
+def test_a_symbol_has_no_number():
+    time = Variable("t")
+    with pytest.raises(ScenarioError, match=r"^time or state = \(2 \* t\): .*; give the context"):
+        number(2 * time)
 
 
 class Stateful(LeafBlock):

@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 from helpers import fix, output
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Integrator, ZeroOrderHold
 
 from drake_nonstop import load_scenario, simulate
 from drake_nonstop.simulation.run import RunStopped
+from drake_nonstop.systems.block import number
 from drake_nonstop.systems.sampled_integrator import SampledIntegrator
 from drake_nonstop.systems.traced_block import TracedBlock, _Traced
 from drake_nonstop.systems.tracing import NotFiniteError
@@ -76,7 +79,7 @@ def test_a_held_input_is_not_evaluated_again(monkeypatch, reads_time, count):
     holds = [builder.AddSystem(ZeroOrderHold(1.0, 1)) for _ in range(2)]
     block = builder.AddSystem(
         TracedBlock(
-            lambda a, b, *time: (a + b, a - b),
+            lambda a, b, *time: (a + b + sum(time), a - b),
             inputs={"a": 1, "b": 1},
             outputs={"sum": 1, "difference": 1},
             reads_time=reads_time,
@@ -93,6 +96,54 @@ def test_a_held_input_is_not_evaluated_again(monkeypatch, reads_time, count):
         for name in ("sum", "difference"):
             diagram.GetOutputPort(name).Eval(context)
     assert len(calls) == count
+
+
+def test_an_output_feeds_through_what_its_trace_reads_and_nothing_else():
+    """The state's rate is made with an output that reads what it reads; a constant reads none."""
+
+    def function(state, a, b, unread, time):
+        return a * state, a * b + state, b * time, 0 * a + 7.0, state * time
+
+    block = TracedBlock(
+        function,
+        inputs={"a": 1, "b": 1, "unread": 2},
+        outputs={"both": 1, "second": 1, "constant": 1, "own": 1},
+        state=Integrator(np.array([2.0])),
+        state_port="state",
+        reads_time=True,
+    )
+    outputs = ["both", "second", "constant", "own", "state"]
+    found = {
+        (source, target)
+        for i, source in enumerate(("a", "b", "unread"))
+        for k, target in enumerate(outputs)
+        if block.HasDirectFeedthrough(i, k)
+    }
+    assert found == {("a", "both"), ("b", "both"), ("b", "second")}
+    names = [system.get_name() for system in block.GetSystems()]
+    assert sum(name.startswith("traced") for name in names) == 3
+    converted = {AutoDiffXd: block.ToAutoDiffXd(), Expression: block.ToSymbolic()}
+    for scalar, own in {float: block, **converted}.items():
+        context = own.CreateDefaultContext()
+        context.SetTime(3.0)
+        for name, value in (("a", [5.0]), ("b", [11.0]), ("unread", [np.nan, 0.0])):
+            if (scalar, name) != (Expression, "unread"):
+                own.GetInputPort(name).FixValue(context, np.array([scalar(v) for v in value]))
+        values = [number(own.GetOutputPort(name).Eval(context)[0]) for name in outputs]
+        assert values == [57.0, 33.0, 7.0, 6.0, 2.0]
+        assert [number(rate) for rate in own.EvalTimeDerivatives(context).CopyToVector()] == [10.0]
+
+
+def test_a_value_of_autodiff_that_is_not_finite_names_the_block():
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("spring", spring())
+    diagram = builder.Build()
+    diagram.set_name("nonstop")
+    block = diagram.ToAutoDiffXd().GetSubsystemByName("spring")
+    context = block.CreateDefaultContext()
+    fix(block, context, push=np.array([AutoDiffXd(np.nan)]), gain=np.array([AutoDiffXd(1.0)]))
+    with pytest.raises(NotFiniteError, match="spring was given"):
+        output(block, context, "power")
 
 
 def test_a_value_that_is_not_finite_names_the_block():

@@ -10,6 +10,7 @@ from drake_nonstop.systems.wiring import (
     connect_by_name,
     connections,
     input_names,
+    optional_inputs,
     output_names,
     wires,
 )
@@ -110,6 +111,36 @@ def test_sizes_that_differ_are_both_given():
     assert str(error.value) == (
         "plant = Box with inputs command (3): expected command (2); rename or resize the ports"
     )
+
+
+class Sail(Box):
+    """A box whose input `wind` may be left unconnected."""
+
+    optional_inputs = ("wind",)
+
+
+def test_optional_input_is_connected_only_where_there_is_such_a_signal():
+    blocks = {"plant": Sail(["command", "wind"], ["state"]), "source": Box([], ["command"])}
+    assert wires(blocks) == ["source.command -> plant.command"]
+    assert "outside.wind -> plant.wind" in wires(blocks, ["wind"])
+    assert "weather.wind -> plant.wind" in wires(blocks | {"weather": Box([], ["wind"])})
+    kite = Box(["wind"], ["pull"])  # to which it is not optional
+    with pytest.raises(WiringError, match=r"kite = Box .* wind \(2\) is not among the signals"):
+        wires(blocks | {"kite": kite})
+
+
+def test_input_of_a_diagram_is_optional_where_it_leads_to_optional_ones_only():
+    both = {"sail": Sail(["wind"], ["pull"]), "other": Sail(["wind"], ["push"])}
+    assert optional_inputs(connect(both, inputs=["wind"])) == {"wind"}
+    one = {"sail": Sail(["wind"], ["pull"]), "kite": Box(["wind"], ["push"])}
+    assert optional_inputs(connect(one, inputs=["wind"])) == set()
+    assert optional_inputs(Box(["wind"], ["pull"])) == set()
+
+
+def test_optional_input_of_another_size_than_its_signal_is_an_error():
+    blocks = {"plant": Sail(["wind"], ["state"]), "weather": Box([], ["wind"], size=3)}
+    with pytest.raises(WiringError, match=r"Sail with inputs wind \(2\): expected wind \(3\);"):
+        connect(blocks)
 
 
 def test_all_inputs_that_cannot_be_wired_are_reported_at_once():

@@ -51,7 +51,10 @@ def connected(blocks: dict[str, Toy], name: str) -> Diagram:
 def with_extra_blocks(diagram: Diagram) -> Diagram:
     """Toys with the ports of the diagram's blocks, and blocks that the layout does not know."""
     blocks = {
-        system.get_name(): Toy(wiring.input_names(system), wiring.output_names(system))
+        system.get_name(): Toy(
+            [name for name in wiring.input_names(system) if name != "speed_bound_command"],
+            wiring.output_names(system),
+        )
         for system in diagram.GetSystems()
     }
     blocks["load_plant"] = Toy(["cable_forces", "disturbance_wrench", "gust"], ["load_state"])

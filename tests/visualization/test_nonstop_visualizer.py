@@ -1,9 +1,14 @@
 """The visualizer beside the loop: what it shows, and that it changes nothing else."""
 
+import base64
+import re
+
+import msgpack
 import numpy as np
 import pytest
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
 
 from drake_nonstop.blocks.optimization_layer import ConstantParameters
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
@@ -139,6 +144,113 @@ def test_bad_frame_rate(meshcat, rate):
 def test_viewers_have_to_be_functions(meshcat):
     with pytest.raises(ScenarioError, match=r"^viewers = .*: give functions, such as show_in"):
         simulate(short(), viewers=[meshcat])
+
+
+def animation(meshcat):
+    """The tracks of the published animation: (path, name) -> {frame: value}."""
+    meshcat.PublishRecording()
+    commands = re.findall(r"octet-binary;base64,([\w+/=]+)", meshcat.StaticHtml())
+    (sent,) = (
+        message
+        for message in (msgpack.unpackb(base64.b64decode(each)) for each in commands[-3:])
+        if message["type"] == "set_animation"
+    )
+    return {
+        (each["path"], track["name"]): {key["time"]: key["value"] for key in track["keys"]}
+        for each in sent["animations"]
+        for track in each["clip"]["tracks"]
+    }
+
+
+def test_a_recording_has_a_frame_per_instant_at_the_signals_poses():
+    meshcat, rate = start_meshcat(), 50.0
+    nonstop, builder = make_nonstop(short()), DiagramBuilder()
+    builder.AddSystem(nonstop)
+    NonstopVisualizer.AddToBuilder(builder, nonstop, short(), meshcat, frame_rate=1e-3)
+    logs = [
+        LogVectorOutput(nonstop.GetOutputPort(name), builder)
+        for name in ("load_state", "reference", "carrier_state")
+    ]
+    simulator = Simulator(builder.Build())
+    ApplySimulatorConfig(short().simulator_config, simulator)
+    context = simulator.get_mutable_context()
+    set_equilibrium(nonstop, nonstop.GetMyMutableContextFromRoot(context))
+    simulator.Initialize()  # which shows the start already
+    meshcat.StartRecording(frames_per_second=rate)
+    simulator.AdvanceTo(0.3)
+    meshcat.StopRecording()
+    simulator.AdvanceTo(0.4)
+    load, reference, carriers = (log.FindLog(context) for log in logs)
+    times = load.sample_times()
+    recorded = np.flatnonzero((times > 0) & (times <= 0.3))
+    frames, first = np.unique(np.floor(times[recorded] * rate), return_index=True)
+    assert len(frames) == 16
+    tracks = animation(meshcat)
+    for path, log, rows in (
+        ("load", load, slice(4, 7)),
+        ("reference", reference, slice(4, 7)),
+        ("carriers/0", carriers, slice(0, 3)),
+        ("carriers/3", carriers, slice(9, 12)),
+    ):
+        keys = tracks[f"{ROOT}/{path}", ".position"]
+        if path.startswith("carriers"):
+            assert list(keys) == frames.tolist()
+        for frame, value in keys.items():
+            expected = log.data()[rows, recorded[first[int(frame)]]]
+            np.testing.assert_allclose(value, expected, atol=1e-12)
+    ends = load.data()[4:7, 0] + np.array(short().system.attachments[1])
+    length = np.linalg.norm(carriers.data()[3:6, 0] - ends)
+    np.testing.assert_allclose(tracks[f"{ROOT}/cables/1", ".scale"][0], [1, 1, length], rtol=1e-2)
+    assert (f"{ROOT}/carriers/0/mark/<object>", ".material.color") in tracks
+    assert not any(path.startswith("/Cameras") for path, _ in tracks)
+
+
+def test_nothing_is_recorded_where_the_meshcat_does_not(meshcat):
+    simulator, _ = beside(short(), meshcat)
+    simulator.AdvanceTo(0.1)
+    assert not [path for path, name in animation(meshcat) if name == ".position"]
+
+
+def fixed(meshcat, position, **options):
+    """A forced publish of a visualizer of a load at a position."""
+    visualizer = NonstopVisualizer(SystemParameters(), meshcat, **options)
+    context = visualizer.CreateDefaultContext()
+    load = np.array([1.0, 0, 0, 0, *position, *np.zeros(15)])
+    for name, value in (
+        ("load_state", load[:13]),
+        ("reference", load),
+        ("carrier_state", np.linspace(0, 1, 24)),
+        ("tensions", np.ones(4)),
+    ):
+        visualizer.GetInputPort(name).FixValue(context, value)
+    visualizer.ForcedPublish(context)
+
+
+def test_two_loops_share_a_meshcat():
+    meshcat = start_meshcat()
+    fixed(meshcat, [0, 0, 0])
+    camera = "/Cameras/default/rotated/<object>", "position"
+    view = meshcat._GetPackedProperty(*camera)
+    first = transforms(meshcat)
+    fixed(meshcat, [30.0, 0, 0], path="/second/loop")
+    assert transforms(meshcat) == first
+    assert meshcat._GetPackedProperty(*camera) == view
+    assert meshcat.HasPath("/second/loop/carriers/3/mark")
+    sent = msgpack.unpackb(meshcat._GetPackedTransform("/second/loop/load"))
+    assert sent["matrix"][12:15] == [30.0, 0, 0]
+    fixed(meshcat, [1.0, 0, 0])  # again, in the place of the first alone
+    assert meshcat.HasPath("/second/loop/carriers/3/mark")
+    assert meshcat._GetPackedProperty(*camera) != view
+
+
+@pytest.mark.parametrize(
+    "path", ["", "/", "second", "/a/", "/a//b", "/Cameras/a", "/Grid", 3, None]
+)
+def test_bad_path(meshcat, path):
+    with pytest.raises(
+        ScenarioError, match=r"visualizer\.path = .*: give a path such as /nonstop_2"
+    ):
+        NonstopVisualizer(SystemParameters(), meshcat, path=path)
 
 
 def test_help_shows_the_ports_with_their_sizes():

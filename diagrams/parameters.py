@@ -1,0 +1,407 @@
+"""Parameters of a loop by their scenario paths: set in all blocks that go by them, in one call.
+
+`system.load_mass` is what the controllers believe, and what the plant has unless `simulated` says
+otherwise; `simulated.load_mass` is the plant's alone; `pattern.spread` belongs to the pattern, and
+`wrench_controller.position_gain` to the block in that box.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Hashable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.systems.framework import Context, Diagram, System
+
+from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.model.block_parameters import BlockParameters
+from drake_nonstop.model.pattern import InternalForcePattern
+from drake_nonstop.model.system import OFFSET, Model, SystemParameters
+from drake_nonstop.systems.field_comments import meanings
+from drake_nonstop.systems.parameters import declared
+from drake_nonstop.validation import require, require_array, require_known, require_type
+
+_SYSTEM, _SIMULATED, _PATTERN = "system", "simulated", "pattern"
+_SPREAD = "spread"  # a field of a pattern, which its offset is proportional to
+_FIELDS = {field.name: field.type for field in dataclasses.fields(SystemParameters)}
+_GEOMETRY = ("attachments", "load_file", "attachment_frames")
+_BUILD = "build the loop with this value"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopParameter:
+    """A parameter of a loop's context.
+
+    Attributes:
+        path: its scenario path.
+        value: a number, or an array in the shape of the scenario's list.
+        meaning: its unit and what it is.
+        blocks: the names of the blocks that go by it.
+    """
+
+    path: str
+    value: float | NDArray
+    meaning: str
+    blocks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Holder:
+    """Parameters of a block: their place in the loop's context, or None where they are kept."""
+
+    box: str
+    block: System
+    parameters: BlockParameters
+    group: int | None
+
+    @property
+    def role(self) -> str:
+        """What its model is called in a scenario."""
+        return self.parameters.model.field
+
+    def goes_by(self, field: str) -> bool:
+        """Whether a field of the system, or `OFFSET`, is a parameter, or what it was built with."""
+        return field in self.parameters.of_system or field in self.parameters.rules.fixed
+
+
+def parameters(loop: Diagram, context: Context) -> list[LoopParameter]:
+    """The parameters of a loop, with their values in its context.
+
+    Args:
+        loop: as of `make_nonstop`, or any diagram of its blocks.
+        context: the loop's own, in a bigger diagram `loop.GetMyContextFromRoot(root)`; also that
+            of the loop converted to AutoDiffXd.
+
+    Raises:
+        ScenarioError: the context is not the loop's.
+    """
+    return _Loop(loop, context).listed()
+
+
+def get_parameter(loop: Diagram, context: Context, path: str) -> float | NDArray:
+    """The value of a parameter in a context, see `parameters` and `set_parameter`.
+
+    Raises:
+        ScenarioError: there is none of that path, or the context is not the loop's.
+    """
+    found = {entry.path: entry.value for entry in parameters(loop, context)}
+    require_known(path, list(found), "parameter", path)
+    return found[path]
+
+
+def set_parameter(loop: Diagram, context: Context, path: str, value: Any) -> None:
+    """Sets a parameter of a loop in all blocks that go by it, without building or tracing anew.
+
+    With `system.<field>` the plant follows unless the scenario's `simulated` gives the field, or
+    the plant has another value by now; with `simulated.<field>` the plant is set alone. The state
+    stays: for another mass or cable `set_equilibrium` finds the start anew. An optimization layer
+    that has not been updated yet begins with the values set.
+
+    Args:
+        loop: as of `make_nonstop`, or any diagram of its blocks.
+        context: the loop's own, in a bigger diagram `loop.GetMyMutableContextFromRoot(root)`; also
+            that of the loop converted to AutoDiffXd, where a value may have derivatives.
+        path: as in a scenario: "system.load_mass", "wrench_controller.position_gain".
+        value: as in a scenario.
+
+    Raises:
+        ScenarioError: there is no such parameter, the value is out of its range, a block that goes
+            by it keeps what it was built with, or the loop would be built in another way with
+            it. Nothing is set then.
+    """
+    _Loop(loop, context).set(path, value)
+
+
+class _Loop:
+    """A loop with a context."""
+
+    def __init__(self, loop: Diagram, context: Context):
+        count = context.num_numeric_parameter_groups()
+        require(
+            count == loop.num_numeric_parameter_groups(),
+            "context",
+            f"one of {count} numeric parameters",
+            f"give the loop's own, which has {loop.num_numeric_parameter_groups()}, such as "
+            "loop.GetMyMutableContextFromRoot(root)",
+        )
+        self._loop, self._context = loop, context
+        self._holders = [*_holders(loop)]
+
+    def listed(self) -> list[LoopParameter]:
+        """The parameters, each once."""
+        found: dict[str, LoopParameter] = {}
+        for holder in self._holders:
+            if holder.group is None:
+                continue
+            for path, value, meaning in self._entries(holder):
+                boxes = found[path].blocks if path in found else ()
+                value = found[path].value if path in found else value
+                boxes += (holder.box,) if holder.box not in boxes else ()
+                found[path] = LoopParameter(path=path, value=value, meaning=meaning, blocks=boxes)
+        return list(found.values())
+
+    def _entries(self, holder: _Holder) -> Iterator[tuple[str, Any, str]]:
+        """The paths that set it, with its values and their meanings."""
+        parameters = holder.parameters
+        for name in parameters.of_system:
+            value = self._value(holder, name)
+            if name == OFFSET:
+                yield f"{_PATTERN}.offset", value, "N, in L, 3 for each cable"
+                config = parameters.model.pattern_config
+                if hasattr(config, _SPREAD):
+                    about = _meanings(type(config))[_SPREAD]
+                    yield f"{_PATTERN}.{_SPREAD}", _spread_of(parameters.model, value), about
+                continue
+            about = _meanings(SystemParameters).get(name, "")
+            yield f"{holder.role}.{name}", value, about
+            if holder.role == _SIMULATED and self._follows(name):
+                yield f"{_SYSTEM}.{name}", value, about
+        for name in parameters.own:
+            about = _meanings(type(parameters.config)).get(name, "")
+            yield f"{holder.box}.{name}", self._value(holder, name), about
+
+    def set(self, path: str, value: Any) -> None:
+        """As `set_parameter`."""
+        scope, _, field = path.partition(".")
+        boxes = [block.get_name() for block in self._loop.GetSystems()]
+        boxes += [holder.box for holder in self._holders if holder.box not in boxes]
+        require_known(scope, [_SYSTEM, _SIMULATED, _PATTERN, *boxes], "parameter", path)
+        models = self._changed_models(scope, field, path, value)
+        name = OFFSET if scope == _PATTERN else field
+        writes: list[tuple[_Holder, Any]] = []
+        for holder in self._holders:
+            changed = models.get(holder.role)
+            is_own = scope == holder.box and field in holder.parameters.own
+            if changed is None and not is_own:
+                continue
+            is_written = is_own or (changed is not None and holder.goes_by(name))
+            new = self._checked(holder, changed, {field: _plain(value)} if is_own else {}, path)
+            if is_written:
+                self._require_following(holder, name, path, value)
+                self._require_effect(holder, name, value)
+                writes.append((holder, new if changed is not None and name == OFFSET else value))
+        self._require_unread(models, name, path, value)
+        known = sorted(entry.path for entry in self.listed() if entry.path.startswith(f"{scope}."))
+        is_of_system = scope in (_SYSTEM, _SIMULATED)
+        require(
+            bool(writes),
+            path,
+            value,
+            "no block of the loop goes by it"
+            if is_of_system
+            else f"it is no parameter of the context, which has {', '.join(known) or 'none'} here; "
+            f"{_BUILD}",
+        )
+        for holder, new in writes:
+            self._write(holder, name, new)
+        self._begin_anew({holder.box: holder.block for holder, _ in writes})
+
+    def _changed_models(self, scope: str, field: str, path: str, value: Any) -> dict[str, Model]:
+        """The models with the value, by their roles."""
+        if scope in (_SYSTEM, _SIMULATED):
+            require_known(field, list(_FIELDS), "parameter", path)
+            require(
+                field not in _GEOMETRY, path, value, f"it is fixed as the loop is built; {_BUILD}"
+            )
+            require_type(path, _plain(value), _FIELDS[field])
+            roles = [scope]
+            if scope == _SYSTEM and self._follows(field):
+                roles.append(_SIMULATED)
+            found = {role: self._model(role, **{field: _plain(value)}) for role in roles}
+            return {role: model for role, model in found.items() if model is not None}
+        models: dict[str, Model] = {}
+        if scope == _PATTERN and any(holder.goes_by(OFFSET) for holder in self._holders):
+            for role in {holder.role for holder in self._holders}:
+                model = self._model(role, **{OFFSET: self._offset(field, path, value)})
+                models |= {role: model} if model is not None else {}
+        return models
+
+    def _offset(self, field: str, path: str, value: Any) -> NDArray:
+        """The offset (3n,) that a field of the pattern gives."""
+        model = self._holders[0].parameters.model
+        if field == "offset":
+            return require_array(path, _plain(value), [3 * model.n], "N, in L, 3 per cable")
+        config: Any = model.pattern_config
+        is_spread = field == _SPREAD and hasattr(config, _SPREAD)
+        require(is_spread, path, value, f"it is fixed as the loop is built; {_BUILD}")
+        require_type(path, _plain(value), float)
+        return dataclasses.replace(config, spread=_plain(value)).make(model.attachments).offset
+
+    def _checked(
+        self, holder: _Holder, changed: Model | None, own: dict[str, Any], path: str
+    ) -> Any:
+        """Raises ScenarioError where the block cannot be so; returns the pattern's offset."""
+        parameters = holder.parameters
+        model = changed or self._model(holder.role) or parameters.model
+        config, rules = parameters.config, parameters.rules
+        if parameters.own:
+            present = {name: self._value(holder, name) for name in parameters.own}
+            for name, plain in own.items():
+                kind = {f.name: f.type for f in dataclasses.fields(config)}[name]
+                require_type(path, plain, kind)
+                shape = parameters.defaults[name].shape
+                require_array(path, plain, shape, _meanings(type(config)).get(name, ""))
+            config = dataclasses.replace(config, **(present | own))
+        rules.check(model, config)
+        value = [*own.values()] or [getattr(model.system, path.partition(".")[2], None)]
+        require(
+            rules.structure(model, config) == rules.structure(parameters.model, parameters.config),
+            path,
+            value[0],
+            f"{holder.box} = {type(holder.block).__name__} is built in another way for it, with "
+            f"other states or signals; {_BUILD}",
+        )
+        return model.pattern.offset
+
+    def _require_following(self, holder: _Holder, name: str, path: str, value: Any) -> None:
+        block = type(holder.block).__name__
+        require(
+            not isinstance(holder.block, FusedPlant),
+            path,
+            value,
+            f"the fused plant keeps what {holder.box} was built with; {_BUILD}, or with "
+            "fused_plant = false",
+        )
+        is_kept = holder.group is None or name in holder.parameters.rules.fixed
+        require(
+            not is_kept,
+            path,
+            value,
+            f"{holder.box} = {block} keeps what it was built with; {_BUILD}",
+        )
+
+    def _require_effect(self, holder: _Holder, name: str, value: Any) -> None:
+        """Raises ScenarioError where a signal that the block reads takes the parameter's place."""
+        require_effect = getattr(holder.block, "require_effect", None)
+        if require_effect is not None:
+            context = self._loop.GetSubsystemContext(holder.block, self._context)
+            require_effect(context, name, value)
+
+    def _require_unread(self, models: dict[str, Model], name: str, path: str, value: Any) -> None:
+        """Raises ScenarioError where a block of the user's own has read the field."""
+        for box, watched in getattr(self._loop, "watched_models", {}).items():
+            follows = any(h.box == box and h.goes_by(name) for h in self._holders)
+            require(
+                watched.field not in models or name not in watched.read or follows,
+                path,
+                value,
+                f"{box} has read it from its model and keeps it; {_BUILD}",
+            )
+
+    def _model(self, role: str, **changes: Any) -> Model | None:
+        """The checked model of that role with the context's parameters, and with the changes."""
+        holders = [holder for holder in self._holders if holder.role == role]
+        if not holders:
+            return None
+        built = holders[0].parameters.model
+        numbers = {
+            name: self._value(holder, name)
+            for holder in holders
+            for name in holder.parameters.of_system
+        } | changes
+        offset = np.array(numbers.pop(OFFSET, built.pattern.offset))
+        system = dataclasses.replace(built.system, **numbers)
+        if system == built.system and np.array_equal(offset, built.pattern.offset):
+            return built
+        pattern = dataclasses.replace(built.pattern, offset=offset)
+        return Model(
+            system,
+            _GivenPattern(pattern),
+            built.control_period,
+            field=built.field,
+            overridden=built.overridden,
+        )
+
+    def _follows(self, field: str) -> bool:
+        """Whether the plant has what the controllers believe of a field."""
+        values: dict[str, list[Any]] = {_SYSTEM: [], _SIMULATED: []}
+        for holder in self._holders:
+            if holder.role == _SIMULATED and field in holder.parameters.model.overridden:
+                return False
+            if field in holder.parameters.of_system:
+                values[holder.role].append(self._value(holder, field))
+        pairs = ((a, b) for a in values[_SYSTEM][:1] for b in values[_SIMULATED])
+        return all(a == b for a, b in pairs)
+
+    def _value(self, holder: _Holder, name: str) -> Any:
+        """A number, or a list as in a scenario."""
+        default = holder.parameters.defaults[name]
+        if holder.group is None:
+            return default.tolist()
+        vector = self._context.get_numeric_parameter(holder.group).CopyToVector()
+        if vector.dtype != float:
+            vector = _floats(vector)
+        return vector[holder.parameters.place(name)].reshape(default.shape).tolist()
+
+    def _write(self, holder: _Holder, name: str, value: Any) -> None:
+        assert holder.group is not None
+        vector = self._context.get_numeric_parameter(holder.group).CopyToVector()
+        place = holder.parameters.place(name)
+        vector[place] = np.ravel(np.asarray(value, dtype=vector.dtype))
+        self._context.get_mutable_numeric_parameter(holder.group).SetFromVector(vector)
+
+    def _begin_anew(self, blocks: dict[str, System]) -> None:
+        """Lets what has not run yet begin with the values; in a loop of floats alone."""
+        for block in blocks.values():
+            begin_anew = getattr(block, "begin_anew", None)
+            if begin_anew is not None and isinstance(self._context, Context):
+                begin_anew(self._loop.GetMutableSubsystemContext(block, self._context))
+
+
+def _holders(loop: Diagram) -> Iterator[_Holder]:
+    first = 0
+    for block in loop.GetSystems():
+        for _, found, group in declared(block, first):
+            if isinstance(found, BlockParameters):
+                place = group if len(found) > 0 else None
+                yield _Holder(block.get_name(), block, found, place)
+        if isinstance(block, FusedPlant):
+            for box, kept in block.kept_parameters.items():
+                for parameters in kept:
+                    if isinstance(parameters, BlockParameters):
+                        yield _Holder(box, block, parameters, None)
+        first += block.num_numeric_parameter_groups()
+
+
+@dataclass(frozen=True)
+class _GivenPattern:
+    """A pattern's config that makes what is given."""
+
+    pattern: InternalForcePattern
+
+    def make(self, attachments: NDArray) -> InternalForcePattern:
+        """The pattern."""
+        return self.pattern
+
+
+def _spread_of(model: Model, offset: Any) -> float:
+    """The spread that gives an offset (3n,)."""
+    built = model.pattern.offset
+    k = int(np.argmax(np.abs(built)))
+    ratio = float(offset[k] / built[k])
+    return ratio * getattr(model.pattern_config, _SPREAD)
+
+
+def _plain(value: Any) -> Any:
+    """Numbers without their derivatives; arrays as lists."""
+    array = np.asarray(value)
+    if array.dtype == object and any(isinstance(v, AutoDiffXd) for v in array.ravel()):
+        array = _floats(array.ravel()).reshape(array.shape)
+    return array.tolist() if isinstance(value, np.ndarray) or array.dtype != object else value
+
+
+def _floats(vector: Iterable[Any]) -> NDArray:
+    return np.array([v.value() if isinstance(v, AutoDiffXd) else float(v) for v in vector])
+
+
+@functools.cache
+def _cached_meanings(config: Hashable) -> dict[str, str]:
+    assert isinstance(config, type)
+    return meanings(config)
+
+
+def _meanings(config: Any) -> dict[str, str]:
+    return _cached_meanings(config)

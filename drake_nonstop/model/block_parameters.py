@@ -1,0 +1,68 @@
+"""What a block's context holds of the scenario: numbers of the system and of the block's config."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from drake_nonstop.mechanics.rigid_load import RigidLoad
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.parameters import NumericParameters
+
+LOAD = ("load_mass", "load_inertia", "load_drag", "load_angular_drag", "gravity")
+
+
+def _nothing(model: Model, config: Any) -> None:
+    pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """What holds for a block's parameters.
+
+    `check` raises ScenarioError for a model and a config that do not make the block; `structure`
+    is what of their numbers decides how it is built, such as whether a gain is zero; `fixed` are
+    fields of the system that it takes over as it is built.
+    """
+
+    check: Callable[[Model, Any], None] = _nothing
+    structure: Callable[[Model, Any], Any] = _nothing
+    fixed: tuple[str, ...] = field(default=())
+
+
+class BlockParameters(NumericParameters):
+    """The parameters of a block, at first those of its model and its config.
+
+    Args:
+        model: the block's.
+        of_system: the names of fields of the system, and of `Model.offset_parameter`.
+        config: the block's, None where it has no parameters of its own.
+        own: the names of fields of the config.
+        rules: what holds for them.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        of_system: Iterable[str] = (),
+        *,
+        config: Any = None,
+        own: Iterable[str] = (),
+        rules: Rules | None = None,
+    ):
+        self.model, self.config, self.rules = model, config, rules or Rules()
+        self.of_system, self.own = tuple(of_system), tuple(own)
+        values = {name: model.number(name) for name in self.of_system}
+        super().__init__(values | {name: getattr(config, name) for name in self.own})
+
+
+def rigid_load(
+    load_mass: Any, load_inertia: Any, load_drag: Any, load_angular_drag: Any, gravity: Any
+) -> RigidLoad:
+    """The load of these parameters, `LOAD`, numbers or symbols."""
+    return RigidLoad(
+        mass=load_mass,
+        inertia=load_inertia,
+        drag=load_drag,
+        angular_drag=load_angular_drag,
+        gravity=gravity,
+    )

@@ -1,0 +1,222 @@
+"""The closed loop in Drake's other scalar types: linearized, differentiated, printed, cloned."""
+
+import numpy as np
+import pytest
+from helpers import difference
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, Simulator_
+from pydrake.systems.framework import LeafSystem
+from pydrake.systems.primitives import FirstOrderTaylorApproximation
+
+from drake_nonstop import ScenarioError, load_scenario, make_nonstop, set_equilibrium
+from drake_nonstop.diagrams.parameters import parameters, set_parameter
+from drake_nonstop.simulation.linearized_loop import LinearizedLoop
+from drake_nonstop.systems.block import number
+
+CONSTANT = "optimization_layer=ConstantParameters"
+SWAPS = [
+    [],
+    ["control_period=0", CONSTANT, "phase=PaperPhase"],
+    ["control_period=0", "carrier_trajectory=MeasuredCarrierTrajectory"],
+    ["load_plant=MultibodyLoadPlant", "load_disturbance=!Wind {gust_force: 1.0}"],
+    ["load_feedback=!NoisyFeedback {delay: 0.02, position_noise: 0.01}"],
+    [
+        "carrier_dynamics=!LoadedCarrierDynamics {max_force: 9}",
+        "carrier_controller=LoadedCarrierPid",
+    ],
+    ["carrier_controller=!FeedforwardCarrierPid {integral_gain: 3}", "cables=IndividualCables"],
+    ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
+    ["fused_plant=true"],
+]
+swaps = pytest.mark.parametrize("overrides", SWAPS, ids=lambda s: ", ".join(s) or "default")
+
+
+def started(overrides, scenario="quintic"):
+    """A scenario, its loop and a context at the start, after its initialization events."""
+    config = load_scenario(scenario, overrides)
+    loop = make_nonstop(config)
+    context = loop.CreateDefaultContext()
+    set_equilibrium(loop, context)
+    Simulator(loop, context).Initialize()
+    return config, loop, context
+
+
+def rate(loop, context):
+    return loop.EvalTimeDerivatives(context).CopyToVector()
+
+
+@pytest.fixture(scope="module")
+def linearized():
+    """The loop with continuous controllers, its context at the start, and A of ẋ = A x."""
+    _, loop, context = started(["control_period=0", CONSTANT])
+    return loop, context, FirstOrderTaylorApproximation(loop, context).A().copy()
+
+
+def test_linearization_has_all_states_and_equals_central_differences(linearized):
+    loop, context, matrix = linearized
+    state = context.get_continuous_state_vector().CopyToVector()
+    assert matrix.shape == (45, 45)
+
+    def rate_at(values):
+        context.SetContinuousState(values)
+        return rate(loop, context)
+
+    columns = [
+        difference(lambda step, unit=unit: rate_at(state + step * unit), 0.0, 1e-4)
+        for unit in np.eye(45)
+    ]
+    context.SetContinuousState(state)
+    scale = np.maximum(1.0, np.abs(matrix))
+    np.testing.assert_array_less(np.abs(np.stack(columns, axis=1) - matrix) / scale, 1e-6)
+
+
+def test_spectrum_has_the_fastest_mode(linearized):
+    loop, context, matrix = linearized
+    fastest = np.max(np.abs(np.linalg.eigvals(matrix)))
+    assert fastest == pytest.approx(LinearizedLoop(loop, context, 0.0).fastest_mode, rel=1e-4)
+
+
+@swaps
+def test_rates_are_those_of_floats(overrides):
+    _, loop, context = started(overrides)
+    expected = rate(loop, context)
+    for converted in (loop.ToAutoDiffXd(), loop.ToSymbolic()):
+        copy = converted.CreateDefaultContext()
+        copy.SetTimeStateAndParametersFrom(context)
+        if "fused_plant=true" in overrides:
+            with pytest.raises(
+                ScenarioError, match=r"^scalar type of plant = .*; set fused_plant = false$"
+            ):
+                converted.GetOutputPort("load_state").Eval(copy)
+            continue
+        values = [number(value) for value in rate(converted, copy)]
+        scale = np.max(np.abs(expected), initial=1.0)
+        np.testing.assert_allclose(values, expected, rtol=0, atol=1e-11 * scale)
+
+
+def flown(config, loop, context, time):
+    """All states at that time of a flight from the context on."""
+    simulator = Simulator(loop, context)
+    ApplySimulatorConfig(config.simulator_config, simulator)
+    simulator.AdvanceTo(time)
+    groups = [context.get_discrete_state(i) for i in range(context.num_discrete_state_groups())]
+    parts = [group.CopyToVector() for group in groups if group.size() != 1]  # not the wall times
+    return np.concatenate([context.get_continuous_state_vector().CopyToVector(), *parts])
+
+
+@swaps
+def test_a_clone_flies_the_same_to_the_bit(overrides):
+    config, loop, context = started(overrides)
+    clone = loop.Clone()
+    copy = clone.CreateDefaultContext()
+    copy.SetTimeStateAndParametersFrom(context)
+    expected = flown(config, loop, context, 0.1)
+    np.testing.assert_array_equal(flown(config, clone, copy, 0.1), expected)
+
+
+def test_the_optimizer_holds_its_parameters_and_refuses_to_update():
+    _, loop, context = started([])
+    converted = loop.ToAutoDiffXd()
+    copy = converted.CreateDefaultContext()
+    copy.SetTimeStateAndParametersFrom(context)
+    held = ExtractValue(converted.GetOutputPort("parameters").Eval(copy))[:, 0]
+    np.testing.assert_array_equal(held, loop.GetOutputPort("parameters").Eval(context))
+    with pytest.raises(ScenarioError) as error:
+        Simulator_[AutoDiffXd](converted, copy).Initialize()
+    assert str(error.value) == (
+        "scalar type of optimization_layer = AutoDiffXd: it computes with floating-point numbers "
+        "only; give ConstantParameters, with its frequency and amplitude, in place of "
+        "NonstopOptimizer"
+    )
+
+
+class PlainPhase(LeafSystem):
+    """A block as a user writes it, of floats."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("phase", 2, lambda context, output: None)
+
+
+def test_a_block_of_the_users_that_does_not_convert_is_named():
+    loop = make_nonstop(load_scenario("quintic", [CONSTANT]), phase=PlainPhase)
+    with pytest.raises(RuntimeError, match=r"::phase of type .*PlainPhase does not support"):
+        loop.ToAutoDiffXd()
+
+
+def test_gradient_of_a_flight_equals_central_differences():
+    """Of the squared error of the load's position, by where and how fast the load starts."""
+    config, loop, context = started([CONSTANT])
+    converted = loop.ToAutoDiffXd()
+    state = context.get_continuous_state_vector().CopyToVector()
+    places = [4, 6, 8, 11]  # of x, z, the angular velocity about y and the velocity along y
+
+    def error(loop, context, simulator, start):
+        context.SetContinuousState(start)
+        ApplySimulatorConfig(config.simulator_config, simulator)
+        simulator.AdvanceTo(0.1)
+        load = loop.GetOutputPort("load_state").Eval(context)[4:7]
+        gap = load - loop.GetOutputPort("reference").Eval(context)[4:7]
+        return gap @ gap
+
+    start = InitializeAutoDiff(state, np.eye(len(state))[:, places])[:, 0]
+    copy = converted.CreateDefaultContext()
+    copy.SetTimeStateAndParametersFrom(context)
+    result = error(converted, copy, Simulator_[AutoDiffXd](converted, copy), start)
+
+    def varied(place, step):
+        trial = context.Clone()
+        unit = np.eye(len(state))[place]
+        return error(loop, trial, Simulator(loop, trial), state + step * unit)
+
+    slopes = [difference(lambda step, p=p: varied(p, step), 0.0, 1e-4) for p in places]
+    np.testing.assert_allclose(ExtractGradient(np.array([result]))[0], slopes, rtol=1e-5)
+
+
+def test_gradient_by_every_gain_equals_central_differences():
+    """Of the squared error of the load's position, of a load that starts off its reference."""
+    config, loop, context = started([CONSTANT])
+    state = context.get_continuous_state_vector().CopyToVector()
+    state[4:7] += [0.001, -0.002, 0.001]
+    state[1] += 0.001  # the quaternion's x
+    context.SetContinuousState(state)
+    boxes = ("wrench_controller", "carrier_controller")
+    gains = {
+        entry.path: float(entry.value)
+        for entry in parameters(loop, context)
+        if entry.path.startswith(boxes) and entry.value != 0  # one of zero is no part of the law
+    }
+    assert len(gains) == 9
+
+    def error(diagram, trial, simulator, values):
+        for path, value in values.items():
+            set_parameter(loop, trial, path, value)
+        ApplySimulatorConfig(config.simulator_config, simulator)
+        simulator.AdvanceTo(0.1)
+        load, reference = (
+            diagram.GetOutputPort(name).Eval(trial)[:7] for name in ("load_state", "reference")
+        )
+        gap = load - reference
+        return gap @ gap  # of the quaternion, too: the orientation's gains act on it first
+
+    converted = loop.ToAutoDiffXd()
+    copy = converted.CreateDefaultContext()
+    copy.SetTimeStateAndParametersFrom(context)
+    values = InitializeAutoDiff(np.array([*gains.values()]))[:, 0]
+    simulator = Simulator_[AutoDiffXd](converted, copy)
+    result = error(converted, copy, simulator, dict(zip(gains, values, strict=True)))
+
+    def varied(path, step):
+        trial = context.Clone()
+        return error(loop, trial, Simulator(loop, trial), gains | {path: gains[path] + step})
+
+    # An integral has hardly any effect yet, and the error is nearly quadratic in its gain.
+    slopes = [
+        difference(
+            lambda step, path=path: varied(path, step),
+            0.0,
+            (0.2 if "integral" in path else 0.02) * gain,
+        )
+        for path, gain in gains.items()
+    ]
+    np.testing.assert_allclose(result.derivatives(), slopes, rtol=1e-5)
