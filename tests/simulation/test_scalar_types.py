@@ -135,7 +135,7 @@ class PlainPhase(LeafSystem):
 
     def __init__(self, model):
         super().__init__()
-        self.DeclareVectorOutputPort("phase", 2, lambda context, output: None)
+        self.DeclareVectorOutputPort("phase", 2, lambda context, output: output.SetZero())
 
 
 def test_a_block_of_the_users_that_does_not_convert_is_named():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from drake_nonstop.simulation.equilibrium import set_equilibrium
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from helpers import INERTIA, difference, model, output, regular, rotation
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
