@@ -4,12 +4,13 @@ import itertools
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import (
     CollisionFilterDeclaration,
     Cylinder,
     FrameId,
-    FramePoseVector,
+    FramePoseVector_,
     GeometryFrame,
     GeometryInstance,
     GeometrySet,
@@ -30,7 +31,7 @@ from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, Pose
 from drake_nonstop.model.load_file import read_load_shapes
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.schema import Scenario, check
-from drake_nonstop.systems.block import LOOP, LeafBlock
+from drake_nonstop.systems.block import LOOP, DiagramBlock, InnerBlock
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import output_sizes
 from drake_nonstop.validation import require, require_array
@@ -42,7 +43,7 @@ from drake_nonstop.visualization.shapes import Part, carrier_parts, load_parts
 _HALF_CABLE = 0.6  # of the unstretched length; the two halves of a cable overlap
 
 
-class NonstopGeometry(LeafBlock):
+class NonstopGeometry(DiagramBlock):
     """Load, cables and carriers in a SceneGraph, at the poses that the loop's states tell.
 
     Each has the roles illustration, perception (with a render label of its own) and proximity.
@@ -54,6 +55,8 @@ class NonstopGeometry(LeafBlock):
       lengths, one from the attachment and one from the carrier, slide over each other. Where the
       ends are more than 1.2 lengths apart there is a gap between the two; where they are less
       than 0.6 apart, each goes beyond the other end.
+
+    Converted to AutoDiffXd or Expression it makes no poses: to ask for them raises ScenarioError.
 
     Cables do not collide with themselves, with the load, or with the carriers at their ends.
 
@@ -103,11 +106,11 @@ class NonstopGeometry(LeafBlock):
     ):
         super().__init__()
         system = overridden(scenario.system, scenario.simulated)
-        self._attachments = require_array(
+        attachments = require_array(
             "system.attachments", system.attachments, [None, 3], "one position per cable"
         )
         scene = Scene(system, scenario.scene)
-        load_shapes = read_load_shapes(load_file, self._attachments) if load_file else []
+        load_shapes = read_load_shapes(load_file, attachments) if load_file else []
         inspector = scene_graph.model_inspector()
         sources = [inspector.GetName(source) for source in inspector.GetAllSourceIds()]
         remedy = "add the geometry of a loop once, and give each loop a name of its own"
@@ -127,7 +130,7 @@ class NonstopGeometry(LeafBlock):
                     scene_graph.RemoveRole(self.source, geometry, Role.kProximity)
             return frame
 
-        bars = load_parts(self._attachments, scene.bar_radius)
+        bars = load_parts(attachments, scene.bar_radius)
         load = load_shapes or [_instance(bar, scene.load_colour, is_solid=True) for bar in bars]
         self.load_frame = add("load", load, next(labels))
         self.carrier_frames: list[FrameId] = []
@@ -154,25 +157,47 @@ class NonstopGeometry(LeafBlock):
             filters.ExcludeBetween(cable, GeometrySet([self.load_frame, carrier]))
         scene_graph.collision_filter_manager().Apply(filters)
         lower_halves, upper_halves = zip(*self.cable_frames, strict=True)
-        self._frames = [self.load_frame, *self.carrier_frames, *lower_halves, *upper_halves]
+        frames = [self.load_frame, *self.carrier_frames, *lower_halves, *upper_halves]
+        inner = DiagramBuilder()
+        poses = inner.AddNamedSystem("poses", _Poses(attachments, frames))
+        for port in ("load_state", "carrier_state"):
+            inner.ExportInput(poses.GetInputPort(port), port)
+        inner.ExportOutput(poses.get_output_port(), "geometry_pose")
+        inner.BuildInto(self)
 
+
+class _Poses(InnerBlock):
+    """The poses of the frames, which a conversion does not register anew.
+
+    Args:
+        attachments: (n, 3), m, in L.
+        frames: of the load, the n carriers, and the cables' n lower and n upper halves.
+    """
+
+    def __init__(self, attachments: NDArray, frames: list[FrameId]):
+        super().__init__()
+        self._attachments, self._frames = attachments, frames
         self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
-        self._carrier_state = self.DeclareVectorInputPort(
-            "carrier_state", 6 * len(self._attachments)
-        )
+        self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * len(attachments))
+        make = FramePoseVector_[self.scalar]
         self.DeclareAbstractOutputPort(
             "geometry_pose",
-            lambda: AbstractValue.Make(FramePoseVector()),
+            lambda: AbstractValue.Make(make()),
             self._calc_poses,
             {self._load_state.ticket(), self._carrier_state.ticket()},
         )
 
+    def box(self) -> str:
+        """The name of the NonstopGeometry."""
+        return self.GetSystemPathname().split("::")[-2]
+
     def _calc_poses(self, context: Context, output: AbstractValue) -> None:
+        self.require_floats("look at the scene in a context of the diagram that was converted")
         load = Pose.view(self._load_state.Eval(context))
         carriers = CarrierStates.view(self._carrier_state.Eval(context))
         is_finite = all(np.isfinite(part).all() for part in (*load, *carriers))
         if not (is_finite and load.quaternion.any()):
-            raise NotFiniteError(self.get_name(), was_given=True)
+            raise NotFiniteError(self.box(), was_given=True)
         X_WL = stack_poses(rotation_matrix(load.quaternion), load.position[None])
         p_WA = self._attachments @ X_WL[0, :3, :3].T + load.position
         p_WC = carriers.positions

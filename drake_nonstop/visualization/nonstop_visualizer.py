@@ -29,7 +29,8 @@ class NonstopVisualizer(LeafBlock):
     A step of the simulator is shown if the next frame is due in wall time. So the visualizer adds
     no steps and does not fall behind them at any real-time rate, and the signals are the same to
     the bit with any number of visualizers. A forced publish shows the context's instant at once.
-    An instant with a value that is not finite is not shown. See `Scene` for what is drawn.
+    An instant with a value that is not finite is not shown, and a diagram converted to
+    AutoDiffXd or Expression shows nothing. See `Scene` for what is drawn.
 
     While the Meshcat records (`meshcat.StartRecording()`), each step that begins a frame of the
     recording is shown as well, and all that is shown is recorded; trails then begin with the
@@ -103,8 +104,9 @@ class NonstopVisualizer(LeafBlock):
         self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * self._n)
         self._tensions = self.DeclareVectorInputPort("tensions", self._n)
         self._speed_bound = self.DeclareVectorInputPort("speed_bound", 1)
-        self.DeclarePerStepPublishEvent(self._publish)
-        self.DeclareForcedPublishEvent(self._show)
+        if self.scalar is float:
+            self.DeclarePerStepPublishEvent(self._publish)
+            self.DeclareForcedPublishEvent(self._show)
 
     @staticmethod
     def AddToBuilder(

@@ -107,6 +107,29 @@ class Loop:
         return found
 
 
+@pytest.mark.parametrize("scalar", ["AutoDiffXd", "Expression"])
+def test_a_diagram_with_geometry_converts_and_has_poses_of_floats_only(scalar):
+    loop = Loop(irregular(4), names=("one", "two"))
+    load, carriers = states(irregular(4))
+    loop.set(load, carriers, which=1)
+    expected = loop.pose(loop.geometries[1].load_frame)
+    other = loop.diagram.ToAutoDiffXd() if scalar == "AutoDiffXd" else loop.diagram.ToSymbolic()
+    geometry = other.GetSubsystemByName("two_geometry")
+    context = geometry.GetMyContextFromRoot(other.CreateDefaultContext())
+    with pytest.raises(ScenarioError) as error:
+        geometry.GetOutputPort("geometry_pose").Eval(context)
+    assert str(error.value) == (
+        f"scalar type of two_geometry = {scalar}: it computes with floating-point numbers only; "
+        "look at the scene in a context of the diagram that was converted"
+    )
+    loop.diagram = loop.diagram.Clone()
+    loop.scene_graph = next(s for s in loop.diagram.GetSystems() if type(s) is SceneGraph)
+    root = loop.diagram.CreateDefaultContext()
+    root.SetTimeStateAndParametersFrom(loop.context)
+    loop.context = root
+    assert loop.pose(loop.geometries[1].load_frame).IsExactlyEqualTo(expected)
+
+
 def add_camera(builder, scene_graph):
     """Looks at the origin from 4 m above it."""
     scene_graph.AddRenderer("vtk", MakeRenderEngineVtk(RenderEngineVtkParams()))
