@@ -108,7 +108,8 @@ def test_draws_choose_among_classes():
     planned = [spec.run(number) for number in range(20)]
     assert {run.values["phase"] for run in planned} == {"PaperPhase", "AccumulatedPhase"}
     for run in planned:
-        ((change),) = run.overrides
+        change, seed = run.overrides
+        assert seed.startswith("random_seed=")
         assert change["phase"].__name__ == run.values["phase"]
 
 

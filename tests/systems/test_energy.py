@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from helpers import INERTIA, difference, model, output, regular, rotation
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
@@ -19,6 +18,7 @@ from drake_nonstop.blocks.carrier_dynamics import (
 )
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.model.system import SystemParameters
