@@ -142,7 +142,7 @@ def test_bad_frame_rate(meshcat, rate):
 
 
 def test_viewers_have_to_be_functions(meshcat):
-    with pytest.raises(ScenarioError, match=r"^viewers = .*: give a list of functions, such as \[show_in"):
+    with pytest.raises(ScenarioError, match=r"^viewers = .*: give a list of functions, such"):
         simulate(short(), viewers=[meshcat])
 
 
