@@ -18,7 +18,7 @@ from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock
-from drake_nonstop.systems.linear_block import AdjustableLinearBlock
+from drake_nonstop.systems.linear_block import AdjustableLinear
 from drake_nonstop.systems.traced_block import Equations, TracedBlock, splitting
 from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import StrictFields, require_non_negative, require_positive
@@ -58,21 +58,23 @@ class _PositionPid(DiagramBlock):
             own=asdict(config),
             rules=Rules(check=law.check, structure=law.has_integral),
         )
-        pid = builder.AddNamedSystem("pid", _pid(size, law, has_integral, parameters))
+        pid = _pid(builder, size, law, has_integral, parameters)
         reference_input, negated_state_input = map(error.get_input_port, range(2))
-        self.equations = _equations(size, pid.equations, has_integral, feedforward)
+        self.equations = _equations(size, pid.function, has_integral, feedforward)
         builder.Connect(minus.get_output_port(), negated_state_input)
-        builder.Connect(error.get_output_port(), pid.GetInputPort("error"))
+        for port in pid.inputs["error"]:
+            builder.Connect(error.get_output_port(), port)
         if has_integral:
             parts = splitting({"positions": size, "velocities": size})
             positions = builder.AddNamedSystem("positions", Selector(parts))
             integral = builder.AddNamedSystem("integral", Integrator(size))
             builder.Connect(error.get_output_port(), positions.get_input_port())
             builder.Connect(positions.GetOutputPort("positions"), integral.get_input_port())
-            builder.Connect(integral.get_output_port(), pid.GetInputPort("integral"))
+            for port in pid.inputs["integral"]:
+                builder.Connect(integral.get_output_port(), port)
         builder.ExportInput(reference_input, "carrier_reference")
         builder.ExportInput(minus.get_input_port(), "carrier_state")
-        forces = pid.get_output_port()
+        forces = pid.output
         if feedforward is not None:
             builder.AddNamedSystem("feedforward", feedforward)
             for name in input_names(feedforward):
@@ -107,25 +109,30 @@ class _Law:
 
 
 def _pid(
-    size: int, law: _Law, has_integral: bool, parameters: BlockParameters
-) -> AdjustableLinearBlock:
+    builder: DiagramBuilder,
+    size: int,
+    law: _Law,
+    has_integral: bool,
+    parameters: BlockParameters,
+) -> AdjustableLinear:
     """The forces (`size`, 3n) of the error and of its integral, if that has a gain."""
 
     def forces(error: NDArray, *integral: NDArray, **numbers: NDArray) -> NDArray:
         given = integral[0] if integral else np.zeros(size)
         return pid_forces(error, given, **law.gains(**numbers))
 
-    return AdjustableLinearBlock(
+    return AdjustableLinear(
+        builder,
         forces,
         inputs={"error": 2 * size} | ({"integral": size} if has_integral else {}),
-        output=("forces", size),
+        size=size,
         parameters=parameters,
         key=("pid", size, has_integral, law.gains.__qualname__),
     )
 
 
 def _equations(
-    size: int, pid: Equations, has_integral: bool, feedforward: TracedBlock | None
+    size: int, pid: Callable, has_integral: bool, feedforward: TracedBlock | None
 ) -> Equations:
     """Those of `_PositionPid`, whose `size` is 3n."""
     inputs = {"carrier_reference": 2 * size, "carrier_state": 2 * size}
@@ -137,7 +144,7 @@ def _equations(
         integral, others = ([values[0]], values[1:]) if has_integral else ([], values)
         reference, state, *further = others
         error = reference - state
-        forces = pid.function(error, *integral)
+        forces = pid(error, *integral)
         rate = [np.split(error, 2)[0]] if has_integral else []
         if added is not None:
             forces = forces + added.function(*further)

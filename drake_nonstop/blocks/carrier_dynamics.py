@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiagramBuilder, System
-from pydrake.systems.primitives import Integrator, Selector
+from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
 from drake_nonstop.mechanics.carrier import (
     carriers_kinetic_energy,
@@ -16,9 +16,9 @@ from drake_nonstop.mechanics.carrier import (
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, DiagramBlock
-from drake_nonstop.systems.linear_block import AdjustableLinearBlock, LinearBlock
+from drake_nonstop.systems.linear_block import AdjustableLinear
 from drake_nonstop.systems.parameters import parameters_in
-from drake_nonstop.systems.traced_block import TracedBlock, stacking
+from drake_nonstop.systems.traced_block import Equations, TracedBlock, stacking
 from drake_nonstop.validation import StrictFields, is_number, require
 
 
@@ -45,28 +45,32 @@ class CarrierDynamics(DiagramBlock):
     def __init__(self, model: Model, config: CarrierDynamicsConfig | None = None):
         super().__init__()
         size, mass = 3 * model.n, model.system.carrier_mass
-        # The carriers have the mass that they are built with; another one scales their forces.
-        scaled = AdjustableLinearBlock(
-            lambda forces, carrier_mass: forces * (mass / carrier_mass),
-            inputs={"carrier_forces": size},
-            output=("scaled_forces", size),
-            parameters=BlockParameters(model, ("carrier_mass",)),
-            key=("carrier forces", size, mass),
-        )
-        motion = LinearBlock(
-            lambda state, forces: double_integrator_rate(state, forces, mass=mass),
-            inputs={"carrier_forces": size},
-            initial_state=model.initial_carrier_state,
-            state_port="carrier_state",
-        )
-        self.equations = motion.equations
         builder = DiagramBuilder()
-        builder.AddNamedSystem("scaled", scaled)
-        builder.AddNamedSystem("motion", motion)
-        builder.Connect(scaled.get_output_port(), motion.get_input_port())
-        builder.ExportInput(scaled.get_input_port(), "carrier_forces")
-        builder.ExportOutput(motion.get_output_port(), "carrier_state")
+        accelerations = AdjustableLinear(
+            builder,
+            lambda forces, carrier_mass: forces / carrier_mass,
+            inputs={"carrier_forces": size},
+            size=size,
+            parameters=BlockParameters(model, ("carrier_mass",)),
+            key=("carrier accelerations", size),
+        )
+        state = builder.AddNamedSystem("state", Integrator(model.initial_carrier_state))
+        rate = builder.AddNamedSystem("rate", Selector(_rate(size)))
+        builder.Connect(state.get_output_port(), rate.GetInputPort("carrier_state"))
+        builder.Connect(accelerations.output, rate.GetInputPort("accelerations"))
+        builder.Connect(rate.get_output_port(), state.get_input_port())
+        first, second = accelerations.inputs["carrier_forces"]
+        builder.ExportInput(first, "carrier_forces")
+        builder.ConnectInput("carrier_forces", second)
+        builder.ExportOutput(state.get_output_port(), "carrier_state")
         builder.BuildInto(self)
+        self.equations = Equations(
+            lambda state, forces: double_integrator_rate(state, forces, mass=mass),
+            {"carrier_forces": size},
+            {},
+            model.initial_carrier_state,
+            "carrier_state",
+        )
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
@@ -74,6 +78,15 @@ class CarrierDynamics(DiagramBlock):
 
     def SetCarrierState(self, context: Context, value: NDArray) -> None:
         context.SetContinuousState(value)
+
+
+def _rate(size: int) -> SelectorParams:
+    """Of a Selector that makes [velocities, accelerations] of the state and the accelerations."""
+    params = stacking({"carrier_state": 2 * size, "accelerations": size}, "rate")
+    (rate,) = params.outputs
+    rate.selections = rate.selections[size:]
+    params.outputs = [rate]
+    return params
 
 
 @dataclass(kw_only=True)

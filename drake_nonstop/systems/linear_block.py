@@ -113,55 +113,60 @@ class LinearBlock(DiagramBlock):
         builder.BuildInto(self)
 
 
-class AdjustableLinearBlock(DiagramBlock):
+class AdjustableLinear:
     """A linear function without a state, whose coefficients follow from parameters of the context.
 
-    While the parameters have their default values it is a `LinearBlock`, since pydrake has no
-    system that multiplies two signals. With other values it is a traced function, which takes a
-    callback, and whose results may differ by rounding. A function that changes nothing at the
-    default values costs nothing there. `equations` have the default values.
+    While the parameters have their default values it is Drake's `MatrixGain` or a `LinearBlock`,
+    since pydrake has no system that multiplies two signals. With other values it is a traced
+    function, which takes a callback, and whose results may differ by rounding. Its systems go into
+    the block's own diagram: each diagram inside another costs time at each step.
 
     Args:
+        builder: the block's.
         function: as of `LinearBlock`; it takes the parameters by name, as that of a `TracedBlock`.
         inputs: the names of the input ports and their sizes.
-        output: the name of the output port and its size.
+        size: of the output.
         parameters: a numeric parameter of the context.
         key: as of `TracedFunction`; the parameters' values are no part of it.
+
+    Attributes:
+        function: with the default values.
+        inputs: by name, the ports that take an input.
+        output: the port.
     """
 
     def __init__(
         self,
+        builder: DiagramBuilder,
         function: Callable,
         *,
         inputs: Mapping[str, int],
-        output: tuple[str, int],
+        size: int,
         parameters: NumericParameters,
         key: Any = None,
     ):
-        super().__init__()
-        name, size = output
-        default = LinearBlock(parameters.filled_in(function), inputs=inputs, outputs={name: size})
-        self.equations = default.equations
-        builder = DiagramBuilder()
+        self.function = parameters.filled_in(function)
+        matrix = _matrix(Equations(self.function, inputs, {"output": size}))
+        is_dense = len(inputs) == 1 and matrix.size <= _LARGEST_DENSE
+        default = builder.AddNamedSystem(
+            "default",
+            MatrixGain(matrix)
+            if is_dense
+            else LinearBlock(self.function, inputs=inputs, outputs={"output": size}),
+        )
         adjusted = builder.AddNamedSystem(
             "adjusted", _Adjusted(function, inputs, size, parameters, key)
         )
         switch = builder.AddNamedSystem("switch", PortSwitch(size))
-        first, second = (switch.DeclareInputPort(label) for label in ("default", "adjusted"))
-        for label in inputs:
-            builder.ExportInput(adjusted.GetInputPort(label), label)
-        matrix = _matrix(default.equations)
-        if np.array_equal(matrix, np.eye(size)):
-            builder.ConnectInput(*inputs, first)
-        else:
-            builder.AddNamedSystem("default", default)
-            builder.Connect(default.get_output_port(), first)
-            for label in inputs:
-                builder.ConnectInput(label, default.GetInputPort(label))
-        builder.Connect(adjusted.GetOutputPort("results"), second)
+        for source in (default.get_output_port(), adjusted.GetOutputPort("results")):
+            port = switch.DeclareInputPort(source.get_system().get_name())
+            builder.Connect(source, port)
         builder.Connect(adjusted.GetOutputPort("choice"), switch.get_port_selector_input_port())
-        builder.ExportOutput(switch.get_output_port(), name)
-        builder.BuildInto(self)
+        self.inputs = {
+            name: [system.get_input_port(i) for system in (default, adjusted)]
+            for i, name in enumerate(inputs)
+        }
+        self.output = switch.get_output_port()
 
 
 class _Adjusted(InnerBlock):
