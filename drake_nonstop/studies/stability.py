@@ -25,7 +25,7 @@ from drake_nonstop.mechanics.rotation import (
     rotation_vector,
 )
 from drake_nonstop.mechanics.signals import LoadState
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
 
@@ -106,6 +106,7 @@ def linearize(scenario: Scenario) -> Stability:
     Raises:
         ScenarioError: the scenario cannot be built.
     """
+    check(scenario)
     scenario = scenario.sampled()
     resting = at_rest(scenario)
     nonstop = make_nonstop(resting, at_equilibrium=False)

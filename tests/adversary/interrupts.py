@@ -265,6 +265,6 @@ def _judge_continued(
             verdict.add(LOST_WORK, f"{name} again: runs {numbers}")
     repeated = [path.parent.name for path, t in variants.items() if path.stat().st_mtime_ns != t]
     # A complete comparison is run again, and so is what the journal did not have yet.
-    if kept and len(repeated) > len(variants) - (len(kept) - 1):
+    if repeated and kept and len(repeated) > len(variants) - (len(kept) - 1):
         verdict.add(LOST_WORK, f"{name} again: finished variants {repeated} were run again")
     earlier.judge_tidiness(verdict, out)

@@ -10,7 +10,7 @@ from typing import Any
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.simulate import LoopMaker
 from drake_nonstop.studies.ablation.page import PAGE, PLOTS, Curves, write_page
 from drake_nonstop.studies.ablation.rows import BASE, Row, ordered
@@ -101,7 +101,7 @@ def ablate(
     for k, (row, (_, changes)) in enumerate(zip(rows, [(BASE, []), *pairs], strict=True)):
         try:
             variant, others = varied(scenario, changes, trust=trust)
-            texts[k] = dump_scenario(variant.sampled())
+            texts[k] = dump_scenario(sample(variant)[0])
             arguments[k] = {"make_loop": make_loop, **others}
         except ScenarioError as error:
             if k == 0:
