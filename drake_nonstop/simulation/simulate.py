@@ -62,7 +62,7 @@ def simulate(
     viewers: Sequence[Viewer] = (),
     after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
     check_step: StepCheck = StepCheck.WHOLE,
-    make_loop: LoopMaker = make_nonstop,
+    make_loop: LoopMaker | None = None,
     **replacements: Any,
 ) -> Run:
     """Simulates a scenario from its equilibrium and returns all signals.
@@ -84,9 +84,9 @@ def simulate(
             simulator's real-time rate, and have the run wait or end.
         check_step: what is flown again with half the step. With `after_step`, which may change a
             run, no more than PARTS are; what is in doubt then is said to be unresolved.
-        make_loop: makes the loop's diagram of a scenario and of the replacements without a config.
-            One of the user's own exports its signals by their names, as `connect_by_name` does; the
-            loop may be inside of it.
+        make_loop: makes the loop's diagram of a scenario and of the replacements without a config;
+            None: `make_nonstop` does. One of the user's own exports its signals by their names,
+            as `connect_by_name` does; the loop may be inside of it.
         replacements: blocks in place of the scenario's, and `extra` ones, see `make_nonstop`.
             Those with a config are in the run's scenario.
 
@@ -105,7 +105,7 @@ def simulate(
                 viewers,
                 after_step,
                 check_step,
-                make_loop,
+                make_nonstop if make_loop is None else make_loop,
                 replacements,
             )
         except RunStopped:
