@@ -108,7 +108,7 @@ def test_every_box_is_there(timed):
     assert list(timers.blocks) == [system.get_name() for system in run.diagram.GetSystems()]
     assert timers.blocks["optimization_layer"] == "NonstopOptimizer"
     assert "sample_and_hold" in timers.blocks
-    calls = {box: 0 for box in timers.blocks}
+    calls = dict.fromkeys(timers.blocks, 0)
     for frame in timers.root.walk():
         if frame.box in calls:
             calls[frame.box] += sum(frame.calls.values())
