@@ -9,8 +9,13 @@ import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_
 
-from drake_nonstop import load_scenario, make_nonstop, set_equilibrium
-from drake_nonstop.diagrams.parameters import parameters, set_parameter
+from drake_nonstop import (
+    load_scenario,
+    make_nonstop,
+    parameters,
+    set_equilibrium,
+    set_parameter,
+)
 
 
 def main(duration: float = 2.0) -> None:
