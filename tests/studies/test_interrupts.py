@@ -247,8 +247,10 @@ def test_ablate_keeps_variants_and_continues(tmp_path, scenario):
     variants = {f"mass {k}": [f"system.load_mass={1 + k / 10}"] for k in range(3)}
     ablate(scenario, variants, tmp_path / "whole", replay=False)
     folder = tmp_path / "parts"
-    with pytest.raises(StudyInterrupted, match="2 of 4 variants are in "):
+    # A third one may have ended with the second.
+    with pytest.raises(StudyInterrupted, match=r"^[23] of 4 variants are in ") as interrupted:
         ablate(scenario, variants, folder, replay=False, progress=After(2))
+    kept_count = int(str(interrupted.value)[0])
     done = sorted(folder.glob("*/metrics.json"))
     assert len(done) >= 2
     before = [path.stat().st_mtime_ns for path in done[:2]]
@@ -257,7 +259,7 @@ def test_ablate_keeps_variants_and_continues(tmp_path, scenario):
         ablate(scenario, {"other": ["system.load_mass=2"]}, folder, replay=False)
     progress = After()
     ablate(scenario, variants, folder, replay=False, progress=progress)
-    assert progress.shares == [0.75, 1.0]
+    assert progress.shares == [number / 4 for number in range(kept_count + 1, 5)]
     kept = [path.stat().st_mtime_ns for path in done[:2]]
     assert sum(a == b for a, b in zip(before, kept, strict=True)) >= 1
     assert csv_without_clocks(folder) == csv_without_clocks(tmp_path / "whole")
