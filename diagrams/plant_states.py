@@ -25,12 +25,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, Diagram, System
+from pydrake.systems.framework import Context, Diagram
 from pydrake.systems.primitives import AffineSystem, Integrator
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
+from drake_nonstop.systems.wiring import maker_of
 from drake_nonstop.validation import ScenarioError, require
 
 LOAD, CARRIERS = "load_state", "carrier_state"  # the signals that show the plant's states
@@ -41,15 +42,11 @@ _TOLERANCE = 1e-6  # of what a port shows, in SI units or relative to larger val
 
 
 class PlantStates:
-    """Access to the plant's states in a loop of separate blocks.
-
-    Raises:
-        ScenarioError: the loop has no block with an output port `load_state` or `carrier_state`.
-    """
+    """Access to the plant's states in a loop of separate blocks, which exports its signals."""
 
     def __init__(self, nonstop: Diagram):
         self._nonstop = nonstop
-        self._owners = {signal: _owner(nonstop, signal) for signal in _SETTERS}
+        self._owners = {signal: maker_of(nonstop, signal) for signal in _SETTERS}
         self._shown = {
             signal: PortState(block, block.GetOutputPort(signal))
             for signal, block in self._owners.items()
@@ -290,26 +287,11 @@ class _FusedPlantStates:
 
 
 def plant_states(nonstop: Diagram) -> PlantStates | _FusedPlantStates:
-    """Access to the plant's states, whether its blocks are fused or not.
-
-    Raises:
-        ScenarioError: as `PlantStates`.
-    """
+    """Access to the plant's states, whether its blocks are fused or not."""
     for block in nonstop.GetSystems():
         if isinstance(block, FusedPlant):
             return _FusedPlantStates(nonstop, block)
     return PlantStates(nonstop)
-
-
-def _owner(nonstop: Diagram, signal: str) -> System:
-    """The block of the loop that makes a signal."""
-    for block in nonstop.GetSystems():
-        if block.HasOutputPort(signal):
-            return block
-    raise ScenarioError(
-        f"{nonstop.get_name() or 'loop'}.{signal} = no output port: none of its blocks shows a "
-        f"state under that name; give one an output port {signal}"
-    )
 
 
 def _agree(signal: str, shown: NDArray, value: NDArray) -> NDArray:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue
 from pydrake.common.eigen_geometry import Quaternion
+from pydrake.common.value import Value
 from pydrake.math import RollPitchYaw_, RotationMatrix
 from pydrake.systems.framework import Context, LeafSystem
 
@@ -190,3 +191,25 @@ def handle_signals_as_a_shell_does() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
+
+
+class Ports(LeafSystem):
+    """A block that has ports of the given sizes and computes nothing; None: abstract ones."""
+
+    def __init__(self, inputs, outputs):
+        super().__init__()
+        for name, size in inputs.items():
+            if size is None:
+                self.DeclareAbstractInputPort(name, Value(""))
+            else:
+                self.DeclareVectorInputPort(name, size)
+        for name, size in outputs.items():
+            if size is None:
+                self.DeclareAbstractOutputPort(name, lambda: Value(""), lambda c, o: None)
+            else:
+                self.DeclareVectorOutputPort(name, size, lambda c, o: None, {self.time_ticket()})
+
+
+def with_ports(inputs, outputs):
+    """What makes such a block of a model."""
+    return lambda model: Ports(inputs, outputs)

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from pydrake.common.value import Value
+from helpers import Ports, with_ports
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
@@ -176,24 +176,6 @@ def test_one_block_may_stand_for_two_boxes(box, period):
         nonstop.GetOutputPort(name).Eval(context) for name in ("carrier_reference", "carrier_state")
     )
     np.testing.assert_array_equal(state, reference)
-
-
-class Ports(LeafSystem):
-    """A block that has ports of the given sizes and computes nothing; None: abstract ones."""
-
-    def __init__(self, inputs, outputs):
-        super().__init__()
-        for name, size in inputs.items():
-            if size is None:
-                self.DeclareAbstractInputPort(name, Value(""))
-            else:
-                self.DeclareVectorInputPort(name, size)
-        for name, size in outputs.items():
-            self.DeclareVectorOutputPort(name, size, lambda c, o: None, {self.time_ticket()})
-
-
-def with_ports(inputs, outputs):
-    return lambda model: Ports(inputs, outputs)
 
 
 def test_extra_blocks_read_and_make_signals_of_any_name():

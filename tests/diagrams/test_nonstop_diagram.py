@@ -3,8 +3,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from helpers import fix, output, regular
-from pydrake.common.value import Value
+from helpers import fix, output, regular, with_ports
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
@@ -249,27 +248,6 @@ def test_swapped_in_block_gets_the_signals_that_it_names():
     expected = [*output(diagram, context, "tensions")[:3], *state[:3]]
     np.testing.assert_array_equal(wrench, expected)
     assert wrench[0] > 1
-
-
-class Ports(LeafSystem):
-    """A block that has ports of the given sizes and computes nothing; None: abstract ones."""
-
-    def __init__(self, inputs, outputs):
-        super().__init__()
-        for name, size in inputs.items():
-            if size is None:
-                self.DeclareAbstractInputPort(name, Value(""))
-            else:
-                self.DeclareVectorInputPort(name, size)
-        for name, size in outputs.items():
-            if size is None:
-                self.DeclareAbstractOutputPort(name, lambda: Value(""), lambda c, o: None)
-            else:
-                self.DeclareVectorOutputPort(name, size, lambda c, o: None)
-
-
-def with_ports(inputs, outputs):
-    return lambda model: Ports(inputs, outputs)
 
 
 LAYER = "expected parameters (2), optional diagnostics (7), solve_time (1), speed_bound (1)"

@@ -12,7 +12,6 @@ from drake_nonstop import (
     compute_metrics,
     load_scenario,
     make_nonstop,
-    set_equilibrium,
     simulate,
     verify_step,
 )
@@ -29,19 +28,15 @@ TURN = "load_trajectory.roll_pitch_yaw=[0, 0, 12.566]"
 SLOW_SAMPLES = ("control_period=0.1", "optimization_layer.period=0.1")
 
 
-def on_its_reference(*overrides):
-    scenario = load_scenario("quintic", [CONSTANT, *overrides])
-    nonstop = make_nonstop(scenario)
-    context = nonstop.CreateDefaultContext()
-    on_reference(nonstop, context)
-    return scenario, nonstop, context
-
-
 def at_start(*overrides):
     scenario = load_scenario("quintic", [CONSTANT, *overrides])
     nonstop = make_nonstop(scenario)
-    context = nonstop.CreateDefaultContext()
-    set_equilibrium(nonstop, context)
+    return scenario, nonstop, nonstop.CreateDefaultContext()
+
+
+def on_its_reference(*overrides):
+    scenario, nonstop, context = at_start(*overrides)
+    on_reference(nonstop, context)
     return scenario, nonstop, context
 
 
