@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Adder, Gain, Integrator, Selector
 
+from drake_nonstop.blocks.fixed_wing_controller import (
+    FixedWingController,
+    FixedWingControllerConfig,
+)
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_acceleration, loaded_pid_forces, pid_forces
 from drake_nonstop.mechanics.internal_force import internal_force_acceleration
@@ -476,4 +480,5 @@ VARIANTS = (
     TunedCarrierPid,
     TunedFeedforwardCarrierPid,
     LoadedCarrierPid,
+    FixedWingController,
 )
