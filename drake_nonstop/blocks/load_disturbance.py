@@ -53,18 +53,18 @@ _WAVES = 32  # per axis, of a gust
 
 
 @dataclass(kw_only=True)
-class WindConfig(StrictFields):
+class DisturbanceForceConfig(StrictFields):
     """A constant force, and a gust on top of it."""
 
     force: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N, in W
     torque: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N m, in W
-    start_time: float = 0.0  # s, no wind before it
+    start_time: float = 0.0  # s, nothing before it
     gust_force: float = 0.0  # N, standard deviation on each axis
     gust_time: float = 1.0  # s, correlation time of the gust
     seed: int = 0  # of the gust
 
 
-class Wind(LeafBlock):
+class DisturbanceForce(LeafBlock):
     """A constant wrench on the load, with a seeded, coloured gust.
 
     The gust is a sum of waves with random phases, whose spectrum is that of first-order
@@ -73,16 +73,16 @@ class Wind(LeafBlock):
 
     .. pydrake_system::
 
-        name: Wind
+        name: DisturbanceForce
         output_ports:
         - disturbance_wrench
 
     `disturbance_wrench` (6) = [torque (N m); force (N)] at the centre of mass, in W.
 
-    Parameters, the fields of `WindConfig`:
+    Parameters, the fields of `DisturbanceForceConfig`:
         force: N, in W
         torque: N m, in W
-        start_time: s, no wind before it
+        start_time: s, nothing before it
         gust_force: N, standard deviation on each axis
         gust_time: s, correlation time of the gust
         seed: of the gust
@@ -93,9 +93,9 @@ class Wind(LeafBlock):
 
     is_sampled = True  # a fused plant holds it over a period
 
-    def __init__(self, model: Model, config: WindConfig | None = None):
+    def __init__(self, model: Model, config: DisturbanceForceConfig | None = None):
         super().__init__()
-        config = config or WindConfig()
+        config = config or DisturbanceForceConfig()
         force = require_array(f"{_BOX}.force", config.force, [3], "in W")
         torque = require_array(f"{_BOX}.torque", config.torque, [3], "in W")
         require_non_negative(_BOX, gust_force=config.gust_force, start_time=config.start_time)
@@ -124,4 +124,4 @@ class Wind(LeafBlock):
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (NoDisturbance, Wind)
+VARIANTS = (NoDisturbance, DisturbanceForce)

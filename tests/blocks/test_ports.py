@@ -40,7 +40,11 @@ from drake_nonstop.blocks.force_distribution import (
     CableForceDistribution,
 )
 from drake_nonstop.blocks.internal_force import InternalForceTrajectory
-from drake_nonstop.blocks.load_disturbance import NoDisturbance, Wind, WindConfig
+from drake_nonstop.blocks.load_disturbance import (
+    DisturbanceForce,
+    DisturbanceForceConfig,
+    NoDisturbance,
+)
 from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedback,
     IdealFeedback,
@@ -85,8 +89,8 @@ def noisy_feedback(model):
     return NoisyFeedback(model, NoisyFeedbackConfig(position_noise=0.1, orientation_noise=0.1))
 
 
-def gusty_wind(model):
-    return Wind(model, WindConfig(gust_force=1.0))
+def gusty_force(model):
+    return DisturbanceForce(model, DisturbanceForceConfig(gust_force=1.0))
 
 
 def bounded_distribution(model):
@@ -244,7 +248,7 @@ BLOCKS = {
         ["measured_load_state"],
         [("load_state", "measured_load_state")],
     ),
-    gusty_wind: ([], ["disturbance_wrench"], []),
+    gusty_force: ([], ["disturbance_wrench"], []),
     MultibodyLoadPlant: (["cable_forces", "disturbance_wrench"], ["load_state"], []),
     Cables: (
         ["load_state", "carrier_state"],
