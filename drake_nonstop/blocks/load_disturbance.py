@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context
 
-from drake_nonstop.mechanics.signals import WRENCH_SIZE, Wrench
+from drake_nonstop.mechanics.coloured_noise import coloured_noise, random_waves
+from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.validation import (
@@ -49,9 +50,6 @@ class NoDisturbance(LeafBlock):
         output.SetFromVector(np.zeros(WRENCH_SIZE))
 
 
-_WAVES = 32  # per axis, of a gust
-
-
 @dataclass(kw_only=True)
 class DisturbanceForceConfig(StrictFields):
     """A constant force, and a gust on top of it."""
@@ -67,9 +65,8 @@ class DisturbanceForceConfig(StrictFields):
 class DisturbanceForce(LeafBlock):
     """A constant wrench on the load, with a seeded, coloured gust.
 
-    The gust is a sum of waves with random phases, whose spectrum is that of first-order
-    filtered white noise, σ² 2τ/(1 + (ωτ)²)/2π over ω, up to ωτ = 30: a function of time
-    alone, so that runs repeat to the bit whatever the integrator's steps are.
+    The gust is that of `mechanics.coloured_noise` with 32 waves on each axis, up to ωτ = 30: a
+    function of time alone, so that runs repeat to the bit whatever the integrator's steps are.
 
     .. pydrake_system::
 
@@ -105,11 +102,8 @@ class DisturbanceForce(LeafBlock):
         self._constant = np.concatenate([torque, force])
         self._start_time = config.start_time
         random = np.random.default_rng(config.seed)
-        # Bands of equal power: each wave has the same amplitude.
-        shares = (np.arange(_WAVES) + random.uniform(size=(3, _WAVES))) / _WAVES
-        self._frequencies = np.tan(shares * np.arctan(30.0)) / config.gust_time
-        self._phases = random.uniform(0, 2 * np.pi, (3, _WAVES))
-        self._amplitude = config.gust_force * np.sqrt(2 / _WAVES)
+        self._waves = random_waves(random, 3, config.gust_time, count=32, highest=30.0)
+        self._gust_force = config.gust_force
         ticket = self.time_ticket()
         self.DeclareVectorOutputPort("disturbance_wrench", WRENCH_SIZE, self._calc, {ticket})
 
@@ -117,9 +111,8 @@ class DisturbanceForce(LeafBlock):
         time = context.get_time()
         wrench = np.zeros(WRENCH_SIZE)
         if number(time) >= self._start_time:
-            waves = np.sin(self._frequencies * time + self._phases)
-            gust = Wrench(torque=np.zeros(3), force=self._amplitude * waves.sum(axis=1))
-            wrench = self._constant + np.concatenate(gust)
+            force = coloured_noise(time, self._waves, self._gust_force)
+            wrench = self._constant + np.concatenate([np.zeros(3), force])
         output.SetFromVector(wrench)
 
 
