@@ -6,20 +6,27 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import Context, DiagramBuilder, DiscreteValues, System
-from pydrake.systems.primitives import Integrator
+from pydrake.systems.framework import (
+    Context,
+    ContinuousState,
+    DiagramBuilder,
+    DiscreteValues,
+    State,
+    System,
+)
 
 from drake_nonstop.mechanics.flight_control import (
+    ObserverStates,
     flight_command,
     limited_command,
-    observed_disturbance,
+    observer_shares,
+    observer_targets,
 )
 from drake_nonstop.mechanics.signals import WIND_SIZE, AircraftState
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, LeafBlock
-from drake_nonstop.systems.sampled_integrator import SampledIntegrator
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import (
@@ -55,7 +62,9 @@ class FixedWingController(DiagramBlock):
         F = m (a_d + K_v ė + K_p e) + m g e₃ + f_d − d̂
 
     is inverted to C_L, bank and thrust; each gets τ times its rate along the reference more, since
-    it follows with a lag τ. The disturbance d̂ is the low-pass of m (v̇ + g e₃) − F_model. Limits
+    it follows with a lag τ. The disturbance d̂ is the low-pass of what the model of the aircraft does
+    not explain of the measured acceleration; of the aircraft's state it takes bank and airspeed, and
+    C_L and thrust from the commands and their lags. Limits
     come last: C_L, whose vertical part is kept by cutting the bank, the bank, more thrust at low
     speed, and the thrust, see `mechanics.flight_control`.
 
@@ -82,8 +91,9 @@ class FixedWingController(DiagramBlock):
     their rates (3n, N/s), `wind_estimate` (3, m/s), all in W; `aircraft_state` (4n) = [effective
     C_L; bank (rad); thrust (N); airspeed (m/s)]; `aircraft_command` (3n) = [C_L; bank (rad,
     positive to the right); thrust (N)]; `command_saturation` (3n): 1 where a limit changes an entry
-    of the command, else 0. The disturbance (3n, N) is the state: continuous, or discrete where the
-    model has a control period, with which the command is computed at the samples and held.
+    of the command, else 0. The state is [disturbance (3n, N); C_L (n); thrust (n, N)]: continuous,
+    or discrete where the model has a control period; the command is then computed at the samples
+    and held.
 
     Parameters, the fields of `FixedWingControllerConfig`:
         frequency: rad/s, natural frequency of a carrier about its reference
@@ -105,13 +115,17 @@ class FixedWingController(DiagramBlock):
         _check(model, config)
         builder = DiagramBuilder()
         law = builder.AddNamedSystem("law", _law(model, config))
+        memory = builder.AddNamedSystem("observer", _Observer(model.n, model.control_period))
+        builder.Connect(memory.GetOutputPort("state"), law.GetInputPort("observer_states"))
+        builder.Connect(law.GetOutputPort("observer_rates"), memory.GetInputPort("rates"))
         for name in input_names(law):
-            builder.ExportInput(law.GetInputPort(name), name)
+            if name != "observer_states":
+                builder.ExportInput(law.GetInputPort(name), name)
+        builder.ConnectInput("aircraft_state", memory.GetInputPort("aircraft_state"))
         made: System = law
         if model.control_period > 0:
-            made = builder.AddNamedSystem(
-                "hold", _Hold(dict.fromkeys(_OUTPUTS, 3 * model.n), model.control_period)
-            )
+            sizes = dict.fromkeys(_OUTPUTS, 3 * model.n)
+            made = builder.AddNamedSystem("hold", _Hold(sizes, model.control_period))
             for name in _OUTPUTS:
                 builder.Connect(law.GetOutputPort(name), made.GetInputPort(name))
         for name in _OUTPUTS:
@@ -126,7 +140,7 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
     assert aircraft is not None
 
     def law(
-        disturbance: NDArray,
+        observer_states: NDArray,
         carrier_reference: NDArray,
         reference_acceleration: NDArray,
         reference_jerk: NDArray,
@@ -142,18 +156,10 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
         lead: NDArray,
         observer: NDArray,
         observer_time: NDArray,
-        lift_share: NDArray,
-        max_bank: NDArray,
-        speed_share: NDArray,
+        **limits: NDArray,
     ) -> tuple[NDArray, NDArray, NDArray]:
-        observed = observed_disturbance(
-            aircraft, carrier_state, acceleration, aircraft_state, cable_forces, wind
-        )
-        # A step of the exact low-pass, over the period, or its rate.
-        share = 1 / observer_time
-        if period > 0:
-            share = (1 - np.exp(-period / observer_time)) / period
         position_gain, velocity_gain, _ = pid_gains(frequency, damping, 0.0)
+        measured = AircraftState.view(aircraft_state)
         command = flight_command(
             aircraft,
             carrier_reference,
@@ -162,27 +168,33 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
             carrier_state,
             cable_forces,
             cable_force_rates,
-            observer * disturbance,
+            observer * ObserverStates.view(observer_states).disturbance,
             wind,
             position_gain=position_gain,
             velocity_gain=velocity_gain,
             lead=lead,
         )
-        limited, saturation = limited_command(
-            aircraft,
-            command,
-            AircraftState.view(aircraft_state).airspeed,
-            lift_share=lift_share,
-            max_bank=max_bank,
-            speed_share=speed_share,
-            speed_gain=velocity_gain,
+        told, saturation = limited_command(
+            aircraft, command, measured.airspeed, speed_gain=velocity_gain, **limits
         )
-        return share * (observed - disturbance), limited, saturation
+        targets = observer_targets(
+            aircraft,
+            observer_states,
+            told,
+            carrier_state,
+            acceleration,
+            measured.bank,
+            cable_forces,
+            wind,
+        )
+        shares = observer_shares(aircraft, n, observer_time, period)
+        return shares * (targets - observer_states), told, saturation
 
     size = 3 * n
     return TracedBlock(
         law,
         inputs={
+            "observer_states": 5 * n,
             "carrier_reference": 2 * size,
             "carrier_reference_acceleration": size,
             "carrier_reference_jerk": size,
@@ -193,8 +205,7 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
             "desired_cable_force_rates": size,
             "wind_estimate": WIND_SIZE,
         },
-        outputs=dict.fromkeys(_OUTPUTS, size),
-        state=SampledIntegrator(size, period) if period > 0 else Integrator(size),
+        outputs={"observer_rates": 5 * n} | dict.fromkeys(_OUTPUTS, size),
         parameters=BlockParameters(
             model,
             config=config,
@@ -203,6 +214,43 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
         ),
         key=("fixed-wing controller", n, period, *map(str, aircraft)),
     )
+
+
+class _Observer(LeafBlock):
+    """`ObserverStates` (5n,): their rates are integrated, or added at each sample but the first.
+
+    At the start there is no disturbance, and lift and thrust are those of the aircraft.
+    """
+
+    def __init__(self, n: int, period: float):
+        super().__init__()
+        self._period = period
+        self._rates = self.DeclareVectorInputPort("rates", 5 * n)
+        self._aircraft_state = self.DeclareVectorInputPort("aircraft_state", 4 * n)
+        if period > 0:
+            index = self.DeclareDiscreteState(5 * n)
+            self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._add)
+        else:
+            index = self.DeclareContinuousState(5 * n)
+        self.DeclareStateOutputPort("state", index)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
+
+    def _begin(self, context: Context, state: State) -> None:
+        measured = AircraftState.view(self._aircraft_state.Eval(context))
+        nothing = np.zeros(3 * len(measured.lift))
+        start = np.concatenate(ObserverStates(nothing, measured.lift, measured.thrust))
+        if self._period > 0:
+            state.get_mutable_discrete_state().set_value(start)
+        else:
+            state.get_mutable_continuous_state().SetFromVector(start)
+
+    def _add(self, context: Context, discrete_state: DiscreteValues) -> None:
+        states = context.get_discrete_state_vector().CopyToVector()
+        discrete_state.set_value(states + self._period * self._rates.Eval(context))
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
+        if self._period == 0:
+            derivatives.SetFromVector(self._rates.Eval(context))
 
 
 class _Hold(LeafBlock):

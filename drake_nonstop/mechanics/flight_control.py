@@ -5,6 +5,8 @@ The needed force is inverted to the lift coefficient, bank and thrust that make 
 rate along the reference.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,11 +19,11 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
 )
 from drake_nonstop.mechanics.cable import positive_part
-from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState, CarrierStates
+from drake_nonstop.mechanics.signals import AircraftCommand, CarrierStates
 
 _STEP = 1e-3  # s, of the central differences along the reference
 _LEAST = 1e-12  # beside squares of coefficients, which may vanish
-_ROUNDING = 1e-9  # of a command that counts as the same
+_ROUNDING = 1e-6  # in the units of a command, that counts as none
 
 
 def flight_command(
@@ -141,31 +143,72 @@ def limited_command(
     return limited, change / (change + _ROUNDING**2)
 
 
-def observed_disturbance(
+class ObserverStates(NamedTuple):
+    """What the controller of n aircraft remembers."""
+
+    disturbance: NDArray  # (3n,), N, on the aircraft, in W
+    lift: NDArray  # (n,), C_L by its lag behind the command
+    thrust: NDArray  # (n,), N, likewise
+
+    @classmethod
+    def view(cls, values: NDArray) -> "ObserverStates":
+        """The parts of an array (5n,)."""
+        n = len(values) // 5
+        return cls(values[: 3 * n], values[3 * n : 4 * n], values[4 * n :])
+
+
+def observer_shares(
+    aircraft: Aircraft, n: int, observer_time: float | NDArray, period: float
+) -> NDArray:
+    """The inverse time constants (5n,), 1/s, of `ObserverStates`.
+
+    With a period those of steps over it: (1 − exp(−h/τ))/h, exact for constant targets.
+    """
+    times = np.concatenate(
+        [
+            np.ones(count) * np.ones(1) * time
+            for count, time in (
+                (3 * n, observer_time),
+                (n, aircraft.lift_lag),
+                (n, aircraft.thrust_lag),
+            )
+        ]
+    )
+    return (1 - np.exp(-period / times)) / period if period > 0 else 1 / times
+
+
+def observer_targets(
     aircraft: Aircraft,
+    observer_states: NDArray,
+    command: NDArray,
     carrier_state: NDArray,
     acceleration: NDArray,
-    aircraft_state: NDArray,
+    bank: NDArray,
     cable_forces: NDArray,
     wind: NDArray,
 ) -> NDArray:
-    """m (v̇ + g e₃) − (F_a − f_d) (3n,), N, in W: what the model of the aircraft does not explain.
+    """What the low-passes of `ObserverStates` (5n,) follow.
 
-    F_a is `air_force` in the believed wind.
+    The disturbance follows m (v̇ + g e₃) + f_d − F_a, what the model of the aircraft does not
+    explain. F_a is `air_force` in the believed wind, of the measured bank, and of the C_L and thrust
+    that follow from the commands: what gusts and errors of the model add to these is part of the
+    disturbance.
 
     Args:
         aircraft: the controller's parameters.
+        observer_states: `ObserverStates` (5n,).
+        command: `AircraftCommand` (3n,), as told.
         carrier_state: [positions, velocities] (6n,), m and m/s, in W.
         acceleration: v̇ (3n,), m/s², in W, as measured.
-        aircraft_state: `AircraftState` (4n,).
+        bank: (n,), rad, as measured.
         cable_forces: f_d (3n,), N, on the load, in W.
         wind: (3,), m/s, in W, as believed.
     """
-    state = AircraftState.view(aircraft_state)
+    own, told = ObserverStates.view(observer_states), AircraftCommand.view(command)
     velocities = CarrierStates.view(carrier_state).velocities
-    force = air_force(aircraft, velocities - wind, state.lift, state.bank, state.thrust)
+    force = air_force(aircraft, velocities - wind, own.lift, bank, own.thrust)
     needed = needed_force(aircraft, acceleration.reshape(-1, 3), cable_forces.reshape(-1, 3))
-    return (needed - force).ravel()
+    return np.concatenate(ObserverStates((needed - force).ravel(), told.lift, told.thrust))
 
 
 def _within(a: NDArray, least: NDArray, most: NDArray) -> NDArray:
