@@ -51,7 +51,7 @@ _LIMITS = ("lift_share", "max_bank", "speed_share")
 class FixedWingControllerConfig(StrictFields):
     """Poles of the carriers about their references, observer and limits."""
 
-    frequency: float = 1.5  # rad/s, natural frequency of a carrier about its reference
+    frequency: float = 2.0  # rad/s, natural frequency of a carrier about its reference
     damping: float = 0.9  # damping ratio
     lead: float = 1.0  # weight of the lead along the reference; 0: none
     observer: float = 1.0  # weight of the observed disturbance; 0: none
