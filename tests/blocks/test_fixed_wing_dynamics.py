@@ -223,3 +223,13 @@ def stalling(model):
         inputs={"carrier_state": 6 * n},
         outputs={"aircraft_command": 3 * n},
     )
+
+
+def test_a_run_that_starts_stalled_ends_there():
+    """A formation so slow that its trim needs more lift than there is."""
+    scenario = flying("optimization_layer.amplitude=2.0", "simulation_duration=0.3")
+    run = simulate(scenario, carrier_controller=controller)
+    metrics = compute_metrics(run)
+    assert metrics["outcome"] == RunOutcome.STALLED
+    assert metrics["reasons"][0].startswith("carrier 1 stalled at t = 0.000 s, where the run ended")
+    np.testing.assert_array_equal(run.steps["time"], [0.0])
