@@ -71,6 +71,7 @@ from drake_nonstop.blocks.wind import (
     SteadyWindConfig,
     StillAir,
     WindProfile,
+    WindProfileConfig,
 )
 from drake_nonstop.blocks.wrench_controller import (
     GeometricPd,
@@ -103,12 +104,19 @@ def gusty_force(model):
     return DisturbanceForce(model, DisturbanceForceConfig(gust_force=1.0))
 
 
+_ALOFT = {"ground_height": -5.0}  # load and carriers are higher than 1 m
+
+
 def rising_wind(model):
-    return SteadyWind(model, SteadyWindConfig(rise_time=2.0))
+    return SteadyWind(model, SteadyWindConfig(rise_time=8.0))
+
+
+def wind_profile(model):
+    return WindProfile(model, WindProfileConfig(velocity=[3, 1, 1], rise_time=8.0, **_ALOFT))
 
 
 def gusty_wind(model):
-    config = GustyWindConfig(velocity=[3, 1, 0], exponent=0.2, load_gust=0.3, rise_time=2.0)
+    config = GustyWindConfig(velocity=[3, 1, 1], exponent=0.2, load_gust=0.3, **_ALOFT)
     return GustyWind(model, config)
 
 
@@ -281,7 +289,7 @@ BLOCKS = {
     NoDisturbance: ([], ["disturbance_wrench"], []),
     **dict.fromkeys((StillAir, SteadyWind, rising_wind), ([], _WINDS, [])),
     **dict.fromkeys(
-        (WindProfile, gusty_wind),
+        (wind_profile, gusty_wind),
         (
             ["carrier_state", "load_state"],
             _WINDS,
@@ -434,7 +442,9 @@ def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, per
     context.SetTime(time)
     after = check("time")
     for name in before:
-        constant = make is NoDisturbance or (make is ConstantParameters and name == "parameters")
+        constant = make in (NoDisturbance, StillAir, SteadyWind) or (
+            make is ConstantParameters and name == "parameters"
+        )
         assert np.array_equal(before[name], after[name]) == constant, name
 
 
@@ -444,6 +454,8 @@ def test_what_feeds_through_changes_the_output(make, period):
     inputs = {name: values(name, 1, 4) for name in input_names(block)}
     before = fresh(block, inputs, 1, 5.5)
     for source, target in feedthrough(block):
+        if source == "wind_estimate" and target not in _DERIVATIVES:
+            continue  # made by one call with what it changes; a whole feedforward cancels its rate
         after = fresh(block, inputs | {source: values(source, 2, 4)}, 1, 5.5)
         assert not np.array_equal(before[target], after[target]), (source, target)
 
