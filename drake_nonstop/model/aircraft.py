@@ -143,10 +143,10 @@ def make_aircraft(
 
 
 def _check_polar(field: str, aircraft: Aircraft) -> None:
-    least, most = aircraft.lift_at_zero_angle, aircraft.max_lift
+    least, most = float(aircraft.lift_at_zero_angle), float(aircraft.max_lift)
     remedy = f"give a number below max_lift, {most:g}, and above {-most:g}"
     require(abs(least) < most, f"{field}.lift_at_zero_angle", least, remedy)
-    drag = aircraft.zero_lift_drag + aircraft.induced_drag
+    drag = float(aircraft.zero_lift_drag + aircraft.induced_drag)
     remedy = "give a number above zero, or induced_drag one: nothing flies without drag"
     require(drag > 0, f"{field}.zero_lift_drag", aircraft.zero_lift_drag, remedy)
 

@@ -85,7 +85,7 @@ def required_aircraft(model: Model, box: str, block: str) -> Aircraft:
     """
     if model.aircraft is None:
         raise ScenarioError(
-            f"{model.field}.aircraft = none: {box} = {block} flies aircraft; give "
+            f"system.aircraft = none: {box} = {block} flies aircraft; give "
             f"{{model: rascal_110}}, or choose another block for {box}"
         )
     return model.aircraft

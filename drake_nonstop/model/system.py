@@ -255,6 +255,7 @@ def _with_aircraft(
 
     `is_given` tells that the mass of the carriers is not a default.
     """
+    assert system.aircraft is not None
     require_positive(field, cable_length=system.cable_length, gravity=system.gravity)
     aircraft = make_aircraft(
         system.aircraft,

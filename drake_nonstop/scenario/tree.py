@@ -223,8 +223,8 @@ def _check_fields(name: str, tree: Any, schema: Any, *other_keys: str) -> None:
                 _check_fields(path, value, part)
 
 
-def _optional_part(kind: Any) -> type | None:
-    """The dataclass of a field that may be None instead."""
+def _optional_part(kind: Any) -> Any:
+    """The dataclass of a field that may be None instead; None where it is no such field."""
     options = [option for option in typing.get_args(kind) if option is not types.NoneType]
     is_optional = len(options) == 1 and len(typing.get_args(kind)) == 2
     return options[0] if is_optional and dataclasses.is_dataclass(options[0]) else None

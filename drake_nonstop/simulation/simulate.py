@@ -214,7 +214,8 @@ def _simulate(
             if not is_second:
                 interruption.collect = lambda: finished(interrupted())
             simulator.Initialize()
-            simulator.AdvanceTo(scenario.simulation_duration)
+            if not monitor.has_ended:
+                simulator.AdvanceTo(scenario.simulation_duration)
             for visualizer in visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
     except KeyboardInterrupt:
