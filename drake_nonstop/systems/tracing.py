@@ -294,9 +294,7 @@ def _traced(
 
 def _object_array(symbol: casadi.SX) -> NDArray:
     """A flat NumPy object array of the symbol's scalar entries."""
-    array = np.empty(symbol.numel(), dtype=object)
-    array[:] = [_entry(element) for element in symbol.elements()]
-    return array
+    return np.fromiter(map(_entry, symbol.elements()), dtype=object, count=symbol.numel())
 
 
 def _entry(symbol: casadi.SX) -> casadi.SX:
