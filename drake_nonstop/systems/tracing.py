@@ -294,7 +294,46 @@ def _traced(
 
 def _object_array(symbol: casadi.SX) -> NDArray:
     """A flat NumPy object array of the symbol's scalar entries."""
-    array = np.empty(symbol.numel(), dtype=object)
-    for i in range(symbol.numel()):
-        array[i] = symbol[i]
-    return array
+    return np.fromiter(map(_entry, symbol.elements()), dtype=object, count=symbol.numel())
+
+
+def _entry(symbol: casadi.SX) -> casadi.SX:
+    symbol.__class__ = _Entry
+    return symbol
+
+
+def _operators(symbol: str, code: int) -> tuple[Callable, Callable]:
+    """An operator of `_Entry` and its reflected one."""
+    general = getattr(casadi.SX, f"__{symbol}__"), getattr(casadi.SX, f"__r{symbol}__")
+
+    def operate(x: casadi.SX, y: Any) -> Any:
+        if isinstance(y, _SCALARS):
+            return _entry(casadi.SX.binary(code, x, y))
+        return general[0](x, y)
+
+    def reflected(x: casadi.SX, y: Any) -> Any:
+        if isinstance(y, _SCALARS):
+            return _entry(casadi.SX.binary(code, y, x))
+        return general[1](x, y)
+
+    return operate, reflected
+
+
+class _Entry(casadi.SX):
+    """A scalar of a trace, for which CasADi need not look for an operator among those of all types.
+
+    That search takes ten times as long as the operation, and most of the time of a trace.
+    """
+
+    __add__, __radd__ = _operators("add", casadi.OP_ADD)
+    __sub__, __rsub__ = _operators("sub", casadi.OP_SUB)
+    __mul__, __rmul__ = _operators("mul", casadi.OP_MUL)
+    __truediv__, __rtruediv__ = _operators("truediv", casadi.OP_DIV)
+    __pow__, __rpow__ = _operators("pow", casadi.OP_POW)
+    __iadd__, __isub__, __imul__, __itruediv__ = __add__, __sub__, __mul__, __truediv__
+
+    def __neg__(self) -> casadi.SX:
+        return _entry(super().__neg__())
+
+
+_SCALARS = (casadi.SX, float, int)
