@@ -8,8 +8,14 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.systems.framework import (
+    BasicVector,
+    DiagramBuilder,
+    InputPortSelection,
+    LeafSystem,
+    OutputPortSelection,
+)
+from pydrake.systems.primitives import ConstantVectorSource, FirstOrderTaylorApproximation
 
 from drake_nonstop import ScenarioError, ScenarioWarning, load_scenario, make_nonstop, simulate
 from drake_nonstop.blocks.load_plant import LoadPlant
@@ -58,6 +64,26 @@ def test_discrete_multibody_plants_approach_our_blocks_with_the_first_order_of_t
     for name in SIGNALS:
         assert apart[1][name] < 5e-3
         assert apart[0][name] / apart[1][name] == pytest.approx(2, rel=0.2)
+
+
+def test_multibody_plants_are_linearized_as_our_blocks():
+    layer = "optimization_layer=ConstantParameters"
+    overrides = [layer, "simulated.load_drag=0.0", "control_period=0"]
+    scenario = load_scenario("three_carriers", overrides)
+    spectra = []
+    for plants in ({}, own_plants(0.0)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ScenarioWarning)
+            loop = make_nonstop(scenario, **plants)
+        context = loop.CreateDefaultContext()
+        set_equilibrium(loop, context)
+        none = InputPortSelection.kNoInput, OutputPortSelection.kNoOutput
+        values = np.linalg.eigvals(FirstOrderTaylorApproximation(loop, context, *none).A())
+        spectra.append(values[np.abs(values) > 1])
+    ours, theirs = spectra  # theirs has the attitudes of the carriers, too, which stay
+    apart = np.abs(ours[:, None] - theirs[None, :])
+    assert len(theirs) == len(ours)
+    assert np.max(apart.min(axis=1) / np.abs(ours)) < 1e-6
 
 
 class MappedLoad(LeafSystem):
