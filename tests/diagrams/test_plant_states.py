@@ -17,8 +17,16 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import ConstantVectorSource, FirstOrderTaylorApproximation
 
-from drake_nonstop import ScenarioError, ScenarioWarning, load_scenario, make_nonstop, simulate
-from drake_nonstop.blocks.load_plant import LoadPlant
+from drake_nonstop import (
+    CarrierDynamics,
+    LoadPlant,
+    ScenarioError,
+    ScenarioWarning,
+    connect_by_name,
+    load_scenario,
+    make_nonstop,
+    simulate,
+)
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.mechanics.carrier import double_integrator_rate
 from drake_nonstop.mechanics.rigid_load import load_state_rate
@@ -64,6 +72,19 @@ def test_discrete_multibody_plants_approach_our_blocks_with_the_first_order_of_t
     for name in SIGNALS:
         assert apart[1][name] < 5e-3
         assert apart[0][name] / apart[1][name] == pytest.approx(2, rel=0.2)
+
+
+def test_load_and_carriers_in_one_diagram_fly_as_in_two():
+    def both(model):
+        builder = DiagramBuilder()
+        blocks = {"body": LoadPlant(model), "carriers": CarrierDynamics(model)}
+        read = ["cable_forces", "disturbance_wrench", "carrier_forces"]
+        connect_by_name(builder, blocks, inputs=read)
+        return builder.Build()
+
+    scenario = short(0.05)
+    run = simulate(scenario, load_plant=both, carrier_dynamics=None)
+    assert max(distance(run, simulate(scenario)).values()) < 1e-12
 
 
 def test_multibody_plants_are_linearized_as_our_blocks():
