@@ -53,6 +53,8 @@ class PointForces(InnerBlock):
         NotFiniteError: a force is not finite, or is far too large.
     """
 
+    is_for_users = True
+
     def __init__(self, bodies: Sequence[RigidBody], points: ArrayLike):
         super().__init__()
         self._places = [
