@@ -179,10 +179,11 @@ def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> NDArray:
     for _ in range(20):
         if np.max(np.abs(residual)) < _REST / 1e3:
             break
+        slopes = _jacobian(function, offset)
         try:
-            step = np.linalg.solve(_jacobian(function, offset), residual)
-        except np.linalg.LinAlgError:
-            break
+            step = np.linalg.solve(slopes, residual)
+        except np.linalg.LinAlgError:  # what nothing turns, such as a point mass, stays as it is
+            step = np.linalg.lstsq(slopes, residual, rcond=None)[0]
         while np.max(np.abs(step)) > 0.5:  # m and rad; further than the linear model reaches
             step = step / 2
         offset = offset - step

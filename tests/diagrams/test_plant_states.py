@@ -220,6 +220,20 @@ class FrozenCarriers(LeafSystem):
         output.SetFromVector(np.zeros(output.size()))
 
 
+class MovedByTrim(MappedLoad):
+    """A load that is elsewhere once it is trimmed."""
+
+    def TrimLoad(self, context):  # noqa: N802
+        context.SetContinuousState(self.map @ (np.eye(13)[0] + np.eye(13)[4] - self.shift))
+
+
+class ImmeasurableLoad(MappedLoad):
+    """A load whose acceleration is not finite."""
+
+    def CalcLoadAcceleration(self, context):  # noqa: N802
+        return np.full(6, np.nan)
+
+
 @pytest.mark.parametrize("period", ["0.0", "0.01"])
 @pytest.mark.parametrize(
     ("own", "said"),
@@ -235,6 +249,15 @@ class FrozenCarriers(LeafSystem):
             r"ShiftedLoad\.SetLoadState\(context, value\)",
         ),
         (
+            {"load_plant": lambda model: MovedByTrim(model, 3)},
+            r"load_plant\.load_state\[4\] = 1: its initial state was set to 0; correct "
+            r"MovedByTrim\.TrimLoad\(context\), after which the port has to show it still",
+        ),
+        (
+            {"load_plant": lambda model: ImmeasurableLoad(model, 3)},
+            r"start = load_plant: it makes a value that is not finite",
+        ),
+        (
             {"carrier_dynamics": FrozenCarriers},
             r"carrier_dynamics\.carrier_state\[\d+\] = 0: its initial state was set to .*; "
             r"give FrozenCarriers a method SetCarrierState\(context, value\)",
@@ -246,6 +269,30 @@ def test_a_state_that_the_port_does_not_show_is_refused_by_name(own, said, perio
         simulate(short(0.1, f"control_period={period}"), **own)
     with pytest.raises(ScenarioError, match=said):
         make_nonstop(short(0.1), **own)
+
+
+class LevelLoad(MappedLoad):
+    """A load that does not turn, whatever pulls at it."""
+
+    def __init__(self, model):
+        super().__init__(model, 5)
+        self.map, self.shift = np.eye(13), np.zeros(13)
+
+    def rate(self, context):
+        rate = super().rate(context)
+        rate[:4], rate[7:10] = 0, 0
+        return rate
+
+
+def test_a_load_that_does_not_turn_hangs_as_one_that_does():
+    scenario = load_scenario("three_carriers", ["optimization_layer=ConstantParameters"])
+    shown = []
+    for own in ({"load_plant": LevelLoad}, {}):
+        loop = make_nonstop(scenario, at_equilibrium=False, **own)
+        context = loop.CreateDefaultContext()
+        set_equilibrium(loop, context)
+        shown.append(loop.GetOutputPort("load_state").Eval(context)[:7])
+    np.testing.assert_allclose(*shown, rtol=0, atol=1e-6)
 
 
 class HiddenLoad(MappedLoad):
