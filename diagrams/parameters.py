@@ -162,6 +162,11 @@ class _Loop:
 
     def set(self, path: str, value: Any) -> None:
         """As `set_parameter`."""
+        remedy = 'give a scenario path, such as "system.load_mass"'
+        require(isinstance(path, str), "parameter", path, remedy)
+        is_converted_one = isinstance(self._context, Context_[AutoDiffXd])
+        remedy = "give a number, or a context of the loop converted to AutoDiffXd"
+        require(is_converted_one or not _has_derivatives(value), path, value, remedy)
         scope, _, field = path.partition(".")
         boxes = [block.get_name() for block in self._loop.GetSystems()]
         boxes += [holder.box for holder in self._holders if holder.box not in boxes]
@@ -416,9 +421,14 @@ def _spread_of(model: Model, offset: Any) -> float:
 def _plain(value: Any) -> Any:
     """Numbers without their derivatives; arrays as lists."""
     array = np.asarray(value)
-    if array.dtype == object and any(isinstance(v, AutoDiffXd) for v in array.ravel()):
+    if _has_derivatives(value):
         array = _floats(array.ravel()).reshape(array.shape)
     return array.tolist() if isinstance(value, np.ndarray) or array.dtype != object else value
+
+
+def _has_derivatives(value: Any) -> bool:
+    array = np.asarray(value)
+    return array.dtype == object and any(isinstance(v, AutoDiffXd) for v in array.ravel())
 
 
 def _floats(vector: Iterable[Any]) -> NDArray:

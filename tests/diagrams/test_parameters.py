@@ -248,6 +248,8 @@ def test_a_loop_is_given_as_it_was_before_its_conversion():
 BAD = [
     ("system.load_mass", -1.0, "greater than zero"),
     ("system.load_mass", "heavy", "give a number"),
+    ("system.load_mass", AutoDiffXd(1.1, [1.0]), "a context of the loop converted to AutoDiffXd"),
+    (7, 1.0, "give a scenario path"),
     ("system.load_inertia", np.diag([1.0, 0.1, 0.1]), "triangle inequality"),
     ("system.cable_stiffness", np.inf, "simulated cables stretch"),
     ("system.attachments", [[0.0, 0.0, 0.0]], "fixed as the loop is built"),
