@@ -101,7 +101,7 @@ class _TrajectoryAboveReference(_TrajectoryAboveLoad):
 def _derivatives(model: Model) -> LateOutputs:
     """The carriers' accelerations and jerks while the load is on its reference."""
     attachments, pseudo_inverse = model.attachments, model.pseudo_inverse
-    basis = model.pattern.basis
+    basis, orders = model.pattern.basis, model.pattern.orders
 
     def derivatives(
         reference: NDArray,
@@ -124,6 +124,7 @@ def _derivatives(model: Model) -> LateOutputs:
             parameters,
             pseudo_inverse=pseudo_inverse,
             basis=basis,
+            orders=orders,
         )
         cables: dict[str, Any] = {
             "attachments": attachments,
@@ -145,7 +146,7 @@ def _derivatives(model: Model) -> LateOutputs:
             "parameters",
         ),
         dict.fromkeys(("carrier_reference_acceleration", "carrier_reference_jerk"), 3 * model.n),
-        key=("carrier derivatives", attachments, basis),
+        key=("carrier derivatives", attachments, basis, orders),
     )
 
 
