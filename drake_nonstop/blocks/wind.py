@@ -18,6 +18,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.validation import (
     StrictFields,
+    is_number,
     require,
     require_array,
     require_non_negative,
@@ -27,6 +28,7 @@ from drake_nonstop.validation import (
 
 _BOX = "wind"
 _FASTEST = 100.0  # m/s, more than in any storm
+_HIGHEST_GROUND = 1e5  # m, above or below z = 0
 _STEEPEST = 1.0  # exponent of the height
 _WAVES, _HIGHEST = 64, 100.0  # of a gust on each axis, and its highest frequency times its time
 _SHORTEST = 0.01  # s, correlation time of a gust
@@ -188,7 +190,9 @@ class _Profile(_MeanWind):
             config.reference_height,
             f"give at least {LOWEST_HEIGHT:g} m; below that the wind does not change",
         )
-        require_array(f"{_BOX}.ground_height", [config.ground_height], [1], "m, in W")
+        is_height = is_number(config.ground_height) and abs(config.ground_height) <= _HIGHEST_GROUND
+        remedy = f"give a number of {_HIGHEST_GROUND:g} m at most"
+        require(is_height, f"{_BOX}.ground_height", config.ground_height, remedy)
         self._law = {
             "reference_height": config.reference_height,
             "exponent": config.exponent,
