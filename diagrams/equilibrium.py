@@ -145,6 +145,9 @@ def _cause_of_motion(nonstop: Diagram, context: Context, acceleration: NDArray) 
     if nonstop.HasOutputPort("disturbance_wrench"):
         lift = Wrench.view(signal("disturbance_wrench")).force[2]
         causes += [f"load_disturbance lifts it with {lift:.3g} N"] if lift > 0 else []
+    if nonstop.HasOutputPort("load_wind"):
+        updraught = signal("load_wind")[2]
+        causes += [f"wind blows upwards with {updraught:.3g} m/s"] if updraught > 0 else []
     causes += [f"load_trajectory accelerates downwards by {fall:.3g} m/s^2"] if fall > 0 else []
     return (
         "all of them are slack, and cannot push it down; reduce what asks for that at t = 0, or "

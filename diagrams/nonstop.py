@@ -35,6 +35,7 @@ from drake_nonstop.blocks import (
     load_trajectory,
     optimization_layer,
     phase,
+    wind,
     wrench_controller,
 )
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
@@ -57,6 +58,7 @@ from drake_nonstop.mechanics.signals import (
     PARAMETERS_SIZE,
     PHASE_SIZE,
     TRACKING_ERROR_SIZE,
+    WIND_SIZE,
     WRENCH_SIZE,
     LoadReference,
 )
@@ -167,6 +169,12 @@ BOXES: dict[str, Box] = {
         place=Place(0, 4, 1, Kind.ADDITION),
         feeds_fused_plant=True,
     ),
+    "wind": Box(
+        variants=wind.VARIANTS,
+        signals={"wind": "3n", "load_wind": WIND_SIZE, "wind_estimate": WIND_SIZE},
+        place=Place(1, 4, 1, Kind.ADDITION),
+        feeds_fused_plant=True,
+    ),
     "load_plant": Box(
         variants=load_plant.VARIANTS,
         signals={"load_state": LOAD_STATE_SIZE},
@@ -221,6 +229,10 @@ carrier_dynamics.carrier_state -> cables.carrier_state
 load_plant.load_state -> cables.load_state
 cables.cable_forces -> load_plant.cable_forces
 load_disturbance.disturbance_wrench -> load_plant.disturbance_wrench
+
+wind.load_wind -> load_plant.load_wind
+wind.wind_estimate -> wrench_controller.wind_estimate
+wind.wind_estimate -> carrier_trajectory.wind_estimate
 """
 
 
@@ -432,13 +444,32 @@ def _require_motion(model: Model, blocks: Mapping[str, System]) -> None:
 def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     """The blocks, which may be fused, with the hold in front of sampled ones."""
     believed, blocks, _ = parts
+    _warn_of_unread_wind(blocks)
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
     if scenario.control_period > 0:
-        hold = SampleAndHold(believed, _first_samples(blocks))
+        # A constant estimate needs no hold, which would cost time at each sample.
+        holds_wind = not getattr(blocks.get("wind"), "is_sampled", False)
+        hold = SampleAndHold(believed, _first_samples(blocks), holds_wind=holds_wind)
         blocks = blocks | {SAMPLE_AND_HOLD: hold}
     return blocks
+
+
+def _warn_of_unread_wind(blocks: Mapping[str, System]) -> None:
+    """Tells of a load that no wind acts on, where there is some."""
+    makers = {signal: name for name in blocks for signal in wiring.output_names(blocks[name])}
+    air, load = makers.get("load_wind"), makers.get("load_state")
+    if air in (None, load) or load is None or isinstance(blocks[air], wind.StillAir):
+        return
+    if "load_wind" not in wiring.input_names(blocks[load]):
+        warnings.warn(
+            f"{load} = {type(blocks[load]).__name__}: no wind acts on the load, since this block "
+            "does not read it; give it an input port load_wind (3), the air's velocity in m/s, in "
+            "W, or have still air by wind=StillAir",
+            ScenarioWarning,
+            stacklevel=5,
+        )
 
 
 def _connected(

@@ -71,8 +71,9 @@ class NonstopOptimizer(LeafBlock):
     half and twice the initial A where that is wider. `tightening` covers the
     difference between predicted and simulated speeds. If x⁻ fulfils the constraints it is kept;
     else `solver` looks for the cheapest x that does, and where none is found the least infeasible
-    one is taken. `diagnostics` tells how the update ended, see `Outcome`. The prediction, the
-    constraints and the solvers are described in diagrams/optimization_layer.md.
+    one is taken. `diagnostics` tells how the update ended, see `Outcome`. The prediction, which is
+    for still air, the constraints and the solvers are described in diagrams/optimization_layer.md;
+    the speeds are those over the ground.
 
     `set_speed_bound` and `set_enabled` change parameters of the context during a run, which also
     holds the initial ξ and A, their bounds and what is believed of load, cables and pattern. Where

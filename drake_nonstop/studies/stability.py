@@ -33,6 +33,7 @@ from drake_nonstop.validation import require
 _STEP = 1e-6  # of the differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized
 NEUTRAL = 1 + 1e-4  # above the multipliers of slow integrators, with rounding
+_CHANGES_OF_WIND = ("start_time", "rise_time", "gust", "load_gust")  # fields of its blocks
 _LOAD = box_of("load_state")
 # Whose states are not perturbed.
 _EXOGENOUS = (SAMPLE_AND_HOLD, *(name for name, box in BOXES.items() if not box.is_linearized))
@@ -71,7 +72,7 @@ def at_rest(scenario: Scenario) -> Scenario:
     """The scenario with a load at rest in its first pose, and constant ξ and A.
 
     The paper's phase becomes an accumulated one, which is the same while ξ is constant; there is
-    no disturbance, and the feedback has no error but its delay.
+    no disturbance, the wind is steady, and the feedback has no error but its delay.
 
     Raises:
         ScenarioError: the load of the scenario turns all the time.
@@ -93,11 +94,18 @@ def at_rest(scenario: Scenario) -> Scenario:
         ),
         load_feedback=feedback,
         load_disturbance=NoDisturbanceConfig(),
+        wind=_steady(scenario.wind),
         phase=AccumulatedPhaseConfig(),
         optimization_layer=ConstantParametersConfig(
             **_parameters(scenario.optimization_layer, "frequency", "amplitude", "speed_bound")
         ),
     )
+
+
+def _steady(wind: Any) -> Any:
+    """The wind without gusts, risen from the beginning on."""
+    changing = [name for name in _CHANGES_OF_WIND if hasattr(wind, name)]
+    return dataclasses.replace(wind, **dict.fromkeys(changing, 0.0)) if changing else wind
 
 
 def _parameters(config: Any, *names: str) -> dict[str, Any]:

@@ -86,6 +86,8 @@ class TracedBlock(DiagramBlock):
             parameter of the context. `equations` have the default values.
         key: as of `TracedFunction`; the parameters' values are no part of it.
         late: makes further outputs, which most loops do not read.
+        is_one_call: all outputs but late ones are made by one call into Python, and each depends
+            on what any of them reads.
 
     Raises:
         ValueError: there is nothing to take: neither an input nor a state nor the time.
@@ -103,6 +105,7 @@ class TracedBlock(DiagramBlock):
         parameters: NumericParameters | None = None,
         key: Any = None,
         late: "LateOutputs | None" = None,
+        is_one_call: bool = False,
     ):
         super().__init__()
         parameters = parameters or NumericParameters({})
@@ -127,7 +130,10 @@ class TracedBlock(DiagramBlock):
         time = len(read)
         trace = Trace(function, [*read.values(), *([1] if reads_time else [])], key=key)
         inner = {i for i, name in enumerate(read) if name in _INNER}
-        groups = _groups(trace.dependence, {*inner, time}, has_state=state is not None)
+        dependence = trace.dependence
+        if is_one_call:
+            dependence = [set().union(*dependence)] * len(dependence)
+        groups = _groups(dependence, {*inner, time}, has_state=state is not None)
         parts = [_part_of(trace, group, [*made], time) for group in groups]
         if late is not None:
             parts.append(_late_part(late, read, parameters))

@@ -40,7 +40,11 @@ from drake_nonstop.blocks.force_distribution import (
     CableForceDistribution,
 )
 from drake_nonstop.blocks.internal_force import InternalForceTrajectory
-from drake_nonstop.blocks.load_disturbance import NoDisturbance, Wind, WindConfig
+from drake_nonstop.blocks.load_disturbance import (
+    DisturbanceForce,
+    DisturbanceForceConfig,
+    NoDisturbance,
+)
 from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedback,
     IdealFeedback,
@@ -59,6 +63,15 @@ from drake_nonstop.blocks.load_trajectory import (
 from drake_nonstop.blocks.optimization_layer import ConstantParameters, NonstopOptimizer
 from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
 from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
+from drake_nonstop.blocks.wind import (
+    GustyWind,
+    GustyWindConfig,
+    SteadyWind,
+    SteadyWindConfig,
+    StillAir,
+    WindProfile,
+    WindProfileConfig,
+)
 from drake_nonstop.blocks.wrench_controller import (
     GeometricPd,
     PaperWrenchController,
@@ -85,8 +98,24 @@ def noisy_feedback(model):
     return NoisyFeedback(model, NoisyFeedbackConfig(position_noise=0.1, orientation_noise=0.1))
 
 
+def gusty_force(model):
+    return DisturbanceForce(model, DisturbanceForceConfig(gust_force=1.0))
+
+
+_ALOFT = {"ground_height": -5.0}  # load and carriers are higher than 1 m
+
+
+def rising_wind(model):
+    return SteadyWind(model, SteadyWindConfig(rise_time=8.0))
+
+
+def wind_profile(model):
+    return WindProfile(model, WindProfileConfig(velocity=[3, 1, 1], rise_time=8.0, **_ALOFT))
+
+
 def gusty_wind(model):
-    return Wind(model, WindConfig(gust_force=1.0))
+    config = GustyWindConfig(velocity=[3, 1, 1], exponent=0.2, load_gust=0.3, **_ALOFT)
+    return GustyWind(model, config)
 
 
 def bounded_distribution(model):
@@ -112,7 +141,8 @@ DISTRIBUTION = (
     ],
 )
 _PULLED = ("reference", "desired_cable_forces", "desired_cable_force_rates")
-_ORBIT = ("internal_force", "parameters")
+_ORBIT = ("internal_force", "parameters", "wind_estimate")
+_WINDS = ["wind", "load_wind", "wind_estimate"]
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
@@ -120,9 +150,10 @@ BLOCKS = {
     moving_reference: ([], ["reference"], []),
     ConstantVelocityMove: ([], ["reference"], []),
     **dict.fromkeys(
-        (PaperWrenchController, GeometricPd, TunedWrenchController),
+        (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController),
         everything(
-            ["measured_load_state", "reference"], ["wrench", "wrench_rate", "tracking_error"]
+            ["measured_load_state", "reference", "wind_estimate"],
+            ["wrench", "wrench_rate", "tracking_error"],
         ),
     ),
     bounded_distribution: DISTRIBUTION,
@@ -170,18 +201,6 @@ BLOCKS = {
         ["reference"],
         ["measured_load_state"],
         [("reference", "measured_load_state")],
-    ),
-    WrenchController: (
-        ["measured_load_state", "reference"],
-        ["wrench", "wrench_rate", "tracking_error"],
-        [
-            ("measured_load_state", "wrench"),
-            ("measured_load_state", "wrench_rate"),
-            ("measured_load_state", "tracking_error"),
-            ("reference", "wrench"),
-            ("reference", "wrench_rate"),
-            ("reference", "tracking_error"),
-        ],
     ),
     NonstopOptimizer: (
         [
@@ -244,8 +263,8 @@ BLOCKS = {
         ["measured_load_state"],
         [("load_state", "measured_load_state")],
     ),
-    gusty_wind: ([], ["disturbance_wrench"], []),
-    MultibodyLoadPlant: (["cable_forces", "disturbance_wrench"], ["load_state"], []),
+    gusty_force: ([], ["disturbance_wrench"], []),
+    MultibodyLoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),
     Cables: (
         ["load_state", "carrier_state"],
         ["cable_forces", "tensions"],
@@ -257,7 +276,20 @@ BLOCKS = {
         ],
     ),
     NoDisturbance: ([], ["disturbance_wrench"], []),
-    LoadPlant: (["cable_forces", "disturbance_wrench"], ["load_state"], []),
+    **dict.fromkeys((StillAir, SteadyWind, rising_wind), ([], _WINDS, [])),
+    **dict.fromkeys(
+        (wind_profile, gusty_wind),
+        (
+            ["carrier_state", "load_state"],
+            _WINDS,
+            [
+                ("carrier_state", "wind"),
+                ("load_state", "load_wind"),
+                ("load_state", "wind_estimate"),
+            ],
+        ),
+    ),
+    LoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),
 }
 
 # What a control period adds: the time of the sample.
@@ -292,7 +324,7 @@ def expected_ports(make, period):
 def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
-    held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()}
+    held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()} | {"held_wind_estimate": 3}
     return (sizes | held | {"sample_time": 1, "speed_bound_command": 1})[signal]
 
 
@@ -399,7 +431,9 @@ def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, per
     context.SetTime(time)
     after = check("time")
     for name in before:
-        constant = make is NoDisturbance or (make is ConstantParameters and name == "parameters")
+        constant = make in (NoDisturbance, StillAir, SteadyWind) or (
+            make is ConstantParameters and name == "parameters"
+        )
         assert np.array_equal(before[name], after[name]) == constant, name
 
 
@@ -409,6 +443,8 @@ def test_what_feeds_through_changes_the_output(make, period):
     inputs = {name: values(name, 1, 4) for name in input_names(block)}
     before = fresh(block, inputs, 1, 5.5)
     for source, target in feedthrough(block):
+        if source == "wind_estimate" and target not in _DERIVATIVES:
+            continue  # made by one call with what it changes; a whole feedforward cancels its rate
         after = fresh(block, inputs | {source: values(source, 2, 4)}, 1, 5.5)
         assert not np.array_equal(before[target], after[target]), (source, target)
 
@@ -488,10 +524,12 @@ def test_a_quadratic_program_is_solved_on_floats_only():
 
 
 @pytest.mark.parametrize("n", [3, 6])
-def test_sample_and_hold_passes_nothing_through(n):
-    block = SampleAndHold(model(n, 0.01))
-    assert input_names(block) == ["measured_load_state", "reference"]
-    assert output_names(block) == ["held_measured_load_state", "held_reference", "sample_time"]
+@pytest.mark.parametrize("holds_wind", [False, True])
+def test_sample_and_hold_passes_nothing_through(n, holds_wind):
+    block = SampleAndHold(model(n, 0.01), holds_wind=holds_wind)
+    inputs = ["measured_load_state", "reference", *(["wind_estimate"] if holds_wind else [])]
+    assert input_names(block) == inputs
+    assert output_names(block) == [*(f"held_{name}" for name in inputs), "sample_time"]
     for name in output_names(block):
         assert block.GetOutputPort(name).size() == size(name, n, n)
     assert feedthrough(block) == set()

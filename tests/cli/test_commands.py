@@ -162,6 +162,17 @@ def test_what_limits_have_replaced_is_said(capsys):
         assert load_scenario("quintic", [f"{field}=0.3"])
 
 
+def test_the_former_name_of_a_block_is_refused_with_its_name_of_today(capsys):
+    for setting in ("load_disturbance=Wind", "load_disturbance=!Wind {force: [1, 0, 0]}"):
+        assert main(["run", "quintic", "--set", setting]) == BAD_INPUT
+        error = capsys.readouterr().err
+        now = "Wind, a force on the load, is called DisturbanceForce now"
+        assert error == f"drake-nonstop: load_disturbance = !Wind: {now}\n"
+        assert load_scenario("quintic", [setting.replace("Wind", "DisturbanceForce")])
+    with pytest.raises(ImportError, match="WindConfig is called DisturbanceForceConfig now"):
+        from drake_nonstop import WindConfig  # noqa: F401
+
+
 def test_the_former_name_of_a_field_is_refused_with_its_name_of_today(capsys):
     for setting, field, now in (
         ("duration=5", "quintic.duration = 5: duration", "simulation_duration"),

@@ -58,7 +58,7 @@ def block_names(diagram):
 
 def test_figure_as_listed_is_the_figure_as_built(figure):
     assert set(wiring.connections(figure)) == figure_wires()
-    assert len(figure_wires()) == 27
+    assert len(figure_wires()) == 30
 
 
 def test_every_box_is_there_under_its_name_with_its_default_block(figure):
@@ -90,6 +90,7 @@ def test_every_signal_is_read_but_those_that_only_report(figure):
         "solve_time",
         "speed_bound",
         "tensions",
+        "wind",
         "carrier_reference_acceleration",
         "carrier_reference_jerk",
     }
@@ -102,14 +103,15 @@ def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
     assert {name: box.sizes(4, 4) for name, box in BOXES.items()} == built
 
 
-def test_contract_asks_for_what_is_read_and_for_the_tensions():
+def test_contract_asks_for_what_is_read_and_for_tensions_and_wind():
     asked = {
         f"{name}.{signal}"
         for name, box in BOXES.items()
         for signal in box.signals
         if signal not in box.optional
     }
-    assert asked == {wire.split(" -> ")[0] for wire in figure_wires()} | {"cables.tensions"}
+    unread = {"cables.tensions", "wind.wind"}
+    assert asked == {wire.split(" -> ")[0] for wire in figure_wires()} | unread
 
 
 def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():

@@ -19,6 +19,7 @@ from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.wrench import wrench_and_rate
 
 LOAD = RigidLoad(mass=1.3, inertia=INERTIA, drag=0.7, angular_drag=0.2, gravity=9.81)
+WIND = np.array([3.0, -2.0, 0.5])  # m/s
 PARAMETERS = np.array([1.7, 0.9])
 AXIS = np.array([0.6, -0.48, 0.64])
 TILT = np.array([0.9, 0.3, -0.2, 0.245])
@@ -67,7 +68,7 @@ class Orbits:
         """f and ḟ, both exact: the load is on its reference."""
         wanted = reference(time)
         state = wanted[:13]
-        wrenches = wrench_and_rate(LOAD, state, wanted, np.zeros(6), **GAINS, feedforward=1.0)
+        wrenches = wrench_and_rate(LOAD, state, wanted, np.zeros(6), WIND, **GAINS, feedforward=1.0)
         return cable_forces_and_rates(
             state,
             *wrenches,
@@ -84,6 +85,7 @@ class Orbits:
             *self.forces(time),
             self.internal_force(time),
             PARAMETERS,
+            WIND,
             pseudo_inverse=self.pseudo_inverse,
             basis=self.basis,
         )

@@ -8,6 +8,7 @@ from drake_nonstop.mechanics.rotation import quaternion_rate
 from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
 
 LOAD = RigidLoad(mass=1.3, inertia=INERTIA, drag=0.7, gravity=9.7)
+WIND = np.array([3.0, -2.0, 0.5])  # m/s
 NO_GAINS = dict.fromkeys(GAINS, 0.0)
 
 
@@ -104,6 +105,7 @@ def differences_of_wrench(gains, feedforward, reference_at):
             y[:13],
             reference_at(t, y[19:]),
             y[13:19],
+            WIND,
             **gains,
             feedforward=feedforward,
         )
@@ -111,7 +113,7 @@ def differences_of_wrench(gains, feedforward, reference_at):
     def rate(t, y):
         reference = reference_at(t, y[19:])
         load_rate = load_state_rate(
-            LOAD, y[:13], np.zeros(3), control(t, y)[0], attachments=np.zeros((1, 3))
+            LOAD, y[:13], np.zeros(3), control(t, y)[0], WIND, attachments=np.zeros((1, 3))
         )
         error = tracking_error(y[:13], reference)[:6]
         return np.concatenate([load_rate, error, quaternion_rate(y[19:], reference[7:10])])
