@@ -67,6 +67,7 @@ from drake_nonstop.model.system import (
     PatternConfig,
     SystemParameters,
     WatchedModel,
+    given_fields,
     overridden,
 )
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
@@ -145,13 +146,15 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_controller": Box(
         variants=carrier_controller.VARIANTS,
-        signals={"carrier_forces": "3n"},
+        signals={"carrier_forces": "3n", "aircraft_command": "3n", "command_saturation": "3n"},
+        optional=("carrier_forces", "aircraft_command", "command_saturation"),
         place=Place(4, 3, -1, Kind.PLANT),
         is_fused=True,
     ),
     "carrier_dynamics": Box(
         variants=carrier_dynamics.VARIANTS,
-        signals={"carrier_state": "6n"},
+        signals={"carrier_state": "6n", "aircraft_state": "4n", "carrier_acceleration": "3n"},
+        optional=("aircraft_state", "carrier_acceleration"),
         place=Place(3, 3, -1, Kind.PLANT),
         is_simulated=True,
         is_fused=True,
@@ -187,6 +190,11 @@ BOXES: dict[str, Box] = {
 # Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
 # plant in place of its boxes.
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
+# What commands carriers; the controller makes one. The blocks that make it and read it.
+COMMANDS = {
+    "carrier_forces": ("CarrierPid", "CarrierDynamics"),
+    "aircraft_command": ("FixedWingController", "FixedWingDynamics"),
+}
 EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
 PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
     SAMPLE_AND_HOLD: Place(1, 2, 1, Kind.ADDITION),
@@ -399,7 +407,7 @@ def _made_parts(
         plant.attachments,
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
-    given = [name for name, value in vars(scenario.simulated).items() if value is not None]
+    given = given_fields(scenario.simulated)
     simulated = Model(
         plant,
         scenario.pattern,
@@ -425,6 +433,7 @@ def _made_parts(
         blocks[name] = _made(f"extra {name}", _maker(name, entry), model, "")
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
     _require_motion(believed, blocks)
+    _check_command(blocks)
     return _Parts(believed, blocks, watched)
 
 
@@ -439,6 +448,26 @@ def _require_motion(model: Model, blocks: Mapping[str, System]) -> None:
             "its carriers keep their places above the load, which does not turn at the start, and "
             "would stop; give load_trajectory: !SteadyTurn, or a pattern with orbits",
         )
+
+
+def _check_command(blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where the carriers' controller makes what their dynamics do not read."""
+    controller, dynamics = (blocks.get(name) for name in ("carrier_controller", "carrier_dynamics"))
+    if controller is None or dynamics is None:
+        return
+    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    optional = wiring.optional_inputs(dynamics)
+    for signal, (maker, _) in COMMANDS.items():
+        if signal in wiring.input_names(dynamics) and signal not in optional | made:
+            own = type(controller).__name__
+            other = next((s for s in COMMANDS if s in wiring.output_names(controller)), "")
+            remedy = f"give carrier_controller={maker}"
+            if other:
+                remedy += f", or carrier_dynamics={COMMANDS[other][1]}, which reads {other}"
+            raise wiring.WiringError(
+                f"carrier_dynamics = {type(dynamics).__name__}: it reads {signal}, which "
+                f"carrier_controller = {own} does not make; {remedy}"
+            )
 
 
 def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
@@ -537,7 +566,7 @@ def _signals_left_out(model: Model, blocks: Mapping[str, System]) -> dict[str, i
         signal
         for box in BOXES.values()
         for signal in box.signals
-        if signal not in box.optional and signal not in made
+        if (signal not in box.optional or signal in COMMANDS) and signal not in made
     ]
     sizes = _figure_sizes(model)
     return {signal: sizes[signal] for signal in missing}

@@ -18,6 +18,7 @@ from drake_nonstop.diagrams.parameters import (
     parameters,
     set_parameter,
 )
+from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     ConstantSpreadConfig,
@@ -70,6 +71,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "dump_scenario",
     "scenario_names",
     "RunLimits",
+    "AircraftParameters",
     "SystemParameters",
     "HamiltonianCycleConfig",
     "CarouselConfig",

@@ -32,7 +32,7 @@ class _TrajectoryAboveLoad(TracedBlock):
         pose: the signal with the load's pose, and its size: a load state, or what begins with
             one.
         stretches: whether the cables do, by their stiffness.
-        derivatives: makes accelerations and jerks as well, of these inputs and two more.
+        derivatives: makes accelerations and jerks as well, of these inputs and three more.
     """
 
     is_sampled = True
@@ -74,7 +74,7 @@ class _TrajectoryAboveLoad(TracedBlock):
         parameters = _of_cables(stretches)
         if derivatives is not None:
             inputs |= {"internal_force": 2 * model.m, "parameters": PARAMETERS_SIZE}
-            inputs["wind_estimate"] = WIND_SIZE
+            inputs |= {"wind_estimate": WIND_SIZE}
             parameters += LOAD
         is_sampled = model.control_period > 0
         if is_sampled:

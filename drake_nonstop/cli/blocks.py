@@ -27,11 +27,10 @@ def _blocks(options: argparse.Namespace) -> int:
     for box in boxes:
         needed = _ports([port for port in box.signals if not port.is_optional])
         optional = _ports([port for port in box.signals if port.is_optional])
+        kinds = [needed, f"optional {optional}" if optional else ""]
+        made = "; ".join(filter(None, kinds))
         print()
-        _print_wrapped(
-            f"{needed}{f'; optional {optional}' if optional else ''}",
-            f"{box.name}{' -> ' if needed else ''}",
-        )
+        _print_wrapped(made, f"{box.name}{' -> ' if made else ''}")
         for i, choice in enumerate(box.choices):
             print(f"\n  {choice.name}{' (default)' if i == 0 else ''}")
             _print_wrapped(choice.summary, "    ")

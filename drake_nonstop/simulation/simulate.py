@@ -45,7 +45,7 @@ from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_hal
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
-from drake_nonstop.systems.wiring import input_names, require_signals
+from drake_nonstop.systems.wiring import input_names, nested, require_signals
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
 # Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
@@ -197,6 +197,7 @@ def _simulate(
         sample=sample,
         progress=progress,
         after_step=after_step,
+        is_over=_end(nonstop, context),
     )
     nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
     try:
@@ -213,7 +214,8 @@ def _simulate(
             if not is_second:
                 interruption.collect = lambda: finished(interrupted())
             simulator.Initialize()
-            simulator.AdvanceTo(scenario.simulation_duration)
+            if not monitor.has_ended:
+                simulator.AdvanceTo(scenario.simulation_duration)
             for visualizer in visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
     except KeyboardInterrupt:
@@ -242,6 +244,8 @@ def _simulate(
             interruption.collect = None
     if interruption.number:
         return finished(interrupted())
+    if monitor.has_ended:
+        return finished()  # as it is: another step may end it elsewhere
     if context.get_time() < scenario.simulation_duration:
         return finished(f"the run was ended at t = {context.get_time():.4f} s")
     run = finished()
@@ -360,6 +364,18 @@ def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> N
                 f"not by the scenario's speed bound of {stated:g} m/s"
             )
             warnings.warn(message, ScenarioWarning, stacklevel=4)
+
+
+def _end(nonstop: Diagram, context: Context) -> Callable[[], bool] | None:
+    """Whether a block ends the run, of those that may; None: there are none.
+
+    Such a block has a method `ends_run(context)`, which gets the block's own context.
+    """
+    loop = nested(nonstop, RUN_SIGNALS)[-1]
+    blocks: list[Any] = [block for block in loop.GetSystems() if hasattr(block, "ends_run")]
+    if not blocks:
+        return None
+    return lambda: any(block.ends_run(block.GetMyContextFromRoot(context)) for block in blocks)
 
 
 def _at_equilibrium(nonstop: Diagram) -> Context:

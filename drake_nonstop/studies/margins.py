@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_nonstop.blocks.load_feedback import NoisyFeedbackConfig
+from drake_nonstop.model.aircraft import values_of
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
@@ -185,6 +186,14 @@ _CONTROLLER_PARAMETERS = (
 )
 
 
+def _mass(scenario: Scenario) -> tuple[str, float]:
+    """The override that gives the carriers another mass, and the mass, kg."""
+    system = overridden(scenario.system, scenario.simulated)
+    if system.aircraft is None:
+        return "simulated.carrier_mass={}", system.carrier_mass
+    return "simulated.aircraft.mass={}", values_of(system.aircraft)["mass"]
+
+
 def _axes(scenario: Scenario) -> list[_Axis]:
     sample = scenario.control_period or 0.01
     controller = scenario.carrier_controller
@@ -201,8 +210,7 @@ def _axes(scenario: Scenario) -> list[_Axis]:
             (
                 "carrier mass",
                 "kg",
-                "simulated.carrier_mass={}",
-                overridden(scenario.system, scenario.simulated).carrier_mass,
+                *_mass(scenario),
             ),
             *(
                 (name, unit, f"carrier_controller.{field}={{}}", getattr(controller, field))

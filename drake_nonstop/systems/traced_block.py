@@ -85,9 +85,9 @@ class TracedBlock(DiagramBlock):
         parameters: what `function` takes by name, as arrays, numbers as (1,), besides: a numeric
             parameter of the context. `equations` have the default values.
         key: as of `TracedFunction`; the parameters' values are no part of it.
+        is_one_call: all outputs are made by one call into Python, and each depends on what any of
+            them reads.
         late: makes further outputs, which most loops do not read.
-        is_one_call: all outputs but late ones are made by one call into Python, and each depends
-            on what any of them reads.
 
     Raises:
         ValueError: there is nothing to take: neither an input nor a state nor the time.
@@ -104,8 +104,8 @@ class TracedBlock(DiagramBlock):
         reads_time: bool = False,
         parameters: NumericParameters | None = None,
         key: Any = None,
-        late: "LateOutputs | None" = None,
         is_one_call: bool = False,
+        late: "LateOutputs | None" = None,
     ):
         super().__init__()
         parameters = parameters or NumericParameters({})

@@ -26,6 +26,7 @@ from drake_nonstop.blocks.carrier_controller import (
 )
 from drake_nonstop.blocks.carrier_dynamics import (
     CarrierDynamics,
+    FixedWingDynamics,
     IdealCarriers,
     LoadedCarrierDynamics,
 )
@@ -80,6 +81,7 @@ from drake_nonstop.blocks.wrench_controller import (
 )
 from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.scenario.describe import parameters
 from drake_nonstop.validation import ScenarioError
 
@@ -239,6 +241,15 @@ BLOCKS = {
     ),
     CarrierDynamics: (["carrier_forces"], ["carrier_state"], []),
     LoadedCarrierDynamics: (["carrier_forces", "cable_forces"], ["carrier_state"], []),
+    FixedWingDynamics: (
+        ["aircraft_command", "cable_forces", "wind"],
+        ["carrier_state", "aircraft_state", "carrier_acceleration"],
+        [
+            ("wind", "aircraft_state"),
+            ("wind", "carrier_acceleration"),
+            ("cable_forces", "carrier_acceleration"),
+        ],
+    ),
     LoadedCarrierPid: (
         ["carrier_reference", "carrier_state", "desired_cable_forces"],
         ["carrier_forces"],
@@ -311,7 +322,7 @@ cases = pytest.mark.parametrize(
 @functools.cache
 def built(make, n, period):
     """A block, which no test changes: what it computes is in the contexts."""
-    return make(model(n, period))
+    return make(model(n, period, aircraft=AircraftParameters(model="rascal_110")))
 
 
 def expected_ports(make, period):

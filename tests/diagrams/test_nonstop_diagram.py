@@ -22,7 +22,7 @@ from drake_nonstop.blocks.phase import PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams import nonstop
 from drake_nonstop.diagrams.box import block_class, config_class
-from drake_nonstop.diagrams.nonstop import BOXES, box_of, figure_wires, make_nonstop
+from drake_nonstop.diagrams.nonstop import BOXES, COMMANDS, box_of, figure_wires, make_nonstop
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -50,6 +50,13 @@ def figure():
 def sampled_figure():
     """The default diagram with sampled controllers."""
     return make_nonstop(Scenario(control_period=0.01))
+
+
+# What only blocks of aircraft make.
+OF_AIRCRAFT = {
+    "carrier_controller": ("aircraft_command", "command_saturation"),
+    "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
+}
 
 
 def block_names(diagram):
@@ -100,7 +107,11 @@ def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
     built = {b.get_name(): wiring.output_sizes(b) for b in sampled_figure.GetSystems()}
     hold = built.pop("sample_and_hold")
     assert hold == {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
-    assert {name: box.sizes(4, 4) for name, box in BOXES.items()} == built
+    contract = {name: box.sizes(4, 4) for name, box in BOXES.items()}
+    for name, signals in OF_AIRCRAFT.items():
+        for signal in signals:
+            del contract[name][signal]
+    assert contract == built
 
 
 def test_contract_asks_for_what_is_read_and_for_tensions_and_wind():
@@ -111,7 +122,8 @@ def test_contract_asks_for_what_is_read_and_for_tensions_and_wind():
         if signal not in box.optional
     }
     unread = {"cables.tensions", "wind.wind"}
-    assert asked == {wire.split(" -> ")[0] for wire in figure_wires()} | unread
+    either = {f"carrier_controller.{signal}" for signal in COMMANDS}  # which the dynamics ask for
+    assert asked | either == {wire.split(" -> ")[0] for wire in figure_wires()} | unread | either
 
 
 def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
@@ -303,7 +315,10 @@ def test_every_box_asks_for_its_signals_at_their_sizes(box):
         others = {name: size for name, size in sizes.items() if name != signal}
         with pytest.raises(wiring.WiringError, match=f"^{box} = Ports with outputs .*: expected"):
             build(**{box: with_ports({}, others | {signal: sizes[signal] + 1})})
-        if signal in BOXES[box].optional:
+        if signal == "carrier_forces":
+            with pytest.raises(wiring.WiringError, match=r"reads carrier_forces, which carrier_co"):
+                build(**{box: with_ports({}, others)})
+        elif signal in BOXES[box].optional:
             build(**{box: with_ports({}, others)})
         else:
             with pytest.raises(wiring.WiringError, match=rf"expected .*{signal} \({sizes[signal]}"):
@@ -339,6 +354,7 @@ def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wro
     assert message.startswith(start)
     assert message.endswith(end)
     absent = {"diagnostics", "solve_time"}  # of the optimizer, which is not there
+    absent |= {signal for signals in OF_AIRCRAFT.values() for signal in signals}
     if period > 0:
         signals |= {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
     listed = [f"{signal} ({signals[signal]})" for signal in sorted(signals.keys() - absent)]
@@ -410,7 +426,12 @@ def scenario_and_diagram(request):
 
 @pytest.mark.parametrize(
     ("name", "block"),
-    [(name, block) for name, box in BOXES.items() for block in box.variants],
+    [
+        (name, block)
+        for name, box in BOXES.items()
+        for block in box.variants
+        if block.__name__ not in COMMANDS["aircraft_command"]  # which come in a pair
+    ],
     ids=lambda value: value if isinstance(value, str) else value.__name__,
 )
 def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):

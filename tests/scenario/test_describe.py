@@ -12,6 +12,7 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.mechanics.internal_force import even_phases, hamiltonian_cycle
+from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.describe import box_names, describe, parameters
@@ -123,7 +124,10 @@ def test_every_port_is_listed_with_its_size_whatever_n_and_m_are(boxes, n, m):
         basis=hamiltonian_cycle(regular(n))[:, edges].tolist(),
         phases=even_phases(n)[edges].tolist(),
     )
-    model = Model(SystemParameters(attachments=regular(n).tolist()), pattern, 0.01)
+    system = SystemParameters(
+        attachments=regular(n).tolist(), aircraft=AircraftParameters(model="rascal_110")
+    )
+    model = Model(system, pattern, 0.01)
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
     texts = {s: k for box in BOXES.values() for s, k in box.signals.items()}
     for single in ("sample_time", "speed_bound_command"):

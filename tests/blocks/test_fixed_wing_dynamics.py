@@ -1,0 +1,235 @@
+"""Aircraft as a block: states, trim, energies, stall and parameters of the context."""
+
+import numpy as np
+import pytest
+from aircraft_loops import controller, flying
+from helpers import fix, model, output
+from pydrake.systems.analysis import Simulator
+
+from drake_nonstop import (
+    ScenarioError,
+    compute_metrics,
+    get_parameter,
+    kinetic_energy,
+    make_nonstop,
+    potential_energy,
+    set_parameter,
+    simulate,
+)
+from drake_nonstop.blocks.carrier_controller import CarrierPidConfig
+from drake_nonstop.blocks.carrier_dynamics import (
+    CarrierDynamicsConfig,
+    FixedWingDynamics,
+    FixedWingDynamicsConfig,
+)
+from drake_nonstop.mechanics.aircraft import FlightStates, air_force
+from drake_nonstop.mechanics.signals import AircraftState
+from drake_nonstop.model.aircraft import AircraftParameters
+from drake_nonstop.simulation.outcome import RunOutcome
+from drake_nonstop.systems.traced_block import TracedBlock
+
+RASCAL = AircraftParameters(model="rascal_110")
+
+
+def flown(n=3, config=None, **inputs):
+    """The block and a context in flight at 15 m/s along x, with inputs."""
+    block = FixedWingDynamics(model(n, aircraft=RASCAL, cable_length=150.0), config)
+    context = block.CreateDefaultContext()
+    given = {"aircraft_command": 3 * n, "cable_forces": 3 * n, "wind": 3 * n}
+    fix(block, context, **{name: np.zeros(size) for name, size in given.items()} | inputs)
+    velocities = np.tile([15.0, 0.0, 0.0], n)
+    block.SetCarrierState(context, np.concatenate([np.arange(3.0 * n), velocities]))
+    return block, context
+
+
+@pytest.mark.parametrize("n", [3, 6])
+def test_trim_gives_the_acceleration(rng, n):
+    pull, wind = rng.uniform(-5, 10, 3 * n), rng.uniform(-2, 2, 3 * n)
+    acceleration = rng.uniform(-0.7, 0.7, 3 * n)
+    block, context = flown(n, cable_forces=pull, wind=wind)
+    before = output(block, context, "carrier_state")
+    block.TrimCarriersTo(context, acceleration)
+    np.testing.assert_allclose(
+        output(block, context, "carrier_acceleration"), acceleration, atol=1e-9
+    )
+    np.testing.assert_array_equal(output(block, context, "carrier_state"), before)
+    # Newton's second law with the forces of the shown state.
+    shown = AircraftState.view(output(block, context, "aircraft_state"))
+    air = (before[3 * n :] - wind).reshape(n, 3)
+    aircraft = block._aircraft
+    force = air_force(aircraft, air, shown.lift, shown.bank, shown.thrust)
+    expected = (force - pull.reshape(n, 3)) / 6.0 - [0, 0, 9.81]
+    np.testing.assert_allclose(acceleration, expected.ravel(), atol=1e-9)
+    np.testing.assert_allclose(shown.airspeed, np.linalg.norm(air, axis=1), rtol=1e-12)
+
+
+def test_a_trimmed_block_flies_straight():
+    block, _ = flown()
+    simulator = Simulator(block)
+    context = simulator.get_mutable_context()
+    fix(block, context, aircraft_command=np.zeros(9), cable_forces=np.zeros(9), wind=np.zeros(9))
+    start = np.concatenate([np.zeros(9), np.tile([15.0, 0.0, 0.0], 3)])
+    block.SetCarrierState(context, start)
+    block.TrimCarriersTo(context, np.zeros(9))
+    states = FlightStates.view(context.get_continuous_state_vector().CopyToVector())
+    fix(block, context, aircraft_command=np.concatenate([*states[1:4]]))
+    simulator.AdvanceTo(1.0)
+    expected = start + np.concatenate([np.tile([15.0, 0.0, 0.0], 3), np.zeros(9)])
+    np.testing.assert_allclose(output(block, context, "carrier_state"), expected, atol=1e-6)
+
+
+def test_energies_of_the_aircraft():
+    block, context = flown()
+    assert block.CalcKineticEnergy(context) == pytest.approx(3 * 0.5 * 6.0 * 15.0**2)
+    assert block.CalcPotentialEnergy(context) == pytest.approx(6.0 * 9.81 * (2 + 5 + 8))
+
+
+@pytest.mark.parametrize("cause", ["lift", "speed", "gust"])
+def test_a_stall_ends_a_run(cause):
+    block, context = flown()
+    assert not block.ends_run(context)
+    states = context.get_continuous_state_vector().CopyToVector()
+    if cause == "lift":
+        states[18 + 1] = 1.4
+    elif cause == "speed":
+        states[9] = 8.3
+    else:
+        states[18:21] = 1.2
+        fix(block, context, wind=np.array([0, 0, 0, 0, 0, 0.7, 0, 0, 0]))
+    context.SetContinuousState(states)
+    assert block.ends_run(context)
+    other, _ = flown(config=FixedWingDynamicsConfig(stops_at_stall=False))
+    assert not other.ends_run(context)
+
+
+def test_without_aircraft_it_is_refused():
+    with pytest.raises(ScenarioError) as error:
+        FixedWingDynamics(model())
+    assert str(error.value) == (
+        "system.aircraft = none: carrier_dynamics = FixedWingDynamics flies aircraft; give "
+        "{model: rascal_110}, or choose another block for carrier_dynamics"
+    )
+
+
+@pytest.fixture(scope="module")
+def loop():
+    return make_nonstop(flying(), carrier_controller=controller)
+
+
+def test_new_contexts_start_in_trim(loop):
+    """The aircraft have the acceleration of their reference, and the load is at rest."""
+    context = loop.CreateDefaultContext()
+    np.testing.assert_allclose(
+        output(loop, context, "carrier_acceleration"),
+        output(loop, context, "carrier_reference_acceleration"),
+        atol=1e-8,
+    )
+    shown = AircraftState.view(output(loop, context, "aircraft_state"))
+    assert np.all(shown.lift < 0.8 * 1.4)
+    assert kinetic_energy(loop, context) > 0
+    assert potential_energy(loop, context) > 0
+
+
+def test_parameters_are_those_of_a_loop_built_with_them(loop):
+    context = loop.CreateDefaultContext()
+    changes = {"mass": 6.6, "lift_slope": 4.5, "max_thrust": [60.0, -1.2, 0.01]}
+    for name, value in changes.items():
+        set_parameter(loop, context, f"simulated.aircraft.{name}", value)
+    other = make_nonstop(
+        flying(*(f"simulated.aircraft.{name}={value}" for name, value in changes.items())),
+        carrier_controller=controller,
+        at_equilibrium=False,
+    )
+    own = other.CreateDefaultContext()
+    state = context.get_continuous_state_vector().CopyToVector()
+    own.SetContinuousState(state)
+    np.testing.assert_array_equal(
+        output(loop, context, "carrier_acceleration"), output(other, own, "carrier_acceleration")
+    )
+    assert get_parameter(loop, context, "simulated.aircraft.mass") == 6.6
+
+
+def test_parameters_of_a_loop_are_checked(loop):
+    context = loop.CreateDefaultContext()
+    for path, value, said in (
+        ("system.aircraft.mass", -1.0, "give a finite number greater than zero"),
+        ("system.aircraft.mass", 80.0, "at its top speed"),
+        ("system.aircraft.model", "rascal_110", "it is fixed as the loop is built"),
+        ("system.carrier_mass", 5.0, "leave it out: the carriers are aircraft of 6 kg"),
+    ):
+        with pytest.raises(ScenarioError, match=said):
+            set_parameter(loop, context, path, value)
+
+
+@pytest.mark.parametrize(
+    ("blocks", "said"),
+    [
+        (
+            {"carrier_dynamics": CarrierDynamicsConfig(), "carrier_controller": controller},
+            "carrier_dynamics = CarrierDynamics: it reads carrier_forces, which "
+            "carrier_controller = TracedBlock does not make; give carrier_controller=CarrierPid, "
+            "or carrier_dynamics=FixedWingDynamics, which reads aircraft_command",
+        ),
+        (
+            {"carrier_controller": CarrierPidConfig()},
+            "carrier_dynamics = FixedWingDynamics: it reads aircraft_command, which "
+            "carrier_controller = CarrierPid does not make; give "
+            "carrier_controller=FixedWingController, or carrier_dynamics=CarrierDynamics, which "
+            "reads carrier_forces",
+        ),
+    ],
+)
+def test_half_a_pair_is_refused(blocks, said):
+    with pytest.raises(ScenarioError) as error:
+        make_nonstop(flying(), **blocks)
+    assert str(error.value) == said
+
+
+def test_a_short_flight_is_ok_and_keeps_to_its_references():
+    run = simulate(flying("simulation_duration=0.3"), carrier_controller=controller)
+    assert compute_metrics(run)["outcome"] == RunOutcome.OK
+    lag = run.signal("carrier_state") - run.signal("carrier_reference")
+    assert np.max(np.abs(lag[:, :9])) < 0.02
+    assert run.steps["aircraft_state"].shape[1] == 12
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_a_run_goes_on_to_its_first_stall(stops):
+    """The second aircraft is told to pull up, and stalls within the half second."""
+    scenario = flying(
+        f"carrier_dynamics.stops_at_stall={'true' if stops else 'false'}",
+        "simulation_duration=0.6",
+    )
+    run = simulate(scenario, carrier_controller=stalling)
+    metrics = compute_metrics(run)
+    assert metrics["outcome"] == RunOutcome.STALLED
+    shown = AircraftState.view(run.steps["aircraft_state"])
+    time = run.steps["time"]
+    (first,) = np.flatnonzero(np.any(shown.lift >= 1.4 * (1 - 1e-9), axis=1))[:1]
+    assert 0 < time[first] < 0.6
+    (reason,) = [text for text in metrics["reasons"] if "stalled" in text]
+    assert reason.startswith(f"carrier 2 stalled at t = {time[first]:.3f} s")
+    assert ("where the run ended" in reason) == stops
+    assert time[-1] == (time[first] if stops else 0.6)
+    assert np.max(shown.lift) <= 1.4 * (1 + 1e-12)
+
+
+def stalling(model):
+    """All aircraft hold what they are trimmed to, but for the second, which pulls up."""
+    n = model.n
+    command = np.concatenate([[0.7, 3.0, 0.7], np.zeros(n), np.full(n, 15.0)])
+    return TracedBlock(
+        lambda state: command + 0 * state[: 3 * n],
+        inputs={"carrier_state": 6 * n},
+        outputs={"aircraft_command": 3 * n},
+    )
+
+
+def test_a_run_that_starts_stalled_ends_there():
+    """A formation so slow that its trim needs more lift than there is."""
+    scenario = flying("optimization_layer.amplitude=2.0", "simulation_duration=0.3")
+    run = simulate(scenario, carrier_controller=controller)
+    metrics = compute_metrics(run)
+    assert metrics["outcome"] == RunOutcome.STALLED
+    assert metrics["reasons"][0].startswith("carrier 1 stalled at t = 0.000 s, where the run ended")
+    np.testing.assert_array_equal(run.steps["time"], [0.0])
