@@ -159,3 +159,32 @@ class InternalForce(NamedTuple):
         """The parts of an array (..., 2m)."""
         half = values.shape[-1] // 2
         return cls(values[..., :half], values[..., half:])
+
+
+class AircraftCommand(NamedTuple):
+    """What n aircraft are told."""
+
+    lift: NDArray  # (..., n), C_L
+    bank: NDArray  # (..., n), rad, positive to the right
+    thrust: NDArray  # (..., n), N
+
+    @classmethod
+    def view(cls, values: NDArray) -> "AircraftCommand":
+        """The parts of an array (..., 3n)."""
+        n = values.shape[-1] // 3
+        return cls(values[..., :n], values[..., n : 2 * n], values[..., 2 * n :])
+
+
+class AircraftState(NamedTuple):
+    """What n aircraft show besides their positions and velocities."""
+
+    lift: NDArray  # (..., n), C_L with the gusts' part, at most its maximum
+    bank: NDArray  # (..., n), rad, positive to the right
+    thrust: NDArray  # (..., n), N
+    airspeed: NDArray  # (..., n), m/s
+
+    @classmethod
+    def view(cls, values: NDArray) -> "AircraftState":
+        """The parts of an array (..., 4n)."""
+        n = values.shape[-1] // 4
+        return cls(*(values[..., i * n : (i + 1) * n] for i in range(4)))

@@ -7,6 +7,7 @@ from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoD
 from pydrake.symbolic import Expression, MakeVectorVariable
 
 from drake_nonstop.mechanics import (
+    aircraft,
     cable,
     carrier,
     circle,
@@ -33,6 +34,11 @@ LOAD = rigid_load.RigidLoad(mass=1.3, inertia=INERTIA, drag=0.7, gravity=9.81)
 CABLES = {"attachments": ATTACHMENTS, "rest_length": 0.2}
 CONTROL = {**GAINS, "feedforward": 1.0}
 
+AIRCRAFT = aircraft.Aircraft(
+    *(0.3, 0.05, 1.2, 0.2, 4.0, 1.3, 0.05, 0.06),
+    *(np.array([8.0, -0.5, 0.0]), np.array([0.0, 0.0, -0.03])),
+    *(0.2, 0.3, 0.4, 1.1, 0.4, 0.6, 1.2, 1e-3, 1.1, 3.0, 9.81),
+)
 
 STRETCH = {"rest_length": 0.2, "compliance": 1 / 500}
 AXES = nonstop.orbit_axes(BASIS, PHASES)
@@ -176,6 +182,16 @@ EQUATIONS = {
         lambda *a: carrier.double_integrator_rate(*a, mass=0.1),
         [6 * N, 3 * N],
     ),
+    "flight_rate": (
+        lambda states, *others: aircraft.flight_rate(AIRCRAFT, states, *others),
+        [12 * N, 3 * N, 3 * N, 3 * N],
+    ),
+    "required_command": (
+        lambda *a: tuple(aircraft.required_command(AIRCRAFT, *a)),
+        [3, 3, 3],
+    ),
+    "drawn_power": (lambda *a: aircraft.drawn_power(AIRCRAFT, *a), [N, N]),
+    "shown_state": (lambda *a: aircraft.shown_state(AIRCRAFT, *a), [12 * N, 3 * N]),
     "phase_of": (nonstop.phase_of, [2, 2, 2]),
     "advance": (lambda *a: nonstop.advance(*a, 0.01), [13, 3, 3]),
     "predicted_speeds": (predicted_speeds, [1, 1, 13, 13, 6, 6, 6]),

@@ -1,0 +1,331 @@
+"""Fixed-wing aircraft on cables: point masses with lift, bank and thrust.
+
+The 3-DoF model of coordinated flight. With the velocity through the air V_a = v − w, V = ‖V_a‖,
+
+    x = V_a/V,   z′ = unit(e₃ − (e₃·x) x),   y = x × z′,   l = cos μ z′ + sin μ y,   q = ½ ρ V²,
+
+forward, up, right, and the direction of the lift at a bank μ, an aircraft of mass m moves by
+
+    m v̇ = q S C_L l + T (cos α x + sin α l) − q S C_D x − m g e₃ − f,
+    C_L = C_L0 + C_Lα α,   C_D = C_D0 + k C_L² + C_Dc d L_c/(4 S),
+
+where f is the cable's force on the load. The last term of C_D is the drag of a cable of the
+diameter d, whose velocity grows linearly from the load to the aircraft. C_L, μ and T follow their
+commands with first-order lags.
+
+Arrays of vectors are (..., 3), those of numbers (...,), of any leading axes that broadcast. All
+are in W and SI. Coefficients are those of the wing area S.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.cable import positive_part
+from drake_nonstop.mechanics.rotation import absolute, cross
+from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState
+
+_UP = np.array([0.0, 0.0, 1.0])
+_LEAST = 1e-12  # beside squares of speeds and of direction vectors, which may vanish
+_LARGEST_ANGLE = 0.6  # rad, of attack, far beyond stall, that a command is looked for within
+_ITERATIONS = 2  # of Newton's method: to 2e-13 rad in flight; each multiplies an Expression by 11
+
+
+class Aircraft(NamedTuple):
+    """The parameters of an aircraft; numbers may be arrays (1,), also of symbols."""
+
+    mass: float | NDArray  # kg
+    wing_area: float | NDArray  # m²
+    wing_span: float | NDArray  # m
+    lift_at_zero_angle: float | NDArray  # C_L0
+    lift_slope: float | NDArray  # C_Lα, 1/rad
+    max_lift: float | NDArray  # C_Lmax
+    zero_lift_drag: float | NDArray  # C_D0
+    induced_drag: float | NDArray  # k, of C_L²
+    max_thrust: NDArray  # (3,), N, N s/m, N s²/m²: T_max = a + b V + c V²
+    min_thrust: NDArray  # (3,), likewise
+    lift_lag: float | NDArray  # s
+    bank_lag: float | NDArray  # s
+    thrust_lag: float | NDArray  # s
+    max_roll_rate: float | NDArray  # rad/s
+    gust_time: float | NDArray  # s, after which the autopilot has taken out a gust's angle
+    efficiency: float | NDArray  # of propeller and motor
+    air_density: float | NDArray  # kg/m³
+    cable_diameter: float | NDArray  # m
+    cable_drag: float | NDArray  # C_Dc, of the cable's diameter
+    cable_length: float | NDArray  # m
+    gravity: float | NDArray  # m/s²
+
+    @property
+    def cable_drag_share(self) -> float | NDArray:
+        """The cable's part of C_D: C_Dc d L_c/(4 S)."""
+        return self.cable_drag * self.cable_diameter * self.cable_length / (4 * self.wing_area)
+
+
+class AirFrame(NamedTuple):
+    """The directions of flight through the air."""
+
+    airspeed: NDArray  # (..., 1), V, m/s
+    forward: NDArray  # (..., 3), x
+    right: NDArray  # (..., 3), y
+    up: NDArray  # (..., 3), z′
+
+    def lift_direction(self, bank: NDArray) -> NDArray:
+        """l (..., 3) at banks (...,), rad."""
+        angle = bank[..., None]
+        return np.cos(angle) * self.up + np.sin(angle) * self.right
+
+
+def air_frame(air_velocity: NDArray) -> AirFrame:
+    """The directions of a velocity through the air V_a = v − w (..., 3), m/s, in W.
+
+    Of one that is zero, or vertical, `forward`, or `up` and `right`, are zero.
+    """
+    airspeed = np.sqrt((air_velocity * air_velocity).sum(axis=-1, keepdims=True) + _LEAST)
+    forward = air_velocity / airspeed
+    upward = _UP - forward[..., 2:] * forward
+    upward = upward / np.sqrt((upward * upward).sum(axis=-1, keepdims=True) + _LEAST)
+    return AirFrame(airspeed, forward, cross(forward, upward), upward)
+
+
+def angle_of_attack(aircraft: Aircraft, lift: NDArray) -> NDArray:
+    """α (...,), rad, of lift coefficients."""
+    return (lift - aircraft.lift_at_zero_angle) / aircraft.lift_slope
+
+
+def drag_coefficient(aircraft: Aircraft, lift: NDArray) -> NDArray:
+    """C_D (...,), with the cable's, of lift coefficients."""
+    own = aircraft.zero_lift_drag + aircraft.induced_drag * lift * lift
+    return own + aircraft.cable_drag_share
+
+
+def air_force(
+    aircraft: Aircraft, air_velocity: NDArray, lift: NDArray, bank: NDArray, thrust: NDArray
+) -> NDArray:
+    """Lift, drag and thrust in one (..., 3), N, in W.
+
+    Args:
+        aircraft: the parameters.
+        air_velocity: v − w (..., 3), m/s, in W.
+        lift: C_L (...,), with the gusts' part.
+        bank: μ (...,), rad, positive to the right.
+        thrust: T (...,), N.
+    """
+    frame = air_frame(air_velocity)
+    pressure = _pressure_force(aircraft, frame.airspeed[..., 0])
+    angle = angle_of_attack(aircraft, lift)
+    along = thrust * np.cos(angle) - pressure * drag_coefficient(aircraft, lift)
+    across = thrust * np.sin(angle) + pressure * lift
+    return along[..., None] * frame.forward + across[..., None] * frame.lift_direction(bank)
+
+
+def aircraft_acceleration(
+    aircraft: Aircraft,
+    air_velocity: NDArray,
+    lift: NDArray,
+    bank: NDArray,
+    thrust: NDArray,
+    cable_force: NDArray,
+) -> NDArray:
+    """v̇ (..., 3), m/s², in W; `cable_force` (..., 3), N, is on the load; others as `air_force`."""
+    force = air_force(aircraft, air_velocity, lift, bank, thrust) - cable_force
+    return force / aircraft.mass - aircraft.gravity * _UP
+
+
+def needed_force(aircraft: Aircraft, acceleration: NDArray, cable_force: NDArray) -> NDArray:
+    """What lift, drag and thrust have to sum up to (..., 3), N, in W: m (v̇ + g e₃) + f."""
+    return aircraft.mass * (acceleration + aircraft.gravity * _UP) + cable_force
+
+
+def required_command(
+    aircraft: Aircraft, force: NDArray, velocity: NDArray, wind: NDArray
+) -> AircraftCommand:
+    """C_L, bank and thrust, each (...,), with which `air_force` is the given one: its inverse.
+
+    With F_x = F·x and N = ‖F − F_x x‖ the bank is atan2(F·y, F·z′), and
+
+        N = q S C_L + T sin α,   F_x = T cos α − q S C_D
+
+    are solved for C_L by a fixed number of iterations of Newton's method, from the solution for
+    sin α = α. Limits are not applied; a force that needs an angle of attack beyond ±0.6 rad, far
+    beyond stall, gives the command at that angle.
+
+    Args:
+        aircraft: the parameters.
+        force: F (..., 3), N, in W, see `needed_force`.
+        velocity: v (..., 3), m/s, in W.
+        wind: w (..., 3), m/s, in W.
+    """
+    frame = air_frame(velocity - wind)
+    pressure = _pressure_force(aircraft, frame.airspeed[..., 0])
+    along = (force * frame.forward).sum(axis=-1)
+    sideward = (force * frame.right).sum(axis=-1)
+    upward = (force * frame.up).sum(axis=-1)
+    across = np.sqrt(sideward * sideward + upward * upward + _LEAST)
+    bank = 2 * np.arctan(sideward / (across + upward + _LEAST))
+    slope = aircraft.lift_slope
+    without_thrust = angle_of_attack(aircraft, across / pressure)
+    lift = aircraft.lift_at_zero_angle + slope * _clipped(without_thrust, _LARGEST_ANGLE)
+    drag = drag_coefficient(aircraft, lift)
+    angle = without_thrust * slope / (slope + drag + along / pressure)
+    angle = _clipped(angle, _LARGEST_ANGLE)
+    for _ in range(_ITERATIONS):
+        lift = aircraft.lift_at_zero_angle + slope * angle
+        forward_thrust = along + pressure * drag_coefficient(aircraft, lift)
+        tangent = np.tan(angle)
+        residual = pressure * lift + forward_thrust * tangent - across
+        drag_slope = 2 * aircraft.induced_drag * lift * slope
+        derivative = pressure * (slope + drag_slope * tangent)
+        derivative = derivative + forward_thrust * (1 + tangent * tangent)
+        angle = angle - residual / derivative
+    angle = _clipped(angle, _LARGEST_ANGLE)
+    lift = aircraft.lift_at_zero_angle + slope * angle
+    thrust = (along + pressure * drag_coefficient(aircraft, lift)) / np.cos(angle)
+    return AircraftCommand(lift, bank, thrust)
+
+
+def thrust_limits(aircraft: Aircraft, airspeed: NDArray) -> tuple[NDArray, NDArray]:
+    """T_min and T_max, each (...,), N, at airspeeds (...,), m/s."""
+    least, most = aircraft.min_thrust, aircraft.max_thrust
+    return (
+        least[0:1] + least[1:2] * airspeed + least[2:3] * airspeed * airspeed,
+        most[0:1] + most[1:2] * airspeed + most[2:3] * airspeed * airspeed,
+    )
+
+
+def stall_speed(aircraft: Aircraft) -> NDArray | float:
+    """V_s = √(2 m g/(ρ S C_Lmax)), m/s, without a cable's force."""
+    weight = aircraft.mass * aircraft.gravity
+    return np.sqrt(2 * weight / (aircraft.air_density * aircraft.wing_area * aircraft.max_lift))
+
+
+def drawn_power(aircraft: Aircraft, thrust: NDArray, airspeed: NDArray) -> NDArray:
+    """max(T, 0) V/η (...,), W: what is drawn from the battery; a braking propeller gives none."""
+    return positive_part(thrust) * airspeed / aircraft.efficiency
+
+
+def gust_lift(aircraft: Aircraft, air_velocity: NDArray, bank: NDArray, gust: NDArray) -> NDArray:
+    """C_Lα δα (...,) of gusts (..., 3), m/s, in W, that are fast: δα = gust·l/V."""
+    frame = air_frame(air_velocity)
+    upwash = (gust * frame.lift_direction(bank)).sum(axis=-1)
+    return aircraft.lift_slope * upwash / frame.airspeed[..., 0]
+
+
+def limited_lift(aircraft: Aircraft, lift: NDArray) -> NDArray:
+    """min(C_L, C_Lmax), exact, for any scalar type: that of a stalled wing is the largest."""
+    return lift - positive_part(lift - aircraft.max_lift)
+
+
+class FlightStates(NamedTuple):
+    """The states of n aircraft."""
+
+    carriers: NDArray  # (6n,), [positions (m), velocities (m/s)]
+    lift: NDArray  # (n,), C_L without the gusts' part
+    bank: NDArray  # (n,), rad, positive to the right
+    thrust: NDArray  # (n,), N
+    slow_wind: NDArray  # (3n,), m/s, the wind that the autopilot has taken out
+
+    @classmethod
+    def view(cls, values: NDArray) -> "FlightStates":
+        """The parts of an array (12n,)."""
+        n = len(values) // 12
+        ends = (6 * n, 7 * n, 8 * n, 9 * n)
+        starts = (0, *ends)
+        return cls(*(values[a:b] for a, b in zip(starts, (*ends, 12 * n), strict=True)))
+
+
+def shown_state(aircraft: Aircraft, states: NDArray, wind: NDArray) -> NDArray:
+    """`AircraftState` (4n,) of `FlightStates` (12n,) in winds (3n,), m/s, in W."""
+    own = FlightStates.view(states)
+    air_velocity = (own.carriers[len(wind) :] - wind).reshape(-1, 3)
+    lift = _lift_in_gusts(aircraft, own, air_velocity, wind)
+    airspeed = air_frame(air_velocity).airspeed[..., 0]
+    return np.concatenate(AircraftState(lift, own.bank, own.thrust, airspeed))
+
+
+def flight_acceleration(
+    aircraft: Aircraft, states: NDArray, cable_forces: NDArray, wind: NDArray
+) -> NDArray:
+    """Accelerations (3n,), m/s², of `FlightStates` (12n,); see `flight_rate`."""
+    own = FlightStates.view(states)
+    air_velocity = (own.carriers[len(wind) :] - wind).reshape(-1, 3)
+    lift = _lift_in_gusts(aircraft, own, air_velocity, wind)
+    pull = cable_forces.reshape(-1, 3)
+    return aircraft_acceleration(aircraft, air_velocity, lift, own.bank, own.thrust, pull).ravel()
+
+
+def flight_rate(
+    aircraft: Aircraft, states: NDArray, command: NDArray, cable_forces: NDArray, wind: NDArray
+) -> NDArray:
+    """The rate (12n,) of `FlightStates` (12n,):
+
+        Ċ_L = (C_Lc − C_L)/τ_L,   μ̇ = sat((μ_c − μ)/τ_μ, p_max),   Ṫ = (sat(T_c) − T)/τ_T,
+
+    with the thrust's command within its limits at that airspeed. Gusts change the angle of attack
+    at once, and the autopilot takes their slow part out again: with the wind w and the slow wind
+    w_s, ẇ_s = (w − w_s)/τ_w, the effective C_L is min(C_L + C_Lα (w − w_s)·l/V, C_Lmax). A wind
+    that does not change thus has no effect on an aircraft that turns in it.
+
+    Args:
+        aircraft: the parameters.
+        states: `FlightStates` (12n,).
+        command: `AircraftCommand` (3n,).
+        cable_forces: f (3n,), N, on the load, in W.
+        wind: w (3n,), m/s, in W.
+    """
+    own, told = FlightStates.view(states), AircraftCommand.view(command)
+    velocities = own.carriers[len(wind) :]
+    airspeed = air_frame((velocities - wind).reshape(-1, 3)).airspeed[..., 0]
+    least, most = thrust_limits(aircraft, airspeed)
+    thrust = told.thrust + positive_part(least - told.thrust)
+    thrust = thrust - positive_part(thrust - most)
+    roll_rate = _clipped((told.bank - own.bank) / aircraft.bank_lag, aircraft.max_roll_rate)
+    return np.concatenate(
+        FlightStates(
+            np.concatenate([velocities, flight_acceleration(aircraft, states, cable_forces, wind)]),
+            (told.lift - own.lift) / aircraft.lift_lag,
+            roll_rate,
+            (thrust - own.thrust) / aircraft.thrust_lag,
+            (wind - own.slow_wind) / aircraft.gust_time,
+        )
+    )
+
+
+def trimmed_states(
+    aircraft: Aircraft,
+    carrier_state: NDArray,
+    acceleration: NDArray,
+    cable_forces: NDArray,
+    wind: NDArray,
+) -> NDArray:
+    """`FlightStates` (12n,) of carriers (6n,) with these accelerations (3n,), m/s², in W.
+
+    Thrust is within its limits, and the lift at most that of a stalled wing.
+    """
+    velocities = carrier_state[len(wind) :].reshape(-1, 3)
+    air = wind.reshape(-1, 3)
+    force = needed_force(aircraft, acceleration.reshape(-1, 3), cable_forces.reshape(-1, 3))
+    told = required_command(aircraft, force, velocities, air)
+    least, most = thrust_limits(aircraft, air_frame(velocities - air).airspeed[..., 0])
+    thrust = told.thrust + positive_part(least - told.thrust)
+    thrust = thrust - positive_part(thrust - most)
+    lift = limited_lift(aircraft, told.lift)
+    return np.concatenate(FlightStates(carrier_state, lift, told.bank, thrust, wind))
+
+
+def _lift_in_gusts(
+    aircraft: Aircraft, own: FlightStates, air_velocity: NDArray, wind: NDArray
+) -> NDArray:
+    gust = (wind - own.slow_wind).reshape(-1, 3)
+    return limited_lift(aircraft, own.lift + gust_lift(aircraft, air_velocity, own.bank, gust))
+
+
+def _pressure_force(aircraft: Aircraft, airspeed: NDArray) -> NDArray:
+    """q S (...,), N."""
+    return aircraft.air_density / 2 * airspeed * airspeed * aircraft.wing_area
+
+
+def _clipped(a: NDArray, limit: float | NDArray) -> NDArray:
+    """The entries within ± the limit, for any scalar type."""
+    return (absolute(a + limit) - absolute(a - limit)) / 2
