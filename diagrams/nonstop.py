@@ -17,9 +17,10 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import is_dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 
 from drake_nonstop.blocks import (
     cables,
@@ -304,6 +305,7 @@ def make_nonstop(
         return diagram
     context = diagram.CreateDefaultContext()
     set_equilibrium(diagram, context)
+    _require_motion(parts.model, diagram, context)
     if not plant_states(diagram).declare_defaults(context):
         return diagram
     again = _made_parts(scenario, others, extra, plant_states(diagram).states(context))
@@ -341,6 +343,20 @@ def make_blocks(
     """
     scenario, others = _resolved(scenario, replacements)
     return _completed(scenario, _made_parts(scenario, others, extra))
+
+
+def _require_motion(model: Model, diagram: Diagram, context: Context) -> None:
+    """Raises ScenarioError where a pattern without orbits leaves all carriers where they are."""
+    if not model.pattern.is_constant:
+        return
+    _, velocities = np.split(diagram.GetOutputPort("carrier_reference").Eval(context), 2)
+    require(
+        np.max(np.abs(velocities)) > 1e-9,
+        "pattern",
+        type(model.pattern_config).__name__.removesuffix("Config"),
+        "its carriers keep their places above the load, and would stand still at the start; give "
+        "load_trajectory: !SteadyTurn, or a pattern with orbits",
+    )
 
 
 def _resolved(

@@ -110,7 +110,7 @@ class _TrajectoryAboveReference(DiagramBlock):
 def _derivatives(model: Model, stretches: bool) -> TracedBlock:
     """The carriers' accelerations and jerks while the load is on its reference."""
     attachments, pseudo_inverse = model.attachments, model.pseudo_inverse
-    basis = model.pattern.basis
+    basis, orders = model.pattern.basis, model.pattern.orders
 
     def derivatives(
         reference: NDArray,
@@ -133,6 +133,7 @@ def _derivatives(model: Model, stretches: bool) -> TracedBlock:
             parameters,
             pseudo_inverse=pseudo_inverse,
             basis=basis,
+            orders=orders,
         )
         cables: dict[str, Any] = {
             "attachments": attachments,
@@ -157,7 +158,7 @@ def _derivatives(model: Model, stretches: bool) -> TracedBlock:
             ("carrier_reference_acceleration", "carrier_reference_jerk"), 3 * model.n
         ),
         parameters=BlockParameters(model, (*_of_cables(stretches), *LOAD)),
-        key=("carrier derivatives", stretches, attachments, basis),
+        key=("carrier derivatives", stretches, attachments, basis, orders),
         is_traced_late=True,
     )
 
