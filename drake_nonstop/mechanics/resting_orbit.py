@@ -38,6 +38,7 @@ def resting_orbits(
     pseudo_inverse: NDArray,
     basis: NDArray,
     phases: NDArray,
+    orders: NDArray,
     offset: NDArray,
     rest_length: float,
     compliance: float,
@@ -64,6 +65,7 @@ def resting_orbits(
         pseudo_inverse: G₀† (3n, 6), in L.
         basis: N₀ (3n, m), in L.
         phases: φ (m,), rad.
+        orders: h (m,), of the harmonics.
         offset: f̃⁰ (3n,), N, in L.
         rest_length: L₀ of the cables, m.
         compliance: 1/K_c of the cables, m/N.
@@ -80,8 +82,12 @@ def resting_orbits(
     held_rate = -cross(omega, held)
     torque = cross(omega, load.inertia @ omega) + load.angular_drag * omega
     frequency = Parameters.view(parameters).frequency
-    values, rates = internal_force(parameters, frequency * times[:, None], phases=phases)
-    second_rates = internal_force_acceleration(parameters, np.concatenate([values, rates], axis=-1))
+    values, rates = internal_force(
+        parameters, frequency * times[:, None], phases=phases, orders=orders
+    )
+    second_rates = internal_force_acceleration(
+        parameters, np.concatenate([values, rates], axis=-1), orders=orders
+    )
 
     def in_cables(torque: NDArray, force: NDArray, internal: NDArray) -> NDArray:
         """The forces (k, n, 3) in L, or their rates."""
