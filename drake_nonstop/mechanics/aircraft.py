@@ -13,8 +13,8 @@ where f is the cable's force on the load. The last term of C_D is the drag of a 
 diameter d, whose velocity grows linearly from the load to the aircraft. C_L, μ and T follow their
 commands with first-order lags.
 
-Arrays of vectors are (..., 3), those of numbers (...,), of any leading axes that broadcast. All
-are in W and SI. Coefficients are those of the wing area S.
+Arrays of vectors are (..., 3), those of numbers (...,), of any leading axes that broadcast, and
+of symbols with at least one. All are in W and SI. Coefficients are those of the wing area S.
 """
 
 from typing import NamedTuple
@@ -72,7 +72,7 @@ class AirFrame(NamedTuple):
     up: NDArray  # (..., 3), z′
 
     def lift_direction(self, bank: NDArray) -> NDArray:
-        """l (..., 3) at banks (...,), rad."""
+        """The lift's l (..., 3) at banks (...,), rad."""
         angle = bank[..., None]
         return np.cos(angle) * self.up + np.sin(angle) * self.right
 
@@ -258,7 +258,7 @@ def flight_acceleration(
 def flight_rate(
     aircraft: Aircraft, states: NDArray, command: NDArray, cable_forces: NDArray, wind: NDArray
 ) -> NDArray:
-    """The rate (12n,) of `FlightStates` (12n,):
+    """The rate (12n,) of `FlightStates` (12n,), with the lags of the commands.
 
         Ċ_L = (C_Lc − C_L)/τ_L,   μ̇ = sat((μ_c − μ)/τ_μ, p_max),   Ṫ = (sat(T_c) − T)/τ_T,
 
@@ -322,7 +322,7 @@ def _lift_in_gusts(
 
 
 def _pressure_force(aircraft: Aircraft, airspeed: NDArray) -> NDArray:
-    """q S (...,), N."""
+    """The force q S (...,), N."""
     return aircraft.air_density / 2 * airspeed * airspeed * aircraft.wing_area
 
 

@@ -9,9 +9,11 @@ from typing import Any, Optional, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.rigid_load import RigidLoad, gravity_wrench
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
+from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft, merged
 from drake_nonstop.model.pattern import InternalForcePattern, check_pattern
 from drake_nonstop.validation import (
     StrictFields,
@@ -53,6 +55,8 @@ class SystemParameters(StrictFields):
     # loaded, and its frames at the attachments, in the order of the carriers.
     load_file: str = ""
     attachment_frames: list[str] = field(default_factory=list)
+    # Carriers that are fixed-wing aircraft; none: points of carrier_mass.
+    aircraft: AircraftParameters | None = None
 
 
 # `simulated` in a scenario: any field of SystemParameters, for the simulated plant only.
@@ -68,6 +72,7 @@ SystemOverrides.__module__ = __name__  # where to find it in a pickle
 def overridden(system: SystemParameters, overrides: Any) -> SystemParameters:
     """The system with the fields replaced that `overrides` names."""
     given = {f.name: getattr(overrides, f.name) for f in dataclasses.fields(overrides)}
+    given["aircraft"] = merged(system.aircraft, overrides.aircraft)
     return dataclasses.replace(system, **{k: v for k, v in given.items() if v is not None})
 
 
@@ -95,6 +100,9 @@ class Model:
         initial_states: of the load and the carriers, by the names of the signals that show them.
         overridden: the fields that `simulated` replaces.
 
+    Attributes:
+        aircraft: the carriers, where they are fixed-wing aircraft, whose mass is `carrier_mass`.
+
     Raises:
         ScenarioError: a parameter is out of range, there are fewer than 3 attachments,
             the grasp matrix has a rank below 6, or the pattern would stop a carrier.
@@ -110,6 +118,9 @@ class Model:
         initial_states: Mapping[str, NDArray] | None = None,
         overridden: Iterable[str] = (),
     ):
+        self.aircraft: Aircraft | None = None
+        if system.aircraft is not None:
+            system, self.aircraft = _with_aircraft(system, field, "carrier_mass" in overridden)
         self.system, self.pattern_config, self.field = system, pattern, field
         self.overridden = frozenset(overridden)
         require_positive(
@@ -221,8 +232,30 @@ _READ_WITH = {
     "cable_damping": ("cable_damping",),
     "carrier_mass": ("carrier_mass",),
     "gravity": ("gravity",),
+    "aircraft": ("aircraft", "cable_length", "gravity"),
     "pattern": (OFFSET,),
 }
+
+
+def _with_aircraft(
+    system: SystemParameters, field: str, is_given: bool
+) -> tuple[SystemParameters, Aircraft]:
+    """The system with the aircraft's mass as that of its carriers, and the aircraft.
+
+    `is_given` tells that the mass of the carriers is not a default.
+    """
+    require_positive(field, cable_length=system.cable_length, gravity=system.gravity)
+    aircraft = make_aircraft(
+        system.aircraft,
+        cable_length=system.cable_length,
+        gravity=system.gravity,
+        field=f"{field}.aircraft",
+    )
+    mass, stated = float(aircraft.mass), system.carrier_mass
+    is_default = stated == SystemParameters.carrier_mass and not is_given
+    remedy = f"leave it out: the carriers are aircraft of {mass:g} kg, {field}.aircraft.mass"
+    require(stated == mass or is_default, f"{field}.carrier_mass", stated, remedy)
+    return dataclasses.replace(system, carrier_mass=mass), aircraft
 
 
 def _checked_inertia(name: str, value: list[list[float]]) -> NDArray:

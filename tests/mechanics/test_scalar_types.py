@@ -187,8 +187,8 @@ EQUATIONS = {
         [12 * N, 3 * N, 3 * N, 3 * N],
     ),
     "required_command": (
-        lambda *a: tuple(aircraft.required_command(AIRCRAFT, *a)),
-        [3, 3, 3],
+        lambda *a: tuple(aircraft.required_command(AIRCRAFT, *(b.reshape(-1, 3) for b in a))),
+        [6, 6, 6],
     ),
     "drawn_power": (lambda *a: aircraft.drawn_power(AIRCRAFT, *a), [N, N]),
     "shown_state": (lambda *a: aircraft.shown_state(AIRCRAFT, *a), [12 * N, 3 * N]),

@@ -1,0 +1,189 @@
+"""Aircraft as data: a table of them, a user's own, and what makes one impossible."""
+
+import dataclasses
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed, thrust_limits
+from drake_nonstop.validation import (
+    StrictFields,
+    require,
+    require_array,
+    require_known,
+    require_non_negative,
+    require_positive,
+)
+
+TABLE = Path(__file__).parent / "aircraft_table"
+_SHORTEST_LAG = 1e-3  # s, that steps of a run resolve
+_SPEEDS = 1000  # from a tenth of the stall speed to ten times, that a search tries
+
+
+@dataclass(kw_only=True)
+class AircraftParameters(StrictFields):
+    """Fixed-wing carriers, all alike: one of the table, single fields changed, or a user's own.
+
+    A field that is None is the `model`'s, or where there is no model has to be given; the last
+    four have defaults. Coefficients are those of the wing area.
+    """
+
+    model: str | None = None  # of the table: rascal_110, ultrastick_25e
+    mass: float | None = None  # kg, that of a carrier
+    wing_area: float | None = None  # m²
+    wing_span: float | None = None  # m
+    lift_at_zero_angle: float | None = None  # C_L0, at the angle of attack 0
+    lift_slope: float | None = None  # C_Lα, 1/rad
+    max_lift: float | None = None  # C_Lmax, where it stalls
+    zero_lift_drag: float | None = None  # C_D0
+    induced_drag: float | None = None  # k, of C_L² in C_D
+    max_thrust: list[float] | None = None  # [a, b, c]: a + b V + c V² N at V m/s
+    min_thrust: list[float] | None = None  # likewise; negative: it brakes
+    lift_lag: float | None = None  # s, of C_L behind its command
+    bank_lag: float | None = None  # s, of the bank
+    thrust_lag: float | None = None  # s, of the thrust
+    max_roll_rate: float | None = None  # rad/s
+    efficiency: float | None = None  # of propeller and motor, above 0, up to 1
+    gust_time: float | None = None  # s, until gusts are trimmed; default 0.4
+    air_density: float | None = None  # kg/m³; default 1.225
+    cable_diameter: float | None = None  # m, for its drag; default 0.001
+    cable_drag: float | None = None  # C_Dc, of the cable's area; default 1.1
+
+
+# Of the fields that an aircraft need not give.
+_DEFAULTS = {"gust_time": 0.4, "air_density": 1.225, "cable_diameter": 0.001, "cable_drag": 1.1}
+_FIELDS = tuple(f.name for f in dataclasses.fields(AircraftParameters) if f.name != "model")
+
+
+def aircraft_names() -> list[str]:
+    """The names of the aircraft in the table, sorted."""
+    return sorted(path.stem for path in TABLE.glob("*.yaml"))
+
+
+@functools.cache
+def _of_table(name: str) -> dict[str, Any]:
+    return yaml.safe_load((TABLE / f"{name}.yaml").read_text(encoding="utf-8"))
+
+
+def merged(
+    parameters: AircraftParameters | None, overrides: AircraftParameters | None
+) -> AircraftParameters | None:
+    """The parameters with the fields replaced that `overrides` gives."""
+    if parameters is None or overrides is None:
+        return overrides or parameters
+    given = {k: v for k, v in vars(overrides).items() if v is not None}
+    return dataclasses.replace(parameters, **given)
+
+
+def values_of(parameters: AircraftParameters, field: str = "system.aircraft") -> dict[str, Any]:
+    """The values of all fields but `model`, by name: given, of the table, or defaults.
+
+    Raises:
+        ScenarioError: the table has no such aircraft, or a field is missing.
+    """
+    values = dict(_DEFAULTS)
+    name = parameters.model
+    if name is not None:
+        require_known(name, aircraft_names(), f"{field}.model", name)
+        values |= _of_table(name)
+    values |= {k: v for k in _FIELDS if (v := getattr(parameters, k)) is not None}
+    names = ", ".join(aircraft_names())
+    for key in _FIELDS:
+        remedy = f"give it, or {field}.model, one of {names}"
+        require(key in values, f"{field}.{key}", "not given", remedy)
+    return values
+
+
+def make_aircraft(
+    parameters: AircraftParameters,
+    *,
+    cable_length: float,
+    gravity: float,
+    field: str = "system.aircraft",
+) -> Aircraft:
+    """The aircraft of these parameters, checked.
+
+    Args:
+        parameters: of the aircraft.
+        cable_length: m.
+        gravity: m/s².
+        field: the parameters' name in error messages.
+
+    Raises:
+        ScenarioError: a field is missing or out of its range, or the aircraft cannot fly level
+            by itself.
+    """
+    values = values_of(parameters, field)
+    signed = ("lift_at_zero_angle", "max_thrust", "min_thrust")
+    natural = ("zero_lift_drag", "induced_drag", "cable_diameter", "cable_drag")
+    others = [key for key in _FIELDS if key not in (*signed, *natural)]
+    require_positive(field, **{key: values[key] for key in others})
+    require_non_negative(field, **{key: values[key] for key in natural})
+    for key in ("max_thrust", "min_thrust"):
+        name = f"{field}.{key}"
+        meaning = "[a, b, c] of the thrust a + b V + c V² at the airspeed V"
+        values[key] = require_array(name, values[key], [3], meaning)
+    for key in ("lift_lag", "bank_lag", "thrust_lag", "gust_time"):
+        is_slow = values[key] >= _SHORTEST_LAG
+        require(is_slow, f"{field}.{key}", values[key], f"give at least {_SHORTEST_LAG:g} s")
+    efficiency = values["efficiency"]
+    require(efficiency <= 1, f"{field}.efficiency", efficiency, "give a share, up to 1")
+    aircraft = Aircraft(**values, cable_length=cable_length, gravity=gravity)
+    _check_polar(field, aircraft)
+    _check_level_flight(field, aircraft)
+    return aircraft
+
+
+def _check_polar(field: str, aircraft: Aircraft) -> None:
+    least, most = aircraft.lift_at_zero_angle, aircraft.max_lift
+    remedy = f"give a number below max_lift, {most:g}, and above {-most:g}"
+    require(abs(least) < most, f"{field}.lift_at_zero_angle", least, remedy)
+    drag = aircraft.zero_lift_drag + aircraft.induced_drag
+    remedy = "give a number above zero, or induced_drag one: nothing flies without drag"
+    require(drag > 0, f"{field}.zero_lift_drag", aircraft.zero_lift_drag, remedy)
+
+
+def _check_level_flight(field: str, aircraft: Aircraft) -> None:
+    """Raises ScenarioError for an aircraft that cannot fly level without a cable."""
+    slowest = float(stall_speed(aircraft))
+    speeds = np.geomspace(slowest / 10, 10 * slowest, _SPEEDS)
+    least, most = thrust_limits(aircraft, speeds)
+    dynamic = aircraft.air_density / 2 * speeds**2 * aircraft.wing_area
+    drives = most >= dynamic * aircraft.zero_lift_drag
+    shown = np.asarray(aircraft.max_thrust).tolist()
+    remedy = "give thrust above the drag at some speed"
+    require(np.any(drives), f"{field}.max_thrust", shown, remedy)
+    top = int(np.flatnonzero(drives)[-1])
+    lift, weight = dynamic[top] * aircraft.max_lift, aircraft.mass * aircraft.gravity
+    require(
+        lift >= weight,
+        f"{field}.max_lift",
+        f"{aircraft.max_lift:g}",
+        f"at its top speed of {speeds[top]:.3g} m/s the wing lifts {lift:.3g} N at most, and the "
+        f"aircraft weighs {weight:.3g} N; give a smaller mass, more wing_area or max_lift, or more "
+        "max_thrust",
+    )
+    needed = dynamic * aircraft.zero_lift_drag + aircraft.induced_drag * weight**2 / dynamic
+    flying = (speeds >= slowest) & (speeds <= speeds[top])
+    spare = (most - needed)[flying]
+    best = int(np.argmax(spare))
+    require(
+        spare[best] > 0,
+        f"{field}.max_thrust",
+        shown,
+        f"level flight without a cable needs {needed[flying][best]:.3g} N at "
+        f"{speeds[flying][best]:.3g} m/s, where it has {most[flying][best]:.3g} N; give more "
+        "thrust, or less drag or mass",
+    )
+    crossing = np.flatnonzero((least > most) & (speeds <= speeds[top]))
+    if len(crossing):
+        at = crossing[0]
+        remedy = (
+            f"it is {least[at]:.3g} N at {speeds[at]:.3g} m/s, and max_thrust {most[at]:.3g} N; "
+            "give limits that do not cross up to the top speed"
+        )
+        require(False, f"{field}.min_thrust", np.asarray(aircraft.min_thrust).tolist(), remedy)
