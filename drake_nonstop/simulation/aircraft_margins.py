@@ -31,12 +31,6 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.separations import segment_distances
 from drake_nonstop.validation import require
 
-# Beyond these the autopilot saturates.
-LIFT_SHARE = 0.9  # of C_Lmax
-AIRSPEED_SHARE = 1.2  # of the stall speed: below it adds thrust
-BANK = math.radians(50.0)
-CLIMB = math.radians(30.0)  # up or down: PX4's FW_P_LIM_MAX and FW_P_LIM_MIN
-
 _INSTANTS = 720  # of a turn
 _MOST_TURNS = 10  # until an internal force and a load that turns are back where they were
 _REFINEMENTS, _PARTS = 3, 4  # of the interval about each extreme
@@ -64,7 +58,22 @@ class MeanWind(NamedTuple):
         return self._replace(velocity=share * self.velocity)
 
 
-STILL_AIR = MeanWind(np.zeros(3))
+class FlightLimits(NamedTuple):
+    """Beyond which an orbit counts as one that cannot be flown.
+
+    The first three are where `FixedWingController` saturates, the last two those of a run.
+    """
+
+    lift_share: float = 0.9  # of C_Lmax
+    speed_share: float = 1.2  # of the stall speed
+    bank: float = math.radians(50.0)  # rad
+    climb: float = math.radians(30.0)  # rad, up or down; PX4's FW_P_LIM_MAX and FW_P_LIM_MIN
+    carrier_distance: float = RunLimits.carrier_distance  # of the reach, see `RunLimits`
+    cable_distance: float = RunLimits.cable_distance  # of the distance of two attachments
+
+
+_STILL_AIR = MeanWind(np.zeros(3))
+_LIMITS = FlightLimits()
 
 
 class AircraftNeeds(NamedTuple):
@@ -152,6 +161,7 @@ class AircraftMargins:
         phases: (k,) rad, ξ t over that time; the angle of a load that turns, where no internal
             force swings.
         needs: at these phases.
+        limits: what they are held against.
         carrier_distance: (k,) m, of the closest two there.
         cable_distance: (k,) m, of the closest two there.
         max_lift: C_Lmax.
@@ -168,6 +178,7 @@ class AircraftMargins:
     turn: float
     phases: NDArray
     needs: AircraftNeeds
+    limits: FlightLimits
     carrier_distance: NDArray
     cable_distance: NDArray
     max_lift: float
@@ -316,7 +327,7 @@ def margins_of_loop(scenario: Scenario, nonstop: Diagram, context: Context) -> A
         reference,
         parameters,
         wind=_mean_wind(scenario, nonstop, context),
-        limits=scenario.limits,
+        limits=_limits(scenario),
         name=scenario.name,
     )
 
@@ -340,6 +351,18 @@ def _simulated(scenario: Scenario) -> Model:
     return model
 
 
+def _limits(scenario: Scenario) -> FlightLimits:
+    """Those of the scenario's controller, as far as it has any, and of its runs."""
+    controller, default = scenario.carrier_controller, FlightLimits()
+    return default._replace(
+        lift_share=getattr(controller, "lift_share", default.lift_share),
+        speed_share=getattr(controller, "speed_share", default.speed_share),
+        bank=getattr(controller, "max_bank", default.bank),
+        carrier_distance=scenario.limits.carrier_distance,
+        cable_distance=scenario.limits.cable_distance,
+    )
+
+
 def _mean_wind(scenario: Scenario, nonstop: Diagram, context: Context) -> MeanWind:
     """That of the scenario's wind; where a block does not state one, the wind of the start."""
     config = scenario.wind
@@ -355,8 +378,8 @@ def margins_at_rest(
     reference: NDArray,
     parameters: NDArray,
     *,
-    wind: MeanWind = STILL_AIR,
-    limits: RunLimits | None = None,
+    wind: MeanWind = _STILL_AIR,
+    limits: FlightLimits = _LIMITS,
     name: str = "unnamed",
 ) -> AircraftMargins:
     """The margins on the orbit above a load that rests, or turns about the vertical.
@@ -369,13 +392,13 @@ def margins_at_rest(
         reference: (22,) of the load, of which pose and angular velocity count.
         parameters: [ξ (rad/s), A (N)] (2,).
         wind: the steady wind.
-        limits: with the least distances of carriers and of cables; None: the default.
+        limits: what they are held against.
         name: of the scenario.
 
     Raises:
         ScenarioError: the load turns about a horizontal axis.
     """
-    orbit = _Orbit(model, reference, parameters, limits or RunLimits())
+    orbit = _Orbit(model, reference, parameters, limits)
     found = _margins(orbit, wind, name)
     if found.is_flyable or not np.any(wind.velocity):
         return found
@@ -419,7 +442,7 @@ class _Quantity(NamedTuple):
 class _Orbit:
     """The orbit above a resting load; arguments as of `margins_at_rest`."""
 
-    def __init__(self, model: Model, reference: NDArray, parameters: NDArray, limits: RunLimits):
+    def __init__(self, model: Model, reference: NDArray, parameters: NDArray, limits: FlightLimits):
         turning = LoadReference.view(reference).angular_velocity
         require(
             np.max(np.abs(turning[:2])) < 1e-9,
@@ -436,7 +459,7 @@ class _Orbit:
             rates.insert(0, abs(float(frequency)))
         self.rate = rates[0] or 1.0  # rad/s, of the phase; nothing moves where it is zero
         self.turns = Fraction(rates[-1] / self.rate).limit_denominator(_MOST_TURNS).denominator
-        self._limits = limits
+        self.limits = limits
         self._carriers = [(i + 1,) for i in range(model.n)]
         self._pairs = list(combinations(range(model.n), 2))
 
@@ -466,10 +489,10 @@ class _Orbit:
         aircraft = self.model.aircraft
         lift, airspeed = needs.lift / aircraft.max_lift, needs.airspeed / stall_speed(aircraft)
         for name, unit, values, limits, is_upper in (
-            ("C_L / C_Lmax", "", lift, LIFT_SHARE, True),
-            ("airspeed / stall speed", "", airspeed, AIRSPEED_SHARE, False),
-            ("bank", "rad", np.abs(needs.bank), BANK, True),
-            ("climb or descent", "rad", np.abs(needs.climb), CLIMB, True),
+            ("C_L / C_Lmax", "", lift, self.limits.lift_share, True),
+            ("airspeed / stall speed", "", airspeed, self.limits.speed_share, False),
+            ("bank", "rad", np.abs(needs.bank), self.limits.bank, True),
+            ("climb or descent", "rad", np.abs(needs.climb), self.limits.climb, True),
             ("thrust", "N", needs.thrust, needs.thrust_max, True),
             ("thrust", "N", needs.thrust, needs.thrust_min, False),
         ):
@@ -488,8 +511,8 @@ class _Orbit:
             cables.append(segment_distances(*ends, *others))
         pairs = [(i + 1, j + 1) for i, j in self._pairs]
         for name, distances, limits in (
-            ("carriers apart", carriers, self._limits.carrier_distance * reach),
-            ("cables apart", cables, self._limits.cable_distance * np.array(apart)),
+            ("carriers apart", carriers, self.limits.carrier_distance * reach),
+            ("cables apart", cables, self.limits.cable_distance * np.array(apart)),
         ):
             yield _Quantity(name, "m", np.stack(distances, axis=1), limits, False, pairs)
 
@@ -518,6 +541,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         turn=2 * math.pi * orbit.turns / orbit.rate,
         phases=phases,
         needs=needs,
+        limits=orbit.limits,
         carrier_distance=distances["carriers apart"],
         cable_distance=distances["cables apart"],
         max_lift=float(aircraft.max_lift),

@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.simulation.aircraft_margins import (
-    AIRSPEED_SHARE,
-    BANK,
-    CLIMB,
-    LIFT_SHARE,
-    AircraftMargins,
-)
+from drake_nonstop.simulation.aircraft_margins import AircraftMargins
 from drake_nonstop.visualization.figure_style import COLOURS, new_figure, titled
 
 if TYPE_CHECKING:
@@ -25,19 +19,19 @@ _MOST_NAMED = 12  # carriers in the legend
 
 def make_aircraft_margins_figure(found: AircraftMargins) -> Figure:
     """What each aircraft needs over the phase, its limits dashed, and the least distances."""
-    phases, needs = np.degrees(found.phases), found.needs
+    phases, needs, limits = np.degrees(found.phases), found.needs, found.limits
     figure = new_figure((9.0, 7.2))
     (lift, airspeed), (bank, climb), (thrust, distances) = figure.subplots(3, 2, sharex=True)
-    _draw_each(lift, phases, needs.lift / found.max_lift, "C_L / C_Lmax", LIFT_SHARE)
-    limit = AIRSPEED_SHARE * found.stall_speed
-    _draw_each(airspeed, phases, needs.airspeed, "airspeed (m/s)", limit)
-    _draw_each(bank, phases, np.degrees(needs.bank), "bank (°)", np.degrees(BANK))
-    _draw_each(climb, phases, np.degrees(needs.climb), "climb (°)", np.degrees(CLIMB))
+    _draw_each(lift, phases, needs.lift / found.max_lift, "C_L / C_Lmax", limits.lift_share)
+    slowest = limits.speed_share * found.stall_speed
+    _draw_each(airspeed, phases, needs.airspeed, "airspeed (m/s)", slowest)
+    _draw_each(bank, phases, np.degrees(needs.bank), "bank (°)", np.degrees(limits.bank))
+    _draw_each(climb, phases, np.degrees(needs.climb), "climb (°)", np.degrees(limits.climb))
     _draw_each(thrust, phases, needs.thrust, "thrust (N)")
     for i, (least, most) in enumerate(zip(needs.thrust_min.T, needs.thrust_max.T, strict=True)):
-        for limits in (least, most):
+        for edge in (least, most):
             colour = COLOURS[i % len(COLOURS)]
-            thrust.plot(phases, limits, color=colour, linestyle="--", linewidth=0.7)
+            thrust.plot(phases, edge, color=colour, linestyle="--", linewidth=0.7)
     for margin in found.margins:
         if margin.unit == "m":
             is_carriers = margin.name.startswith("carriers")

@@ -12,9 +12,9 @@ from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.simulation import aircraft_margins
 from drake_nonstop.simulation.aircraft_margins import (
+    FlightLimits,
     MeanWind,
     margins_at_rest,
     margins_dictionary,
@@ -193,7 +193,7 @@ def test_internal_force_and_load_that_turn_at_different_rates_repeat_after_some_
 
 
 def test_distances_are_held_against_the_limits_of_a_run():
-    limits = RunLimits(carrier_distance=0.2, cable_distance=0.9)
+    limits = FlightLimits(carrier_distance=0.2, cable_distance=0.9)
     result = margins(model(F150, 150.0), 0.595, limits=limits)
     assert [m.name for m in result.missed] == ["carriers apart"]
     assert result.missed[0].limit == pytest.approx(0.2 * 151.5)
