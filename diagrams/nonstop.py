@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from drake_nonstop.blocks import (
     cables,
@@ -35,6 +35,7 @@ from drake_nonstop.blocks import (
     load_trajectory,
     optimization_layer,
     phase,
+    wind,
     wrench_controller,
 )
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
@@ -57,7 +58,9 @@ from drake_nonstop.mechanics.signals import (
     PARAMETERS_SIZE,
     PHASE_SIZE,
     TRACKING_ERROR_SIZE,
+    WIND_SIZE,
     WRENCH_SIZE,
+    LoadReference,
 )
 from drake_nonstop.model.system import (
     Model,
@@ -142,13 +145,15 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_controller": Box(
         variants=carrier_controller.VARIANTS,
-        signals={"carrier_forces": "3n"},
+        signals={"carrier_forces": "3n", "aircraft_command": "3n", "command_saturation": "3n"},
+        optional=("carrier_forces", "aircraft_command", "command_saturation"),
         place=Place(4, 3, -1, Kind.PLANT),
         is_fused=True,
     ),
     "carrier_dynamics": Box(
         variants=carrier_dynamics.VARIANTS,
-        signals={"carrier_state": "6n"},
+        signals={"carrier_state": "6n", "aircraft_state": "4n", "carrier_acceleration": "3n"},
+        optional=("aircraft_state", "carrier_acceleration"),
         place=Place(3, 3, -1, Kind.PLANT),
         is_simulated=True,
         is_fused=True,
@@ -166,6 +171,12 @@ BOXES: dict[str, Box] = {
         place=Place(0, 4, 1, Kind.ADDITION),
         feeds_fused_plant=True,
     ),
+    "wind": Box(
+        variants=wind.VARIANTS,
+        signals={"wind": "3n", "load_wind": WIND_SIZE, "wind_estimate": WIND_SIZE},
+        place=Place(1, 4, 1, Kind.ADDITION),
+        feeds_fused_plant=True,
+    ),
     "load_plant": Box(
         variants=load_plant.VARIANTS,
         signals={"load_state": LOAD_STATE_SIZE},
@@ -178,6 +189,11 @@ BOXES: dict[str, Box] = {
 # Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
 # plant in place of its boxes.
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
+# What commands carriers; the controller makes one. The blocks that make it and read it.
+COMMANDS = {
+    "carrier_forces": ("CarrierPid", "CarrierDynamics"),
+    "aircraft_command": ("FixedWingController", "FixedWingDynamics"),
+}
 EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
 PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
     SAMPLE_AND_HOLD: Place(1, 2, 1, Kind.ADDITION),
@@ -220,6 +236,10 @@ carrier_dynamics.carrier_state -> cables.carrier_state
 load_plant.load_state -> cables.load_state
 cables.cable_forces -> load_plant.cable_forces
 load_disturbance.disturbance_wrench -> load_plant.disturbance_wrench
+
+wind.load_wind -> load_plant.load_wind
+wind.wind_estimate -> wrench_controller.wind_estimate
+wind.wind_estimate -> carrier_trajectory.wind_estimate
 """
 
 
@@ -305,7 +325,6 @@ def make_nonstop(
         return diagram
     context = diagram.CreateDefaultContext()
     set_equilibrium(diagram, context)
-    _require_motion(parts.model, diagram, context)
     if not plant_states(diagram).declare_defaults(context):
         return diagram
     again = _made_parts(scenario, others, extra, plant_states(diagram).states(context))
@@ -343,20 +362,6 @@ def make_blocks(
     """
     scenario, others = _resolved(scenario, replacements)
     return _completed(scenario, _made_parts(scenario, others, extra))
-
-
-def _require_motion(model: Model, diagram: Diagram, context: Context) -> None:
-    """Raises ScenarioError where a pattern without orbits leaves all carriers where they are."""
-    if not model.pattern.is_constant:
-        return
-    _, velocities = np.split(diagram.GetOutputPort("carrier_reference").Eval(context), 2)
-    require(
-        np.max(np.abs(velocities)) > 1e-9,
-        "pattern",
-        type(model.pattern_config).__name__.removesuffix("Config"),
-        "its carriers keep their places above the load, and would stand still at the start; give "
-        "load_trajectory: !SteadyTurn, or a pattern with orbits",
-    )
 
 
 def _resolved(
@@ -424,19 +429,73 @@ def _made_parts(
         model = watched[name] = WatchedModel(believed)
         blocks[name] = _made(f"extra {name}", _maker(name, entry), model, "")
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
+    _require_motion(believed, blocks)
+    _check_command(blocks)
     return _Parts(believed, blocks, watched)
+
+
+def _require_motion(model: Model, blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where neither the pattern nor the load moves the carriers."""
+    reference = _start_of_reference(blocks) if model.pattern.is_constant else None
+    if reference is not None:
+        require(
+            np.any(LoadReference.view(reference).angular_velocity),
+            "pattern",
+            type(model.pattern_config).__name__.removesuffix("Config"),
+            "its carriers keep their places above the load, which does not turn at the start, and "
+            "would stop; give load_trajectory: !SteadyTurn, or a pattern with orbits",
+        )
+
+
+def _check_command(blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where the carriers' controller makes what their dynamics do not read."""
+    controller, dynamics = (blocks.get(name) for name in ("carrier_controller", "carrier_dynamics"))
+    if controller is None or dynamics is None:
+        return
+    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    optional = wiring.optional_inputs(dynamics)
+    for signal, (maker, _) in COMMANDS.items():
+        if signal in wiring.input_names(dynamics) and signal not in optional | made:
+            own = type(controller).__name__
+            other = next((s for s in COMMANDS if s in wiring.output_names(controller)), "")
+            remedy = f"give carrier_controller={maker}"
+            if other:
+                remedy += f", or carrier_dynamics={COMMANDS[other][1]}, which reads {other}"
+            raise wiring.WiringError(
+                f"carrier_dynamics = {type(dynamics).__name__}: it reads {signal}, which "
+                f"carrier_controller = {own} does not make; {remedy}"
+            )
 
 
 def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     """The blocks, which may be fused, with the hold in front of sampled ones."""
     believed, blocks, _ = parts
+    _warn_of_unread_wind(blocks)
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
     if scenario.control_period > 0:
-        hold = SampleAndHold(believed, _first_samples(blocks))
+        # A constant estimate needs no hold, which would cost time at each sample.
+        holds_wind = not getattr(blocks.get("wind"), "is_sampled", False)
+        hold = SampleAndHold(believed, _first_samples(blocks), holds_wind=holds_wind)
         blocks = blocks | {SAMPLE_AND_HOLD: hold}
     return blocks
+
+
+def _warn_of_unread_wind(blocks: Mapping[str, System]) -> None:
+    """Tells of a load that no wind acts on, where there is some."""
+    makers = {signal: name for name in blocks for signal in wiring.output_names(blocks[name])}
+    air, load = makers.get("load_wind"), makers.get("load_state")
+    if air in (None, load) or load is None or isinstance(blocks[air], wind.StillAir):
+        return
+    if "load_wind" not in wiring.input_names(blocks[load]):
+        warnings.warn(
+            f"{load} = {type(blocks[load]).__name__}: no wind acts on the load, since this block "
+            "does not read it; give it an input port load_wind (3), the air's velocity in m/s, in "
+            "W, or have still air by wind=StillAir",
+            ScenarioWarning,
+            stacklevel=5,
+        )
 
 
 def _connected(
@@ -504,7 +563,7 @@ def _signals_left_out(model: Model, blocks: Mapping[str, System]) -> dict[str, i
         signal
         for box in BOXES.values()
         for signal in box.signals
-        if signal not in box.optional and signal not in made
+        if (signal not in box.optional or signal in COMMANDS) and signal not in made
     ]
     sizes = _figure_sizes(model)
     return {signal: sizes[signal] for signal in missing}
@@ -540,14 +599,22 @@ def _maker(name: str, entry: Any) -> Any:
 
 def _first_samples(blocks: Mapping[str, System]) -> dict[str, NDArray]:
     """What the sample-and-hold holds before its first sample: the reference, and a load on it."""
+    reference = _start_of_reference(blocks)
+    if reference is None:
+        return {}
+    return {"reference": reference, "measured_load_state": reference[:LOAD_STATE_SIZE]}
+
+
+def _start_of_reference(blocks: Mapping[str, System]) -> NDArray | None:
+    """The reference at t = 0, of a trajectory that needs nothing for it."""
     trajectory = blocks.get("load_trajectory")
     if trajectory is None or trajectory.num_input_ports() > 0:
-        return {}
+        return None
     try:
-        reference = trajectory.GetOutputPort("reference").Eval(trajectory.CreateDefaultContext())
+        context = trajectory.CreateDefaultContext()
+        return trajectory.GetOutputPort("reference").Eval(context).copy()
     except Exception:  # the start of the run tells it, with the block's name
-        return {}
-    return {"reference": reference.copy(), "measured_load_state": reference[:LOAD_STATE_SIZE]}
+        return None
 
 
 _Loop = TypeVar("_Loop", bound=LoopConfig)

@@ -11,6 +11,8 @@ none is needed. `context` is the block's own, in which its input ports can be ev
 - `TrimLoad(context)`, `TrimCarriers(context)`: sets further states, such as a pendulum's angle or
   an aircraft's attitude, each time that load and carriers have been set, the carriers' first.
   What the ports show must stay. Without it further states keep their values.
+- `TrimCarriersTo(context, acceleration)`: in place of `TrimCarriers`, sets further states for the
+  carriers to have this acceleration (3n), that of `carrier_reference`.
 - `SetDefaultLoadState(value)`, `SetDefaultCarrierState(value)`: makes the value that of new
   contexts. Without it the defaults of Drake's Integrator, AffineSystem and MultibodyPlant (its
   positions) in the block are set. A LeafSystem, whose defaults are fixed once it is made, may
@@ -38,6 +40,7 @@ LOAD, CARRIERS = "load_state", "carrier_state"  # the signals that show the plan
 _SETTERS = {LOAD: "SetLoadState", CARRIERS: "SetCarrierState"}
 _DEFAULT_SETTERS = {LOAD: "SetDefaultLoadState", CARRIERS: "SetDefaultCarrierState"}
 _TRIMS = {CARRIERS: "TrimCarriers", LOAD: "TrimLoad"}  # in the order of their calls
+_TRIM_TO = "TrimCarriersTo"
 _TOLERANCE = 1e-6  # of what a port shows, in SI units or relative to larger values
 
 
@@ -123,7 +126,7 @@ class PlantStates:
         Raises:
             ScenarioError: a port does not show its state any more.
         """
-        trimmed = False
+        trimmed = self._trim_carriers(context)
         for signal, name in _TRIMS.items():
             if hasattr(self._owners[signal], name):
                 getattr(self._owners[signal], name)(self._context(signal, context))
@@ -132,6 +135,18 @@ class PlantStates:
             own = self._context(signal, context)
             if not own.is_stateless():
                 self._check(signal, own, value)
+
+    def _trim_carriers(self, context: Context) -> bool:
+        """Has the carriers' block set states for its reference's acceleration; if it does that."""
+        block, name = self._owners[CARRIERS], "carrier_reference_acceleration"
+        if not hasattr(block, _TRIM_TO):
+            return False
+        source = type(block).__name__
+        remedy = f"give a carrier_trajectory that makes it: {source} starts with it"
+        require(self._nonstop.HasOutputPort(name), name, "not among the signals", remedy)
+        acceleration = self._nonstop.GetOutputPort(name).Eval(context)
+        getattr(block, _TRIM_TO)(self._context(CARRIERS, context), acceleration.copy())
+        return True
 
     def take_over(self, context: Context, settled: Context) -> None:
         """Sets all states of the plant's blocks to those in another context of the loop."""
@@ -206,7 +221,7 @@ class PlantStates:
         for signal, value in self.states(default).items():
             block = self._owners[signal]
             is_declared = np.all(_agree(signal, value, states[signal]))
-            if hasattr(block, _TRIMS[signal]):
+            if hasattr(block, _TRIMS[signal]) or hasattr(block, _TRIM_TO):
                 of_block = [self._nonstop.GetSubsystemContext(block, c) for c in (default, context)]
                 given, wanted = map(state_values, of_block)
                 is_declared &= np.allclose(given, wanted, rtol=0, atol=_TOLERANCE)

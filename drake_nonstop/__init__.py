@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from drake_nonstop.public import *  # noqa: F403
 
 
+_FORMER = {"Wind": "DisturbanceForce", "WindConfig": "DisturbanceForceConfig"}
+
+
 def __getattr__(name: str) -> Any:
     """A subpackage, a public name, or `__all__`."""
     if not name.startswith("__") or name == "__all__":
@@ -21,6 +24,8 @@ def __getattr__(name: str) -> Any:
         public = importlib.import_module(f"{__name__}.public")
         if name in public.__all__ or name == "__all__":
             return globals().setdefault(name, getattr(public, name))
+    if name in _FORMER:  # an AttributeError's message is lost in `from drake_nonstop import Wind`
+        raise ImportError(f"{__name__}.{name}: {name} is called {_FORMER[name]} now")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

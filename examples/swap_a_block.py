@@ -1,4 +1,4 @@
-"""Put a block of your own in the figure: wind on the load, which the controllers ignore."""
+"""Put a block of your own in the figure: a force on the load, which the controllers ignore."""
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem

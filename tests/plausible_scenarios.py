@@ -108,7 +108,7 @@ def draw(seed: int) -> tuple[str, list[str]]:
             "NoisyFeedback", {"position_noise": uniform(0, 0.003), "period": control_period}
         ),
         "load_disturbance": _tagged(
-            "Wind",
+            "DisturbanceForce",
             {"force": [uniform(-1, 1), uniform(-1, 1), 0.0], "gust_force": uniform(0, 0.5)},
         ),
         "simulated.load_mass": round(load_mass * uniform(0.9, 1.1), 4),

@@ -2,18 +2,35 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiagramBuilder, System
 from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
+from drake_nonstop.mechanics.aircraft import (
+    Aircraft,
+    FlightStates,
+    flight_acceleration,
+    flight_rate,
+    is_stalled,
+    shown_state,
+    trimmed_states,
+)
 from drake_nonstop.mechanics.carrier import (
     carriers_kinetic_energy,
     carriers_potential_energy,
     double_integrator_rate,
     loaded_carrier_rate,
 )
-from drake_nonstop.model.block_parameters import BlockParameters, Rules
+from drake_nonstop.model.block_parameters import (
+    AIRCRAFT_NUMBERS,
+    BlockParameters,
+    Rules,
+    aircraft_of,
+    required_aircraft,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, DiagramBlock
 from drake_nonstop.systems.linear_block import AdjustableLinear
@@ -211,5 +228,126 @@ class IdealCarriers(Selector, metaclass=BlockType):
         return float(carriers_kinetic_energy(state, mass=self._mass)[0])
 
 
+@dataclass(kw_only=True)
+class FixedWingDynamicsConfig(StrictFields):
+    """What a stall does to a run; the aircraft are the system's."""
+
+    stops_at_stall: bool = (
+        True  # the run ends at the first stall; false: with stalled lift it goes on
+    )
+
+
+class FixedWingDynamics(DiagramBlock):
+    """Fixed-wing aircraft: 3-DoF point masses with lift, bank and thrust that lag their commands.
+
+    With the airspeed V, forward x, the lift's direction l at the bank μ, and q = ½ ρ V²,
+
+        m v̇ = q S C_L l + T (cos α x + sin α l) − q S C_D x − m g e₃ − f,
+
+    see `drake_nonstop.mechanics.aircraft` for the polar, the lags, the limits of roll rate and
+    thrust, and the gusts' angle of attack. A wing whose C_L reaches C_Lmax, or an airspeed below
+    the stall speed, is a stall: the lift stays at that of C_Lmax.
+
+    .. pydrake_system::
+
+        name: FixedWingDynamics
+        input_ports:
+        - aircraft_command
+        - cable_forces
+        - wind
+        output_ports:
+        - carrier_state
+        - aircraft_state
+        - carrier_acceleration
+
+    `aircraft_command` (3n) = [C_L; bank (rad, positive to the right); thrust (N)], `cable_forces`
+    (3n) on the load in N, `wind` (3n) in m/s; `carrier_state` (6n) = [positions (m), velocities
+    (m/s)], `aircraft_state` (4n) = [C_L with the gusts' part; bank (rad); thrust (N); airspeed
+    (m/s)], `carrier_acceleration` (3n) in m/s²; vectors are in W.
+
+    Parameters, the fields of `FixedWingDynamicsConfig`:
+        stops_at_stall: the run ends at the first stall; false: with stalled lift it goes on
+
+    Raises:
+        ScenarioError: the system has no aircraft.
+    """
+
+    def __init__(self, model: Model, config: FixedWingDynamicsConfig | None = None):
+        super().__init__()
+        aircraft = required_aircraft(model, "carrier_dynamics", "FixedWingDynamics")
+        self._stops_at_stall = (config or FixedWingDynamicsConfig()).stops_at_stall
+        n = model.n
+        zeros = FlightStates(model.initial_carrier_state, *(np.zeros(k * n) for k in (1, 1, 1, 3)))
+
+        def flight(*values: NDArray, **numbers: Any) -> tuple[NDArray, ...]:
+            states, _, pull, wind = values
+            flying = aircraft_of(aircraft, numbers)
+            return (
+                flight_rate(flying, *values),
+                shown_state(flying, states, wind),
+                flight_acceleration(flying, states, pull, wind),
+            )
+
+        builder = DiagramBuilder()
+        traced = builder.AddNamedSystem(
+            "flight",
+            TracedBlock(
+                flight,
+                inputs={"aircraft_command": 3 * n, "cable_forces": 3 * n, "wind": 3 * n},
+                outputs={"aircraft_state": 4 * n, "carrier_acceleration": 3 * n},
+                state=Integrator(np.concatenate(zeros)),
+                state_port="states",
+                parameters=BlockParameters(model, AIRCRAFT_NUMBERS),
+                key=("fixed-wing aircraft", n),
+            ),
+        )
+        params = stacking({"states": 12 * n}, "carrier_state")
+        params.outputs[0].selections = params.outputs[0].selections[: 6 * n]
+        carriers = builder.AddNamedSystem("carriers", Selector(params))
+        builder.Connect(traced.GetOutputPort("states"), carriers.get_input_port())
+        for name in ("aircraft_command", "cable_forces", "wind"):
+            builder.ExportInput(traced.GetInputPort(name), name)
+        builder.ExportOutput(carriers.get_output_port(), "carrier_state")
+        for name in ("aircraft_state", "carrier_acceleration"):
+            builder.ExportOutput(traced.GetOutputPort(name), name)
+        builder.BuildInto(self)
+        self._aircraft = aircraft
+
+    def SetCarrierState(self, context: Context, value: NDArray) -> None:
+        states = context.get_continuous_state_vector().CopyToVector()
+        states[: len(value)] = value
+        context.SetContinuousState(states)
+
+    def TrimCarriersTo(self, context: Context, acceleration: NDArray) -> None:
+        """Sets C_L, bank and thrust, within their limits, for these accelerations (3n,), m/s²."""
+        pull, wind = (self.GetInputPort(name).Eval(context) for name in ("cable_forces", "wind"))
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        states = trimmed_states(self._aircraft_in(context), state, acceleration, pull, wind)
+        context.SetContinuousState(states)
+
+    def ends_run(self, context: Context) -> bool:
+        """Whether an aircraft is stalled, and a run ends there."""
+        if not self._stops_at_stall:
+            return False
+        shown = self.GetOutputPort("aircraft_state").Eval(context)
+        return bool(np.any(is_stalled(self._aircraft_in(context), shown)))
+
+    def _aircraft_in(self, context: Context) -> Aircraft:
+        return aircraft_of(self._aircraft, parameters_in(self, context))
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m Σ ‖v_i‖², J; the context is the block's own."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        mass = self._aircraft_in(context).mass
+        return float(carriers_kinetic_energy(state, mass=mass)[0])
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """Those of the weights, m g Σ z_i, J; the context is the block's own."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        flying = self._aircraft_in(context)
+        energy = carriers_potential_energy(state, mass=flying.mass, gravity=flying.gravity)
+        return float(energy[0])
+
+
 # The blocks that the box can be, the default first.
-VARIANTS = (CarrierDynamics, LoadedCarrierDynamics, IdealCarriers)
+VARIANTS = (CarrierDynamics, LoadedCarrierDynamics, FixedWingDynamics, IdealCarriers)

@@ -14,6 +14,7 @@ from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
+    WIND_SIZE,
 )
 from drake_nonstop.model.block_parameters import LOAD, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
@@ -84,7 +85,7 @@ class _TrajectoryAboveReference(DiagramBlock):
     """
 
     is_sampled = True
-    optional_inputs = ("internal_force", "parameters")
+    optional_inputs = ("internal_force", "parameters", "wind_estimate")
 
     def __init__(self, model: Model, *, stretches: bool = True):
         super().__init__()
@@ -118,6 +119,7 @@ def _derivatives(model: Model, stretches: bool) -> TracedBlock:
         rates: NDArray,
         internal_force: NDArray,
         parameters: NDArray,
+        wind: NDArray,
         *,
         cable_length: NDArray,
         cable_stiffness: NDArray | None = None,
@@ -131,6 +133,7 @@ def _derivatives(model: Model, stretches: bool) -> TracedBlock:
             rates,
             internal_force,
             parameters,
+            wind,
             pseudo_inverse=pseudo_inverse,
             basis=basis,
             orders=orders,
@@ -153,6 +156,7 @@ def _derivatives(model: Model, stretches: bool) -> TracedBlock:
             "desired_cable_force_rates": 3 * model.n,
             "internal_force": 2 * model.m,
             "parameters": PARAMETERS_SIZE,
+            "wind_estimate": WIND_SIZE,
         },
         outputs=dict.fromkeys(
             ("carrier_reference_acceleration", "carrier_reference_jerk"), 3 * model.n
@@ -192,6 +196,7 @@ class CarrierTrajectory(_TrajectoryAboveReference):
         - desired_cable_force_rates
         - internal_force
         - parameters
+        - wind_estimate
         - sample_time (where the model has a control period)
         output_ports:
         - carrier_reference
@@ -199,9 +204,10 @@ class CarrierTrajectory(_TrajectoryAboveReference):
         - carrier_reference_jerk
 
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
-    `internal_force` (2m) = [λ (N); λ̇ (N/s)] and `parameters` (2) = [ξ (rad/s), A (N)], which only
-    accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m),
-    velocities (m/s)] in W. Between samples the reference moves along its velocity.
+    `internal_force` (2m) = [λ (N); λ̇ (N/s)], `parameters` (2) = [ξ (rad/s), A (N)] and
+    `wind_estimate` (3, m/s) in W, which only accelerations and jerks need; `sample_time` (1) in s;
+    `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W. Between samples the reference
+    moves along its velocity.
 
     `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
     those of constant ξ and A while the load is on its reference, whose snap and angular jerk are
@@ -232,6 +238,7 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
         - desired_cable_force_rates
         - internal_force
         - parameters
+        - wind_estimate
         - sample_time (where the model has a control period)
         output_ports:
         - carrier_reference
@@ -239,9 +246,10 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
         - carrier_reference_jerk
 
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
-    `internal_force` (2m) = [λ (N); λ̇ (N/s)] and `parameters` (2) = [ξ (rad/s), A (N)], which only
-    accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m),
-    velocities (m/s)] in W. Between samples the reference moves along its velocity.
+    `internal_force` (2m) = [λ (N); λ̇ (N/s)], `parameters` (2) = [ξ (rad/s), A (N)] and
+    `wind_estimate` (3, m/s) in W, which only accelerations and jerks need; `sample_time` (1) in s;
+    `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W. Between samples the reference
+    moves along its velocity.
 
     `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
     those of constant ξ and A while the load is on its reference, whose snap and angular jerk are

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context
 
-from drake_nonstop.mechanics.signals import WRENCH_SIZE, Wrench
+from drake_nonstop.mechanics.coloured_noise import coloured_noise, random_waves
+from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.validation import (
@@ -49,40 +50,36 @@ class NoDisturbance(LeafBlock):
         output.SetFromVector(np.zeros(WRENCH_SIZE))
 
 
-_WAVES = 32  # per axis, of a gust
-
-
 @dataclass(kw_only=True)
-class WindConfig(StrictFields):
+class DisturbanceForceConfig(StrictFields):
     """A constant force, and a gust on top of it."""
 
     force: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N, in W
     torque: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N m, in W
-    start_time: float = 0.0  # s, no wind before it
+    start_time: float = 0.0  # s, nothing before it
     gust_force: float = 0.0  # N, standard deviation on each axis
     gust_time: float = 1.0  # s, correlation time of the gust
     seed: int = 0  # of the gust
 
 
-class Wind(LeafBlock):
+class DisturbanceForce(LeafBlock):
     """A constant wrench on the load, with a seeded, coloured gust.
 
-    The gust is a sum of waves with random phases, whose spectrum is that of first-order
-    filtered white noise, σ² 2τ/(1 + (ωτ)²)/2π over ω, up to ωτ = 30: a function of time
-    alone, so that runs repeat to the bit whatever the integrator's steps are.
+    The gust is that of `mechanics.coloured_noise` with 32 waves on each axis, up to ωτ = 30: a
+    function of time alone, so that runs repeat to the bit whatever the integrator's steps are.
 
     .. pydrake_system::
 
-        name: Wind
+        name: DisturbanceForce
         output_ports:
         - disturbance_wrench
 
     `disturbance_wrench` (6) = [torque (N m); force (N)] at the centre of mass, in W.
 
-    Parameters, the fields of `WindConfig`:
+    Parameters, the fields of `DisturbanceForceConfig`:
         force: N, in W
         torque: N m, in W
-        start_time: s, no wind before it
+        start_time: s, nothing before it
         gust_force: N, standard deviation on each axis
         gust_time: s, correlation time of the gust
         seed: of the gust
@@ -93,9 +90,9 @@ class Wind(LeafBlock):
 
     is_sampled = True  # a fused plant holds it over a period
 
-    def __init__(self, model: Model, config: WindConfig | None = None):
+    def __init__(self, model: Model, config: DisturbanceForceConfig | None = None):
         super().__init__()
-        config = config or WindConfig()
+        config = config or DisturbanceForceConfig()
         force = require_array(f"{_BOX}.force", config.force, [3], "in W")
         torque = require_array(f"{_BOX}.torque", config.torque, [3], "in W")
         require_non_negative(_BOX, gust_force=config.gust_force, start_time=config.start_time)
@@ -105,11 +102,8 @@ class Wind(LeafBlock):
         self._constant = np.concatenate([torque, force])
         self._start_time = config.start_time
         random = np.random.default_rng(config.seed)
-        # Bands of equal power: each wave has the same amplitude.
-        shares = (np.arange(_WAVES) + random.uniform(size=(3, _WAVES))) / _WAVES
-        self._frequencies = np.tan(shares * np.arctan(30.0)) / config.gust_time
-        self._phases = random.uniform(0, 2 * np.pi, (3, _WAVES))
-        self._amplitude = config.gust_force * np.sqrt(2 / _WAVES)
+        self._waves = random_waves(random, 3, config.gust_time, count=32, highest=30.0)
+        self._gust_force = config.gust_force
         ticket = self.time_ticket()
         self.DeclareVectorOutputPort("disturbance_wrench", WRENCH_SIZE, self._calc, {ticket})
 
@@ -117,11 +111,10 @@ class Wind(LeafBlock):
         time = context.get_time()
         wrench = np.zeros(WRENCH_SIZE)
         if number(time) >= self._start_time:
-            waves = np.sin(self._frequencies * time + self._phases)
-            gust = Wrench(torque=np.zeros(3), force=self._amplitude * waves.sum(axis=1))
-            wrench = self._constant + np.concatenate(gust)
+            force = coloured_noise(time, self._waves, self._gust_force)
+            wrench = self._constant + np.concatenate([np.zeros(3), force])
         output.SetFromVector(wrench)
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (NoDisturbance, Wind)
+VARIANTS = (NoDisturbance, DisturbanceForce)

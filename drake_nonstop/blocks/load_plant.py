@@ -17,7 +17,13 @@ from drake_nonstop.mechanics.rigid_load import (
     load_potential_energy,
     load_state_rate,
 )
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadState, Wrench
+from drake_nonstop.mechanics.signals import (
+    LOAD_STATE_SIZE,
+    WIND_SIZE,
+    WRENCH_SIZE,
+    LoadState,
+    Wrench,
+)
 from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
@@ -33,7 +39,7 @@ class LoadPlantConfig(StrictFields):
 
 
 class LoadPlant(TracedBlock):
-    """The rigid load: Newton-Euler with linear drag (eqs. 5-6).
+    """The rigid load: Newton-Euler with drag linear in the velocity through the air (eqs. 5-6).
 
     .. pydrake_system::
 
@@ -41,28 +47,37 @@ class LoadPlant(TracedBlock):
         input_ports:
         - cable_forces
         - disturbance_wrench
+        - load_wind
         output_ports:
         - load_state
 
     `cable_forces` (3n, N) act at the attachments, `disturbance_wrench` (6) = [torque (N m);
-    force (N)] at the centre of mass, in W. `load_state` (13) = [quaternion w x y z, position (m),
-    angular velocity (rad/s), velocity (m/s)], in W, is the state, in the order of a free body in
-    MultibodyPlant.
+    force (N)] at the centre of mass, in W. `load_wind` (3, m/s) is the air's velocity at the load,
+    in W. `load_state` (13) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity
+    (m/s)], in W, is the state, in the order of a free body in MultibodyPlant.
     """
 
     def __init__(self, model: Model, config: LoadPlantConfig | None = None):
         attachments = model.attachments
 
         def rate(
-            state: NDArray, cable_forces: NDArray, disturbance: NDArray, **load: NDArray
+            state: NDArray,
+            cable_forces: NDArray,
+            disturbance: NDArray,
+            wind: NDArray,
+            **load: NDArray,
         ) -> NDArray:
             return load_state_rate(
-                rigid_load(**load), state, cable_forces, disturbance, attachments=attachments
+                rigid_load(**load), state, cable_forces, disturbance, wind, attachments=attachments
             )
 
         super().__init__(
             rate,
-            inputs={"cable_forces": 3 * model.n, "disturbance_wrench": WRENCH_SIZE},
+            inputs={
+                "cable_forces": 3 * model.n,
+                "disturbance_wrench": WRENCH_SIZE,
+                "load_wind": WIND_SIZE,
+            },
             state=Integrator(model.initial_load_state),
             state_port="load_state",
             parameters=BlockParameters(model, LOAD),
@@ -106,12 +121,14 @@ class MultibodyLoadPlant(DiagramBlock):
         input_ports:
         - cable_forces
         - disturbance_wrench
+        - load_wind
         output_ports:
         - load_state
 
     `cable_forces` (3n, N) act at the attachments, `disturbance_wrench` (6) = [torque (N m);
-    force (N)] at the centre of mass, in W. `load_state` (13) = [quaternion w x y z, position (m),
-    angular velocity (rad/s), velocity (m/s)], in W, is the plant's state.
+    force (N)] at the centre of mass, in W. `load_wind` (3, m/s) is the air's velocity at the load,
+    in W. `load_state` (13) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity
+    (m/s)], in W, is the plant's state.
     """
 
     def __init__(self, model: Model, config: MultibodyLoadPlantConfig | None = None):
@@ -135,7 +152,7 @@ class MultibodyLoadPlant(DiagramBlock):
         )
         builder.Connect(plant.get_state_output_port(), forces.GetInputPort("load_state"))
         builder.Connect(forces.get_output_port(), plant.get_applied_spatial_force_input_port())
-        for name in ("cable_forces", "disturbance_wrench"):
+        for name in ("cable_forces", "disturbance_wrench", "load_wind"):
             builder.ExportInput(forces.GetInputPort(name), name)
         builder.ExportOutput(plant.get_state_output_port(), "load_state")
         builder.BuildInto(self)
@@ -153,6 +170,7 @@ class _LoadForces(InnerBlock):
         declare_parameters(self, self.parameters)
         self._cable_forces = self.DeclareVectorInputPort("cable_forces", 3 * model.n)
         self._disturbance_wrench = self.DeclareVectorInputPort("disturbance_wrench", WRENCH_SIZE)
+        self._load_wind = self.DeclareVectorInputPort("load_wind", WIND_SIZE)
         self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
         scalar = self.scalar
         self._body, self._points = body, [*model.attachments, np.zeros(3)]
@@ -167,9 +185,10 @@ class _LoadForces(InnerBlock):
         drag, angular_drag = context.get_numeric_parameter(0).CopyToVector()
         state = self._load_state.Eval(context)
         wrench = self._disturbance_wrench.Eval(context)
+        wind = self._load_wind.Eval(context)
         load, (torque, force) = LoadState.view(state), Wrench.view(wrench)
         torque = torque - angular_drag * load.angular_velocity
-        force = force - drag * load.velocity
+        force = force - drag * (load.velocity - wind)
         cables = self._cable_forces.Eval(context).reshape(-1, 3)
         values = np.concatenate([state, torque, force, cables.ravel()])
         if self.scalar is not Expression and not values @ values < LARGEST**2:

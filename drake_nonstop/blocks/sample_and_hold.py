@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, State
 
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE, WIND_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
 
@@ -28,26 +28,37 @@ class SampleAndHold(LeafBlock):
         input_ports:
         - measured_load_state
         - reference
+        - wind_estimate (where it is held)
         output_ports:
         - held_measured_load_state
         - held_reference
+        - held_wind_estimate (where it is held)
         - sample_time
 
-    `measured_load_state` (13) and `reference` (22) are SI, in W, and so are the held ones;
-    `sample_time` (1) is the time of the sample in s.
+    `measured_load_state` (13), `reference` (22) and `wind_estimate` (3) are SI, in W, and so are
+    the held ones; `sample_time` (1) is the time of the sample in s.
 
     Args:
         model: its control period.
         initial_values: the signals that are held before the first sample, by their names; those
             that are not given are a load at rest at the origin.
+        holds_wind: whether `wind_estimate` is held, too, for a wind that is not constant.
     """
 
-    def __init__(self, model: Model, initial_values: Mapping[str, NDArray] | None = None):
+    def __init__(
+        self,
+        model: Model,
+        initial_values: Mapping[str, NDArray] | None = None,
+        *,
+        holds_wind: bool = False,
+    ):
         super().__init__()
         self._inputs = []
-        for name, size in HELD_SIGNALS.items():
+        signals = HELD_SIGNALS | ({"wind_estimate": WIND_SIZE} if holds_wind else {})
+        initial_values = {"wind_estimate": np.zeros(WIND_SIZE)} | dict(initial_values or {})
+        for name, size in signals.items():
             self._inputs.append(self.DeclareVectorInputPort(name, size))
-            initial = (initial_values or {}).get(name, np.eye(size)[0])  # an upright load
+            initial = initial_values.get(name, np.eye(size)[0])  # an upright load
             self.DeclareStateOutputPort(f"held_{name}", self.DeclareDiscreteState(initial))
         self.DeclareStateOutputPort("sample_time", self.DeclareDiscreteState(1))
         period = model.control_period

@@ -15,6 +15,7 @@ from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
     TRACKING_ERROR_SIZE,
+    WIND_SIZE,
     WRENCH_SIZE,
     TrackingError,
 )
@@ -55,14 +56,18 @@ class _WrenchPid(TracedBlock):
         check(model, config)
 
         def outputs(
-            integrals: NDArray, state: NDArray, reference: NDArray, **numbers: NDArray
+            integrals: NDArray,
+            state: NDArray,
+            reference: NDArray,
+            wind: NDArray,
+            **numbers: NDArray,
         ) -> tuple:
             load = rigid_load(**{name: numbers.pop(name) for name in LOAD})
             error = wrench.tracking_error(state, reference)
             return (
                 np.concatenate(TrackingError.view(error)[:2]),  # e_R and e_p
                 *wrench.wrench_and_rate(
-                    load, state, reference, integrals, **gains(load, **numbers)
+                    load, state, reference, integrals, wind, **gains(load, **numbers)
                 ),
                 error,
             )
@@ -84,7 +89,11 @@ class _WrenchPid(TracedBlock):
             else lambda *inputs, **numbers: outputs(np.zeros(_INTEGRALS_SIZE), *inputs, **numbers)[
                 1:
             ],
-            inputs={"measured_load_state": LOAD_STATE_SIZE, "reference": LOAD_REFERENCE_SIZE},
+            inputs={
+                "measured_load_state": LOAD_STATE_SIZE,
+                "reference": LOAD_REFERENCE_SIZE,
+                "wind_estimate": WIND_SIZE,
+            },
             outputs={
                 "wrench": WRENCH_SIZE,
                 "wrench_rate": WRENCH_SIZE,
@@ -99,6 +108,7 @@ class _WrenchPid(TracedBlock):
                 rules=Rules(check=check, structure=has_integral),
             ),
             key=("wrench", integrates, gains.__module__, gains.__qualname__),
+            is_one_call=True,  # a second one for what does not read the wind would take longer
         )
 
 
@@ -138,13 +148,15 @@ class WrenchController(_WrenchPid):
         input_ports:
         - measured_load_state
         - reference
+        - wind_estimate
         output_ports:
         - wrench
         - wrench_rate
         - tracking_error
 
-    `measured_load_state` (13) and `reference` (22), SI, in W; `wrench` (6) = [torque (N m);
-    force (N)] at the centre of mass and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
+    `measured_load_state` (13) and `reference` (22), SI, in W; `wind_estimate` (3, m/s) in W, from
+    which the load's drag follows; `wrench` (6) = [torque (N m); force (N)] at the centre of mass
+    and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
     (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W. The integrals
     of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
     discrete where the model has a control period.
@@ -186,13 +198,15 @@ class PaperWrenchController(_WrenchPid):
         input_ports:
         - measured_load_state
         - reference
+        - wind_estimate
         output_ports:
         - wrench
         - wrench_rate
         - tracking_error
 
-    `measured_load_state` (13) and `reference` (22), SI, in W; `wrench` (6) = [torque (N m);
-    force (N)] at the centre of mass and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
+    `measured_load_state` (13) and `reference` (22), SI, in W; `wind_estimate` (3, m/s) in W, from
+    which the load's drag follows; `wrench` (6) = [torque (N m); force (N)] at the centre of mass
+    and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
     (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W. The integrals
     of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
     discrete where the model has a control period.
@@ -237,13 +251,15 @@ class GeometricPd(_WrenchPid):
         input_ports:
         - measured_load_state
         - reference
+        - wind_estimate
         output_ports:
         - wrench
         - wrench_rate
         - tracking_error
 
-    `measured_load_state` (13) and `reference` (22), SI, in W; `wrench` (6) = [torque (N m);
-    force (N)] at the centre of mass and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
+    `measured_load_state` (13) and `reference` (22), SI, in W; `wind_estimate` (3, m/s) in W, from
+    which the load's drag follows; `wrench` (6) = [torque (N m); force (N)] at the centre of mass
+    and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
     (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W.
 
     Parameters, the fields of `GeometricPdConfig`:
@@ -291,13 +307,15 @@ class TunedWrenchController(_WrenchPid):
         input_ports:
         - measured_load_state
         - reference
+        - wind_estimate
         output_ports:
         - wrench
         - wrench_rate
         - tracking_error
 
-    `measured_load_state` (13) and `reference` (22), SI, in W; `wrench` (6) = [torque (N m);
-    force (N)] at the centre of mass and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
+    `measured_load_state` (13) and `reference` (22), SI, in W; `wind_estimate` (3, m/s) in W, from
+    which the load's drag follows; `wrench` (6) = [torque (N m); force (N)] at the centre of mass
+    and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
     (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W. The integrals
     of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
     discrete where the model has a control period.

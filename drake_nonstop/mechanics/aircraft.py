@@ -28,6 +28,7 @@ from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState
 
 _UP = np.array([0.0, 0.0, 1.0])
 _LEAST = 1e-12  # beside squares of speeds and of direction vectors, which may vanish
+_ROUNDING = 1e-9  # of a limit
 _LARGEST_ANGLE = 0.6  # rad, of attack, far beyond stall, that a command is looked for within
 _ITERATIONS = 2  # of Newton's method: to 2e-13 rad in flight; each multiplies an Expression by 11
 
@@ -198,6 +199,16 @@ def stall_speed(aircraft: Aircraft) -> NDArray | float:
     """V_s = √(2 m g/(ρ S C_Lmax)), m/s, without a cable's force."""
     weight = aircraft.mass * aircraft.gravity
     return np.sqrt(2 * weight / (aircraft.air_density * aircraft.wing_area * aircraft.max_lift))
+
+
+def is_stalled(aircraft: Aircraft, aircraft_state: NDArray) -> NDArray:
+    """Whether aircraft are stalled (..., n), of `AircraftState` (..., 4n); floats only.
+
+    The effective C_L is C_Lmax, or the airspeed below the stall speed without a cable.
+    """
+    shown = AircraftState.view(aircraft_state)
+    is_at_limit = shown.lift >= aircraft.max_lift * (1 - _ROUNDING)
+    return is_at_limit | (shown.airspeed < stall_speed(aircraft) * (1 - _ROUNDING))
 
 
 def drawn_power(aircraft: Aircraft, thrust: NDArray, airspeed: NDArray) -> NDArray:

@@ -10,7 +10,7 @@ from drake_nonstop.mechanics.internal_force import (
     internal_force_acceleration,
     internal_force_jerk,
 )
-from drake_nonstop.mechanics.rigid_load import RigidLoad
+from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix, skew
 from drake_nonstop.mechanics.signals import LoadReference
 
@@ -22,6 +22,7 @@ def second_and_third_force_rates(
     rates: NDArray,
     internal_force: NDArray,
     parameters: NDArray,
+    wind: NDArray = STILL_AIR,
     *,
     pseudo_inverse: NDArray,
     basis: NDArray,
@@ -30,9 +31,9 @@ def second_and_third_force_rates(
     """f̈ and f⃛ (n, 3) each, in W, of the desired cable forces on a load along its reference.
 
     `load` is the controllers' model and `reference` (22,) its motion; `forces` and `rates` are f
-    and ḟ (n, 3) in W, `internal_force` (2m,) is [λ; λ̇] and `parameters` (2,) are [ξ, A];
-    `pseudo_inverse` (3n, 6) and `basis` N₀ (3n, m) are constants in L, `orders` h (m,) those of
-    the pattern's harmonics. With f_i = R ᴸf_i,
+    and ḟ (n, 3) in W, `internal_force` (2m,) is [λ; λ̇] and `parameters` (2,) are [ξ, A]; `wind`
+    (3,) is in m/s, in W, and constant; `pseudo_inverse` (3n, 6) and `basis` N₀ (3n, m) are
+    constants in L, `orders` h (m,) those of the pattern's harmonics. With f_i = R ᴸf_i,
 
         d²ᴸf/dt² = G₀† d²ᴸw/dt² + N₀ λ̈,   λ̈ = −(h ξ)² λ,
         d³ᴸf/dt³ = G₀† d³ᴸw/dt³ + N₀ λ⃛,   λ⃛ = −(h ξ)² λ̇,
@@ -54,7 +55,7 @@ def second_and_third_force_rates(
     drag = load.drag
     weight = load.mass * load.gravity * np.array([0.0, 0.0, 1.0])
     force_rates = [
-        load.mass * desired.acceleration + weight + drag * desired.velocity,
+        load.mass * desired.acceleration + weight + drag * (desired.velocity - wind),
         load.mass * desired.jerk + drag * desired.acceleration,
         drag * desired.jerk,
         0 * desired.jerk,

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.rotation import cross, quaternion_rate, rotation_matrix
 from drake_nonstop.mechanics.signals import LoadState, Wrench
 
+STILL_AIR = np.zeros(3)  # m/s
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigidLoad:
@@ -61,12 +63,13 @@ def gravity_wrench(mass: float, gravity: float) -> NDArray:
 
 
 def load_acceleration(
-    load: RigidLoad, load_state: NDArray, wrench: NDArray
+    load: RigidLoad, load_state: NDArray, wrench: NDArray, wind: NDArray = STILL_AIR
 ) -> tuple[NDArray, NDArray]:
     """Angular and translational acceleration (3,) each, in W, under a wrench (6,) in W.
 
-    m p̈ = f − B_L ṗ − m g e₃ and J ω̇ = τ − C_L ω − ω × J ω in L. The drag B_L stands in the
-    paper's Table I only, and C_L nowhere in it.
+    m p̈ = f − B_L (ṗ − w) − m g e₃ and J ω̇ = τ − C_L ω − ω × J ω in L, in air that moves with w,
+    the `wind` (3,) in m/s, in W. The drag B_L stands in the paper's Table I only, C_L and w nowhere
+    in it.
     """
     state, applied = LoadState.view(load_state), Wrench.view(wrench)
     R_WL = rotation_matrix(state.quaternion)
@@ -76,7 +79,7 @@ def load_acceleration(
         - load.angular_drag * angular_velocity
         - cross(angular_velocity, load.inertia @ angular_velocity)
     )
-    force = applied.force - load.drag * state.velocity
+    force = applied.force - load.drag * (state.velocity - wind)
     return (
         R_WL @ (load.inertia_inverse @ torque),
         force / load.mass - load.gravity * np.array([0.0, 0.0, 1.0]),
@@ -88,13 +91,14 @@ def load_state_rate(
     load_state: NDArray,
     cable_forces: NDArray,
     disturbance_wrench: NDArray,
+    wind: NDArray = STILL_AIR,
     *,
     attachments: NDArray,
 ) -> NDArray:
     """The rate (13,) of the load state under cable forces (3n,) at the attachments.
 
-    `cable_forces` and `disturbance_wrench` (6,), at the centre of mass, are in W;
-    `attachments` (n, 3) in L.
+    `cable_forces`, `disturbance_wrench` (6,), at the centre of mass, and `wind` (3,), m/s, are in
+    W; `attachments` (n, 3) in L.
     """
     state = LoadState.view(load_state)
     forces = cable_forces.reshape(-1, 3)
@@ -102,7 +106,7 @@ def load_state_rate(
     wrench = disturbance_wrench + np.concatenate(
         [cross(levers, forces).sum(axis=0), forces.sum(axis=0)]
     )
-    angular, translational = load_acceleration(load, load_state, wrench)
+    angular, translational = load_acceleration(load, load_state, wrench, wind)
     return np.concatenate(
         [
             quaternion_rate(state.quaternion, state.angular_velocity),

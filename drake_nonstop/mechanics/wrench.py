@@ -8,7 +8,7 @@ desired motion is added with the weight `feedforward` (0: as in the paper).
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.rigid_load import RigidLoad, load_acceleration
+from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad, load_acceleration
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix, vee
 from drake_nonstop.mechanics.signals import LoadReference, LoadState, TrackingError, Wrench
 
@@ -38,6 +38,7 @@ def wrench_and_rate(
     load_state: NDArray,
     reference: NDArray,
     integrals: NDArray,
+    wind: NDArray = STILL_AIR,
     *,
     position_gain: float | NDArray,
     velocity_gain: float | NDArray,
@@ -49,10 +50,11 @@ def wrench_and_rate(
 ) -> tuple[NDArray, NDArray]:
     """w_d and ẇ_d, each (6,) [torque; force] in W.
 
-    `load` is the controller's model. `integrals` (6,) is [∫e_R, ∫e_p]; gains are numbers or (1,),
-    the orientation's also (3, 3), in L. With k = `feedforward`,
+    `load` is the controller's model. `integrals` (6,) is [∫e_R, ∫e_p]; `wind` (3,) is w in m/s, in
+    W, whose rate is taken as zero; gains are numbers or (1,), the orientation's also (3, 3), in L.
+    With k = `feedforward`,
 
-        f_d  = m g e₃ − K_p e_p − K_v e_v − K_i ∫e_p + k (m p̈_d + B_L ṗ_d)
+        f_d  = m g e₃ − K_p e_p − K_v e_v − K_i ∫e_p + k (m p̈_d + B_L (ṗ_d − w))
         ᴸτ_d = ω × J ω − K_R e_R − K_ω e_ω − K_iR ∫e_R + k (J d(RᵀR_d ω_d)/dt + C_L RᵀR_d ω_d)
 
     The rates are exact where the load moves as the model does under w_d (no numerical
@@ -77,7 +79,7 @@ def wrench_and_rate(
         - position_gain * e_p
         - velocity_gain * e_v
         - position_integral_gain * integral.force
-        + feedforward * (load.mass * desired.acceleration + load.drag * desired.velocity)
+        + feedforward * (load.mass * desired.acceleration + load.drag * (desired.velocity - wind))
     )
     torque = (
         cross(omega, momentum)
@@ -88,7 +90,7 @@ def wrench_and_rate(
     )
     wrench = np.concatenate([R_WL @ torque, force])
 
-    angular, translational = load_acceleration(load, load_state, wrench)
+    angular, translational = load_acceleration(load, load_state, wrench, wind)
     omega_rate = R_LW @ angular
     trace = (R_LD * np.eye(3)).sum(keepdims=True).reshape(1)
     e_R_rate = (trace * e_omega - R_LD @ e_omega) / 2

@@ -57,6 +57,8 @@ class AircraftParameters(StrictFields):
 # Of the fields that an aircraft need not give.
 _DEFAULTS = {"gust_time": 0.4, "air_density": 1.225, "cable_diameter": 0.001, "cable_drag": 1.1}
 _FIELDS = tuple(f.name for f in dataclasses.fields(AircraftParameters) if f.name != "model")
+# What the motion goes by.
+FLIGHT_FIELDS = tuple(name for name in _FIELDS if name not in ("wing_span", "efficiency"))
 
 
 def aircraft_names() -> list[str]:

@@ -1,13 +1,22 @@
 """What a block's context holds of the scenario: numbers of the system and of the block's config."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.model.system import Model
+from drake_nonstop.model.aircraft import FLIGHT_FIELDS
+from drake_nonstop.model.system import AIRCRAFT, Model
 from drake_nonstop.systems.parameters import NumericParameters
+from drake_nonstop.validation import ScenarioError
 
+# An aircraft's, but for what its motion does not go by.
+AIRCRAFT_NUMBERS = (
+    *(AIRCRAFT + name for name in FLIGHT_FIELDS),
+    "cable_length",
+    "gravity",
+)
 LOAD = ("load_mass", "load_inertia", "load_drag", "load_angular_drag", "gravity")
 
 
@@ -66,3 +75,23 @@ def rigid_load(
         angular_drag=load_angular_drag,
         gravity=gravity,
     )
+
+
+def required_aircraft(model: Model, box: str, block: str) -> Aircraft:
+    """The model's aircraft.
+
+    Raises:
+        ScenarioError: there is none.
+    """
+    if model.aircraft is None:
+        raise ScenarioError(
+            f"{model.field}.aircraft = none: {box} = {block} flies aircraft; give "
+            f"{{model: rascal_110}}, or choose another block for {box}"
+        )
+    return model.aircraft
+
+
+def aircraft_of(aircraft: Aircraft, numbers: Mapping[str, Any]) -> Aircraft:
+    """The aircraft with those of its `AIRCRAFT_NUMBERS`, numbers or symbols, that are given."""
+    given = {name.removeprefix(AIRCRAFT): value for name, value in numbers.items()}
+    return aircraft._replace(**given)

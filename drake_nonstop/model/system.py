@@ -25,6 +25,7 @@ from drake_nonstop.validation import (
 )
 
 OFFSET = "pattern_offset"  # N, in L, among the parameters of a block
+AIRCRAFT = "aircraft."  # begins the names of an aircraft's fields among them
 _MAX_CARRIERS = 100  # whose blocks take ten seconds to trace
 
 
@@ -202,7 +203,9 @@ class Model:
         return (OFFSET,) if has_offset else ()
 
     def number(self, name: str) -> Any:
-        """A field of the system, or the offset (3n,) of the pattern, by its name `OFFSET`."""
+        """A field of the system, or one of "aircraft.mass" and the like, or `OFFSET`'s (3n,)."""
+        if name.startswith(AIRCRAFT):
+            return getattr(self.aircraft, name.removeprefix(AIRCRAFT))
         return self.pattern.offset if name == OFFSET else getattr(self.system, name)
 
 

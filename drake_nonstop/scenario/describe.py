@@ -16,6 +16,7 @@ from pydrake.systems.framework import System
 
 from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import PATTERN, PATTERNS, Scenario
 from drake_nonstop.systems import wiring
@@ -82,7 +83,9 @@ def describe(name: str) -> Box:
         choices = tuple(map(_pattern, PATTERNS))
         return Box(name=name, signals=(), choices=choices)
     scenario = Scenario()
-    model = Model(scenario.system, scenario.pattern, scenario.control_period)
+    # For blocks of aircraft; it changes no port of the others.
+    system = dataclasses.replace(scenario.system, aircraft=AircraftParameters(model="rascal_110"))
+    model = Model(system, scenario.pattern, scenario.control_period)
     return Box(
         name=name,
         signals=tuple(_port(signal, None) for signal in BOXES[name].signals),

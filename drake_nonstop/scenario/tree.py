@@ -18,7 +18,14 @@ from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.own_blocks import import_config, is_import_path
 from drake_nonstop.scenario.run_limits import RunLimits
-from drake_nonstop.scenario.schema import CHOICES, Scenario, check, check_name, require_current
+from drake_nonstop.scenario.schema import (
+    CHOICES,
+    Scenario,
+    check,
+    check_name,
+    require_current,
+    require_current_block,
+)
 from drake_nonstop.validation import (
     ScenarioError,
     fields_of,
@@ -145,6 +152,7 @@ def config_class_of(name: str, tag: str, trusted: Trusted) -> type:
             "trust that code, give --trust (in Python: trust=True)",
         )
         return import_config(name, block)
+    require_current_block(name, block, tag)
     matching = [option for option in options if block_name(option) == block]
     require(matching, name, tag, f"give one of !{', !'.join(map(block_name, options))}")
     return matching[0]

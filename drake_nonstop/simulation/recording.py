@@ -47,6 +47,7 @@ STEP_TIME = "time"  # the name of the steps' times
 _EVERY_STEP = (
     "load_state",
     "carrier_state",
+    "aircraft_state",
     "tensions",
     "diagnostics",
     "speed_bound",

@@ -92,7 +92,7 @@ def robustness(
     """Runs a scenario without error and with each error at some levels, in a process per core.
 
     The simulated mass, inertia, attachment points and cable length differ from the controllers'
-    model; the load's state is measured with noise or delay; a constant or a gusty wind pushes
+    model; the load's state is measured with noise or delay; a constant or a gusty force pushes
     the load.
 
     Args:
@@ -205,12 +205,12 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
     weight = system.load_mass * system.gravity
     for percent in (1.0, 2.0, 5.0, 10.0):
         force = percent / 100 * weight
-        block = f"load_disturbance=!Wind {{force: [0, {force}, 0], start_time: 1.0}}"
-        yield "constant wind", percent, "% of weight", [block]
+        block = f"load_disturbance=!DisturbanceForce {{force: [0, {force}, 0], start_time: 1.0}}"
+        yield "constant force", percent, "% of weight", [block]
     for percent in (0.5, 1.0, 2.0, 5.0):
         force = percent / 100 * weight
-        block = f"load_disturbance=!Wind {{gust_force: {force}, seed: {seed}}}"
-        yield "gusty wind", percent, "% of weight (standard deviation)", [block]
+        block = f"load_disturbance=!DisturbanceForce {{gust_force: {force}, seed: {seed}}}"
+        yield "gusty force", percent, "% of weight (standard deviation)", [block]
 
 
 def _measured(text: str, overrides: Sequence[str]) -> dict[str, Any]:

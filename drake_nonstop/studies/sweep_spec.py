@@ -56,7 +56,7 @@ class SweepSpec(StrictFields):
     A path is one of the resolved scenario, as in `load_scenario`. Its distribution is one
     of `{uniform: [low, high]}`, `{normal: [mean, standard deviation]}`,
     `{log_uniform: [low, high]}`, `{choice: [value, ...]}`, and `{seed: true}`: a whole number of
-    each draw's own, for the seed of a block such as Wind.
+    each draw's own, for the seed of a block such as DisturbanceForce.
 
     In Python a box's values, in `grid` and in a `choice`, may be classes, configs and functions as
     well, as the replacements of `make_nonstop`; processes have to be able to import them. The table

@@ -66,6 +66,8 @@ class TracedBlock(DiagramBlock):
         key: as of `TracedFunction`; the parameters' values are no part of it.
         is_traced_late: the function is traced when an output is evaluated for the first time, for
             what most loops do not read; every output feeds through every input.
+        is_one_call: all outputs are made by one call into Python, and each depends on what any of
+            them reads.
 
     Raises:
         ValueError: there is nothing to take: neither an input nor a state nor the time.
@@ -83,6 +85,7 @@ class TracedBlock(DiagramBlock):
         parameters: NumericParameters | None = None,
         key: Any = None,
         is_traced_late: bool = False,
+        is_one_call: bool = False,
     ):
         super().__init__()
         parameters = parameters or NumericParameters({})
@@ -110,7 +113,10 @@ class TracedBlock(DiagramBlock):
         else:
             trace = Trace(function, sizes, key=key)
         inner = {i for i, name in enumerate(read) if name in _INNER}
-        groups = _groups(trace.dependence, {*inner, time}, has_state=state is not None)
+        dependence = trace.dependence
+        if is_one_call:
+            dependence = [set().union(*dependence)] * len(dependence)
+        groups = _groups(dependence, {*inner, time}, has_state=state is not None)
         builder = DiagramBuilder()
         traced = [
             builder.AddNamedSystem(

@@ -259,7 +259,7 @@ def _configured(rng: np.random.Generator) -> tuple[str, bool]:
         return f"{name}({model}, {config})", False
     is_senseless = value in _SENSELESS
     text = f"simulate(load_scenario('quintic', ['simulation_duration=0.02']), {box}={config})"
-    return text, is_senseless and name not in ("Wind",)
+    return text, is_senseless and name not in ("DisturbanceForce",)
 
 
 def _constructed(rng: np.random.Generator) -> tuple[str, bool]:

@@ -35,11 +35,11 @@ SAME = {
         *("carrier_dynamics=!LoadedCarrierDynamics {max_force: 9}", "simulated.carrier_mass=0.12"),
         "carrier_controller=LoadedCarrierPid",
     ),
-    "constant wind": (
+    "constant force": (
         "line",
         "simulation_duration=1",
         CONSTANT,
-        "load_disturbance=!Wind {force: [0.3, 0, 1]}",
+        "load_disturbance=!DisturbanceForce {force: [0.3, 0, 1]}",
     ),
     "unlike cables": (
         *("line", "simulation_duration=1", CONSTANT),
@@ -77,7 +77,11 @@ def test_it_is_the_separate_blocks_to_round_off(name):
 
 
 def test_a_gust_is_held_over_a_control_period():
-    settings = ["simulation_duration=3", CONSTANT, "load_disturbance=!Wind {gust_force: 0.3}"]
+    settings = [
+        "simulation_duration=3",
+        CONSTANT,
+        "load_disturbance=!DisturbanceForce {gust_force: 0.3}",
+    ]
     apart = simulate(load_scenario("line", settings))
     fused = simulate(load_scenario("line", [*settings, FUSE]))
     moved = simulate(load_scenario("line", ["simulation_duration=3", CONSTANT]))

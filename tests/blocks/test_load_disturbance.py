@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from helpers import model, output
 
-from drake_nonstop.blocks.load_disturbance import NoDisturbance, Wind, WindConfig
+from drake_nonstop.blocks.load_disturbance import (
+    DisturbanceForce,
+    DisturbanceForceConfig,
+    NoDisturbance,
+)
 from drake_nonstop.validation import ScenarioError
 
 
@@ -14,8 +18,8 @@ def test_no_disturbance_is_no_wrench():
     np.testing.assert_array_equal(wrench, np.zeros(6))
 
 
-def winds(config, times):
-    block = Wind(model(), config)
+def wrenches(config, times):
+    block = DisturbanceForce(model(), config)
     context = block.CreateDefaultContext()
     results = []
     for time in times:
@@ -24,32 +28,32 @@ def winds(config, times):
     return np.array(results)
 
 
-def test_wind_is_constant_but_for_its_gust():
-    config = WindConfig(force=[1, 2, 3], torque=[4, 5, 6], start_time=0.5)
-    calm, windy = winds(config, [0.4, 0.6])
-    np.testing.assert_array_equal(calm, 0)
-    np.testing.assert_array_equal(windy, [4, 5, 6, 1, 2, 3])
+def test_force_is_constant_but_for_its_gust():
+    config = DisturbanceForceConfig(force=[1, 2, 3], torque=[4, 5, 6], start_time=0.5)
+    before, after = wrenches(config, [0.4, 0.6])
+    np.testing.assert_array_equal(before, 0)
+    np.testing.assert_array_equal(after, [4, 5, 6, 1, 2, 3])
 
 
 def test_a_gust_has_its_deviation_and_correlation_time():
-    config = WindConfig(gust_force=0.5, gust_time=0.4, seed=3)
+    config = DisturbanceForceConfig(gust_force=0.5, gust_time=0.4, seed=3)
     times = np.arange(0, 400, 0.05)
-    forces = winds(config, times)[:, 3:]
+    forces = wrenches(config, times)[:, 3:]
     np.testing.assert_allclose(forces.std(axis=0), 0.5, rtol=0.1)
     assert np.abs(forces.mean(axis=0)).max() < 0.05
     lag = round(0.4 / 0.05)
     correlation = (forces[lag:] * forces[:-lag]).mean(axis=0) / forces.var(axis=0)
     np.testing.assert_allclose(correlation, np.exp(-1), atol=0.15)
     assert np.abs(np.corrcoef(forces.T) - np.eye(3)).max() < 0.1
-    np.testing.assert_array_equal(forces[:9], winds(config, times[:9])[:, 3:])
+    np.testing.assert_array_equal(forces[:9], wrenches(config, times[:9])[:, 3:])
     config.seed = 4
-    assert np.abs(forces[:9] - winds(config, times[:9])[:, 3:]).max() > 0.01
+    assert np.abs(forces[:9] - wrenches(config, times[:9])[:, 3:]).max() > 0.01
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
     [("force", [1.0]), ("gust_force", -1.0), ("gust_time", 0.0), ("seed", 0.5)],
 )
-def test_bad_wind(field, value):
+def test_bad_force(field, value):
     with pytest.raises(ScenarioError, match=f"^load_disturbance\\.{field} = "):
-        Wind(model(), WindConfig(**{field: value}))
+        DisturbanceForce(model(), DisturbanceForceConfig(**{field: value}))

@@ -20,8 +20,9 @@ def test_load_plant_integrates_newton_euler(rng, n):
     context = block.CreateDefaultContext()
     state, forces, wrench = Motion(50).state(0.3), rng.normal(size=3 * n), rng.normal(size=6)
     context.SetContinuousState(state)
-    fix(block, context, cable_forces=forces, disturbance_wrench=wrench)
-    expected = load_state_rate(LOAD, state, forces, wrench, attachments=regular(n))
+    wind = rng.normal(size=3)
+    fix(block, context, cable_forces=forces, disturbance_wrench=wrench, load_wind=wind)
+    expected = load_state_rate(LOAD, state, forces, wrench, wind, attachments=regular(n))
     rate = block.EvalTimeDerivatives(context).CopyToVector()
     np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-10)
     np.testing.assert_array_equal(output(block, context, "load_state"), state)
@@ -37,7 +38,13 @@ def test_falling_load_in_closed_form():
     block = LoadPlant(model(load_drag=0.7))
     simulator = Simulator(block)
     context = simulator.get_mutable_context()
-    fix(block, context, cable_forces=np.zeros(12), disturbance_wrench=np.zeros(6))
+    fix(
+        block,
+        context,
+        cable_forces=np.zeros(12),
+        disturbance_wrench=np.zeros(6),
+        load_wind=np.zeros(3),
+    )
     simulator.get_mutable_integrator().set_target_accuracy(1e-10)
     simulator.AdvanceTo(2.0)
     velocity = -9.81 / 0.7 * (1 - np.exp(-0.7 * 2.0))  # m = 1 kg
@@ -51,7 +58,7 @@ def test_load_plant_that_gets_no_number_is_named():
     context = block.CreateDefaultContext()
     forces = np.zeros(12)
     forces[4] = np.nan
-    fix(block, context, cable_forces=forces, disturbance_wrench=np.zeros(6))
+    fix(block, context, cable_forces=forces, disturbance_wrench=np.zeros(6), load_wind=np.zeros(3))
     with pytest.raises(NotFiniteError, match="load_plant"):
         block.EvalTimeDerivatives(context)
 
@@ -66,7 +73,13 @@ def test_angular_drag_brings_a_spinning_load_to_rest():
         diagram = builder.Build()
         simulator = Simulator(diagram)
         context = block.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-        fix(block, context, cable_forces=np.zeros(12), disturbance_wrench=np.zeros(6))
+        fix(
+            block,
+            context,
+            cable_forces=np.zeros(12),
+            disturbance_wrench=np.zeros(6),
+            load_wind=np.zeros(3),
+        )
         context.SetContinuousState([1, *[0.0] * 6, 0, 0, 3.0, 0, 0, 0])
         simulator.AdvanceTo(0.5)
         spin = context.get_continuous_state_vector().CopyToVector()[9]

@@ -26,6 +26,7 @@ from drake_nonstop.blocks.carrier_controller import (
 )
 from drake_nonstop.blocks.carrier_dynamics import (
     CarrierDynamics,
+    FixedWingDynamics,
     IdealCarriers,
     LoadedCarrierDynamics,
 )
@@ -40,7 +41,11 @@ from drake_nonstop.blocks.force_distribution import (
     CableForceDistribution,
 )
 from drake_nonstop.blocks.internal_force import InternalForceTrajectory
-from drake_nonstop.blocks.load_disturbance import NoDisturbance, Wind, WindConfig
+from drake_nonstop.blocks.load_disturbance import (
+    DisturbanceForce,
+    DisturbanceForceConfig,
+    NoDisturbance,
+)
 from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedback,
     IdealFeedback,
@@ -59,6 +64,14 @@ from drake_nonstop.blocks.load_trajectory import (
 from drake_nonstop.blocks.optimization_layer import ConstantParameters, NonstopOptimizer
 from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
 from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
+from drake_nonstop.blocks.wind import (
+    GustyWind,
+    GustyWindConfig,
+    SteadyWind,
+    SteadyWindConfig,
+    StillAir,
+    WindProfile,
+)
 from drake_nonstop.blocks.wrench_controller import (
     GeometricPd,
     PaperWrenchController,
@@ -67,6 +80,7 @@ from drake_nonstop.blocks.wrench_controller import (
 )
 from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.scenario.describe import parameters
 from drake_nonstop.validation import ScenarioError
 
@@ -85,8 +99,17 @@ def noisy_feedback(model):
     return NoisyFeedback(model, NoisyFeedbackConfig(position_noise=0.1, orientation_noise=0.1))
 
 
+def gusty_force(model):
+    return DisturbanceForce(model, DisturbanceForceConfig(gust_force=1.0))
+
+
+def rising_wind(model):
+    return SteadyWind(model, SteadyWindConfig(rise_time=2.0))
+
+
 def gusty_wind(model):
-    return Wind(model, WindConfig(gust_force=1.0))
+    config = GustyWindConfig(velocity=[3, 1, 0], exponent=0.2, load_gust=0.3, rise_time=2.0)
+    return GustyWind(model, config)
 
 
 def bounded_distribution(model):
@@ -112,7 +135,8 @@ DISTRIBUTION = (
     ],
 )
 _PULLED = ("reference", "desired_cable_forces", "desired_cable_force_rates")
-_ORBIT = ("internal_force", "parameters")
+_ORBIT = ("internal_force", "parameters", "wind_estimate")
+_WINDS = ["wind", "load_wind", "wind_estimate"]
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
@@ -120,9 +144,10 @@ BLOCKS = {
     moving_reference: ([], ["reference"], []),
     ConstantVelocityMove: ([], ["reference"], []),
     **dict.fromkeys(
-        (PaperWrenchController, GeometricPd, TunedWrenchController),
+        (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController),
         everything(
-            ["measured_load_state", "reference"], ["wrench", "wrench_rate", "tracking_error"]
+            ["measured_load_state", "reference", "wind_estimate"],
+            ["wrench", "wrench_rate", "tracking_error"],
         ),
     ),
     bounded_distribution: DISTRIBUTION,
@@ -171,18 +196,6 @@ BLOCKS = {
         ["measured_load_state"],
         [("reference", "measured_load_state")],
     ),
-    WrenchController: (
-        ["measured_load_state", "reference"],
-        ["wrench", "wrench_rate", "tracking_error"],
-        [
-            ("measured_load_state", "wrench"),
-            ("measured_load_state", "wrench_rate"),
-            ("measured_load_state", "tracking_error"),
-            ("reference", "wrench"),
-            ("reference", "wrench_rate"),
-            ("reference", "tracking_error"),
-        ],
-    ),
     NonstopOptimizer: (
         [
             "measured_load_state",
@@ -220,6 +233,15 @@ BLOCKS = {
     ),
     CarrierDynamics: (["carrier_forces"], ["carrier_state"], []),
     LoadedCarrierDynamics: (["carrier_forces", "cable_forces"], ["carrier_state"], []),
+    FixedWingDynamics: (
+        ["aircraft_command", "cable_forces", "wind"],
+        ["carrier_state", "aircraft_state", "carrier_acceleration"],
+        [
+            ("wind", "aircraft_state"),
+            ("wind", "carrier_acceleration"),
+            ("cable_forces", "carrier_acceleration"),
+        ],
+    ),
     LoadedCarrierPid: (
         ["carrier_reference", "carrier_state", "desired_cable_forces"],
         ["carrier_forces"],
@@ -244,8 +266,8 @@ BLOCKS = {
         ["measured_load_state"],
         [("load_state", "measured_load_state")],
     ),
-    gusty_wind: ([], ["disturbance_wrench"], []),
-    MultibodyLoadPlant: (["cable_forces", "disturbance_wrench"], ["load_state"], []),
+    gusty_force: ([], ["disturbance_wrench"], []),
+    MultibodyLoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),
     Cables: (
         ["load_state", "carrier_state"],
         ["cable_forces", "tensions"],
@@ -257,7 +279,20 @@ BLOCKS = {
         ],
     ),
     NoDisturbance: ([], ["disturbance_wrench"], []),
-    LoadPlant: (["cable_forces", "disturbance_wrench"], ["load_state"], []),
+    **dict.fromkeys((StillAir, SteadyWind, rising_wind), ([], _WINDS, [])),
+    **dict.fromkeys(
+        (WindProfile, gusty_wind),
+        (
+            ["carrier_state", "load_state"],
+            _WINDS,
+            [
+                ("carrier_state", "wind"),
+                ("load_state", "load_wind"),
+                ("load_state", "wind_estimate"),
+            ],
+        ),
+    ),
+    LoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),
 }
 
 # What a control period adds: the time of the sample.
@@ -279,7 +314,7 @@ cases = pytest.mark.parametrize(
 @functools.cache
 def built(make, n, period):
     """A block, which no test changes: what it computes is in the contexts."""
-    return make(model(n, period))
+    return make(model(n, period, aircraft=AircraftParameters(model="rascal_110")))
 
 
 def expected_ports(make, period):
@@ -292,7 +327,7 @@ def expected_ports(make, period):
 def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
-    held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()}
+    held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()} | {"held_wind_estimate": 3}
     return (sizes | held | {"sample_time": 1, "speed_bound_command": 1})[signal]
 
 
@@ -488,10 +523,12 @@ def test_a_quadratic_program_is_solved_on_floats_only():
 
 
 @pytest.mark.parametrize("n", [3, 6])
-def test_sample_and_hold_passes_nothing_through(n):
-    block = SampleAndHold(model(n, 0.01))
-    assert input_names(block) == ["measured_load_state", "reference"]
-    assert output_names(block) == ["held_measured_load_state", "held_reference", "sample_time"]
+@pytest.mark.parametrize("holds_wind", [False, True])
+def test_sample_and_hold_passes_nothing_through(n, holds_wind):
+    block = SampleAndHold(model(n, 0.01), holds_wind=holds_wind)
+    inputs = ["measured_load_state", "reference", *(["wind_estimate"] if holds_wind else [])]
+    assert input_names(block) == inputs
+    assert output_names(block) == [*(f"held_{name}" for name in inputs), "sample_time"]
     for name in output_names(block):
         assert block.GetOutputPort(name).size() == size(name, n, n)
     assert feedthrough(block) == set()

@@ -32,6 +32,7 @@ GAINS = {
 }
 
 
+WIND = np.array([2.0, -1.0, 0.5])
 LOAD = RigidLoad(mass=1.0, inertia=INERTIA, drag=0.7, gravity=9.81)
 
 
@@ -45,8 +46,8 @@ def test_wrench_controller_gives_wrench_rate_and_error(rng, period):
         context.SetDiscreteState(integrals)
     else:
         context.SetContinuousState(integrals)
-    fix(block, context, measured_load_state=state, reference=reference)
-    wrench, rate = wrench_and_rate(LOAD, state, reference, integrals, **GAINS)
+    fix(block, context, measured_load_state=state, reference=reference, wind_estimate=WIND)
+    wrench, rate = wrench_and_rate(LOAD, state, reference, integrals, WIND, **GAINS)
     error = tracking_error(state, reference)
     for name, expected in (("wrench", wrench), ("wrench_rate", rate), ("tracking_error", error)):
         np.testing.assert_allclose(
@@ -58,7 +59,7 @@ def test_integrals_of_a_continuous_controller_have_the_error_as_their_rate():
     block = WrenchController(model())
     context = block.CreateDefaultContext()
     state, reference = Motion(51).state(0.3), Motion(52).reference(0.3)
-    fix(block, context, measured_load_state=state, reference=reference)
+    fix(block, context, measured_load_state=state, reference=reference, wind_estimate=WIND)
     np.testing.assert_array_equal(context.get_continuous_state_vector().CopyToVector(), 0)
     np.testing.assert_allclose(
         block.EvalTimeDerivatives(context).CopyToVector(),
@@ -73,7 +74,7 @@ def test_integrals_of_a_sampled_controller_step_once_a_period():
     simulator = Simulator(block)
     context = simulator.get_mutable_context()
     state, reference = Motion(51).state(0.3), Motion(52).reference(0.3)
-    fix(block, context, measured_load_state=state, reference=reference)
+    fix(block, context, measured_load_state=state, reference=reference, wind_estimate=WIND)
     simulator.Initialize()
     error = tracking_error(state, reference)[:6]
     for time, steps in ((0.0, 0), (0.01, 0), (0.03, 1), (0.05, 2)):

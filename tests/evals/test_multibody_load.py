@@ -49,11 +49,13 @@ def test_both_plants_agree_on_a_load_that_tumbles():
             state = np.concatenate([rng.standard_normal(4), 5 * rng.standard_normal(9)])
             state[:4] /= np.linalg.norm(state[:4])
             forces, wrench = 5 * rng.standard_normal(3 * n), rng.standard_normal(6)
+            wind = 5 * rng.standard_normal(3)
             rates = []
             for plant in plants:
                 context = plant.CreateDefaultContext()
                 context.SetContinuousState(state)
-                fix(plant, context, cable_forces=forces, disturbance_wrench=wrench)
+                inputs = {"cable_forces": forces, "disturbance_wrench": wrench}
+                fix(plant, context, **inputs, load_wind=wind)
                 rates.append(plant.EvalTimeDerivatives(context).CopyToVector())
             np.testing.assert_allclose(*rates, rtol=1e-9, atol=1e-9)
             assert np.abs(rates[0][7:10]).max() > 1.0

@@ -99,10 +99,10 @@ EQUATIONS = {
         lambda basis, phases: internal_force.ellipse_axes(basis.reshape(9, 3), phases),
         [27, 3],
     ),
-    "load_acceleration": (lambda *a: rigid_load.load_acceleration(LOAD, *a), [13, 6]),
+    "load_acceleration": (lambda *a: rigid_load.load_acceleration(LOAD, *a), [13, 6, 3]),
     "load_state_rate": (
         lambda *a: rigid_load.load_state_rate(LOAD, *a, attachments=ATTACHMENTS),
-        [13, 3 * N, 6],
+        [13, 3 * N, 6, 3],
     ),
     "load_energies": (
         lambda state: (
@@ -125,7 +125,7 @@ EQUATIONS = {
     "tracking_error": (wrench.tracking_error, [13, 22]),
     "wrench_and_rate": (
         lambda *a: wrench.wrench_and_rate(LOAD, *a, **CONTROL),
-        [13, 22, 6],
+        [13, 22, 6, 3],
     ),
     "positive_part": (cable.positive_part, [4]),
     "cable_forces_and_tensions": (
@@ -160,7 +160,7 @@ EQUATIONS = {
             pseudo_inverse=GRASP["pseudo_inverse"],
             basis=BASIS,
         ),
-        [22, 3 * N, 3 * N, 2 * N, 2],
+        [22, 3 * N, 3 * N, 2 * N, 2, 3],
     ),
     "pid_forces": (
         lambda *a: carrier.pid_forces(

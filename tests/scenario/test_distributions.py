@@ -20,10 +20,10 @@ from pydrake.common.schema import (
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
 from drake_nonstop import (
+    DisturbanceForceConfig,
     RunLimits,
     Scenario,
     ScenarioError,
-    WindConfig,
     dump_scenario,
     load_scenario,
     parse_scenario,
@@ -35,7 +35,8 @@ from drake_nonstop.scenario.overrides import changed
 DRAWS = 4000
 FIELDS = (
     "system.load_mass=!Uniform {min: 0.7, max: 1.3}",
-    "load_disturbance=!Wind {force: !GaussianVector {mean: [1, 2, 3], stddev: [0.1, 0.2, 0.3]}, "
+    "load_disturbance=!DisturbanceForce {force: "
+    "!GaussianVector {mean: [1, 2, 3], stddev: [0.1, 0.2, 0.3]}, "
     "torque: [0, !Gaussian {mean: -1, stddev: 0.5}, 0], seed: !Uniform {min: 0, max: 10}, "
     "gust_force: !UniformDiscrete {values: [0.1, 0.2, 0.6]}}",
     "simulated.cable_length=!Deterministic {value: 0.81}",
@@ -159,7 +160,7 @@ class TestPython:
         scenario.simulation_duration = Uniform(min=1, max=2)
         scenario.limits = RunLimits(speed=UniformDiscrete(values=[50, 60]))
         scenario.system.attachments[0][2] = Gaussian(mean=0, stddev=0.01)
-        scenario.load_disturbance = WindConfig(
+        scenario.load_disturbance = DisturbanceForceConfig(
             force=GaussianVectorX(mean=[1, 2, 3], stddev=[0.1]),
             torque=UniformVector[3](min=[1, 2, 3], max=[2, 3, 4]),
         )
@@ -174,7 +175,7 @@ class TestPython:
     def test_pickles_copies_and_equality(self):
         scenario = Scenario()
         scenario.system.load_mass = Uniform(min=1, max=2)
-        scenario.load_disturbance = WindConfig(
+        scenario.load_disturbance = DisturbanceForceConfig(
             force=GaussianVectorX(mean=[1, 2, 3], stddev=[0.1]),
             torque=UniformVector[3](min=[1, 2, 3], max=[2, 3, 4]),
         )
@@ -195,7 +196,9 @@ class TestPython:
             scenario.sampled(3)
 
 
-WIND = "load_disturbance=!Wind {force: !GaussianVector {mean: [1, 2, 3], stddev: [0.1]}}"
+WIND = (
+    "load_disturbance=!DisturbanceForce {force: !GaussianVector {mean: [1, 2, 3], stddev: [0.1]}}"
+)
 
 
 class TestBadInput:

@@ -32,11 +32,13 @@ def test_a_load_starts_with_the_acceleration_of_its_reference(points):
 @pytest.mark.parametrize("lift", GENERATOR.uniform(10, 100, 3).tolist())
 def test_a_disturbance_that_lifts_the_load_is_named_with_a_remedy_that_works(lift):
     with pytest.raises(ScenarioError, match="load_disturbance lifts it with") as raised:
-        simulate(short(f"load_disturbance=!Wind {{force: [0, 0, {lift}]}}"))
+        simulate(short(f"load_disturbance=!DisturbanceForce {{force: [0, 0, {lift}]}}"))
     assert "let it start later" in str(raised.value)
     assert "load_trajectory" not in str(raised.value)
-    simulate(short(f"load_disturbance=!Wind {{force: [0, 0, {lift}], start_time: 0.05}}"))
-    simulate(short("load_disturbance=!Wind {force: [0, 0, 6]}"))
+    simulate(
+        short(f"load_disturbance=!DisturbanceForce {{force: [0, 0, {lift}], start_time: 0.05}}")
+    )
+    simulate(short("load_disturbance=!DisturbanceForce {force: [0, 0, 6]}"))
 
 
 @pytest.mark.parametrize("length", GENERATOR.uniform(1.0, 3.0, 3).tolist())
@@ -62,7 +64,7 @@ def test_a_load_that_is_too_heavy_is_told_by_its_mass_with_a_remedy_that_works(m
         ),
         ("optimization_layer=!ConstantParameters {amplitude: 9.0e+8}", "internal_force"),
         ("system.gravity=1e9", "wrench_controller"),
-        ("load_disturbance=!Wind {force: [0, 1e9, 0]}", "load_disturbance"),
+        ("load_disturbance=!DisturbanceForce {force: [0, 1e9, 0]}", "load_disturbance"),
     ],
 )
 def test_a_value_that_is_not_finite_at_the_start_names_its_block(override, block, fused):

@@ -18,7 +18,7 @@ SWAPS = [
     [],
     ["control_period=0", CONSTANT, "phase=PaperPhase"],
     ["control_period=0", "carrier_trajectory=MeasuredCarrierTrajectory"],
-    ["load_plant=MultibodyLoadPlant", "load_disturbance=!Wind {gust_force: 1.0}"],
+    ["load_plant=MultibodyLoadPlant", "load_disturbance=!DisturbanceForce {gust_force: 1.0}"],
     ["load_feedback=!NoisyFeedback {delay: 0.02, position_noise: 0.01}"],
     [
         "carrier_dynamics=!LoadedCarrierDynamics {max_force: 9}",

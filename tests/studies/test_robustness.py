@@ -16,7 +16,7 @@ CASES = ("none", 0.0), ("load mass", 20.0)
 
 def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     errors = robustness._errors
-    wanted = ("none", "load mass", "gusty wind")
+    wanted = ("none", "load mass", "gusty force")
     monkeypatch.setattr(
         robustness, "_errors", lambda *given: [e for e in errors(*given) if e[0] in wanted]
     )
@@ -25,7 +25,7 @@ def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     lines = capsys.readouterr().out.splitlines()
     assert len([line for line in lines if line.startswith(wanted)]) == 9
     cases = json.loads((tmp_path / "robustness.json").read_text())["cases"]
-    assert [case["error"] for case in cases] == ["none"] + ["load mass"] * 4 + ["gusty wind"] * 4
+    assert [case["error"] for case in cases] == ["none"] + ["load mass"] * 4 + ["gusty force"] * 4
     assert all(case["ending"] == "completed" for case in cases)
     none, *others = (case["metrics"]["load.position_error_mean_m"] for case in cases)
     assert all(error > 1.5 * none for error in others)
@@ -89,7 +89,7 @@ def test_a_run_that_does_not_complete_says_how_it_ended(
     monkeypatch.setattr(
         robustness,
         "_errors",
-        lambda *given: [e for e in errors(*given) if e[0] in ("none", "constant wind")],
+        lambda *given: [e for e in errors(*given) if e[0] in ("none", "constant force")],
     )
     arguments = ["robustness", "quintic", "--out", str(tmp_path), "--trust", "--set"]
     arguments += [
@@ -99,10 +99,10 @@ def test_a_run_that_does_not_complete_says_how_it_ended(
     assert main(arguments) == 0
     lines = capsys.readouterr().out.splitlines()
     none = next(line for line in lines if line.startswith("none"))
-    wind = [line for line in lines if line.startswith("constant wind")]
+    pushed = [line for line in lines if line.startswith("constant force")]
     assert none.endswith(f"  {ending}")
-    assert len(wind) == 4
-    assert not any(line.endswith(("failed", "diverged")) for line in wind)
+    assert len(pushed) == 4
+    assert not any(line.endswith(("failed", "diverged")) for line in pushed)
     first, *others = json.loads((tmp_path / "robustness.json").read_text())["cases"]
     assert first["ending"] == ending
     assert words in first["message"]

@@ -224,11 +224,11 @@ class TestTable:
         assert rows(tmp_path)[0]["carriers.n"] == 4
 
     def test_distributions_of_the_scenario_are_drawn_for_each_run(self, scenario, tmp_path):
-        wind = "!Wind {force: !UniformVector {min: [0, 0, 0], max: [1, 1, 0]}}"
+        block = "!DisturbanceForce {force: !UniformVector {min: [0, 0, 0], max: [1, 1, 0]}}"
         base = changed(scenario, ["simulated.load_mass=!Gaussian {mean: 1, stddev: 0}"])
         path = "simulated.load_mass.stddev"
         spec = SweepSpec(
-            seed=4, runs=2, grid={path: [0.0, 0.1]}, overrides=[f"load_disturbance={wind}"]
+            seed=4, runs=2, grid={path: [0.0, 0.1]}, overrides=[f"load_disturbance={block}"]
         )
         sweep(base, spec, tmp_path, executor=SerialExecutor())
         table = rows(tmp_path)

@@ -10,11 +10,11 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from drake_nonstop import (
     AccumulatedPhase,
     CarouselConfig,
+    DisturbanceForceConfig,
     PaperPhase,
     PaperPhaseConfig,
     ScenarioError,
     SweepSpec,
-    WindConfig,
     ablate,
     connect_by_name,
     load_scenario,
@@ -87,7 +87,7 @@ def test_ablation_of_classes_configs_functions_and_a_loop_of_ones_own(scenario, 
 
 def test_sweep_of_classes_configs_and_functions(scenario, tmp_path):
     weak = functools.partial(Push, force=0.1)
-    pushes = [Push, strong, weak, WindConfig(force=[0.0, 0.2, 0.0]), "NoDisturbance"]
+    pushes = [Push, strong, weak, DisturbanceForceConfig(force=[0.0, 0.2, 0.0]), "NoDisturbance"]
     spec = SweepSpec(grid={"load_disturbance": pushes, "phase": [PaperPhase]})
     result = sweep(scenario, spec, tmp_path, executor=SerialExecutor(), make_loop=renamed)
     assert result.endings == {"completed": 5}
@@ -136,7 +136,7 @@ IMPORT = "processes cannot import it; give a class, a config or a function of th
         (3, r"variant a = 3: give a list of path=value, and of replacements such as"),
         ([3], "variant a = 3: give path=value"),
         (
-            ["load_disturbance=Wind", {"load_disturbance": strong}],
+            ["load_disturbance=DisturbanceForce", {"load_disturbance": strong}],
             f"override = load_disturbance: leave it out: load_disturbance is made by {__name__}.s",
         ),
     ],
@@ -168,7 +168,13 @@ def test_sweeps_of_what_cannot_be_used_are_refused(grid, said):
 
 def test_the_identity_of_changes_differs_where_results_may():
     weaker = [functools.partial(Push, force=force) for force in (0.1, 0.2)]
-    entries = [Push, strong, *weaker, WindConfig(), WindConfig(force=[1.0, 0.0, 0.0])]
+    entries = [
+        Push,
+        strong,
+        *weaker,
+        DisturbanceForceConfig(),
+        DisturbanceForceConfig(force=[1.0, 0.0, 0.0]),
+    ]
     texts = {identity([{"load_disturbance": entry}]) for entry in entries}
     assert len(texts) == len(entries)
     assert identity(["a=1"]) != identity(["a=1"], renamed)

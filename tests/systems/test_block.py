@@ -27,7 +27,7 @@ SWAPS = [
     [],
     ["phase=PaperPhase", "wrench_controller=PaperWrenchController", "control_period=0"],
     ["load_plant=MultibodyLoadPlant", "carrier_trajectory=MeasuredCarrierTrajectory"],
-    ["load_feedback=!NoisyFeedback {delay: 0.02}", "load_disturbance=Wind"],
+    ["load_feedback=!NoisyFeedback {delay: 0.02}", "load_disturbance=DisturbanceForce"],
     ["carrier_dynamics=LoadedCarrierDynamics", "carrier_controller=LoadedCarrierPid"],
     ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
     ["cables=IndividualCables", "force_distribution=BoundedTensionDistribution"],

@@ -1,0 +1,350 @@
+"""Box "wind": how the air moves at carriers and load, and what the controllers believe of it.
+
+The wind acts on the load by its drag, and on carriers that are aircraft. The other carriers of the
+box "carrier_dynamics" have no aerodynamics, and do not feel it.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import BasicVector, Context, InputPort
+
+from drake_nonstop.mechanics.coloured_noise import Waves, coloured_noise, random_waves
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierStates, LoadState
+from drake_nonstop.mechanics.wind import LOWEST_HEIGHT, power_law, risen_share
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import LeafBlock, number
+from drake_nonstop.validation import (
+    StrictFields,
+    require,
+    require_array,
+    require_non_negative,
+    require_positive,
+    require_seed,
+)
+
+_BOX = "wind"
+_FASTEST = 100.0  # m/s, more than in any storm
+_STEEPEST = 1.0  # exponent of the height
+_WAVES, _HIGHEST = 64, 100.0  # of a gust on each axis, and its highest frequency times its time
+_SHORTEST = 0.01  # s, correlation time of a gust
+
+
+@dataclass(kw_only=True)
+class StillAirConfig(StrictFields):
+    """No parameters."""
+
+
+class StillAir(LeafBlock):
+    """No wind.
+
+    .. pydrake_system::
+
+        name: StillAir
+        output_ports:
+        - wind
+        - load_wind
+        - wind_estimate
+
+    `wind` (3n) at the carriers, `load_wind` (3) at the load and `wind_estimate` (3), which the
+    controllers believe, in m/s, in W: zero.
+    """
+
+    is_sampled = True
+
+    def __init__(self, model: Model, config: StillAirConfig | None = None):
+        super().__init__()
+        for name, size in (("wind", 3 * model.n), ("load_wind", 3), ("wind_estimate", 3)):
+            self.DeclareVectorOutputPort(name, size, self._calc, {self.nothing_ticket()})
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(np.zeros(output.size()))
+
+
+@dataclass(kw_only=True)
+class SteadyWindConfig(StrictFields):
+    """A velocity, and when it rises."""
+
+    velocity: list[float] = field(default_factory=lambda: [2.0, 0.0, 0.0])  # m/s, in W
+    start_time: float = 0.0  # s, still air before it
+    rise_time: float = 0.0  # s, in which it then rises linearly to the velocity; 0: at once
+    believed: list[float] | None = None  # m/s, in W, wind_estimate; null: the mean wind at the load
+
+
+class _MeanWind(LeafBlock):
+    """A velocity that may rise, and what the controllers believe of it.
+
+    Args:
+        config: the block's.
+    """
+
+    def __init__(self, config: SteadyWindConfig):
+        super().__init__()
+        self._velocity = _checked_velocity("velocity", config.velocity)
+        times = {"start_time": config.start_time, "rise_time": config.rise_time}
+        require_non_negative(_BOX, **times)
+        self._start, self._rise_time = config.start_time, config.rise_time
+        self._is_constant = not any(times.values())
+        self._believed = None
+        if config.believed is not None:
+            self._believed = _checked_velocity("believed", config.believed)
+
+    def _mean(self, context: Context) -> NDArray:
+        """The velocity (3,) at the context's time, m/s, in W."""
+        if self._is_constant:
+            return self._velocity
+        if self._rise_time > 0:
+            time = np.array([context.get_time()])
+            share = risen_share(time, start=self._start, rise_time=self._rise_time)
+            return share * self._velocity
+        return self._velocity if number(context.get_time()) >= self._start else np.zeros(3)
+
+
+def _checked_velocity(name: str, value: Any) -> NDArray:
+    velocity = require_array(f"{_BOX}.{name}", value, [3], "m/s, in W")
+    is_wind = np.linalg.norm(velocity) <= _FASTEST
+    require(is_wind, f"{_BOX}.{name}", value, f"give a velocity of at most {_FASTEST:g} m/s")
+    return velocity
+
+
+class SteadyWind(_MeanWind):
+    """The same wind everywhere, from the beginning on or rising linearly from still air.
+
+    .. pydrake_system::
+
+        name: SteadyWind
+        output_ports:
+        - wind
+        - load_wind
+        - wind_estimate
+
+    `wind` (3n) at the carriers, `load_wind` (3) at the load and `wind_estimate` (3), which the
+    controllers believe, in m/s, in W.
+
+    Parameters, the fields of `SteadyWindConfig`:
+        velocity: m/s, in W
+        start_time: s, still air before it
+        rise_time: s, in which it then rises linearly to the velocity; 0: at once
+        believed: m/s, in W, wind_estimate; null: the mean wind at the load
+
+    Raises:
+        ScenarioError: a field is out of range.
+    """
+
+    def __init__(self, model: Model, config: SteadyWindConfig | None = None):
+        super().__init__(config or SteadyWindConfig())
+        self.is_sampled = self._is_constant
+        sources = {self.nothing_ticket() if self._is_constant else self.time_ticket()}
+        self.DeclareVectorOutputPort("wind", 3 * model.n, self._calc, sources)
+        self.DeclareVectorOutputPort("load_wind", WIND_SIZE, self._calc, sources)
+        self.DeclareVectorOutputPort("wind_estimate", WIND_SIZE, self._calc_estimate, sources)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(np.tile(self._mean(context), output.size() // WIND_SIZE))
+
+    def _calc_estimate(self, context: Context, output: BasicVector) -> None:
+        believed = self._believed
+        output.SetFromVector(self._mean(context) if believed is None else believed)
+
+
+@dataclass(kw_only=True)
+class WindProfileConfig(SteadyWindConfig):
+    """A velocity, when it rises, and how it grows with the height."""
+
+    exponent: float = 0.14  # of the height; 0.14: open land, 0: the same wind everywhere
+    reference_height: float = 10.0  # m, above the ground, where the wind has the velocity
+    ground_height: float = 0.0  # m, z of the ground in W
+
+
+class WindProfile(_MeanWind):
+    """A wind that grows with the height above the ground by a power law, and may rise in time.
+
+    w = w_r (h/h_r)^α at the height h, which counts as 1 m below 1 m, see `mechanics.wind`.
+
+    .. pydrake_system::
+
+        name: WindProfile
+        input_ports:
+        - carrier_state
+        - load_state
+        output_ports:
+        - wind
+        - load_wind
+        - wind_estimate
+
+    `carrier_state` (6n) = [positions (m), velocities (m/s)] and `load_state` (13) = [quaternion
+    w x y z, position (m), angular velocity (rad/s), velocity (m/s)], in W, tell the heights;
+    `wind` (3n) at the carriers, `load_wind` (3) at the load and `wind_estimate` (3), which the
+    controllers believe, in m/s, in W.
+
+    Parameters, the fields of `WindProfileConfig`:
+        velocity: m/s, in W
+        start_time: s, still air before it
+        rise_time: s, in which it then rises linearly to the velocity; 0: at once
+        believed: m/s, in W, wind_estimate; null: the mean wind at the load
+        exponent: of the height; 0.14: open land, 0: the same wind everywhere
+        reference_height: m, above the ground, where the wind has the velocity
+        ground_height: m, z of the ground in W
+
+    Raises:
+        ScenarioError: a field is out of range.
+    """
+
+    def __init__(self, model: Model, config: WindProfileConfig | None = None):
+        config = config or WindProfileConfig()
+        super().__init__(config)
+        require_non_negative(_BOX, exponent=config.exponent)
+        is_profile = config.exponent <= _STEEPEST
+        require(is_profile, f"{_BOX}.exponent", config.exponent, f"give at most {_STEEPEST:g}")
+        require_positive(_BOX, reference_height=config.reference_height)
+        require(
+            config.reference_height >= LOWEST_HEIGHT,
+            f"{_BOX}.reference_height",
+            config.reference_height,
+            f"give at least {LOWEST_HEIGHT:g} m; below that the wind does not change",
+        )
+        require_array(f"{_BOX}.ground_height", [config.ground_height], [1], "m, in W")
+        self._law = {
+            "reference_height": config.reference_height,
+            "exponent": config.exponent,
+        }
+        self._ground = config.ground_height
+        self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * model.n)
+        self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
+        self._declare("wind", 3 * model.n, self._calc_wind, self._carrier_state)
+        self._declare("load_wind", WIND_SIZE, self._calc_load_wind, self._load_state)
+        self._declare("wind_estimate", WIND_SIZE, self._calc_estimate, self._load_state)
+
+    def _declare(self, name: str, size: int, calc: Any, heights: InputPort) -> None:
+        sources = {self.time_ticket(), self.input_port_ticket(heights.get_index())}
+        self.DeclareVectorOutputPort(name, size, calc, sources)
+
+    def _profile(self, context: Context, positions: NDArray) -> NDArray:
+        """The mean wind at positions (k, 3), likewise."""
+        return self._mean(context) * power_law(positions[:, 2:] - self._ground, **self._law)
+
+    def _at_carriers(self, context: Context) -> NDArray:
+        """The mean wind (3n,) at the carriers."""
+        carriers = CarrierStates.view(self._carrier_state.Eval(context))
+        return self._profile(context, carriers.positions).ravel()
+
+    def _at_load(self, context: Context) -> NDArray:
+        """The mean wind (3,) at the load."""
+        load = LoadState.view(self._load_state.Eval(context))
+        return self._profile(context, load.position[None])[0]
+
+    def _calc_wind(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._at_carriers(context))
+
+    def _calc_load_wind(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._at_load(context))
+
+    def _calc_estimate(self, context: Context, output: BasicVector) -> None:
+        believed = self._believed
+        output.SetFromVector(self._at_load(context) if believed is None else believed)
+
+
+@dataclass(kw_only=True)
+class GustyWindConfig(WindProfileConfig):
+    """The mean wind, and the gusts on top of it."""
+
+    velocity: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m/s, in W, the mean
+    exponent: float = 0.0  # of the height; 0.14: open land, 0: the same wind everywhere
+    gust: float = 0.5  # m/s, standard deviation at a carrier, on each horizontal axis
+    vertical_share: float = 0.6  # of that, the standard deviation on the vertical axis
+    gust_length: float = 50.0  # m, correlation length
+    airspeed: float = 15.0  # m/s, at which carriers fly through the gusts
+    load_gust: float = 0.0  # m/s, as gust, of the load's own gusts, which last as long
+    seed: int = 0  # of the gusts
+
+
+class GustyWind(WindProfile):
+    """A `WindProfile` with seeded gusts, each carrier's its own.
+
+    On each axis first-order coloured noise, of `mechanics.coloured_noise`, whose time constant is
+    the correlation length over the airspeed: a function of time alone, so that runs repeat to the
+    bit whatever the integrator's steps are. A carrier's gusts follow from the seed and its number.
+    They are there from the start on; a mean wind may rise later.
+
+    .. pydrake_system::
+
+        name: GustyWind
+        input_ports:
+        - carrier_state
+        - load_state
+        output_ports:
+        - wind
+        - load_wind
+        - wind_estimate
+
+    `carrier_state` (6n) = [positions (m), velocities (m/s)] and `load_state` (13) = [quaternion
+    w x y z, position (m), angular velocity (rad/s), velocity (m/s)], in W, tell the heights;
+    `wind` (3n) at the carriers, `load_wind` (3) at the load and `wind_estimate` (3), which the
+    controllers believe, in m/s, in W.
+
+    Parameters, the fields of `GustyWindConfig`:
+        velocity: m/s, in W, the mean
+        start_time: s, still air before it
+        rise_time: s, in which it then rises linearly to the velocity; 0: at once
+        believed: m/s, in W, wind_estimate; null: the mean wind at the load
+        exponent: of the height; 0.14: open land, 0: the same wind everywhere
+        reference_height: m, above the ground, where the wind has the velocity
+        ground_height: m, z of the ground in W
+        gust: m/s, standard deviation at a carrier, on each horizontal axis
+        vertical_share: of that, the standard deviation on the vertical axis
+        gust_length: m, correlation length
+        airspeed: m/s, at which carriers fly through the gusts
+        load_gust: m/s, as gust, of the load's own gusts, which last as long
+        seed: of the gusts
+
+    Raises:
+        ScenarioError: a field is out of range.
+    """
+
+    def __init__(self, model: Model, config: GustyWindConfig | None = None):
+        config = config or GustyWindConfig()
+        super().__init__(model, config)
+        deviations = {"gust": config.gust, "load_gust": config.load_gust}
+        require_non_negative(_BOX, **deviations, vertical_share=config.vertical_share)
+        for name, deviation in deviations.items():
+            remedy = f"give at most {_FASTEST:g} m/s"
+            require(deviation <= _FASTEST, f"{_BOX}.{name}", deviation, remedy)
+        require(
+            config.vertical_share <= 2,
+            f"{_BOX}.vertical_share",
+            config.vertical_share,
+            "give at most 2, of the horizontal standard deviation",
+        )
+        require_positive(_BOX, gust_length=config.gust_length, airspeed=config.airspeed)
+        correlation_time = config.gust_length / config.airspeed
+        require(
+            correlation_time >= _SHORTEST,
+            f"{_BOX}.gust_length",
+            config.gust_length,
+            f"give at least {_SHORTEST:g} s times the airspeed, {_SHORTEST * config.airspeed:g} m",
+        )
+        require_seed(f"{_BOX}.seed", config.seed)
+
+        def waves(number: int) -> Waves:
+            random = np.random.default_rng([config.seed, number])
+            return random_waves(random, 3, correlation_time, count=_WAVES, highest=_HIGHEST)
+
+        shares = np.array([1.0, 1.0, config.vertical_share])
+        carriers = [waves(i + 1) for i in range(model.n)]
+        self._waves = Waves._make(map(np.concatenate, zip(*carriers, strict=True)))
+        self._deviations = np.tile(config.gust * shares, model.n)
+        self._load_waves, self._load_deviations = waves(0), config.load_gust * shares
+
+    def _calc_wind(self, context: Context, output: BasicVector) -> None:
+        gusts = coloured_noise(context.get_time(), self._waves, self._deviations)
+        output.SetFromVector(self._at_carriers(context) + gusts)
+
+    def _calc_load_wind(self, context: Context, output: BasicVector) -> None:
+        gust = coloured_noise(context.get_time(), self._load_waves, self._load_deviations)
+        output.SetFromVector(self._at_load(context) + gust)
+
+
+# The blocks that the box can be, the default first.
+VARIANTS = (StillAir, SteadyWind, WindProfile, GustyWind)
