@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import typing
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -342,13 +343,14 @@ def _simulated(scenario: Scenario) -> Model:
         field="simulated" if given else "system",
         overridden=given,
     )
-    require(
-        model.aircraft is not None,
-        "system.aircraft",
-        None,
-        "give one, such as --set system.aircraft.model=rascal_110",
-    )
+    _aircraft_of(model)
     return model
+
+
+def _aircraft_of(model: Model) -> Aircraft:
+    remedy = "give one, such as --set system.aircraft.model=rascal_110"
+    require(model.aircraft is not None, "system.aircraft", None, remedy)
+    return typing.cast(Aircraft, model.aircraft)
 
 
 def _limits(scenario: Scenario) -> FlightLimits:
@@ -396,7 +398,7 @@ def margins_at_rest(
         name: of the scenario.
 
     Raises:
-        ScenarioError: the load turns about a horizontal axis.
+        ScenarioError: there are no aircraft, or the load turns about a horizontal axis.
     """
     orbit = _Orbit(model, reference, parameters, limits)
     found = _margins(orbit, wind, name)
@@ -435,7 +437,7 @@ class _Quantity(NamedTuple):
             limit=float(limits[instant, column]),
             is_upper=self.is_upper,
             phase=float(phases[instant]),
-            carriers=self.carriers[column],
+            carriers=self.carriers[int(column)],
         )
 
 
@@ -451,7 +453,8 @@ class _Orbit:
             "give one that lets the load rest at first, or turns it about the vertical: there is "
             "no resting orbit",
         )
-        self.model, self._reference, self._parameters = model, reference, parameters
+        self.model, self.aircraft = model, _aircraft_of(model)
+        self._reference, self._parameters = reference, parameters
         self._yaw_rate = float(turning[2])
         (frequency,), (amplitude,) = Parameters.view(parameters)
         rates = [abs(self._yaw_rate)] if self._yaw_rate else []
@@ -482,11 +485,11 @@ class _Orbit:
             rest_length=model.cable_length,
             compliance=model.cable_compliance,
         )
-        needs = aircraft_needs(model.aircraft, motion, wind.at(motion.positions))
+        needs = aircraft_needs(self.aircraft, motion, wind.at(motion.positions))
         return needs, [*self._of_each(needs), *self._of_pairs(motion)]
 
     def _of_each(self, needs: AircraftNeeds) -> Iterator[_Quantity]:
-        aircraft = self.model.aircraft
+        aircraft = self.aircraft
         lift, airspeed = needs.lift / aircraft.max_lift, needs.airspeed / stall_speed(aircraft)
         for name, unit, values, limits, is_upper in (
             ("C_L / C_Lmax", "", lift, self.limits.lift_share, True),
@@ -532,7 +535,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         _, quantities = orbit.at(near, wind)
         found = [quantity.worst(near) for quantity in quantities]
         margins = [min(pair, key=lambda m: m.margin) for pair in zip(margins, found, strict=True)]
-    aircraft = orbit.model.aircraft
+    aircraft = orbit.aircraft
     return AircraftMargins(
         scenario=name,
         margins=tuple(

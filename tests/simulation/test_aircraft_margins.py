@@ -12,6 +12,7 @@ from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation import aircraft_margins
 from drake_nonstop.simulation.aircraft_margins import (
     FlightLimits,
@@ -20,7 +21,9 @@ from drake_nonstop.simulation.aircraft_margins import (
     margins_dictionary,
     margins_table,
 )
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.simulation.run import StepCheck
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
 GRAVITY, AIR_DENSITY = 9.81, 1.225
 MASS, LOAD_MASS, SHARE = 6.0, 10.0, 10.0 * GRAVITY / 4
@@ -213,3 +216,21 @@ def test_the_table_has_a_line_for_each_margin():
     assert all(any(m.name in line for line in lines) for m in result.margins)
     assert stall_speed(model(F150, 150.0).aircraft) == result.stall_speed
     assert margins_dictionary(result)["is_flyable"]
+
+
+def test_a_run_warns_of_what_is_missed_before_it_flies():
+    overrides = [
+        "simulation_duration=0.01",
+        "control_period=0",
+        "system.aircraft.model=rascal_110",
+        "system.cable_length=150",
+        "pattern=!EllipticCarousel {spread: 6.75, radial: 3.3, tangential: 4.5, vertical: 4.9}",
+        "optimization_layer=!ConstantParameters {frequency: 0.595, amplitude: 1.0}",
+        "carrier_dynamics=FixedWingDynamics",
+        "carrier_controller=FixedWingController",
+        "wind=!SteadyWind {velocity: [0, 4, 0]}",
+        "limits.carrier_distance=0.1",
+    ]
+    scenario = load_scenario("real_scale_spread", overrides)
+    with pytest.warns(ScenarioWarning, match=r"^wind\.velocity = .*C_L / C_Lmax 1\.1.* check "):
+        simulate(scenario, check_step=StepCheck.NOTHING)
