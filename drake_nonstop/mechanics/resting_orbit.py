@@ -4,7 +4,7 @@ Position, velocity and acceleration are exact: all forces, and with them the car
 known functions of the time.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +106,7 @@ def resting_orbits(
     motion = np.zeros(LOAD_REFERENCE_SIZE)
     motion[0] = 1.0
     LoadReference.view(motion).angular_velocity[:] = omega
-    cables = {
+    cables: dict[str, Any] = {
         "attachments": np.tile(attachments, (count, 1)),
         "rest_length": rest_length,
         "compliance": compliance,

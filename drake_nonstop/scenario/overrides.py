@@ -1,9 +1,7 @@
 """Changes "path=value" to a scenario: read from files, checked, combined, applied."""
 
 import copy
-import dataclasses
 import itertools
-import typing
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -11,7 +9,6 @@ from typing import Any
 
 from drake_nonstop.diagrams.box import kept_parameters
 from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.schema import CHOICES, Scenario, require_current
 from drake_nonstop.scenario.tree import (
     BASE,
@@ -24,13 +21,6 @@ from drake_nonstop.scenario.tree import (
 )
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
 from drake_nonstop.validation import number_text, read_text, require, require_known, require_type
-
-# The parts of a system that it may leave out.
-_OPTIONAL_PARTS = tuple(
-    field.name
-    for field in dataclasses.fields(SystemParameters)
-    if any(map(dataclasses.is_dataclass, typing.get_args(field.type)))
-)
 
 
 def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False) -> Scenario:
@@ -115,8 +105,6 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
         require_current(parents[0], "--set", override)
     branch: Any = tree
     for i, key in enumerate(parents):
-        if parents[:i] in (["system"], ["simulated"]) and key in _OPTIONAL_PARTS:
-            branch.setdefault(key, {})
         parts = [part for part in branch if part != "_tag"]
         at = ".".join(parents[: i + 1])
         require_known(key, parts, "--set", path, called=at)
