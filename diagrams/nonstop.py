@@ -67,6 +67,7 @@ from drake_nonstop.model.system import (
     PatternConfig,
     SystemParameters,
     WatchedModel,
+    given_fields,
     overridden,
 )
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
@@ -404,7 +405,7 @@ def _made_parts(
         plant.attachments,
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
-    given = [name for name, value in vars(scenario.simulated).items() if value is not None]
+    given = given_fields(scenario.simulated)
     simulated = Model(
         plant,
         scenario.pattern,

@@ -17,17 +17,21 @@ from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.model.aircraft import AircraftParameters, values_of
 from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.pattern import InternalForcePattern
-from drake_nonstop.model.system import OFFSET, Model, SystemParameters
+from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model, SystemParameters
 from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.systems.parameters import declared
 from drake_nonstop.validation import require, require_array, require_known, require_type
 
 _SYSTEM, _SIMULATED, _PATTERN = "system", "simulated", "pattern"
 _SPREAD = "spread"  # a field of a pattern, which its offset is proportional to
-_FIELDS = {field.name: field.type for field in dataclasses.fields(SystemParameters)}
-_GEOMETRY = ("attachments", "load_file", "attachment_frames")
+_FIELDS = {field.name: field.type for field in dataclasses.fields(SystemParameters)} | {
+    AIRCRAFT + field.name: field.type for field in dataclasses.fields(AircraftParameters)
+}
+_MASS = f"{AIRCRAFT}mass"  # which the carriers' is
+_GEOMETRY = ("attachments", "load_file", "attachment_frames", "aircraft", f"{AIRCRAFT}model")
 _BUILD = "build the loop with this value"
 
 
@@ -155,7 +159,8 @@ class _Loop:
                     about = _meanings(type(config))[_SPREAD]
                     yield f"{_PATTERN}.{_SPREAD}", _spread_of(parameters.model, value), about
                 continue
-            about = _meanings(SystemParameters).get(name, "")
+            kind = AircraftParameters if name.startswith(AIRCRAFT) else SystemParameters
+            about = _meanings(kind).get(name.removeprefix(AIRCRAFT), "")
             yield f"{holder.role}.{name}", value, about
             if holder.role == _SIMULATED and self._follows(name):
                 yield f"{_SYSTEM}.{name}", value, about
@@ -184,6 +189,8 @@ class _Loop:
                 self._require_effect(holder, name, value)
                 writes.append((holder, new if changed is not None and name == OFFSET else value))
         self._require_unread(models, name, path, value)
+        if field == _MASS:
+            self._require_no_other_mass(models, path, value)
         known = sorted(entry.path for entry in self.listed() if entry.path.startswith(f"{scope}."))
         is_of_system = scope in (_SYSTEM, _SIMULATED)
         require(
@@ -280,6 +287,16 @@ class _Loop:
             context = self._loop.GetSubsystemContext(holder.block, self._context)
             require_effect(context, name, value)
 
+    def _require_no_other_mass(self, models: dict[str, Model], path: str, value: Any) -> None:
+        """Raises ScenarioError where a block goes by the carriers' mass, which is the aircraft's.
+
+        A block of aircraft goes by the aircraft's itself.
+        """
+        for holder in self._holders:
+            goes_by = holder.role in models and holder.goes_by("carrier_mass")
+            block = f"{holder.box} = {type(holder.block).__name__}"
+            require(not goes_by, path, value, f"{block} is for carriers of a given mass; {_BUILD}")
+
     def _require_unread(self, models: dict[str, Model], name: str, path: str, value: Any) -> None:
         """Raises ScenarioError where a block of the user's own has read the field."""
         for box, watched in getattr(self._loop, "watched_models", {}).items():
@@ -303,7 +320,17 @@ class _Loop:
             for name in holder.parameters.of_system
         } | changes
         offset = np.array(numbers.pop(OFFSET, built.pattern.offset))
+        own = {k: numbers.pop(k) for k in [*numbers] if k.startswith(AIRCRAFT)}
         system = dataclasses.replace(built.system, **numbers)
+        if own and system.aircraft is not None:
+            given = values_of(system.aircraft) | {
+                k.removeprefix(AIRCRAFT): v for k, v in own.items()
+            }
+            if given != values_of(system.aircraft):
+                aircraft = AircraftParameters(**given)
+                system = dataclasses.replace(
+                    system, aircraft=aircraft, carrier_mass=own.get(_MASS, system.carrier_mass)
+                )
         if system == built.system and np.array_equal(offset, built.pattern.offset):
             return built
         pattern = dataclasses.replace(built.pattern, offset=offset)

@@ -24,7 +24,13 @@ from drake_nonstop.mechanics.flight_control import (
 )
 from drake_nonstop.mechanics.signals import WIND_SIZE, AircraftState
 from drake_nonstop.mechanics.tuning import pid_gains
-from drake_nonstop.model.block_parameters import BlockParameters, Rules
+from drake_nonstop.model.block_parameters import (
+    AIRCRAFT_NUMBERS,
+    BlockParameters,
+    Rules,
+    aircraft_of,
+    required_aircraft,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, LeafBlock
 from drake_nonstop.systems.traced_block import TracedBlock
@@ -38,13 +44,14 @@ from drake_nonstop.validation import (
 
 _BOX = "carrier_controller"
 _OUTPUTS = ("aircraft_command", "command_saturation")
+_LIMITS = ("lift_share", "max_bank", "speed_share")
 
 
 @dataclass(kw_only=True)
 class FixedWingControllerConfig(StrictFields):
     """Poles of the carriers about their references, observer and limits."""
 
-    frequency: float = 1.5  # rad/s, natural frequency of a carrier about its reference
+    frequency: float = 2.0  # rad/s, natural frequency of a carrier about its reference
     damping: float = 0.9  # damping ratio
     lead: float = 1.0  # weight of the lead along the reference; 0: none
     observer: float = 1.0  # weight of the observed disturbance; 0: none
@@ -136,8 +143,8 @@ class FixedWingController(DiagramBlock):
 
 def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
     """The commands, before they are held, and the observer."""
-    n, aircraft, period = model.n, model.aircraft, model.control_period
-    assert aircraft is not None
+    n, period = model.n, model.control_period
+    of_model = required_aircraft(model, _BOX, "FixedWingController")
 
     def law(
         observer_states: NDArray,
@@ -156,8 +163,10 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
         lead: NDArray,
         observer: NDArray,
         observer_time: NDArray,
-        **limits: NDArray,
+        **numbers: NDArray,
     ) -> tuple[NDArray, NDArray, NDArray]:
+        limits = {name: numbers.pop(name) for name in _LIMITS}
+        aircraft = aircraft_of(of_model, numbers)
         position_gain, velocity_gain, _ = pid_gains(frequency, damping, 0.0)
         measured = AircraftState.view(aircraft_state)
         command = flight_command(
@@ -208,11 +217,12 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
         outputs={"observer_rates": 5 * n} | dict.fromkeys(_OUTPUTS, size),
         parameters=BlockParameters(
             model,
+            AIRCRAFT_NUMBERS,
             config=config,
             own=asdict(config),
-            rules=Rules(check=_check, fixed=("aircraft",)),
+            rules=Rules(check=_check),
         ),
-        key=("fixed-wing controller", n, period, *map(str, aircraft)),
+        key=("fixed-wing controller", n, period),
     )
 
 
@@ -275,12 +285,7 @@ class _Hold(LeafBlock):
 
 
 def _check(model: Model, config: Any) -> None:
-    require(
-        model.aircraft is not None,
-        _BOX,
-        "FixedWingController",
-        "its carriers are aircraft; give some, such as system.aircraft: {model: rascal_110}",
-    )
+    required_aircraft(model, _BOX, "FixedWingController")
     values = asdict(config)
     weights = {name: values[name] for name in ("damping", "lead", "observer", "speed_share")}
     require_non_negative(_BOX, **weights)

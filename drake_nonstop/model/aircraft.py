@@ -74,8 +74,8 @@ def _of_table(name: str) -> dict[str, Any]:
 def merged(
     parameters: AircraftParameters | None, overrides: AircraftParameters | None
 ) -> AircraftParameters | None:
-    """The parameters with the fields replaced that `overrides` gives."""
-    if parameters is None or overrides is None:
+    """The parameters with the fields replaced that `overrides` gives; a model replaces all."""
+    if parameters is None or overrides is None or overrides.model is not None:
         return overrides or parameters
     given = {k: v for k, v in vars(overrides).items() if v is not None}
     return dataclasses.replace(parameters, **given)
@@ -87,6 +87,8 @@ def values_of(parameters: AircraftParameters, field: str = "system.aircraft") ->
     Raises:
         ScenarioError: the table has no such aircraft, or a field is missing.
     """
+    remedy = "give an AircraftParameters, or a mapping of its fields"
+    require(isinstance(parameters, AircraftParameters), field, parameters, remedy)
     values = dict(_DEFAULTS)
     name = parameters.model
     if name is not None:

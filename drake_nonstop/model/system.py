@@ -77,6 +77,14 @@ def overridden(system: SystemParameters, overrides: Any) -> SystemParameters:
     return dataclasses.replace(system, **{k: v for k, v in given.items() if v is not None})
 
 
+def given_fields(overrides: Any) -> list[str]:
+    """The names of the fields that `overrides` gives, with those of an aircraft by `AIRCRAFT`."""
+    given = [name for name, value in vars(overrides).items() if value is not None]
+    fields = vars(overrides.aircraft) if overrides.aircraft is not None else {}
+    is_whole = fields.get("model") is not None
+    return given + [AIRCRAFT + name for name, v in fields.items() if is_whole or v is not None]
+
+
 class PatternConfig(Protocol):
     """The interface of a scenario's `pattern` entry."""
 

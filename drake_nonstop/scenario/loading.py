@@ -143,7 +143,7 @@ def _merged(base: Tree, content: Tree) -> Tree:
     """The fields of a base with those of a scenario in their place.
 
     Parts such as `system` are merged field by field, boxes too where the block is the same:
-    another block begins with its own defaults.
+    another block begins with its own defaults, and another model of an aircraft with its figures.
     """
     merged = dict(base)
     for name, value in content.items():
@@ -153,9 +153,15 @@ def _merged(base: Tree, content: Tree) -> Tree:
         if isinstance(value, dict) and isinstance(inherited, dict):
             tag = _tag(name, inherited)
             if value.get("_tag", tag) == tag:
-                value = inherited | value
+                value = inherited | {k: _part(inherited.get(k), v) for k, v in value.items()}
         merged[name] = value
     return merged
+
+
+def _part(base: Any, content: Any) -> Any:
+    """A field of a part; of one that has fields itself, such as an aircraft, with the base's."""
+    are_parts = all(isinstance(part, dict) and "_tag" not in part for part in (base, content))
+    return base | content if are_parts and "model" not in content else content
 
 
 def _tag(name: str, entry: Tree) -> str | None:

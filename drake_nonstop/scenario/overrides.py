@@ -22,6 +22,9 @@ from drake_nonstop.scenario.tree import (
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
 from drake_nonstop.validation import number_text, read_text, require, require_known, require_type
 
+# Parts that are not in the tree where they are none.
+_LEFT_OUT = ("system.aircraft", "simulated.aircraft")
+
 
 def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False) -> Scenario:
     """A copy of the scenario with changes "path=value", see `load_scenario`.
@@ -107,6 +110,9 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
     for i, key in enumerate(parents):
         parts = [part for part in branch if part != "_tag"]
         at = ".".join(parents[: i + 1])
+        if at in _LEFT_OUT:
+            branch.setdefault(key, {})
+            parts.append(key)
         require_known(key, parts, "--set", path, called=at)
         require(isinstance(branch[key], dict), "--set", path, f"{at} has no parts; set it whole")
         branch = branch[key]

@@ -208,13 +208,23 @@ def _check_fields(name: str, tree: Any, schema: Any, *other_keys: str) -> None:
     """
     require(isinstance(tree, dict), name, tree, "give a mapping of fields to values")
     require("_tag" not in tree, name, tree.get("_tag"), "take the tag away; it is no block")
-    types = {field.name: field.type for field in fields_of(schema)}
+    kinds = {field.name: field.type for field in fields_of(schema)}
     for key, value in tree.items():
-        require_known(key, [*types, *other_keys], f"{name}.{key}", value)
-        if key in types:
+        require_known(key, [*kinds, *other_keys], f"{name}.{key}", value)
+        if key in kinds:
             path = f"{name}.{key}"
             if schema is SimulatorConfig:
                 remedy = "give what is no distribution; Drake's SimulatorConfig takes none"
                 is_plain = not distributions.is_entry(value)
                 require(is_plain, path, "a distribution", remedy)
-            require_type(path, distributions.with_means(path, value, types[key]), types[key])
+            require_type(path, distributions.with_means(path, value, kinds[key]), kinds[key])
+            part = _optional_part(kinds[key])
+            if part is not None and value is not None:
+                _check_fields(path, value, part)
+
+
+def _optional_part(kind: Any) -> type | None:
+    """The dataclass of a field that may be None instead."""
+    options = [option for option in typing.get_args(kind) if option is not types.NoneType]
+    is_optional = len(options) == 1 and len(typing.get_args(kind)) == 2
+    return options[0] if is_optional and dataclasses.is_dataclass(options[0]) else None

@@ -28,7 +28,8 @@ class LinearizedLoop:
     between two samples; delays, integrals and the optimization layer are left out.
 
     The carriers move with the load there: cables that change their length may have tensions that
-    end at zero, which hides what their damping does.
+    end at zero, which hides what their damping does. Aircraft, which cannot fly at its speed, keep
+    their own.
 
     Args:
         nonstop: the loop.
@@ -48,8 +49,10 @@ class LinearizedLoop:
         load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(trial))
         carriers = nonstop.GetOutputPort("carrier_state").Eval(trial).copy()
         positions, velocities = CarrierStates.view(carriers)
-        velocities[:] = load.velocity + np.cross(load.angular_velocity, positions - load.position)
-        self._plant.try_to_set(trial, carrier_state=carriers)
+        if not nonstop.HasOutputPort("aircraft_state"):
+            turning = np.cross(load.angular_velocity, positions - load.position)
+            velocities[:] = load.velocity + turning
+            self._plant.try_to_set(trial, carrier_state=carriers)
         self.is_continuous = self._plant.is_continuous(trial)
         self._start = self._plant.state(trial)
         holds = [block for block in nonstop.GetSystems() if isinstance(block, SampleAndHold)]

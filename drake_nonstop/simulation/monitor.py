@@ -41,6 +41,7 @@ class Monitor:
         sample: Callable[[], None],
         progress: Callable[[float], None] | None,
         after_step: Callable[[Simulator, Diagram], StepAction] | None,
+        is_over: Callable[[], bool] | None = None,
     ):
         self._simulator = simulator
         self._nonstop = nonstop
@@ -49,6 +50,8 @@ class Monitor:
         self._samples = 0
         self._progress = progress
         self._after_step = after_step
+        self._is_over = is_over
+        self.has_ended = False  # by a block's own decision
         self._last_report = 0.0
         self.waited = 0.0  # s of wall time
 
@@ -65,6 +68,9 @@ class Monitor:
             self._progress(root_context.get_time())
         if self._after_step is not None and self._ends():
             return EventStatus.ReachedTermination(self._nonstop, "ended")
+        if self._is_over is not None and self._is_over():
+            self.has_ended = True
+            return EventStatus.ReachedTermination(self._nonstop, "over")
         return EventStatus.DidNothing()
 
     def _ends(self) -> bool:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from operator import attrgetter
 
+from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.validation import is_number
@@ -21,6 +22,7 @@ class RunOutcome(str, Enum):
     """What became of a run, the worst first."""
 
     STOPPED = "stopped"  # it diverged, a block failed, or it was ended before its time
+    STALLED = "stalled"  # an aircraft's wing stalled
     LOAD_LOST = "load_lost"  # the load did not follow its reference
     COLLISION = "collision"  # carriers or cables came too close to each other
     CABLES_SLACK = "cables_slack"
@@ -201,11 +203,27 @@ def judge(run: RunQuantities) -> Judgement:
     ]
     if run.run.stopped:
         wrong.append((RunOutcome.STOPPED, run.run.stopped))
+    if run.first_stall is not None:
+        wrong.append((RunOutcome.STALLED, _told(run)))
     wrong += [(RunOutcome.UNCONVERGED, sentence) for sentence in run.run.unresolved]
     severity = list(RunOutcome)
     wrong.sort(key=lambda item: severity.index(item[0]))
     worst = wrong[0][0] if wrong else RunOutcome.OK
     return Judgement(outcome=worst, reasons=tuple(sentence for _, sentence in wrong))
+
+
+def _told(run: RunQuantities) -> str:
+    """The sentence about the first stall."""
+    stall, aircraft = run.first_stall, run.aircraft
+    assert stall is not None
+    assert aircraft is not None
+    ends = run.run.steps["time"][-1] < run.run.scenario.simulation_duration
+    end = ", where the run ended" if ends and not run.run.stopped else ""
+    return (
+        f"carrier {stall.carrier} stalled at t = {stall.time:.3f} s{end}: C_L was "
+        f"{stall.lift:.3g} of at most {aircraft.max_lift:.3g}, and the airspeed "
+        f"{stall.airspeed:.3g} m/s, with a stall speed of {stall_speed(aircraft):.3g} m/s"
+    )
 
 
 def find_warnings(run: RunQuantities) -> list[str]:

@@ -4,17 +4,20 @@ import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.aircraft import Aircraft, is_stalled
 from drake_nonstop.mechanics.rotation import (
     quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
     rotation_vector,
 )
-from drake_nonstop.mechanics.signals import CarrierStates, Parameters, Pose
+from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Parameters, Pose
+from drake_nonstop.model.aircraft import make_aircraft
 from drake_nonstop.model.system import SystemParameters, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.simulation.run import Run
@@ -30,6 +33,15 @@ _CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are 
 _SMALL_TURN = math.cos(0.2)  # of a velocity between two steps
 _TURN = 0.1  # s, over which a turn and an acceleration are measured
 _SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
+
+
+class Stall(NamedTuple):
+    """An aircraft's stall."""
+
+    time: float  # s
+    carrier: int  # from 1 on
+    lift: float  # C_L with the gusts' part
+    airspeed: float  # m/s
 
 
 class RunQuantities:
@@ -210,6 +222,35 @@ class RunQuantities:
         except KeyError:  # nothing in the loop makes it
             return None
         return float(np.max(np.linalg.norm(forces.reshape(len(forces), -1, 3), axis=2)))
+
+    @cached_property
+    def aircraft(self) -> Aircraft | None:
+        """The simulated aircraft, where the carriers are some."""
+        system = self.system
+        if system.aircraft is None:
+            return None
+        return make_aircraft(
+            system.aircraft, cable_length=system.cable_length, gravity=system.gravity
+        )
+
+    @cached_property
+    def first_stall(self) -> Stall | None:
+        """The first stall of an aircraft; None: there was none, or there are no aircraft."""
+        shown = self.run.steps.get("aircraft_state")
+        if self.aircraft is None or shown is None:
+            return None
+        stalled = is_stalled(self.aircraft, shown)
+        if not np.any(stalled):
+            return None
+        k = int(np.argmax(np.any(stalled, axis=1)))
+        i = int(np.argmax(stalled[k]))
+        state = AircraftState.view(shown[k])
+        return Stall(
+            time=float(self.run.steps["time"][k]),
+            carrier=i + 1,
+            lift=float(state.lift[i]),
+            airspeed=float(state.airspeed[i]),
+        )
 
     @cached_property
     def time_below_bound(self) -> float:

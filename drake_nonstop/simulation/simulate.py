@@ -47,7 +47,7 @@ from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_hal
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
-from drake_nonstop.systems.wiring import input_names, require_signals
+from drake_nonstop.systems.wiring import input_names, nested, require_signals
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
 # Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
@@ -199,6 +199,7 @@ def _simulate(
         sample=sample,
         progress=progress,
         after_step=after_step,
+        is_over=_end(nonstop, context),
     )
     nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
     try:
@@ -245,6 +246,8 @@ def _simulate(
             interruption.collect = None
     if interruption.number:
         return finished(interrupted())
+    if monitor.has_ended:
+        return finished()  # as it is: another step may end it elsewhere
     if context.get_time() < scenario.simulation_duration:
         return finished(f"the run was ended at t = {context.get_time():.4f} s")
     run = finished()
@@ -353,6 +356,17 @@ def with_chosen_step(scenario: Scenario, nonstop: Diagram, context: Context) -> 
     return chosen
 
 
+def _warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
+    """Warns where aircraft cannot fly the orbit above the resting load within their limits."""
+    if not nonstop.HasOutputPort("aircraft_state"):
+        return
+    with contextlib.suppress(ScenarioError):  # there is no such orbit
+        found = margins_of_loop(scenario, nonstop, context)
+        if not found.is_flyable:
+            message = f"{found.verdict}; drake-nonstop check shows all margins"
+            warnings.warn(message, ScenarioWarning, stacklevel=4)
+
+
 def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:
     """Warns where a replacement brings a speed bound of its own, by which a run is judged."""
     if nonstop.HasOutputPort("speed_bound") and not nonstop.HasOutputPort("speed_bound_command"):
@@ -365,15 +379,16 @@ def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> N
             warnings.warn(message, ScenarioWarning, stacklevel=4)
 
 
-def _warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
-    """Warns where aircraft cannot fly the orbit above the resting load within their limits."""
-    if not nonstop.HasOutputPort("aircraft_state"):
-        return
-    with contextlib.suppress(ScenarioError):  # there is no such orbit
-        found = margins_of_loop(scenario, nonstop, context)
-        if not found.is_flyable:
-            message = f"{found.verdict}; drake-nonstop check shows all margins"
-            warnings.warn(message, ScenarioWarning, stacklevel=4)
+def _end(nonstop: Diagram, context: Context) -> Callable[[], bool] | None:
+    """Whether a block ends the run, of those that may; None: there are none.
+
+    Such a block has a method `ends_run(context)`, which gets the block's own context.
+    """
+    loop = nested(nonstop, RUN_SIGNALS)[-1]
+    blocks: list[Any] = [block for block in loop.GetSystems() if hasattr(block, "ends_run")]
+    if not blocks:
+        return None
+    return lambda: any(block.ends_run(block.GetMyContextFromRoot(context)) for block in blocks)
 
 
 def _at_equilibrium(nonstop: Diagram) -> Context:
