@@ -32,14 +32,8 @@ def test_a_spread_carousel_is_refused_with_the_numbers(tmp_path, capsys):
 
 
 def test_a_level_formation_flies_in_wind(tmp_path, capsys):
-    overrides = [
-        RASCAL,
-        "pattern=!ConstantSpread {spread: 30}",
-        "optimization_layer=!ConstantParameters {frequency: 0.4, amplitude: 0.0}",
-        "load_trajectory=!SteadyTurn {yaw_rate: 0.4}",
-        "wind=!SteadyWind {velocity: [3, -4, 0]}",
-    ]
-    arguments = ["check", "real_scale_spread", "--out", str(tmp_path), "--set", *overrides]
+    overrides = ["wind.velocity=[3, -4, 0]"]
+    arguments = ["check", "aircraft_co_rotating", "--out", str(tmp_path), "--set", *overrides]
     assert main(arguments) == 0
     shown = capsys.readouterr().out
     assert "within all limits" in shown
