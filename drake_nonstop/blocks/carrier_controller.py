@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Adder, Gain, Integrator, Selector
 
+from drake_nonstop.blocks.fixed_wing_controller import (
+    FixedWingController,
+    FixedWingControllerConfig,
+)
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_acceleration, loaded_pid_forces, pid_forces
 from drake_nonstop.mechanics.force_rates import second_force_rates_of_steady_wrench
@@ -485,4 +489,5 @@ VARIANTS = (
     TunedCarrierPid,
     TunedFeedforwardCarrierPid,
     LoadedCarrierPid,
+    FixedWingController,
 )

@@ -90,6 +90,47 @@ class DesiredStateFeedback(LeafBlock):
 
 
 @dataclass(kw_only=True)
+class DesiredAttitudeFeedbackConfig(StrictFields):
+    """No parameters."""
+
+
+class DesiredAttitudeFeedback(Selector, metaclass=BlockType):
+    """The load's position and velocity, exact and without delay; its attitude as desired.
+
+    This opens the attitude loop: neither the torque nor the directions of the cable forces follow
+    the load's tilt. Cables of 100 m and more need that, since a change of 1 N, or of a hundredth of
+    a radian, moves the carriers by metres.
+
+    .. pydrake_system::
+
+        name: DesiredAttitudeFeedback
+        input_ports:
+        - load_state
+        - reference
+        output_ports:
+        - measured_load_state
+
+    `load_state` and `measured_load_state` (13) = [quaternion w x y z, position (m), angular
+    velocity (rad/s), velocity (m/s)], in W; quaternion and angular velocity are those of
+    `reference` (22).
+    """
+
+    def __init__(self, model: Model, config: DesiredAttitudeFeedbackConfig | None = None):
+        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
+        sizes = {"load_state": LOAD_STATE_SIZE, "reference": LOAD_REFERENCE_SIZE}
+        params = stacking(sizes, "measured_load_state")
+        entries = np.arange(LOAD_STATE_SIZE)
+        state, desired = LoadState.view(entries), LoadState.view(LOAD_STATE_SIZE + entries)
+        chosen = LoadState(
+            desired.quaternion, state.position, desired.angular_velocity, state.velocity
+        )
+        (output,) = params.outputs
+        output.selections = [output.selections[i] for i in np.concatenate(chosen)]
+        params.outputs = [output]
+        super().__init__(params)
+
+
+@dataclass(kw_only=True)
 class NoisyFeedbackConfig(StrictFields):
     """Standard deviations on each axis, and the delay."""
 
@@ -213,4 +254,4 @@ class NoisyFeedback(LeafBlock):
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (IdealFeedback, DesiredStateFeedback, NoisyFeedback)
+VARIANTS = (IdealFeedback, DesiredStateFeedback, DesiredAttitudeFeedback, NoisyFeedback)

@@ -1,0 +1,217 @@
+"""Control of fixed-wing aircraft along a reference: exact inverse, lead, disturbance observer, limits.
+
+The needed force is inverted to the lift coefficient, bank and thrust that make it, see
+`mechanics.aircraft`. First-order lags follow these late: each channel u is told u + τ u̇, with the
+rate along the reference.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.aircraft import (
+    Aircraft,
+    air_force,
+    needed_force,
+    required_command,
+    stall_speed,
+    thrust_limits,
+)
+from drake_nonstop.mechanics.cable import positive_part
+from drake_nonstop.mechanics.signals import AircraftCommand, CarrierStates
+
+_STEP = 1e-3  # s, of the central differences along the reference
+_LEAST = 1e-12  # beside squares of coefficients, which may vanish
+_ROUNDING = 1e-6  # in the units of a command, that counts as none
+
+
+def flight_command(
+    aircraft: Aircraft,
+    carrier_reference: NDArray,
+    reference_acceleration: NDArray,
+    reference_jerk: NDArray,
+    carrier_state: NDArray,
+    cable_forces: NDArray,
+    cable_force_rates: NDArray,
+    disturbance: NDArray,
+    wind: NDArray,
+    *,
+    position_gain: float | NDArray,
+    velocity_gain: float | NDArray,
+    lead: float | NDArray,
+) -> NDArray:
+    """`AircraftCommand` (3n,), without limits, of aircraft that follow their references.
+
+    With the errors e = p_d − p and ė, the desired cable force f_d and the disturbance d̂,
+
+        F = m (a_d + K_v ė + K_p e) + m g e₃ + f_d − d̂
+
+    is inverted at the velocity through the believed wind. Each channel gets τ u̇ more, times
+    `lead`: u̇ is the rate of the inverse along the reference, of F without errors, by central
+    differences.
+
+    Args:
+        aircraft: the controller's parameters.
+        carrier_reference: [p_d, v_d] (6n,), m and m/s, in W.
+        reference_acceleration: a_d (3n,), m/s², in W.
+        reference_jerk: ȧ_d (3n,), m/s³, in W.
+        carrier_state: [p, v] (6n,), in W.
+        cable_forces: f_d (3n,), N, on the load, in W.
+        cable_force_rates: ḟ_d (3n,), N/s, in W.
+        disturbance: d̂ (3n,), N, on the aircraft, in W.
+        wind: (3,), m/s, in W, as believed.
+        position_gain: K_p, 1/s².
+        velocity_gain: K_v, 1/s.
+        lead: weight of the lead, 1: exact along the reference.
+    """
+    reference, state = map(CarrierStates.view, (carrier_reference, carrier_state))
+    acceleration, jerk, forces, rates, disturbances = (
+        values.reshape(-1, 3)
+        for values in (
+            reference_acceleration,
+            reference_jerk,
+            cable_forces,
+            cable_force_rates,
+            disturbance,
+        )
+    )
+    feedback = position_gain * (reference.positions - state.positions) + velocity_gain * (
+        reference.velocities - state.velocities
+    )
+    feedforward = needed_force(aircraft, acceleration, forces) - disturbances
+    force = feedforward + aircraft.mass * feedback
+    command = required_command(aircraft, force, state.velocities, wind)
+    force_rate = aircraft.mass * jerk + rates
+    later, earlier = (
+        required_command(
+            aircraft,
+            feedforward + step * force_rate,
+            reference.velocities + step * acceleration,
+            wind,
+        )
+        for step in (_STEP, -_STEP)
+    )
+    lags = (aircraft.lift_lag, aircraft.bank_lag, aircraft.thrust_lag)
+    return np.concatenate(
+        [
+            told + lead * lag * (after - before) / (2 * _STEP)
+            for told, lag, after, before in zip(command, lags, later, earlier, strict=True)
+        ]
+    )
+
+
+def limited_command(
+    aircraft: Aircraft,
+    command: NDArray,
+    airspeed: NDArray,
+    *,
+    lift_share: float | NDArray,
+    max_bank: float | NDArray,
+    speed_share: float | NDArray,
+    speed_gain: float | NDArray,
+) -> tuple[NDArray, NDArray]:
+    """`AircraftCommand` (3n,) within limits, and 1 for each channel (3n,) that they change, else 0.
+
+    In this order: the lift coefficient is at most `lift_share` C_Lmax, which a first-order lag
+    cannot overshoot; its vertical part is kept as far as that goes, and the bank is cut; the bank is
+    within ±`max_bank`; below `speed_share` V_s, the stall speed without a cable, thrust m k per m/s
+    is added; the thrust is within its limits at the airspeed.
+
+    Args:
+        aircraft: the controller's parameters.
+        command: `AircraftCommand` (3n,).
+        airspeed: V (n,), m/s, as measured.
+        lift_share: of C_Lmax.
+        max_bank: rad.
+        speed_share: of V_s.
+        speed_gain: k, 1/s.
+    """
+    told = AircraftCommand.view(command)
+    most = lift_share * aircraft.max_lift
+    lift = _within(told.lift, -most, most)
+    upward, sideward = told.lift * np.cos(told.bank), told.lift * np.sin(told.bank)
+    left = np.sqrt(positive_part(lift * lift - upward * upward) + _LEAST)
+    sideward = _within(sideward, -left, left)
+    size = np.sqrt(upward * upward + sideward * sideward + _LEAST)
+    bank = _within(2 * np.arctan(sideward / (size + upward + _LEAST)), -max_bank, max_bank)
+    slow = positive_part(speed_share * stall_speed(aircraft) - airspeed)
+    thrust = told.thrust + aircraft.mass * speed_gain * slow
+    thrust = _within(thrust, *thrust_limits(aircraft, airspeed))
+    limited = np.concatenate(AircraftCommand(lift, bank, thrust))
+    change = (limited - command) * (limited - command)
+    return limited, change / (change + _ROUNDING**2)
+
+
+class ObserverStates(NamedTuple):
+    """What the controller of n aircraft remembers."""
+
+    disturbance: NDArray  # (3n,), N, on the aircraft, in W
+    lift: NDArray  # (n,), C_L by its lag behind the command
+    thrust: NDArray  # (n,), N, likewise
+
+    @classmethod
+    def view(cls, values: NDArray) -> "ObserverStates":
+        """The parts of an array (5n,)."""
+        n = len(values) // 5
+        return cls(values[: 3 * n], values[3 * n : 4 * n], values[4 * n :])
+
+
+def observer_shares(
+    aircraft: Aircraft, n: int, observer_time: float | NDArray, period: float
+) -> NDArray:
+    """The inverse time constants (5n,), 1/s, of `ObserverStates`.
+
+    With a period those of steps over it: (1 − exp(−h/τ))/h, exact for constant targets.
+    """
+    times = np.concatenate(
+        [
+            np.ones(count) * np.ones(1) * time
+            for count, time in (
+                (3 * n, observer_time),
+                (n, aircraft.lift_lag),
+                (n, aircraft.thrust_lag),
+            )
+        ]
+    )
+    return (1 - np.exp(-period / times)) / period if period > 0 else 1 / times
+
+
+def observer_targets(
+    aircraft: Aircraft,
+    observer_states: NDArray,
+    command: NDArray,
+    carrier_state: NDArray,
+    acceleration: NDArray,
+    bank: NDArray,
+    cable_forces: NDArray,
+    wind: NDArray,
+) -> NDArray:
+    """What the low-passes of `ObserverStates` (5n,) follow.
+
+    The disturbance follows m (v̇ + g e₃) + f_d − F_a, what the model of the aircraft does not
+    explain. F_a is `air_force` in the believed wind, of the measured bank, and of the C_L and thrust
+    that follow from the commands: what gusts and errors of the model add to these is part of the
+    disturbance.
+
+    Args:
+        aircraft: the controller's parameters.
+        observer_states: `ObserverStates` (5n,).
+        command: `AircraftCommand` (3n,), as told.
+        carrier_state: [positions, velocities] (6n,), m and m/s, in W.
+        acceleration: v̇ (3n,), m/s², in W, as measured.
+        bank: (n,), rad, as measured.
+        cable_forces: f_d (3n,), N, on the load, in W.
+        wind: (3,), m/s, in W, as believed.
+    """
+    own, told = ObserverStates.view(observer_states), AircraftCommand.view(command)
+    velocities = CarrierStates.view(carrier_state).velocities
+    force = air_force(aircraft, velocities - wind, own.lift, bank, own.thrust)
+    needed = needed_force(aircraft, acceleration.reshape(-1, 3), cable_forces.reshape(-1, 3))
+    return np.concatenate(ObserverStates((needed - force).ravel(), told.lift, told.thrust))
+
+
+def _within(a: NDArray, least: NDArray, most: NDArray) -> NDArray:
+    """The entries within their limits, exact, for any scalar type."""
+    raised = a + positive_part(least - a)
+    return raised - positive_part(raised - most)

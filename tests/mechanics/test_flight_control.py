@@ -1,0 +1,170 @@
+"""Flight control: against the flown force, exact motions in time, lags by hand, and limits."""
+
+import numpy as np
+import pytest
+from mechanics.test_aircraft import RASCAL
+
+from drake_nonstop.mechanics.aircraft import air_force, required_command, stall_speed, thrust_limits
+from drake_nonstop.mechanics.flight_control import (
+    ObserverStates,
+    flight_command,
+    limited_command,
+    observer_shares,
+    observer_targets,
+)
+from drake_nonstop.mechanics.signals import AircraftCommand, CarrierStates
+
+GRAVITY = np.array([0.0, 0.0, 9.81])
+WIND = np.array([2.0, -1.0, 0.0])
+GAINS = {"position_gain": 2.25, "velocity_gain": 2.7}
+LIMITS = {"lift_share": 0.9, "max_bank": 0.87, "speed_share": 1.2, "speed_gain": 2.7}
+
+
+class Orbits:
+    """Two aircraft on leaning ellipses, with cable forces that turn with them."""
+
+    rate, phases = 0.6, np.array([0.3, 2.0])
+
+    def _turned(self, time, order, cosine, sine):
+        angle = self.rate * time + self.phases + order * np.pi / 2
+        waves = np.cos(angle)[:, None] * cosine + np.sin(angle)[:, None] * sine
+        return self.rate**order * waves
+
+    def motion(self, time, order):
+        return self._turned(time, order, np.array([30.0, 0, 3.0]), np.array([0, 25.0, 0]))
+
+    def force(self, time, order=0):
+        turned = self._turned(time, order, np.array([7.0, 0, 4.0]), np.array([1.0, 6.0, 0]))
+        return turned + (order == 0) * np.array([1.0, 0, 24.0])
+
+    def needed(self, time):
+        return RASCAL.mass * (self.motion(time, 2) + GRAVITY) + self.force(time)
+
+    def command(self, time, carrier_state=None, lead=0.0, disturbance=0.0):
+        reference = np.concatenate([self.motion(time, k).ravel() for k in (0, 1)])
+        return flight_command(
+            RASCAL,
+            reference,
+            self.motion(time, 2).ravel(),
+            self.motion(time, 3).ravel(),
+            reference if carrier_state is None else carrier_state,
+            self.force(time).ravel(),
+            self.force(time, 1).ravel(),
+            np.full(6, disturbance),
+            WIND,
+            **GAINS,
+            lead=lead,
+        )
+
+
+def flown(command, velocities):
+    told = AircraftCommand.view(command)
+    return air_force(RASCAL, velocities - WIND, told.lift, told.bank, told.thrust)
+
+
+def test_the_command_flies_the_needed_force_less_the_disturbance():
+    orbits = Orbits()
+    command = orbits.command(0.7, disturbance=3.0)
+    expected = orbits.needed(0.7) - 3.0
+    np.testing.assert_allclose(flown(command, orbits.motion(0.7, 1)), expected, atol=1e-9)
+
+
+def test_errors_are_corrected_as_by_a_spring_and_a_damper(rng):
+    orbits = Orbits()
+    errors = rng.uniform(-1, 1, (2, 2, 3))
+    state = CarrierStates(*(orbits.motion(0.7, k) - errors[k] for k in (0, 1)))
+    command = orbits.command(0.7, state.flat())
+    expected = orbits.needed(0.7) + RASCAL.mass * (2.25 * errors[0] + 2.7 * errors[1])
+    np.testing.assert_allclose(flown(command, state.velocities), expected, atol=1e-9)
+
+
+def test_the_lead_is_each_lag_times_the_rate_of_the_command_along_the_reference():
+    orbits = Orbits()
+
+    def exact(time):
+        needed = required_command(RASCAL, orbits.needed(time), orbits.motion(time, 1), WIND)
+        return np.concatenate(needed)
+
+    rate = (exact(0.7 + 1e-4) - exact(0.7 - 1e-4)) / 2e-4
+    lags = np.repeat([RASCAL.lift_lag, RASCAL.bank_lag, RASCAL.thrust_lag], 2)
+    lead = orbits.command(0.7, lead=1.0) - orbits.command(0.7)
+    assert np.all(np.abs(rate) > 1e-3)
+    np.testing.assert_allclose(lead, lags * rate, atol=1e-6 * np.max(np.abs(lags * rate)))
+
+
+def test_commands_are_within_their_limits_and_flagged_where_these_change_them(rng):
+    for _ in range(200):
+        told = AircraftCommand(
+            rng.uniform(-0.2, 3.0, 3), rng.uniform(-1.4, 1.4, 3), rng.uniform(-30, 80, 3)
+        )
+        airspeed = rng.uniform(6, 25, 3)
+        command = np.concatenate(told)
+        limited, flags = limited_command(RASCAL, command, airspeed, **LIMITS)
+        lift, bank, thrust = AircraftCommand.view(limited)
+        least, most = thrust_limits(RASCAL, airspeed)
+        assert np.all(lift <= 0.9 * 1.4 + 1e-12)
+        assert np.all(np.abs(bank) <= 0.87 + 1e-12)
+        assert np.all((thrust >= least - 1e-9) & (thrust <= most + 1e-9))
+        np.testing.assert_array_equal(flags > 0.5, np.abs(limited - command) > 1e-6)
+
+
+def test_within_the_limits_a_command_stays():
+    command = np.array([0.5, 0.3, -0.4, 0.6, 12.0, 4.0])
+    limited, flags = limited_command(RASCAL, command, np.full(2, 15.0), **LIMITS)
+    np.testing.assert_allclose(limited, command, rtol=1e-9)
+    np.testing.assert_allclose(flags, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("bank", "cut"), [(0.7, True), (-0.7, True), (0.2, False)])
+def test_where_lift_is_short_the_vertical_part_is_kept_and_the_bank_is_cut(bank, cut):
+    wanted = 1.5 if cut else 1.2
+    command = np.array([wanted, bank, 10.0])
+    (lift, less, _), flags = limited_command(RASCAL, command, np.array([15.0]), **LIMITS)
+    np.testing.assert_allclose(lift * np.cos(less), wanted * np.cos(bank), rtol=1e-9)
+    assert np.sign(less) == np.sign(bank)
+    np.testing.assert_allclose(flags, [cut, cut, False], atol=1e-6)
+
+
+def test_where_even_level_wings_do_not_lift_enough_they_are_levelled():
+    command = np.array([3.0, 0.5, 10.0])
+    (lift, bank, _), _ = limited_command(RASCAL, command, np.array([15.0]), **LIMITS)
+    assert lift == pytest.approx(1.26)
+    assert bank == pytest.approx(0.0, abs=1e-5)
+
+
+def test_below_the_share_of_the_stall_speed_thrust_is_added():
+    slow = 1.2 * stall_speed(RASCAL) - 0.5
+    command = np.array([1.0, 0.0, 10.0])
+    (_, _, thrust), flags = limited_command(RASCAL, command, np.array([slow]), **LIMITS)
+    assert thrust == pytest.approx(10.0 + 6.0 * 2.7 * 0.5)
+    np.testing.assert_allclose(flags, [0, 0, 1], atol=1e-6)
+
+
+def observed(states, command, acceleration):
+    """The targets of the observer of one aircraft in straight flight at 15 m/s."""
+    carrier = np.array([0.0, 0, 0, 15.0, 0, 0])
+    force = np.array([1.0, 2.0, 24.0])
+    return observer_targets(
+        RASCAL, states, command, carrier, acceleration, np.array([0.2]), force, np.zeros(3)
+    )
+
+
+def test_the_observer_tells_the_force_that_the_model_does_not_explain(rng):
+    push = rng.uniform(-3, 3, 3)
+    made = air_force(
+        RASCAL, np.array([[15.0, 0, 0]]), np.array([0.6]), np.array([0.2]), np.array([9.0])
+    )
+    acceleration = (made[0] + push - np.array([1.0, 2.0, 24.0])) / 6.0 - GRAVITY
+    states = np.concatenate(ObserverStates(np.zeros(3), np.array([0.6]), np.array([9.0])))
+    targets = observed(states, np.array([0.7, 0.3, 11.0]), acceleration)
+    np.testing.assert_allclose(targets, [*push, 0.7, 11.0], atol=1e-12)
+
+
+def test_a_sampled_observer_is_where_the_continuous_one_is_at_the_samples():
+    period, target = 0.04, np.array([3.0, 1.0, -2.0, 0.7, 11.0])
+    states = np.zeros(5)
+    for _ in range(10):
+        states = states + period * observer_shares(RASCAL, 1, 0.2, period) * (target - states)
+    times = np.array([0.2, 0.2, 0.2, 0.15, 0.2])
+    np.testing.assert_allclose(states, target * (1 - np.exp(-0.4 / times)), rtol=1e-12)
+    np.testing.assert_allclose(observer_shares(RASCAL, 1, 0.2, 0.0), 1 / times)
