@@ -51,11 +51,11 @@ _LIMITS = ("lift_share", "max_bank", "speed_share")
 class FixedWingControllerConfig(StrictFields):
     """Poles of the carriers about their references, observer and limits."""
 
-    frequency: float = 2.0  # rad/s, natural frequency of a carrier about its reference
+    frequency: float = 1.5  # rad/s, natural frequency of a carrier about its reference
     damping: float = 0.9  # damping ratio
     lead: float = 1.0  # weight of the lead along the reference; 0: none
     observer: float = 1.0  # weight of the observed disturbance; 0: none
-    observer_time: float = 0.2  # s, time constant of the disturbance observer
+    observer_time: float = 0.1  # s, time constant of the disturbance observer
     lift_share: float = 0.9  # of C_Lmax, the largest lift coefficient that is told
     max_bank: float = 0.8726646259971648  # rad, the largest bank that is told, 50 degrees
     speed_share: float = 1.2  # of the stall speed; more thrust below it

@@ -57,6 +57,8 @@ class Aircraft(NamedTuple):
     cable_drag: float | NDArray  # C_Dc, of the cable's diameter
     cable_length: float | NDArray  # m
     gravity: float | NDArray  # m/s²
+    lift_gain: float | NDArray = 1.0  # C_L that is flown, of the one that is told
+    thrust_gain: float | NDArray = 1.0  # likewise of the thrust
 
     @property
     def cable_drag_share(self) -> float | NDArray:
@@ -271,9 +273,10 @@ def flight_rate(
 ) -> NDArray:
     """The rate (12n,) of `FlightStates` (12n,), with the lags of the commands.
 
-        Ċ_L = (C_Lc − C_L)/τ_L,   μ̇ = sat((μ_c − μ)/τ_μ, p_max),   Ṫ = (sat(T_c) − T)/τ_T,
+        Ċ_L = (k_L C_Lc − C_L)/τ_L,   μ̇ = sat((μ_c − μ)/τ_μ, p_max),   Ṫ = (sat(k_T T_c) − T)/τ_T,
 
-    with the thrust's command within its limits at that airspeed. Gusts change the angle of attack
+    with gains k_L and k_T of commands that are not met, and the thrust within its limits at that
+    airspeed. Gusts change the angle of attack
     at once, and the autopilot takes their slow part out again: with the wind w and the slow wind
     w_s, ẇ_s = (w − w_s)/τ_w, the effective C_L is min(C_L + C_Lα (w − w_s)·l/V, C_Lmax). A wind
     that does not change thus has no effect on an aircraft that turns in it.
@@ -289,13 +292,14 @@ def flight_rate(
     velocities = own.carriers[len(wind) :]
     airspeed = air_frame((velocities - wind).reshape(-1, 3)).airspeed[..., 0]
     least, most = thrust_limits(aircraft, airspeed)
-    thrust = told.thrust + positive_part(least - told.thrust)
+    thrust = aircraft.thrust_gain * told.thrust
+    thrust = thrust + positive_part(least - thrust)
     thrust = thrust - positive_part(thrust - most)
     roll_rate = _clipped((told.bank - own.bank) / aircraft.bank_lag, aircraft.max_roll_rate)
     return np.concatenate(
         FlightStates(
             np.concatenate([velocities, flight_acceleration(aircraft, states, cable_forces, wind)]),
-            (told.lift - own.lift) / aircraft.lift_lag,
+            (aircraft.lift_gain * told.lift - own.lift) / aircraft.lift_lag,
             roll_rate,
             (thrust - own.thrust) / aircraft.thrust_lag,
             (wind - own.slow_wind) / aircraft.gust_time,

@@ -93,10 +93,13 @@ def flight_command(
         for step in (_STEP, -_STEP)
     )
     lags = (aircraft.lift_lag, aircraft.bank_lag, aircraft.thrust_lag)
+    gains = (aircraft.lift_gain, 1.0, aircraft.thrust_gain)
     return np.concatenate(
         [
-            told + lead * lag * (after - before) / (2 * _STEP)
-            for told, lag, after, before in zip(command, lags, later, earlier, strict=True)
+            (told + lead * lag * (after - before) / (2 * _STEP)) / gain
+            for told, lag, gain, after, before in zip(
+                command, lags, gains, later, earlier, strict=True
+            )
         ]
     )
 
@@ -208,7 +211,8 @@ def observer_targets(
     velocities = CarrierStates.view(carrier_state).velocities
     force = air_force(aircraft, velocities - wind, own.lift, bank, own.thrust)
     needed = needed_force(aircraft, acceleration.reshape(-1, 3), cable_forces.reshape(-1, 3))
-    return np.concatenate(ObserverStates((needed - force).ravel(), told.lift, told.thrust))
+    lift, thrust = aircraft.lift_gain * told.lift, aircraft.thrust_gain * told.thrust
+    return np.concatenate(ObserverStates((needed - force).ravel(), lift, thrust))
 
 
 def _within(a: NDArray, least: NDArray, most: NDArray) -> NDArray:

@@ -29,7 +29,7 @@ class AircraftParameters(StrictFields):
     """Fixed-wing carriers, all alike: one of the table, single fields changed, or a user's own.
 
     A field that is None is the `model`'s, or where there is no model has to be given; the last
-    four have defaults. Coefficients are those of the wing area.
+    six have defaults. Coefficients are those of the wing area.
     """
 
     model: str | None = None  # of the table: rascal_110, ultrastick_25e
@@ -52,10 +52,19 @@ class AircraftParameters(StrictFields):
     air_density: float | None = None  # kg/m³; default 1.225
     cable_diameter: float | None = None  # m, for its drag; default 0.001
     cable_drag: float | None = None  # C_Dc, of the cable's area; default 1.1
+    lift_gain: float | None = None  # C_L that is flown of the one that is told; default 1
+    thrust_gain: float | None = None  # likewise of the thrust; default 1
 
 
 # Of the fields that an aircraft need not give.
-_DEFAULTS = {"gust_time": 0.4, "air_density": 1.225, "cable_diameter": 0.001, "cable_drag": 1.1}
+_DEFAULTS = {
+    "gust_time": 0.4,
+    "air_density": 1.225,
+    "cable_diameter": 0.001,
+    "cable_drag": 1.1,
+    "lift_gain": 1.0,
+    "thrust_gain": 1.0,
+}
 _FIELDS = tuple(f.name for f in dataclasses.fields(AircraftParameters) if f.name != "model")
 # What the motion goes by.
 FLIGHT_FIELDS = tuple(name for name in _FIELDS if name not in ("wing_span", "efficiency"))
