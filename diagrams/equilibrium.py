@@ -20,11 +20,16 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.systems.diagnosis import source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
-from drake_nonstop.systems.wiring import innermost, require_signals, unconnected
+from drake_nonstop.systems.wiring import (
+    innermost,
+    require_own_context,
+    require_signals,
+    unconnected,
+)
 from drake_nonstop.validation import ScenarioError
 
-# What the loop has to export, with sizes; None: 6 for each carrier.
-_SIGNALS = {
+# What the loop has to export, with sizes; None: 6 for each carrier. No block alone makes all.
+LOOP_SIGNALS = {
     "load_state": LOAD_STATE_SIZE,
     "reference": LOAD_REFERENCE_SIZE,
     "carrier_state": None,
@@ -54,10 +59,11 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     Raises:
         ScenarioError: the cables cannot hold the load, a block does not show the state that is
             set, or makes a value that is not finite, or is far too large; a signal is not
-            exported, or an input not connected.
+            exported, or an input not connected; the context is that of another system.
     """
-    require_signals(nonstop, _SIGNALS, "set_equilibrium")
-    nonstop, context = innermost(nonstop, context, _SIGNALS)
+    require_own_context("set_equilibrium", nonstop, context)
+    require_signals(nonstop, LOOP_SIGNALS, "set_equilibrium")
+    nonstop, context = innermost(nonstop, context, LOOP_SIGNALS)
     trial = copied_context(nonstop, context)
     with block_named(nonstop, trial):
         _settle(nonstop, trial)
@@ -151,7 +157,7 @@ def on_reference(nonstop: Diagram, context: Context) -> None:
 
     Whatever samples or holds takes its first value.
     """
-    loop, own = innermost(nonstop, context, _SIGNALS)
+    loop, own = innermost(nonstop, context, LOOP_SIGNALS)
     plant = plant_states(loop)
     simulator = Simulator(nonstop, context)
     reference = nonstop.GetOutputPort("reference").Eval(context)[:LOAD_STATE_SIZE]
@@ -179,10 +185,11 @@ def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> tuple[NDA
     for _ in range(20):
         if np.max(np.abs(residual)) < _REST / 1e3:
             break
+        slopes = _jacobian(function, offset)
         try:
-            step = np.linalg.solve(_jacobian(function, offset), residual)
-        except np.linalg.LinAlgError:
-            return residual, False
+            step = np.linalg.solve(slopes, residual)
+        except np.linalg.LinAlgError:  # what nothing turns, such as a point mass, stays as it is
+            step = np.linalg.lstsq(slopes, residual, rcond=None)[0]
         is_far &= bool(np.max(np.abs(step)) > _REACH)
         while np.max(np.abs(step)) > _REACH:
             step = step / 2

@@ -17,6 +17,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import is_dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -57,6 +58,7 @@ from drake_nonstop.mechanics.signals import (
     PHASE_SIZE,
     TRACKING_ERROR_SIZE,
     WRENCH_SIZE,
+    LoadReference,
 )
 from drake_nonstop.model.system import (
     Model,
@@ -273,8 +275,9 @@ def make_nonstop(
     New contexts of the diagram start at its equilibrium, see `set_equilibrium`. Where a block's
     default state cannot be set once it is built (`diagrams/plant_states.py` says how it can), all
     of them are made a second time, with the equilibrium in the plant's `Model`; a ScenarioWarning
-    names a block that starts from another state nevertheless. Where the diagram has inputs there
-    may be no equilibrium before they are connected: load and carriers then are at the origin.
+    names a block that starts from another state nevertheless. Where the diagram has inputs that
+    have to be connected there may be no equilibrium before they are: load and carriers then are at
+    the origin.
 
     Args:
         scenario: the system, the pattern and one config per box; where fields hold distributions,
@@ -300,7 +303,8 @@ def make_nonstop(
     scenario, others = _resolved(scenario, replacements)
     parts = _made_parts(scenario, others, extra)
     diagram = _connected(scenario, parts, inputs, has_extra=bool(extra))
-    if not at_equilibrium or diagram.num_input_ports() > 0:
+    is_whole = set(wiring.input_names(diagram)) <= wiring.optional_inputs(diagram)
+    if not (at_equilibrium and is_whole):
         return diagram
     context = diagram.CreateDefaultContext()
     set_equilibrium(diagram, context)
@@ -408,7 +412,21 @@ def _made_parts(
         model = watched[name] = WatchedModel(believed)
         blocks[name] = _made(f"extra {name}", _maker(name, entry), model, "")
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
+    _require_motion(believed, blocks)
     return _Parts(believed, blocks, watched)
+
+
+def _require_motion(model: Model, blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where neither the pattern nor the load moves the carriers."""
+    reference = _start_of_reference(blocks) if model.pattern.is_constant else None
+    if reference is not None:
+        require(
+            np.any(LoadReference.view(reference).angular_velocity),
+            "pattern",
+            type(model.pattern_config).__name__.removesuffix("Config"),
+            "its carriers keep their places above the load, which does not turn at the start, and "
+            "would stop; give load_trajectory: !SteadyTurn, or a pattern with orbits",
+        )
 
 
 def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
@@ -524,14 +542,22 @@ def _maker(name: str, entry: Any) -> Any:
 
 def _first_samples(blocks: Mapping[str, System]) -> dict[str, NDArray]:
     """What the sample-and-hold holds before its first sample: the reference, and a load on it."""
+    reference = _start_of_reference(blocks)
+    if reference is None:
+        return {}
+    return {"reference": reference, "measured_load_state": reference[:LOAD_STATE_SIZE]}
+
+
+def _start_of_reference(blocks: Mapping[str, System]) -> NDArray | None:
+    """The reference at t = 0, of a trajectory that needs nothing for it."""
     trajectory = blocks.get("load_trajectory")
     if trajectory is None or trajectory.num_input_ports() > 0:
-        return {}
+        return None
     try:
-        reference = trajectory.GetOutputPort("reference").Eval(trajectory.CreateDefaultContext())
+        context = trajectory.CreateDefaultContext()
+        return trajectory.GetOutputPort("reference").Eval(context).copy()
     except Exception:  # the start of the run tells it, with the block's name
-        return {}
-    return {"reference": reference.copy(), "measured_load_state": reference[:LOAD_STATE_SIZE]}
+        return None
 
 
 _Loop = TypeVar("_Loop", bound=LoopConfig)

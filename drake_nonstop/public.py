@@ -20,6 +20,8 @@ from drake_nonstop.diagrams.parameters import (
 )
 from drake_nonstop.model.pattern import (
     CarouselConfig,
+    ConstantSpreadConfig,
+    EllipticCarouselConfig,
     HamiltonianCycleConfig,
     LinearPatternConfig,
     SpreadCarouselConfig,
@@ -72,6 +74,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "HamiltonianCycleConfig",
     "CarouselConfig",
     "SpreadCarouselConfig",
+    "EllipticCarouselConfig",
+    "ConstantSpreadConfig",
     "LinearPatternConfig",
     "Model",
     "LoadTrajectory",

@@ -11,9 +11,8 @@ from pydrake.systems.primitives import Adder, Gain, Integrator, Selector
 
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_acceleration, loaded_pid_forces, pid_forces
-from drake_nonstop.mechanics.internal_force import internal_force_acceleration
-from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, PARAMETERS_SIZE, Pose
+from drake_nonstop.mechanics.force_rates import second_force_rates_of_steady_wrench
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, PARAMETERS_SIZE
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
@@ -218,7 +217,8 @@ class _FeedforwardPid(_PositionPid):
     """
 
     def __init__(self, model: Model, config: Any, law: _Law):
-        n, basis, attachments = model.n, model.pattern.basis, model.attachments
+        n, attachments = model.n, model.attachments
+        basis, orders = model.pattern.basis, model.pattern.orders
 
         def inertial_forces(
             reference: NDArray,
@@ -231,13 +231,21 @@ class _FeedforwardPid(_PositionPid):
             cable_length: NDArray,
             cable_stiffness: NDArray,
         ) -> NDArray:
-            second_rates = internal_force_acceleration(parameters, internal_force)
-            R_WL = rotation_matrix(Pose.view(reference).quaternion)
+            forces, rates = cable_forces.reshape(n, 3), rates.reshape(n, 3)
+            second_rates = second_force_rates_of_steady_wrench(
+                reference,
+                forces,
+                rates,
+                internal_force,
+                parameters,
+                basis=basis,
+                orders=orders,
+            )
             acceleration = carrier_acceleration(
                 reference,
-                cable_forces.reshape(n, 3),
-                rates.reshape(n, 3),
-                (basis @ second_rates).reshape(n, 3) @ R_WL.T,
+                forces,
+                rates,
+                second_rates,
                 attachments=attachments,
                 rest_length=cable_length,
                 compliance=compliance_of(cable_stiffness),
@@ -256,7 +264,7 @@ class _FeedforwardPid(_PositionPid):
             inputs=sizes,
             outputs={"inertial_forces": 3 * n},
             parameters=BlockParameters(model, ("carrier_mass", "cable_length", "cable_stiffness")),
-            key=("inertial forces", basis, attachments),
+            key=("inertial forces", basis, attachments, orders),
         )
         super().__init__(model, config, law, feedforward)
 
@@ -270,8 +278,9 @@ class FeedforwardCarrierPid(_FeedforwardPid):
     """PID with the acceleration of a carrier on its orbit as feedforward.
 
     u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d. The references' acceleration a_d
-    is that of the internal forces' rotation, exact where the wrench on the load changes slowly:
-    f̈_d = R N₀ λ̈. A PID without it lags behind its circle by m_c a_d/K_p.
+    is that of the internal forces' and the load's rotation, exact where the wrench on the load
+    changes slowly in its frame, see `mechanics.force_rates`. A PID without it lags behind its
+    circle by m_c a_d/K_p.
 
     .. pydrake_system::
 

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, Phase
 from drake_nonstop.model.system import Model
@@ -11,11 +13,11 @@ from drake_nonstop.validation import StrictFields
 
 @dataclass(kw_only=True)
 class InternalForceTrajectoryConfig(StrictFields):
-    """No parameters: the phases belong to the scenario's pattern."""
+    """No parameters: phases and orders belong to the scenario's pattern."""
 
 
 class InternalForceTrajectory(TracedBlock):
-    """λ_k = A cos(θ + φ_k) and its rate (eq. 23).
+    """λ_k = A cos(h_k θ + φ_k) and its rate (eq. 23, where the pattern's orders h are 1).
 
     .. pydrake_system::
 
@@ -33,10 +35,10 @@ class InternalForceTrajectory(TracedBlock):
     is_sampled = True
 
     def __init__(self, model: Model, config: InternalForceTrajectoryConfig | None = None):
-        phases = model.pattern.phases
+        phases, orders = model.pattern.phases, model.pattern.orders
         super().__init__(
-            lambda parameters, phase: internal_force(
-                parameters, Phase.view(phase).angle, phases=phases
+            lambda parameters, phase: np.concatenate(
+                internal_force(parameters, Phase.view(phase).angle, phases=phases, orders=orders)
             ),
             inputs={"parameters": PARAMETERS_SIZE, "phase": PHASE_SIZE},
             outputs={"internal_force": 2 * model.m},

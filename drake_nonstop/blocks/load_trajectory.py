@@ -50,20 +50,33 @@ class LoadTrajectory(DiagramBlock):
             last pose.
         pose: maps the coordinates and their three derivatives (4, rows) to those of [roll,
             pitch, yaw, x, y, z], (4, 6), and runs on object arrays. None: the rows are these.
+        yaw_rate: rad/s, at which the load turns about the vertical besides, at all times.
     """
 
     def __init__(
-        self, trajectory: PiecewisePolynomial, pose: Callable[[NDArray], NDArray] | None = None
+        self,
+        trajectory: PiecewisePolynomial,
+        pose: Callable[[NDArray], NDArray] | None = None,
+        *,
+        yaw_rate: float = 0.0,
     ):
         super().__init__()
         builder = DiagramBuilder()
         coordinates = builder.AddNamedSystem(
             "coordinates", TrajectorySource(trajectory, 3, zero_derivatives_beyond_limits=True)
         )
+
+        def reference(values: NDArray, *times: NDArray) -> NDArray:
+            coordinates = pose(values.reshape(4, -1)) if pose else values
+            for time in times:
+                coordinates = coordinates.reshape(-1) + _steady_turn(yaw_rate, time)
+            return _reference(coordinates)
+
         traced = TracedBlock(
-            lambda values: _reference(pose(values.reshape(4, -1)) if pose else values),
+            reference,
             inputs={"coordinates": 4 * trajectory.rows()},
             outputs={"reference": LOAD_REFERENCE_SIZE},
+            reads_time=yaw_rate != 0,
         )
         builder.AddNamedSystem("reference", traced)
         builder.Connect(coordinates.get_output_port(), traced.get_input_port())
@@ -86,6 +99,13 @@ def _reference(values: NDArray) -> NDArray:
             acceleration=positions[2],
             jerk=positions[3],
         )
+    )
+
+
+def _steady_turn(yaw_rate: float, time: NDArray) -> NDArray:
+    """What it adds to [roll, pitch, yaw, x, y, z] and three derivatives (24,) at a time (1,)."""
+    return np.concatenate(
+        [np.zeros(2), yaw_rate * time, np.zeros(5), np.array([yaw_rate]), np.zeros(15)]
     )
 
 
@@ -430,6 +450,65 @@ class Circle(LoadTrajectory):
 
 
 @dataclass(kw_only=True)
+class SteadyTurnConfig(_StartPose):
+    """A turn about the vertical at a constant rate, at rest or on the way from rest to rest."""
+
+    yaw_rate: float = 0.4  # rad/s, at all times, counter-clockwise from above; not 0
+    displacement: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
+    start_time: float = 0.0  # s, of the displacement
+    move_time: float = 10.0  # s, of the displacement
+
+
+class SteadyTurn(LoadTrajectory):
+    """The load turns about the vertical at a constant rate, and its carriers with it.
+
+    The turn neither begins nor ends: the load turns at the start of a run and after its last
+    metre. Its position follows a quintic from rest to rest, as in `RestToRest`; roll and pitch stay
+    those of the start. With `ConstantSpread` the carriers fly level circles at a constant tension.
+
+    .. pydrake_system::
+
+        name: SteadyTurn
+        output_ports:
+        - reference
+
+    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
+    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+
+    Parameters, the fields of `SteadyTurnConfig`:
+        start_position: m
+        start_roll_pitch_yaw: rad
+        yaw_rate: rad/s, at all times, counter-clockwise from above; not 0
+        displacement: m
+        start_time: s, of the displacement
+        move_time: s, of the displacement
+
+    Raises:
+        ScenarioError: yaw_rate is 0, move_time is not above zero, start_time is negative, or a
+            vector does not hold 3 finite numbers.
+    """
+
+    def __init__(self, model: Model, config: SteadyTurnConfig | None = None):
+        config = config or SteadyTurnConfig()
+        rate = config.yaw_rate
+        require(
+            is_number(rate) and 1e-6 <= abs(rate) <= 100,
+            f"{_BOX}.yaw_rate",
+            rate,
+            "give 1e-6 to 100 rad/s, or the negative of such a number; RestToRest is for loads "
+            "that do not turn",
+        )
+        require_non_negative(_BOX, start_time=config.start_time)
+        require_positive(_BOX, move_time=config.move_time)
+        displacement = require_array(f"{_BOX}.displacement", config.displacement, [3], "metres")
+        change = np.concatenate([np.zeros(3), displacement])
+        super().__init__(
+            _rest_to_rest([config.start_pose()], [change], [config.start_time], [config.move_time]),
+            yaw_rate=rate,
+        )
+
+
+@dataclass(kw_only=True)
 class SampledTrajectoryConfig(StrictFields):
     """A smooth curve through poses at given times, from a file or in the scenario itself."""
 
@@ -506,4 +585,11 @@ class SampledTrajectory(LoadTrajectory):
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (RestToRest, ConstantVelocityMove, Waypoints, Circle, SampledTrajectory)
+VARIANTS = (
+    RestToRest,
+    ConstantVelocityMove,
+    Waypoints,
+    Circle,
+    SampledTrajectory,
+    SteadyTurn,
+)

@@ -381,7 +381,7 @@ class ConstantParametersConfig(StrictFields):
     """The internal force's parameters, and the bound with which the metrics compare speeds."""
 
     frequency: float = 2.0  # rad/s, ξ
-    amplitude: float = 1.2  # N, A
+    amplitude: float = 1.2  # N, A; 0 for a constant pattern, and for no other
     speed_bound: float = 0.2  # m/s, ε; reported, not enforced
 
 
@@ -403,12 +403,12 @@ class ConstantParameters(LeafBlock):
 
     Parameters, the fields of `ConstantParametersConfig`:
         frequency: rad/s, ξ
-        amplitude: N, A
+        amplitude: N, A; 0 for a constant pattern, and for no other
         speed_bound: m/s, ε; reported, not enforced
 
     Raises:
-        ScenarioError: frequency or amplitude is not positive, or the bound negative; during a
-            run, the command is negative.
+        ScenarioError: frequency or amplitude is not positive, an amplitude is given for a pattern
+            without orbits, or the bound is negative; during a run, the command is negative.
     """
 
     is_sampled = True
@@ -459,7 +459,16 @@ class ConstantParameters(LeafBlock):
 
 
 def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
-    require_positive(_BOX, frequency=config.frequency, amplitude=config.amplitude)
+    require_positive(_BOX, frequency=config.frequency)
+    if model.pattern.is_constant:
+        require(
+            config.amplitude == 0,
+            f"{_BOX}.amplitude",
+            config.amplitude,
+            "the pattern has no orbits that it could size; give 0, or a pattern with orbits",
+        )
+    else:
+        require_positive(_BOX, amplitude=config.amplitude)
     require_non_negative(_BOX, speed_bound=config.speed_bound)
 
 

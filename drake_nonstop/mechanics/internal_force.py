@@ -1,8 +1,8 @@
 """Internal cable forces: patterns in the null space of the grasp matrix (eqs. 9, 23).
 
-A pattern is a constant matrix N₀ (3n, m), m phases φ and a constant offset f̃⁰ (3n,),
+A pattern is a constant matrix N₀ (3n, m), m phases φ, m orders h and a constant offset f̃⁰ (3n,),
 all in L, with G₀ N₀ = 0 and G₀ f̃⁰ = 0. The internal cable forces are f̃⁰ + N₀ λ with
-λ_k = A cos(θ + φ_k).
+λ_k = A cos(h_k θ + φ_k); the orders are 1 in the paper.
 """
 
 import numpy as np
@@ -36,14 +36,55 @@ def carousel(attachments: NDArray) -> NDArray:
     x, y = _outward(attachments)
     zero = 0 * x
     columns = (np.stack([x, -y, zero], axis=1), np.stack([y, x, zero], axis=1))
-    return _without_wrench(attachments, np.stack([column.ravel() for column in columns], axis=1))
+    return without_wrench(attachments, np.stack([column.ravel() for column in columns], axis=1))
+
+
+def elliptic_carousel(
+    attachments: NDArray,
+    *,
+    phase_turns: int,
+    radial: float,
+    tangential: float,
+    vertical: float,
+    second_harmonic: float,
+    second_harmonic_direction: float,
+) -> NDArray:
+    """Forces (3n, 4) whose ends move on ellipses, and a second harmonic of the horizontal ones.
+
+    For attachments (n, 3) at the angles β_i about the load's vertical, with the outward r_i, the
+    tangential t_i = e₃ × r_i and φ_i = θ + κ β_i, κ = `phase_turns`, columns for the phases 0 and
+    −π/2 of the first order, and then of the second, of
+
+        a_r cos φ_i r_i + a_t sin φ_i t_i − b cos φ_i e₃ + h (cos χ_i, sin χ_i, 0),
+        χ_i = 2 (φ_i + β_i) + π/2 − direction.
+
+    The second harmonic makes the flight in its direction (rad, from x to y in L) the fastest, and
+    the flight against it the slowest. Not projected: see `without_wrench`, which leaves them as
+    they are where κ suits the number of attachments of a regular polygon.
+    """
+    x, y = _outward(attachments)
+    angles = np.arctan2(y, x)
+    zero = 0 * x
+    outward, onward = np.stack([x, y, zero], axis=1), np.stack([-y, x, zero], axis=1)
+    upward = np.stack([zero, zero, zero + 1], axis=1)
+    cosine, sine = (f(phase_turns * angles)[:, None] for f in (np.cos, np.sin))
+    along = radial * outward - vertical * upward
+    turns = 2 * (phase_turns + 1) * angles + np.pi / 2 - second_harmonic_direction
+    x, y = second_harmonic * np.cos(turns), second_harmonic * np.sin(turns)
+    columns = [
+        cosine * along + tangential * sine * onward,
+        -sine * along + tangential * cosine * onward,
+        np.stack([x, y, zero], axis=1),
+        np.stack([-y, x, zero], axis=1),
+    ]
+    return np.stack([column.ravel() for column in columns], axis=1)
 
 
 def spread(attachments: NDArray) -> NDArray:
     """Outward forces (3n,) of about 1 N each, (cos β_i, sin β_i, 0), projected likewise."""
     x, y = _outward(attachments)
     outward = np.stack([x, y, 0 * x], axis=1)
-    return _without_wrench(attachments, outward.reshape(-1, 1))[:, 0]
+    return without_wrench(attachments, outward.reshape(-1, 1))[:, 0]
 
 
 def _outward(attachments: NDArray) -> tuple[NDArray, NDArray]:
@@ -53,7 +94,7 @@ def _outward(attachments: NDArray) -> tuple[NDArray, NDArray]:
     return from_centre[:, 0] / radius, from_centre[:, 1] / radius
 
 
-def _without_wrench(attachments: NDArray, forces: NDArray) -> NDArray:
+def without_wrench(attachments: NDArray, forces: NDArray) -> NDArray:
     """The part of forces (3n, m) in the null space of the grasp matrix."""
     grasp = grasp_matrix(attachments)
     return forces - np.linalg.pinv(grasp) @ (grasp @ forces)
@@ -65,34 +106,39 @@ def even_phases(count: int) -> NDArray:
 
 
 def internal_force(
-    parameters: NDArray, phase: NDArray, *, phases: NDArray
+    parameters: NDArray, phase: NDArray, *, phases: NDArray, orders: float | NDArray = 1
 ) -> tuple[NDArray, NDArray]:
     """λ and λ̇ (m,) each, of `parameters` [ξ, A] (2,) at the phase θ (1,), rad (eq. 23).
 
-    λ_k = A cos(θ + φ_k) and λ̇_k = −A ξ sin(θ + φ_k), for constant ξ and A.
+    λ_k = A cos(h_k θ + φ_k) and λ̇_k = −A h_k ξ sin(h_k θ + φ_k), for constant ξ and A, with the
+    orders h (m,) of the harmonics.
     """
     frequency, amplitude = Parameters.view(parameters)
-    angles = phase + phases
-    return amplitude * np.cos(angles), -amplitude * frequency * np.sin(angles)
+    angles = orders * phase + phases
+    return amplitude * np.cos(angles), -amplitude * (orders * frequency) * np.sin(angles)
 
 
-def internal_force_acceleration(parameters: NDArray, internal_force: NDArray) -> NDArray:
-    """λ̈ = −ξ² λ (m,), for constant ξ and A, of [ξ, A] (2,) and [λ; λ̇] (2m,)."""
-    frequency = Parameters.view(parameters).frequency
+def internal_force_acceleration(
+    parameters: NDArray, internal_force: NDArray, *, orders: float | NDArray = 1
+) -> NDArray:
+    """λ̈ = −(h ξ)² λ (m,), for constant ξ and A, of [ξ, A] (2,) and [λ; λ̇] (2m,)."""
+    frequency = orders * Parameters.view(parameters).frequency
     return -frequency * frequency * InternalForce.view(internal_force).values
 
 
-def internal_force_jerk(parameters: NDArray, internal_force: NDArray) -> NDArray:
-    """λ⃛ = −ξ² λ̇ (m,), for constant ξ and A, of [ξ, A] (2,) and [λ; λ̇] (2m,)."""
-    frequency = Parameters.view(parameters).frequency
+def internal_force_jerk(
+    parameters: NDArray, internal_force: NDArray, *, orders: float | NDArray = 1
+) -> NDArray:
+    """λ⃛ = −(h ξ)² λ̇ (m,), for constant ξ and A, of [ξ, A] (2,) and [λ; λ̇] (2m,)."""
+    frequency = orders * Parameters.view(parameters).frequency
     return -frequency * frequency * InternalForce.view(internal_force).rates
 
 
 def ellipse_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
     """The conjugate axes (n, 3) each, in L, of the ellipses along which the forces N₀ λ move.
 
-    Cable i's internal force at A = 1 is a_i cos θ − b_i sin θ; where a_i and b_i are
-    parallel the ellipse is a line, and that carrier stops twice a turn.
+    Of columns of one order h, cable i's internal force at A = 1 is a_i cos hθ − b_i sin hθ; where
+    a_i and b_i are parallel the ellipse is a line, and that carrier stops twice a turn.
     """
     return (
         (basis @ np.cos(phases)).reshape(-1, 3),

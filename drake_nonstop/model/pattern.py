@@ -4,6 +4,7 @@ A pattern config makes N₀, φ and f̃⁰ (see `mechanics.internal_force`) for 
 class with such a `make` is one.
 """
 
+import itertools
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,22 +15,45 @@ from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import (
     carousel,
     ellipse_axes,
+    elliptic_carousel,
     even_phases,
     hamiltonian_cycle,
     spread,
+    without_wrench,
 )
-from drake_nonstop.validation import StrictFields, require, require_array, require_positive
+from drake_nonstop.validation import (
+    StrictFields,
+    is_number,
+    require,
+    require_array,
+    require_non_negative,
+    require_positive,
+)
 
 _MIN_SINE = 1e-3  # of an angle that counts as different from zero
 
 
 @dataclass(frozen=True)
 class InternalForcePattern:
-    """N₀ (3n, m), φ (m,) in rad and f̃⁰ (3n,) in N, in the load frame."""
+    """N₀ (3n, m), φ (m,) in rad and f̃⁰ (3n,) in N, in the load frame.
+
+    `harmonics` are the orders h (m,) of the coordinates, λ_k = A cos(h_k θ + φ_k); none: all 1.
+    """
 
     basis: NDArray
     phases: NDArray
     offset: NDArray
+    harmonics: tuple[int, ...] = ()
+
+    @property
+    def orders(self) -> NDArray:
+        """The orders h (m,) of the harmonics."""
+        return np.array(self.harmonics or [1.0] * len(self.phases), dtype=float)
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether there is no force but the offset."""
+        return not np.any(self.basis)
 
 
 @dataclass(kw_only=True)
@@ -117,6 +141,144 @@ class SpreadCarouselConfig(StrictFields):
         return InternalForcePattern(wheel.basis, wheel.phases, self.spread * spread(attachments))
 
 
+_MAX_TURNS = 100
+_MAX_SIZE = 1e6
+_ELLIPSE = ("radial", "tangential", "vertical", "second_harmonic")  # whose sizes are times A
+
+
+@dataclass(kw_only=True)
+class EllipticCarouselConfig(StrictFields):
+    """Orbits that lean and climb: amplitudes of their own along the radius, the tangent and e₃.
+
+    m = 2, or 4 with a second harmonic. With β_i the angle of attachment i, r_i outward, t_i
+    tangential and φ_i = θ + κ β_i, cable i pulls with
+
+        (C + A_r cos φ_i) r_i + A_t sin φ_i t_i + (f₀ − B cos φ_i) e₃,
+
+    f₀ its share of the weight. A_r, A_t and B are `radial`, `tangential` and `vertical` times the
+    amplitude A of the parameters: with A = 1 N they are in N. `SpreadCarousel` is κ = −2 with
+    A_r = A_t. `second_harmonic` h makes the ground speed differ between the directions of flight,
+    as in wind: h A e^{2i(φ_i + β_i)} is added to the horizontal force, in the complex plane. Well
+    below half of A_r/A and A_t/A it lets no carrier stop.
+
+    On regular polygons of n attachments the forces have no wrench where A_t ≠ 0 and κ ≢ 0 (modulo
+    n), A_r ≠ −A_t needs κ ≢ −1, A_r ≠ A_t needs κ ≢ 1, B ≠ 0 needs κ ≢ ±1, and h ≠ 0 needs
+    2κ ≢ −2 and 2κ ≢ −1. For other attachments they are projected on the null space.
+    """
+
+    spread: float = 2.5  # N, the constant outward pull C of every cable
+    phase_turns: int = -2  # κ: turns of the phase in one round of the attachments
+    radial: float = 1.0  # A_r / A
+    tangential: float = 1.0  # A_t / A
+    vertical: float = 0.0  # B / A
+    second_harmonic: float = 0.0  # h: its horizontal force / A
+    # rad, of the flight that it makes the fastest, from x to y in L: that of the wind
+    second_harmonic_direction: float = 0.0
+
+    def make(self, attachments: NDArray) -> InternalForcePattern:
+        """The pattern for attachments (n, 3) in L.
+
+        Raises:
+            ScenarioError: a number is out of its range, or the forces would have a wrench on a
+                regular polygon of n attachments, or as `check_pattern`.
+        """
+        attachments = _checked(attachments)
+        _require_directions(attachments)
+        require_non_negative("pattern", spread=self.spread, second_harmonic=self.second_harmonic)
+        turns = self.phase_turns
+        is_whole = isinstance(turns, int) and not isinstance(turns, bool)
+        require(
+            is_whole and abs(turns) <= _MAX_TURNS,
+            "pattern.phase_turns",
+            turns,
+            f"give a whole number from -{_MAX_TURNS} to {_MAX_TURNS}",
+        )
+        for name in (*_ELLIPSE, "second_harmonic_direction"):
+            value = getattr(self, name)
+            is_usable = is_number(value) and abs(value) <= _MAX_SIZE
+            require(is_usable, f"pattern.{name}", value, f"give a number of at most {_MAX_SIZE:g}")
+        remedy = "give another number than 0: a carrier that swings on a line would stop"
+        require(self.tangential != 0, "pattern.tangential", self.tangential, remedy)
+        n = len(attachments)
+        sizes = {name: getattr(self, name) for name in _ELLIPSE}
+        if not self._suits(n, turns, sizes):
+            require(False, "pattern.phase_turns", turns, _remedy(self, n, sizes))
+        basis, phases = self._forces(attachments, turns, sizes), np.array([0.0, -np.pi / 2] * 2)
+        count = 4 if self.second_harmonic > 0 else 2
+        return InternalForcePattern(
+            without_wrench(attachments, basis[:, :count]),
+            phases[:count],
+            self.spread * spread(attachments),
+            (1, 1, 2, 2) if count == 4 else (),
+        )
+
+    def _forces(self, attachments: NDArray, turns: int, sizes: dict[str, float]) -> NDArray:
+        return elliptic_carousel(
+            attachments,
+            phase_turns=turns,
+            second_harmonic_direction=self.second_harmonic_direction,
+            **sizes,
+        )
+
+    def _suits(self, n: int, turns: int, sizes: dict[str, float]) -> bool:
+        """Whether such forces on a regular polygon of n attachments have no wrench."""
+        angles = 2 * np.pi * np.arange(n) / n
+        polygon = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+        forces = self._forces(polygon, turns % n, sizes)
+        limit = 1e-9 * np.max(np.abs(forces))
+        return bool(np.all(np.abs(grasp_matrix(polygon) @ forces) <= limit))
+
+    def suitable_turns(self, n: int, **sizes: float) -> list[int]:
+        """The numbers of turns, modulo n, for n attachments and `sizes` such as vertical = 0."""
+        given = {name: getattr(self, name) for name in _ELLIPSE} | sizes
+        return [turns for turns in range(n) if self._suits(n, turns, given)]
+
+
+def _remedy(config: EllipticCarouselConfig, n: int, sizes: dict[str, float]) -> str:
+    """What makes elliptic carousels of n attachments possible, and changes the least."""
+    changes: list[tuple[dict[str, float], str]] = [
+        ({}, ""),
+        ({"second_harmonic": 0.0}, " with second_harmonic = 0"),
+        ({"vertical": 0.0}, " with vertical = 0"),
+        ({"vertical": 0.0, "second_harmonic": 0.0}, " with vertical = second_harmonic = 0"),
+    ]
+    round_ = {"vertical": 0.0, "second_harmonic": 0.0, "radial": sizes["tangential"]}
+    changes.append((round_, " with radial = tangential and vertical = second_harmonic = 0"))
+    for change, words in changes:
+        turns = config.suitable_turns(n, **change)
+        if turns:
+            numbers = " or ".join(map(str, turns))
+            return (
+                f"with {n} cables the forces would have a net wrench on the load; give {numbers} "
+                f"(modulo {n}){words}"
+            )
+    raise AssertionError("a circle suits every number of cables")
+
+
+@dataclass(kw_only=True)
+class ConstantSpreadConfig(StrictFields):
+    """A constant outward pull alone, for a load that turns, and its carriers with it.
+
+    m = 1, a coordinate without any force. The carriers keep their places above the load, and move
+    because it turns: `load_trajectory: !SteadyTurn`. There is no amplitude: that of the
+    `optimization_layer`, which has to be `ConstantParameters`, is 0.
+    """
+
+    spread: float = 2.5  # N, the constant outward pull C of every cable
+
+    def make(self, attachments: NDArray) -> InternalForcePattern:
+        """The pattern for attachments (n, 3) in L.
+
+        Raises:
+            ScenarioError: the spread is not positive, or an attachment is in the middle of all.
+        """
+        require_positive("pattern", spread=self.spread)
+        attachments = _checked(attachments)
+        _require_directions(attachments)
+        nothing = np.zeros((attachments.size, 1))
+        return InternalForcePattern(nothing, np.zeros(1), self.spread * spread(attachments))
+
+
 def _checked(attachments: Any) -> NDArray:
     """The attachments as an array; raises ScenarioError for what is no (n, 3)."""
     return require_array("attachments", attachments, [None, 3], "one position per cable, in L")
@@ -172,7 +334,8 @@ def check_pattern(
 
     Raises:
         ScenarioError: the pattern has a net wrench, or some carrier would stop: the
-            force in its cable moves on a line, or in a plane through the attachment.
+            force in its cable moves on a line, or in a plane through the attachment. A pattern
+            without any internal force but its offset is for a load that turns, and passes.
     """
     grasp = grasp_matrix(attachments)
     for name, value in (("basis", pattern.basis), ("offset", pattern.offset)):
@@ -184,15 +347,27 @@ def check_pattern(
             "its forces have a net wrench on the load; project it on the null space of "
             "the grasp matrix",
         )
+    if pattern.is_constant:
+        return
     constant = gravity_forces + pattern.offset.reshape(-1, 3)
-    cosines, sines = ellipse_axes(pattern.basis, pattern.phases)
-    for i, axes in enumerate(zip(cosines, sines, constant, strict=True)):
-        volume = abs(np.linalg.det(np.stack(axes)))
-        size = np.prod([np.linalg.norm(axis) for axis in axes])
+    axes = [constant]
+    for order in np.unique(pattern.orders):
+        columns = pattern.orders == order
+        axes += ellipse_axes(pattern.basis[:, columns], pattern.phases[columns])
+    for i, of_cable in enumerate(zip(*axes, strict=True)):
         require(
-            volume > _MIN_SINE * size,
+            _span_space(np.stack(of_cable)),
             "pattern.phases",
             pattern.phases.tolist(),
             f"cable {i + 1} swings in a plane or not at all, so its carrier would stop; "
-            "choose other phases or another basis",
+            "choose other phases or another basis, or other amplitudes",
         )
+
+
+def _span_space(vectors: NDArray) -> bool:
+    """Whether vectors (k, 3) span space: the volume of some three is not small for their size."""
+    for three in itertools.combinations(vectors, 3):
+        size = np.prod([np.linalg.norm(vector) for vector in three])
+        if abs(np.linalg.det(np.stack(three))) > _MIN_SINE * size:
+            return True
+    return False

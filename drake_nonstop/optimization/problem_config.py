@@ -81,6 +81,7 @@ def check_problem(box: str, config: NonstopProblemConfig, model: Model) -> None:
     _check_numbers(box, config)
     _check_limits(box, config)
     _check_choices(box, config)
+    _check_pattern(box, model)
     for name, start, bounds in (
         ("frequency", config.frequency, config.frequency_bounds),
         ("amplitude", config.amplitude, amplitude_range(config, model)),
@@ -181,6 +182,23 @@ def _check_choices(box: str, config: NonstopProblemConfig) -> None:
         f"{box}.solver",
         config.solver,
         f"give one of {', '.join(_SOLVERS)}",
+    )
+
+
+def _check_pattern(box: str, model: Model) -> None:
+    require(
+        not model.pattern.is_constant,
+        box,
+        "NonstopOptimizer",
+        "the pattern has no orbits that it could change; give !ConstantParameters with "
+        "amplitude: 0, or a pattern with orbits",
+    )
+    require(
+        all(order == 1 for order in model.pattern.harmonics),
+        box,
+        "NonstopOptimizer",
+        "its constraints hold for patterns of one harmonic; give !ConstantParameters, or a pattern "
+        "without a second harmonic",
     )
 
 

@@ -17,6 +17,8 @@ from drake_nonstop.diagrams.box import block_class, import_path
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.model.pattern import (
     CarouselConfig,
+    ConstantSpreadConfig,
+    EllipticCarouselConfig,
     HamiltonianCycleConfig,
     LinearPatternConfig,
     SpreadCarouselConfig,
@@ -86,7 +88,12 @@ class _Common(StrictFields):
     # Fields of system that differ in the simulated plant.
     simulated: SystemOverrides = field(default_factory=SystemOverrides)
     pattern: (
-        HamiltonianCycleConfig | CarouselConfig | SpreadCarouselConfig | LinearPatternConfig
+        HamiltonianCycleConfig
+        | CarouselConfig
+        | SpreadCarouselConfig
+        | EllipticCarouselConfig
+        | ConstantSpreadConfig
+        | LinearPatternConfig
     ) = field(default_factory=HamiltonianCycleConfig)
 
 

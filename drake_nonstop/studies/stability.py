@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.blocks.load_disturbance import NoDisturbanceConfig
 from drake_nonstop.blocks.load_feedback import NoisyFeedbackConfig
-from drake_nonstop.blocks.load_trajectory import RestToRestConfig
+from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
@@ -28,6 +28,7 @@ from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
+from drake_nonstop.validation import require
 
 _STEP = 1e-6  # of the differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized
@@ -71,7 +72,16 @@ def at_rest(scenario: Scenario) -> Scenario:
 
     The paper's phase becomes an accumulated one, which is the same while ξ is constant; there is
     no disturbance, and the feedback has no error but its delay.
+
+    Raises:
+        ScenarioError: the load of the scenario turns all the time.
     """
+    require(
+        not isinstance(scenario.load_trajectory, SteadyTurnConfig),
+        "load_trajectory",
+        "SteadyTurn",
+        "this study is about a load at rest; give RestToRest, and a pattern with orbits",
+    )
     feedback = scenario.load_feedback
     if isinstance(feedback, NoisyFeedbackConfig):
         feedback = NoisyFeedbackConfig(delay=feedback.delay, period=feedback.period)

@@ -7,20 +7,25 @@ import pytest
 from helpers import Motion, difference, fix, model, output, regular
 from pydrake.systems.framework import LeafSystem
 
+from drake_nonstop.blocks.carrier_controller import TunedFeedforwardCarrierPid
 from drake_nonstop.blocks.carrier_trajectory import (
     CarrierTrajectory,
     InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
 from drake_nonstop.blocks.load_feedback import DesiredStateFeedback
-from drake_nonstop.blocks.load_trajectory import RestToRestConfig
+from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.model.pattern import CarouselConfig
+from drake_nonstop.model.pattern import (
+    CarouselConfig,
+    ConstantSpreadConfig,
+    EllipticCarouselConfig,
+)
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.systems import tracing
+from drake_nonstop.systems import traced_block
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
 
@@ -128,7 +133,8 @@ def loop_on_its_reference(**boxes):
     """A loop whose controllers take the load to be on its reference, and its context."""
     fields = {name: boxes.pop(name) for name in ("pattern", "system") if name in boxes}
     scenario = Scenario(control_period=0.0, **fields)
-    layer = ConstantParametersConfig(frequency=2.0, amplitude=1.2)
+    amplitude = 0.0 if isinstance(scenario.pattern, ConstantSpreadConfig) else 1.2
+    layer = ConstantParametersConfig(frequency=2.0, amplitude=amplitude)
     ends = {"load_feedback": DesiredStateFeedback, "optimization_layer": layer}
     diagram = make_nonstop(scenario, **ends, **boxes)
     return diagram, diagram.CreateDefaultContext()
@@ -144,6 +150,55 @@ def test_derivatives_in_the_loop_are_differences_of_the_velocities(block):
         expected = difference(lambda t: carriers_at(diagram, context, t)[1], time)
         np.testing.assert_allclose(jerk, expected, rtol=0, atol=1e-8)
         assert np.max(np.abs(acceleration)) > 1
+
+
+ELLIPSES = EllipticCarouselConfig(
+    spread=1.5,
+    phase_turns=2,
+    radial=0.6,
+    tangential=0.9,
+    vertical=0.7,
+    second_harmonic=0.2,
+    second_harmonic_direction=0.4,
+)
+INERTIA_OF_A_BOX = [[0.014, 0.001, -0.0005], [0.001, 0.011, 0.002], [-0.0005, 0.002, 0.017]]
+TURN = SteadyTurnConfig(yaw_rate=1.3, start_roll_pitch_yaw=[0.2, -0.1, 0.4])
+
+
+@pytest.mark.parametrize(
+    "boxes",
+    [
+        {"pattern": ELLIPSES, "load_trajectory": SteadyJerk},
+        {"pattern": ELLIPSES, "load_trajectory": TURN},
+        {"pattern": ConstantSpreadConfig(spread=2.0), "load_trajectory": TURN},
+    ],
+    ids=["ellipses", "ellipses on a turning load", "turning load"],
+)
+def test_derivatives_are_exact_for_harmonics_and_for_a_turning_load(boxes):
+    system = SystemParameters(load_inertia=INERTIA_OF_A_BOX, load_angular_drag=0.1)
+    controller = TunedFeedforwardCarrierPid
+    diagram, context = loop_on_its_reference(system=system, carrier_controller=controller, **boxes)
+    for time in (0.3, 1.1):
+        motion, acceleration, jerk = carriers_at(diagram, context, time)
+        velocity = difference(lambda t: carriers_at(diagram, context, t)[0][12:], time)
+        np.testing.assert_allclose(acceleration, velocity, rtol=0, atol=1e-8)
+        expected = difference(lambda t: carriers_at(diagram, context, t)[1], time)
+        np.testing.assert_allclose(jerk, expected, rtol=0, atol=1e-8)
+        if isinstance(boxes["load_trajectory"], SteadyTurnConfig):
+            set_carriers(diagram, context, motion)
+            (forces,) = carriers_at(diagram, context, time, ["carrier_forces"])
+            np.testing.assert_allclose(
+                forces, system.carrier_mass * acceleration, rtol=0, atol=1e-9
+            )
+
+
+def set_carriers(diagram, context, motion):
+    """Sets the carriers to their references."""
+    block = diagram.GetSubsystemByName("carrier_dynamics")
+    own = block.GetMyMutableContextFromRoot(context)
+    own.SetContinuousState(motion)
+    shown = output(diagram, context, "carrier_state")
+    np.testing.assert_array_equal(shown, motion)
 
 
 def test_without_snap_what_is_missing_is_small_while_the_load_moves_slowly():
@@ -196,9 +251,9 @@ def test_what_the_derivatives_need_may_be_left_unconnected(rng):
 def test_derivatives_that_nothing_reads_are_not_even_traced(monkeypatch):
     diagram, context = loop_on_its_reference()
     traced = []
-    make = tracing.Trace
+    make = traced_block.Trace
     monkeypatch.setattr(
-        tracing, "Trace", lambda *sizes, key: traced.append(1) or make(*sizes, key=key)
+        traced_block, "Trace", lambda *sizes, key: traced.append(1) or make(*sizes, key=key)
     )
     diagram.EvalTimeDerivatives(context)
     carriers_at(diagram, context, 0.1, ["carrier_reference"])

@@ -15,6 +15,8 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRestConfig,
     SampledTrajectory,
     SampledTrajectoryConfig,
+    SteadyTurn,
+    SteadyTurnConfig,
     Waypoints,
     WaypointsConfig,
 )
@@ -52,6 +54,9 @@ CIRCLE = CircleConfig(
     **START, radius=0.6, centre_direction=2.0, turns=-1.25, start_time=1.0, move_time=9.0
 )
 FOLLOWING_CIRCLE = dataclasses.replace(CIRCLE, turns=0.7, turns_with_path=True)
+STEADY_TURN = SteadyTurnConfig(
+    **START, yaw_rate=-0.7, displacement=[1.0, -2.0, 0.5], start_time=1.0, move_time=9.0
+)
 SAMPLES = [  # the first pose is START
     [1.0, 0.5, -1.0, 2.0, 0.2, -0.3, 0.4],
     [2.5, 0.7, -0.8, 2.1, 0.2, -0.1, 0.5],
@@ -416,3 +421,26 @@ def test_bad_parameter_is_named(config, field):
 def test_times_lost_in_rounding_end_with_a_sentence(config):
     with pytest.raises(ScenarioError, match=r"load_trajectory \(instants in s\) = .*: give times"):
         block_class("load_trajectory", type(config))(model(), config)
+
+
+def test_steady_turn_is_the_rest_to_rest_move_of_a_load_that_turns_at_all_times():
+    turning = reference_of(SteadyTurn, STEADY_TURN)
+    plain = RestToRestConfig(
+        **START, displacement=STEADY_TURN.displacement, start_time=1.0, move_time=9.0
+    )
+    moving = reference_of(RestToRest, plain)
+    for time in (0.0, 0.5, 4.0, 11.0, 300.0):
+        check_rates(turning, time)
+        yaw = RollPitchYaw(0, 0, -0.7 * time).ToRotationMatrix().matrix()
+        now, still = turning(time), moving(time)
+        np.testing.assert_allclose(rotation(now[:4]), yaw @ rotation(still[:4]), rtol=0, atol=1e-13)
+        np.testing.assert_allclose(now[7:10], [0, 0, -0.7], rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(now[13:16], 0)
+        for part in (slice(4, 7), slice(10, 13), slice(16, 22)):
+            np.testing.assert_array_equal(now[part], still[part])
+
+
+@pytest.mark.parametrize("rate", [0.0, np.nan, 1e-9, 1e3, "fast"])
+def test_steady_turn_needs_a_rate(rate):
+    with pytest.raises(ScenarioError, match=r"^load_trajectory\.yaw_rate = .*RestToRest is for"):
+        SteadyTurn(model(), SteadyTurnConfig(yaw_rate=rate))

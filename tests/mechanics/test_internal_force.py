@@ -8,6 +8,8 @@ from drake_nonstop.mechanics.internal_force import (
     even_phases,
     hamiltonian_cycle,
     internal_force,
+    internal_force_acceleration,
+    internal_force_jerk,
 )
 
 shapes = pytest.mark.parametrize("attachments", SHAPES.values(), ids=SHAPES.keys())
@@ -63,13 +65,21 @@ def test_internal_force_of_a_square_after_a_quarter_turn():
 
 def test_internal_force_rate_is_its_difference_at_constant_frequency(rng):
     parameters, phases = np.array([1.7, 0.8]), rng.uniform(0, 6, 5)
+    orders = np.array([1.0, 2, 1, 2, 3])
 
     def force(time):
-        return internal_force(parameters, parameters[:1] * time, phases=phases)
+        return internal_force(parameters, parameters[:1] * time, phases=phases, orders=orders)
 
     for time in (0.0, 0.4, 2.5):
         expected = difference(lambda t: force(t)[0], time)
-        np.testing.assert_allclose(force(time)[1], expected, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(force(time)[1], expected, rtol=0, atol=1e-9)
+        now = np.concatenate(force(time))
+        second = internal_force_acceleration(parameters, now, orders=orders)
+        np.testing.assert_allclose(
+            second, difference(lambda t: force(t)[1], time), rtol=0, atol=1e-8
+        )
+        third = internal_force_jerk(parameters, now, orders=orders)
+        np.testing.assert_allclose(third, -((1.7 * orders) ** 2) * now[5:], rtol=1e-13)
 
 
 @shapes

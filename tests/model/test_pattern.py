@@ -1,12 +1,24 @@
+import dataclasses
+import itertools
+import re
+import textwrap
+
 import numpy as np
 import pytest
-from helpers import irregular, regular, spatial
+from helpers import difference, irregular, regular, spatial
 
-from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
+from drake_nonstop.blocks.load_trajectory import RestToRestConfig
+from drake_nonstop.blocks.optimization_layer import (
+    ConstantParametersConfig,
+    NonstopOptimizerConfig,
+)
+from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
 from drake_nonstop.model.pattern import (
     CarouselConfig,
+    ConstantSpreadConfig,
+    EllipticCarouselConfig,
     HamiltonianCycleConfig,
     InternalForcePattern,
     LinearPatternConfig,
@@ -14,6 +26,7 @@ from drake_nonstop.model.pattern import (
     check_pattern,
 )
 from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.scenario.loading import parse_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
@@ -264,3 +277,225 @@ def test_linear_pattern_is_the_cycle_by_default():
     plain, cycle_pattern = LinearPatternConfig().make(regular(5)), HamiltonianCycleConfig()
     np.testing.assert_array_equal(plain.basis, cycle_pattern.make(regular(5)).basis)
     np.testing.assert_array_equal(plain.phases, cycle_pattern.make(regular(5)).phases)
+
+
+ELLIPTIC = {
+    "spread": 1.5,
+    "phase_turns": 2,
+    "radial": 0.6,
+    "tangential": 0.9,
+    "vertical": 0.7,
+    "second_harmonic": 0.2,
+    "second_harmonic_direction": 0.4,
+}
+
+
+def elliptic_forces(config, attachments, theta, amplitude):
+    """The formula, in the complex plane of the horizontal forces, (n, 3) without f₀."""
+    x, y, _ = (attachments - attachments.mean(axis=0)).T
+    beta = np.angle(x + 1j * y)
+    phi = theta + config.phase_turns * beta
+    radial, tangential, vertical, second = amplitude * np.array(
+        [config.radial, config.tangential, config.vertical, config.second_harmonic]
+    )
+    lead = np.pi / 2 - config.second_harmonic_direction
+    plane = np.exp(1j * beta) * (
+        config.spread + radial * np.cos(phi) + 1j * tangential * np.sin(phi)
+    ) + second * np.exp(1j * (2 * (phi + beta) + lead))
+    return np.stack([plane.real, plane.imag, -vertical * np.cos(phi)], axis=1)
+
+
+def pattern_forces(pattern, theta, amplitude):
+    coordinates = amplitude * np.cos(pattern.orders * theta + pattern.phases)
+    return (pattern.offset + pattern.basis @ coordinates).reshape(-1, 3)
+
+
+def turned_polygon(n, rng):
+    """A regular polygon at any angle, height and size, its corners in any order."""
+    angles = 2 * np.pi * rng.permutation(n) / n + rng.uniform(0, 6)
+    x, y = rng.uniform(0.3, 2) * np.array([np.cos(angles), np.sin(angles)])
+    return np.stack([x, y, np.full(n, rng.normal())], axis=1)
+
+
+def is_said_to_be_without_a_wrench(n, k, config):
+    """The conditions of the theory, on κ modulo n, and those of the second harmonic."""
+    zero, one, minus_one = (k % n == value % n for value in (0, 1, -1))
+    same = config.radial == config.tangential
+    opposite = config.radial == -config.tangential
+    return not (
+        (not opposite and (zero or minus_one))
+        or (not same and (zero or one))
+        or (config.vertical != 0 and (zero or one or minus_one))
+        or (config.second_harmonic != 0 and ((2 * k + 2) % n == 0 or (2 * k + 1) % n == 0))
+    )
+
+
+@pytest.mark.parametrize("n", range(3, 9))
+def test_elliptic_carousel_has_the_forces_of_its_formula_where_they_have_no_wrench(n, rng):
+    accepted = 0
+    others = ((0.0, 0.0), (0.7, 0.0), (0.0, 0.2))
+    for turns, radial, (vertical, second) in itertools.product(range(n), (0.9, -0.9, 0.6), others):
+        k = turns + int(rng.integers(-2, 2)) * n
+        sizes = {"radial": radial, "vertical": vertical, "second_harmonic": second}
+        config = EllipticCarouselConfig(**(ELLIPTIC | sizes | {"phase_turns": k}))
+        attachments = turned_polygon(n, rng)
+        theta, amplitude = rng.uniform(0, 6), rng.uniform(0.5, 3)
+        forces = elliptic_forces(config, attachments, theta, amplitude)
+        torque = np.cross(attachments, forces).sum(axis=0)
+        is_free = np.allclose([forces.sum(axis=0), torque], 0, atol=1e-12)
+        assert is_free == is_said_to_be_without_a_wrench(n, k, config)
+        if not is_free:
+            with pytest.raises(ScenarioError, match=f"phase_turns = {k}: with {n} cables"):
+                config.make(attachments)
+            continue
+        accepted += 1
+        pattern = config.make(attachments)
+        np.testing.assert_allclose(
+            pattern_forces(pattern, theta, amplitude), forces, rtol=0, atol=1e-12
+        )
+        assert len(pattern.phases) == (4 if second else 2)
+    assert accepted > n - 2
+
+
+@pytest.mark.parametrize("n", [3, 4, 6])
+def test_the_remedy_of_an_elliptic_carousel_with_a_wrench_works(n):
+    config = EllipticCarouselConfig(**(ELLIPTIC | {"phase_turns": 1}))
+    with pytest.raises(ScenarioError) as error:
+        config.make(regular(n))
+    match = re.search(r"give ([\d or]+) \(modulo \d\)(?: with (.*))?$", str(error.value))
+    change = {3: ["radial", "vertical", "second_harmonic"], 4: [], 6: []}[n]
+    assert all(name in (match[2] or "") for name in change)
+    wanted = {"radial": config.tangential, "vertical": 0.0, "second_harmonic": 0.0}
+    for turns in map(int, match[1].split(" or ")):
+        sizes = {name: wanted[name] for name in change}
+        EllipticCarouselConfig(**(ELLIPTIC | sizes | {"phase_turns": turns})).make(regular(n))
+
+
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_elliptic_carousel_is_the_spread_carousel_by_default(n):
+    elliptic = EllipticCarouselConfig(spread=3.0).make(regular(n))
+    plain = SpreadCarouselConfig(spread=3.0).make(regular(n))
+    for name in ("basis", "phases", "offset", "orders"):
+        np.testing.assert_allclose(getattr(elliptic, name), getattr(plain, name), atol=1e-14)
+
+
+@pytest.mark.parametrize("attachments", [irregular(5), spatial(4), spatial(7), regular(4) + 0.3])
+def test_elliptic_carousel_of_other_attachments_is_the_nearest_without_a_wrench(attachments):
+    turns = 3 if len(attachments) == 5 else 2
+    config = EllipticCarouselConfig(**(ELLIPTIC | {"phase_turns": turns}))
+    pattern = config.make(attachments)
+    check_pattern(pattern, attachments, weight_shares(attachments))
+    change = pattern_forces(pattern, 0.7, 1.3) - elliptic_forces(config, attachments, 0.7, 1.3)
+    grasp = grasp_matrix(attachments)
+    row_space = np.linalg.lstsq(grasp.T, change.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(grasp.T @ row_space, change.ravel(), rtol=0, atol=1e-12)
+
+
+def test_second_harmonic_makes_one_direction_of_flight_the_fastest():
+    # Far above the load a carrier flies as its force changes.
+    fields = {"radial": 1.0, "tangential": 1.0, "vertical": 0.0, "second_harmonic": 0.1}
+    config = EllipticCarouselConfig(**(ELLIPTIC | fields))
+    pattern = config.make(regular(4))
+    thetas = np.linspace(0, 2 * np.pi, 721)
+    rates = np.array([difference(lambda t: pattern_forces(pattern, t, 1.0), t) for t in thetas])
+    speeds = np.linalg.norm(rates, axis=2)
+    np.testing.assert_allclose(speeds.max(axis=0), 1.2, rtol=1e-4)
+    np.testing.assert_allclose(speeds.min(axis=0), 0.8, rtol=1e-4)
+    for i in range(4):
+        x, y, _ = rates[np.argmax(speeds[:, i]), i]
+        assert np.arctan2(y, x) == pytest.approx(0.4, abs=0.01)
+        x, y, _ = rates[np.argmin(speeds[:, i]), i]
+        assert np.arctan2(-y, -x) == pytest.approx(0.4, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "remedy"),
+    [
+        ("spread", -1.0, "not negative"),
+        ("phase_turns", 1.5, "whole number"),
+        ("phase_turns", 101, "from -100 to 100"),
+        ("tangential", 0.0, "would stop"),
+        ("vertical", np.nan, "a number of at most"),
+        ("radial", 1e7, "a number of at most"),
+        ("second_harmonic", -0.1, "not negative"),
+    ],
+)
+def test_elliptic_carousel_refuses_bad_numbers(field, value, remedy):
+    with pytest.raises(ScenarioError, match=rf"^pattern\.{field} = .*{remedy}"):
+        EllipticCarouselConfig(**(ELLIPTIC | {field: value})).make(regular(4))
+
+
+@pytest.mark.parametrize("second", [0.0, 0.2])
+def test_forces_whose_ellipses_lie_in_planes_through_the_attachments_are_refused(second):
+    # cos, sin and constant part: A_t (A_r f₀ + B C) is their volume.
+    share, fields = 9.81 / 4, {"second_harmonic": 0.0, "radial": -0.7 * 1.5 / (9.81 / 4)}
+    flat = EllipticCarouselConfig(**(ELLIPTIC | fields)).make(regular(4))
+    with pytest.raises(ScenarioError, match="cable 1 swings in a plane"):
+        check_pattern(flat, regular(4), weight_shares(regular(4)))
+    fields |= {"radial": fields["radial"] * 1.1, "second_harmonic": second}
+    pattern = EllipticCarouselConfig(**(ELLIPTIC | fields)).make(regular(4))
+    check_pattern(pattern, regular(4), np.tile([0, 0, share], (4, 1)))
+
+
+def co_rotating(**changes):
+    """R60 of the theory: 60 m cables, and carriers that keep their places above a turning load."""
+    text = """
+      r60:
+        based_on: real_scale_spread
+        control_period: 0.0
+        simulation_duration: 2.0
+        pattern: !ConstantSpread {spread: 30.0}
+        load_trajectory: !SteadyTurn {yaw_rate: 0.40}
+        optimization_layer: !ConstantParameters {frequency: 0.4, amplitude: 0.0, speed_bound: 8.0}
+    """
+    return dataclasses.replace(parse_scenario(textwrap.dedent(text)), **changes)
+
+
+def test_co_rotating_formation_flies_as_its_closed_form_says():
+    run = simulate(co_rotating())
+    share, length = 98.1 / 4, 60.0
+    tension = np.hypot(share, 30.0)
+    length += tension / 120.0
+    radius, height = 1.5 + length * 30.0 / tension, length * share / tension
+    carriers = run.signal("carrier_state").reshape(-1, 2, 4, 3)
+    places = carriers[:, 0] - run.signal("load_state")[:, None, 4:7]
+    flat = np.linalg.norm(places[..., :2], axis=2)
+    speeds = np.linalg.norm(carriers[:, 1], axis=2)
+    np.testing.assert_allclose(flat, radius, rtol=1e-6)
+    np.testing.assert_allclose(places[..., 2], height, rtol=1e-6)
+    np.testing.assert_allclose(speeds, 0.40 * radius, rtol=1e-6)
+    np.testing.assert_allclose(run.signal("tensions"), tension, rtol=1e-5)
+    apart = np.linalg.norm(places - np.roll(places, 1, axis=1), axis=2)
+    np.testing.assert_allclose(apart, 2 * radius * np.sin(np.pi / 4), rtol=1e-6)
+    assert np.max(np.abs(run.signal("tracking_error"))) < 1e-5
+    # The figures of the theory's table.
+    assert 0.40 * radius == pytest.approx(19.2, abs=0.1)
+    assert apart.min() == pytest.approx(68, abs=0.5)
+
+
+REFUSED = [
+    (
+        {"load_trajectory": RestToRestConfig()},
+        "pattern = ConstantSpread: .*give load_traj.*SteadyT",
+    ),
+    ({"optimization_layer": ConstantParametersConfig()}, "amplitude = 1.2: .* give 0"),
+    ({"optimization_layer": NonstopOptimizerConfig()}, "NonstopOptimizer: .*no orbits"),
+    (
+        {"pattern": SpreadCarouselConfig()},
+        "optimization_layer.amplitude = 0.0: .*greater than zero",
+    ),
+    ({"pattern": ConstantSpreadConfig(spread=0.0)}, "pattern.spread = 0.0: .*greater than zero"),
+    (
+        {
+            "pattern": EllipticCarouselConfig(**ELLIPTIC),
+            "optimization_layer": NonstopOptimizerConfig(),
+        },
+        "NonstopOptimizer: .*one harmonic",
+    ),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), REFUSED)
+def test_what_does_not_go_with_a_turning_formation_or_harmonics_is_refused(changes, message):
+    with pytest.raises(ScenarioError, match=message):
+        make_nonstop(co_rotating(**changes))

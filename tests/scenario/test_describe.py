@@ -169,7 +169,7 @@ def test_one_box_is_shown_alone(capsys):
         "    in   speed_bound_command (1, optional)\n"
         "    out  parameters (2), speed_bound (1)\n"
         "    frequency    float  2.0  rad/s, ξ\n"
-        "    amplitude    float  1.2  N, A\n"
+        "    amplitude    float  1.2  N, A; 0 for a constant pattern, and for no other\n"
         "    speed_bound  float  0.2  m/s, ε; reported, not enforced\n"
     )
     assert "load_plant" not in shown
