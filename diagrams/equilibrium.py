@@ -20,11 +20,16 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.systems.diagnosis import source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
-from drake_nonstop.systems.wiring import innermost, require_signals, unconnected
+from drake_nonstop.systems.wiring import (
+    innermost,
+    require_own_context,
+    require_signals,
+    unconnected,
+)
 from drake_nonstop.validation import ScenarioError
 
-# What the loop has to export, with sizes; None: 6 for each carrier.
-_SIGNALS = {
+# What the loop has to export, with sizes; None: 6 for each carrier. No block alone makes all.
+LOOP_SIGNALS = {
     "load_state": LOAD_STATE_SIZE,
     "reference": LOAD_REFERENCE_SIZE,
     "carrier_state": None,
@@ -33,6 +38,7 @@ _SIGNALS = {
 
 _STEP = 1e-6  # of the differences, in SI units
 _REST = 1e-6  # m/s² and rad/s², the acceleration that counts as rest
+_REACH = 0.5  # m and rad, of the linear model
 _DROPS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)  # m, below the reference, to start looking from
 
 
@@ -53,10 +59,11 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     Raises:
         ScenarioError: the cables cannot hold the load, a block does not show the state that is
             set, or makes a value that is not finite, or is far too large; a signal is not
-            exported, or an input not connected.
+            exported, or an input not connected; the context is that of another system.
     """
-    require_signals(nonstop, _SIGNALS, "set_equilibrium")
-    nonstop, context = innermost(nonstop, context, _SIGNALS)
+    require_own_context("set_equilibrium", nonstop, context)
+    require_signals(nonstop, LOOP_SIGNALS, "set_equilibrium")
+    nonstop, context = innermost(nonstop, context, LOOP_SIGNALS)
     trial = copied_context(nonstop, context)
     with block_named(nonstop, trial):
         _settle(nonstop, trial)
@@ -104,16 +111,17 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
         return plant.load_acceleration(trial) - desired_rate
 
     for drop in _DROPS:
-        residual = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
+        residual, is_far = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
         if np.max(np.abs(residual)) < _REST:
+            return
+        if is_far:  # from the other starts, too
             break
-    else:
-        cause = _cause_of_motion(nonstop, trial, plant.load_acceleration(trial))
-        cause += plant.acceleration_source(trial)
-        raise ScenarioError(
-            f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2 beside that of the "
-            f"reference: the cables do not hold the load near its reference; {cause}"
-        )
+    cause = _cause_of_motion(nonstop, trial, plant.load_acceleration(trial))
+    cause += plant.acceleration_source(trial)
+    raise ScenarioError(
+        f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2 beside that of the "
+        f"reference: the cables do not hold the load near its reference; {cause}"
+    )
 
 
 def _cause_of_motion(nonstop: Diagram, context: Context, acceleration: NDArray) -> str:
@@ -152,7 +160,7 @@ def on_reference(nonstop: Diagram, context: Context) -> None:
 
     Whatever samples or holds takes its first value.
     """
-    loop, own = innermost(nonstop, context, _SIGNALS)
+    loop, own = innermost(nonstop, context, LOOP_SIGNALS)
     plant = plant_states(loop)
     simulator = Simulator(nonstop, context)
     reference = nonstop.GetOutputPort("reference").Eval(context)[:LOAD_STATE_SIZE]
@@ -170,21 +178,27 @@ def copied_context(nonstop: Diagram, context: Context) -> Context:
     return copy
 
 
-def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> NDArray:
-    """Drives the function (6,) of an offset (6,) to zero; returns its last value."""
-    offset, residual = start, function(start)
+def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> tuple[NDArray, bool]:
+    """Drives the function (6,) of an offset (6,) to zero.
+
+    Returns its last value, and whether each step would have led further than the linear model
+    reaches.
+    """
+    offset, residual, is_far = start, function(start), True
     for _ in range(20):
         if np.max(np.abs(residual)) < _REST / 1e3:
             break
+        slopes = _jacobian(function, offset)
         try:
-            step = np.linalg.solve(_jacobian(function, offset), residual)
-        except np.linalg.LinAlgError:
-            break
-        while np.max(np.abs(step)) > 0.5:  # m and rad; further than the linear model reaches
+            step = np.linalg.solve(slopes, residual)
+        except np.linalg.LinAlgError:  # what nothing turns, such as a point mass, stays as it is
+            step = np.linalg.lstsq(slopes, residual, rcond=None)[0]
+        is_far &= bool(np.max(np.abs(step)) > _REACH)
+        while np.max(np.abs(step)) > _REACH:
             step = step / 2
         offset = offset - step
         residual = function(offset)
-    return residual
+    return residual, is_far
 
 
 def _jacobian(function: Callable[[NDArray], NDArray], at: NDArray) -> NDArray:

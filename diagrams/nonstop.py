@@ -295,8 +295,9 @@ def make_nonstop(
     New contexts of the diagram start at its equilibrium, see `set_equilibrium`. Where a block's
     default state cannot be set once it is built (`diagrams/plant_states.py` says how it can), all
     of them are made a second time, with the equilibrium in the plant's `Model`; a ScenarioWarning
-    names a block that starts from another state nevertheless. Where the diagram has inputs there
-    may be no equilibrium before they are connected: load and carriers then are at the origin.
+    names a block that starts from another state nevertheless. Where the diagram has inputs that
+    have to be connected there may be no equilibrium before they are: load and carriers then are at
+    the origin.
 
     Args:
         scenario: the system, the pattern and one config per box; where fields hold distributions,
@@ -322,7 +323,8 @@ def make_nonstop(
     scenario, others = _resolved(scenario, replacements)
     parts = _made_parts(scenario, others, extra)
     diagram = _connected(scenario, parts, inputs, has_extra=bool(extra))
-    if not at_equilibrium or diagram.num_input_ports() > 0:
+    is_whole = set(wiring.input_names(diagram)) <= wiring.optional_inputs(diagram)
+    if not (at_equilibrium and is_whole):
         return diagram
     context = diagram.CreateDefaultContext()
     set_equilibrium(diagram, context)

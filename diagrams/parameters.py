@@ -14,15 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.systems.framework import Context, Diagram, System
+from pydrake.systems.framework import Context, Context_, Diagram, System
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.diagrams.equilibrium import LOOP_SIGNALS
 from drake_nonstop.model.aircraft import AircraftParameters, values_of
 from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.pattern import InternalForcePattern
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model, SystemParameters
+from drake_nonstop.systems.block import is_converted
 from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.systems.parameters import declared
+from drake_nonstop.systems.wiring import innermost, require_own_context
 from drake_nonstop.validation import require, require_array, require_known, require_type
 
 _SYSTEM, _SIMULATED, _PATTERN = "system", "simulated", "pattern"
@@ -75,12 +78,13 @@ def parameters(loop: Diagram, context: Context) -> list[LoopParameter]:
     """The parameters of a loop, with their values in its context.
 
     Args:
-        loop: as of `make_nonstop`, or any diagram of its blocks.
+        loop: as of `make_nonstop`, or any diagram of its blocks, or one that exports its signals;
+            before a conversion.
         context: the loop's own, in a bigger diagram `loop.GetMyContextFromRoot(root)`; also that
             of the loop converted to AutoDiffXd.
 
     Raises:
-        ScenarioError: the context is not the loop's.
+        ScenarioError: the context is not the loop's, or the loop is a converted one.
     """
     return _Loop(loop, context).listed()
 
@@ -105,7 +109,7 @@ def set_parameter(loop: Diagram, context: Context, path: str, value: Any) -> Non
     that has not been updated yet begins with the values set.
 
     Args:
-        loop: as of `make_nonstop`, or any diagram of its blocks.
+        loop: as of `parameters`.
         context: the loop's own, in a bigger diagram `loop.GetMyMutableContextFromRoot(root)`; also
             that of the loop converted to AutoDiffXd, where a value may have derivatives.
         path: as in a scenario: "system.load_mass", "wrench_controller.position_gain".
@@ -123,14 +127,7 @@ class _Loop:
     """A loop with a context."""
 
     def __init__(self, loop: Diagram, context: Context):
-        count = context.num_numeric_parameter_groups()
-        require(
-            count == loop.num_numeric_parameter_groups(),
-            "context",
-            f"one of {count} numeric parameters",
-            f"give the loop's own, which has {loop.num_numeric_parameter_groups()}, such as "
-            "loop.GetMyMutableContextFromRoot(root)",
-        )
+        loop, context = _innermost(loop, context)
         self._loop, self._context = loop, context
         self._holders = [*_holders(loop)]
 
@@ -170,6 +167,11 @@ class _Loop:
 
     def set(self, path: str, value: Any) -> None:
         """As `set_parameter`."""
+        remedy = 'give a scenario path, such as "system.load_mass"'
+        require(isinstance(path, str), "parameter", path, remedy)
+        is_converted_one = isinstance(self._context, Context_[AutoDiffXd])
+        remedy = "give a number, or a context of the loop converted to AutoDiffXd"
+        require(is_converted_one or not _has_derivatives(value), path, value, remedy)
         scope, _, field = path.partition(".")
         boxes = [block.get_name() for block in self._loop.GetSystems()]
         boxes += [holder.box for holder in self._holders if holder.box not in boxes]
@@ -283,7 +285,7 @@ class _Loop:
     def _require_effect(self, holder: _Holder, name: str, value: Any) -> None:
         """Raises ScenarioError where a signal that the block reads takes the parameter's place."""
         require_effect = getattr(holder.block, "require_effect", None)
-        if require_effect is not None:
+        if require_effect is not None and isinstance(self._context, Context):
             context = self._loop.GetSubsystemContext(holder.block, self._context)
             require_effect(context, name, value)
 
@@ -378,6 +380,37 @@ class _Loop:
                 begin_anew(self._loop.GetMutableSubsystemContext(block, self._context))
 
 
+def _innermost(loop: Diagram, context: Context) -> tuple[Diagram, Context]:
+    """The diagram whose own blocks have the parameters, and its context.
+
+    Raises:
+        ScenarioError: it is a converted one, or holds loops whose signals it does not export.
+    """
+    blocks = loop.GetSystems() if isinstance(loop, Diagram) else []
+    require(
+        isinstance(loop, Diagram) and not any(map(is_converted, blocks)),
+        "loop",
+        type(loop).__name__ + (", converted or cloned" if blocks else ""),
+        "give the loop that it was made of; its contexts are copied by "
+        "SetTimeStateAndParametersFrom",
+    )
+    inner = [block.get_name() for block in blocks if _is_loop(block)]
+    remedy = "give the loop inside of it, and loop.GetMyMutableContextFromRoot(root)"
+    require(_is_loop(loop) or not inner, "loop", f"a diagram around {' and '.join(inner)}", remedy)
+    if isinstance(context, Context_[AutoDiffXd]):
+        count, own = context.num_numeric_parameter_groups(), loop.num_numeric_parameter_groups()
+        given = f"a converted one of {count} numeric parameters"
+        remedy = f"give that of the loop itself, which has {own}"
+        require(count == own and not (_is_loop(loop) and inner), "context", given, remedy)
+        return loop, context
+    require_own_context("context", loop, context)
+    return innermost(loop, context, LOOP_SIGNALS) if _is_loop(loop) else (loop, context)
+
+
+def _is_loop(system: System) -> bool:
+    return isinstance(system, Diagram) and all(map(system.HasOutputPort, LOOP_SIGNALS))
+
+
 def _holders(loop: Diagram) -> Iterator[_Holder]:
     first = 0
     for block in loop.GetSystems():
@@ -415,9 +448,14 @@ def _spread_of(model: Model, offset: Any) -> float:
 def _plain(value: Any) -> Any:
     """Numbers without their derivatives; arrays as lists."""
     array = np.asarray(value)
-    if array.dtype == object and any(isinstance(v, AutoDiffXd) for v in array.ravel()):
+    if _has_derivatives(value):
         array = _floats(array.ravel()).reshape(array.shape)
     return array.tolist() if isinstance(value, np.ndarray) or array.dtype != object else value
+
+
+def _has_derivatives(value: Any) -> bool:
+    array = np.asarray(value)
+    return array.dtype == object and any(isinstance(v, AutoDiffXd) for v in array.ravel())
 
 
 def _floats(vector: Iterable[Any]) -> NDArray:

@@ -33,6 +33,7 @@ from pydrake.systems.primitives import AffineSystem, Integrator
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
+from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import maker_of
 from drake_nonstop.validation import ScenarioError, require
 
@@ -97,8 +98,11 @@ class PlantStates:
         except ScenarioError:
             set_state_values(context, before)
 
-    def _check(self, signal: str, context: Context, value: NDArray) -> None:
-        """Raises ScenarioError where a port shows something else than was set."""
+    def _check(self, signal: str, context: Context, value: NDArray, trim: str = "") -> None:
+        """Raises ScenarioError where a port shows something else than was set.
+
+        `trim` names the methods that have been called since then.
+        """
         block = self._owners[signal]
         shown = block.GetOutputPort(signal).Eval(context)
         wrong = ~_agree(signal, shown, value)
@@ -106,7 +110,9 @@ class PlantStates:
             return
         entry = int(np.argmax(wrong))
         setter, name = _SETTERS[signal], type(block).__name__
-        if hasattr(block, setter):
+        if trim:
+            remedy = f"correct {trim}, after which the port has to show it still"
+        elif hasattr(block, setter):
             remedy = f"correct {name}.{setter}(context, value), after which the port has to show it"
         else:
             remedy = (
@@ -130,23 +136,23 @@ class PlantStates:
         for signal, name in _TRIMS.items():
             if hasattr(self._owners[signal], name):
                 getattr(self._owners[signal], name)(self._context(signal, context))
-                trimmed = True
+                trimmed.append(f"{type(self._owners[signal]).__name__}.{name}(context)")
         for signal, value in states.items() if trimmed else ():
             own = self._context(signal, context)
             if not own.is_stateless():
-                self._check(signal, own, value)
+                self._check(signal, own, value, " and ".join(trimmed))
 
-    def _trim_carriers(self, context: Context) -> bool:
-        """Has the carriers' block set states for its reference's acceleration; if it does that."""
+    def _trim_carriers(self, context: Context) -> list[str]:
+        """Has the carriers' block set states for its reference's acceleration; what was called."""
         block, name = self._owners[CARRIERS], "carrier_reference_acceleration"
         if not hasattr(block, _TRIM_TO):
-            return False
+            return []
         source = type(block).__name__
         remedy = f"give a carrier_trajectory that makes it: {source} starts with it"
         require(self._nonstop.HasOutputPort(name), name, "not among the signals", remedy)
         acceleration = self._nonstop.GetOutputPort(name).Eval(context)
         getattr(block, _TRIM_TO)(self._context(CARRIERS, context), acceleration.copy())
-        return True
+        return [f"{source}.{_TRIM_TO}(context, acceleration)"]
 
     def take_over(self, context: Context, settled: Context) -> None:
         """Sets all states of the plant's blocks to those in another context of the loop."""
@@ -165,9 +171,12 @@ class PlantStates:
             acceleration = np.asarray(block.CalcLoadAcceleration(own), dtype=float)
             remedy = "correct CalcLoadAcceleration(context), which returns 6 numbers"
             require(acceleration.shape == (6,), block.get_name(), type(block).__name__, remedy)
-            return acceleration
-        view = LoadState.view(self._shown[LOAD].rate(own))
-        return np.concatenate([view.angular_velocity, view.velocity])
+        else:
+            view = LoadState.view(self._shown[LOAD].rate(own))
+            acceleration = np.concatenate([view.angular_velocity, view.velocity])
+        if not np.all(np.isfinite(acceleration)):
+            raise NotFiniteError(block.get_name(), was_given=True)
+        return acceleration
 
     def acceleration_source(self, context: Context) -> str:
         """What to say of where the load's acceleration comes from; empty where a block tells it."""

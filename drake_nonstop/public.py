@@ -38,6 +38,11 @@ from drake_nonstop.scenario.loading import (
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.aircraft_margins import (
+    AircraftMargins,
+    FlightMargin,
+    aircraft_margins,
+)
 from drake_nonstop.simulation.make_simulator import make_simulator
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.outcome import RunOutcome
@@ -97,6 +102,9 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "parameters",
     "LoopParameter",
     "simulate",
+    "aircraft_margins",
+    "AircraftMargins",
+    "FlightMargin",
     "make_simulator",
     "verify_step",
     "StepAction",

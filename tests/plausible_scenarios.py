@@ -180,8 +180,11 @@ class Flight:
     seconds: float = 0.0
 
 
-def fly(seed: int) -> Flight:
-    """Flies a draw as it is and at a fifth of its step."""
+def fly(seed: int, *, is_judged_if_said: bool = True) -> Flight:
+    """Flies a draw as it is and at a fifth of its step.
+
+    Where `is_judged_if_said` is false, what was said of the first flight saves the second.
+    """
     name, overrides = draw(seed)
     flight = Flight(seed, overrides=[name, *overrides])
     start = time.perf_counter()
@@ -201,6 +204,8 @@ def fly(seed: int) -> Flight:
     except (ScenarioError, RunStopped) as error:
         flight.said.append(str(error))
         flight.kind = type(error).__name__
+        return flight
+    if flight.said and not is_judged_if_said:
         return flight
     try:
         with warnings.catch_warnings():

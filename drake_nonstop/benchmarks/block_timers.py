@@ -118,7 +118,8 @@ class BlockTimers:
                         replace(owner, name, self._timed(function, name))
             for name in [name for name in vars(LeafSystem) if name.startswith("Declare")]:
                 replace(LeafSystem, name, self._timed_declaration(vars(LeafSystem)[name]))
-            replace(TracedFunction, "__call__", self._counted(TracedFunction.__call__))
+            for name in ("__call__", "of_vector", "of_vector_and_time"):
+                replace(TracedFunction, name, self._counted(vars(TracedFunction)[name]))
             yield self
         finally:
             for owner, name, value in reversed(replaced):

@@ -27,6 +27,7 @@ FILES = (STILL, ANIMATION, PATTERNS)
 _VIEW = 640, 460  # pixels, of one page
 _SPAN = 6.0, 11.0  # s, of the animation: the load sets off, and comes to its speed
 _FRAME_RATE = 12  # 1/s
+_TURN = 23  # s, of the patterns
 _STILL_TIME = 8.0  # s, about which the still is of the slowest instant
 
 
@@ -70,7 +71,8 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
 
 def _patterns() -> dict[str, Run]:
     """The real-scale scenarios' patterns above a resting load, for a turn."""
-    overrides = ["simulation_duration=23", "load_trajectory.start_time=30", "fused_plant=true"]
+    duration = f"simulation_duration={_TURN}"
+    overrides = [duration, "load_trajectory.start_time=30", "fused_plant=true"]
     return {
         title: simulate(load_scenario(name, overrides))
         for name, title in (

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk, carrier_motion
@@ -18,9 +17,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.block_parameters import LOAD, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import DiagramBlock
-from drake_nonstop.systems.traced_block import TracedBlock
-from drake_nonstop.systems.wiring import input_names, output_names
+from drake_nonstop.systems.traced_block import LateOutputs, TracedBlock
 from drake_nonstop.validation import StrictFields
 
 
@@ -35,20 +32,29 @@ class _TrajectoryAboveLoad(TracedBlock):
         pose: the signal with the load's pose, and its size: a load state, or what begins with
             one.
         stretches: whether the cables do, by their stiffness.
+        derivatives: makes accelerations and jerks as well, of these inputs and three more.
     """
 
     is_sampled = True
 
-    def __init__(self, model: Model, *, pose: tuple[str, int], stretches: bool = True):
+    def __init__(
+        self,
+        model: Model,
+        *,
+        pose: tuple[str, int],
+        stretches: bool = True,
+        derivatives: LateOutputs | None = None,
+    ):
         attachments = model.attachments
 
         def motion(
             state: NDArray,
             forces: NDArray,
             rates: NDArray,
-            *times: NDArray,
+            *further: NDArray,
             cable_length: NDArray,
             cable_stiffness: NDArray | None = None,
+            **_: NDArray,
         ) -> NDArray:
             positions, velocities = carrier_motion(
                 state,
@@ -58,13 +64,18 @@ class _TrajectoryAboveLoad(TracedBlock):
                 rest_length=cable_length,
                 compliance=_compliance(cable_stiffness),
             )
-            if times:
-                sample_time, time = times
+            if is_sampled:
+                sample_time, time = further[-2:]
                 positions = positions + (time - sample_time) * velocities
             return np.concatenate([positions, velocities])
 
         inputs = dict([pose])
         inputs |= dict.fromkeys(("desired_cable_forces", "desired_cable_force_rates"), 3 * model.n)
+        parameters = _of_cables(stretches)
+        if derivatives is not None:
+            inputs |= {"internal_force": 2 * model.m, "parameters": PARAMETERS_SIZE}
+            inputs |= {"wind_estimate": WIND_SIZE}
+            parameters += LOAD
         is_sampled = model.control_period > 0
         if is_sampled:
             inputs["sample_time"] = 1
@@ -73,42 +84,23 @@ class _TrajectoryAboveLoad(TracedBlock):
             inputs=inputs,
             outputs={"carrier_reference": 6 * model.n},
             reads_time=is_sampled,
-            parameters=BlockParameters(model, _of_cables(stretches)),
-            key=("carrier trajectory", pose, is_sampled, stretches, attachments),
+            parameters=BlockParameters(model, parameters),
+            key=("carrier trajectory", tuple(inputs), is_sampled, stretches, attachments),
+            late=derivatives,
         )
 
 
-class _TrajectoryAboveReference(DiagramBlock):
-    """A `_TrajectoryAboveLoad` on its reference, with accelerations and jerks.
+class _TrajectoryAboveReference(_TrajectoryAboveLoad):
+    """A `_TrajectoryAboveLoad` on its reference, with accelerations and jerks."""
 
-    These are a system of their own, so that they are evaluated where something reads them only.
-    """
-
-    is_sampled = True
     optional_inputs = ("internal_force", "parameters", "wind_estimate")
 
     def __init__(self, model: Model, *, stretches: bool = True):
-        super().__init__()
-        builder = DiagramBuilder()
         pose = ("reference", LOAD_REFERENCE_SIZE)
-        motion = builder.AddNamedSystem(
-            "motion", _TrajectoryAboveLoad(model, pose=pose, stretches=stretches)
-        )
-        derivatives = builder.AddNamedSystem("derivatives", _derivatives(model, stretches))
-        for name in input_names(derivatives):
-            builder.ExportInput(derivatives.GetInputPort(name), name)
-        for name in input_names(motion):
-            if name in input_names(derivatives):
-                builder.ConnectInput(name, motion.GetInputPort(name))
-            else:
-                builder.ExportInput(motion.GetInputPort(name), name)
-        for part in (motion, derivatives):
-            for name in output_names(part):
-                builder.ExportOutput(part.GetOutputPort(name), name)
-        builder.BuildInto(self)
+        super().__init__(model, pose=pose, stretches=stretches, derivatives=_derivatives(model))
 
 
-def _derivatives(model: Model, stretches: bool) -> TracedBlock:
+def _derivatives(model: Model) -> LateOutputs:
     """The carriers' accelerations and jerks while the load is on its reference."""
     attachments, pseudo_inverse = model.attachments, model.pseudo_inverse
     basis, orders = model.pattern.basis, model.pattern.orders
@@ -148,22 +140,18 @@ def _derivatives(model: Model, stretches: bool) -> TracedBlock:
             carrier_jerk(reference, forces, rates, *higher_rates, **cables),
         )
 
-    return TracedBlock(
+    return LateOutputs(
         derivatives,
-        inputs={
-            "reference": LOAD_REFERENCE_SIZE,
-            "desired_cable_forces": 3 * model.n,
-            "desired_cable_force_rates": 3 * model.n,
-            "internal_force": 2 * model.m,
-            "parameters": PARAMETERS_SIZE,
-            "wind_estimate": WIND_SIZE,
-        },
-        outputs=dict.fromkeys(
-            ("carrier_reference_acceleration", "carrier_reference_jerk"), 3 * model.n
+        (
+            "reference",
+            "desired_cable_forces",
+            "desired_cable_force_rates",
+            "internal_force",
+            "parameters",
+            "wind_estimate",
         ),
-        parameters=BlockParameters(model, (*_of_cables(stretches), *LOAD)),
-        key=("carrier derivatives", stretches, attachments, basis, orders),
-        is_traced_late=True,
+        dict.fromkeys(("carrier_reference_acceleration", "carrier_reference_jerk"), 3 * model.n),
+        key=("carrier derivatives", attachments, basis, orders),
     )
 
 

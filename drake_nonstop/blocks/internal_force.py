@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, Phase
 from drake_nonstop.model.system import Model
@@ -35,8 +37,8 @@ class InternalForceTrajectory(TracedBlock):
     def __init__(self, model: Model, config: InternalForceTrajectoryConfig | None = None):
         phases, orders = model.pattern.phases, model.pattern.orders
         super().__init__(
-            lambda parameters, phase: internal_force(
-                parameters, Phase.view(phase).angle, phases=phases, orders=orders
+            lambda parameters, phase: np.concatenate(
+                internal_force(parameters, Phase.view(phase).angle, phases=phases, orders=orders)
             ),
             inputs={"parameters": PARAMETERS_SIZE, "phase": PHASE_SIZE},
             outputs={"internal_force": 2 * model.m},

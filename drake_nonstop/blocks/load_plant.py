@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
-from pydrake.multibody.math import SpatialForce_
-from pydrake.multibody.plant import ExternallyAppliedSpatialForce_, MultibodyPlant
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, SpatialInertia, UnitInertia
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, DiagramBuilder
@@ -28,6 +27,7 @@ from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules, r
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.parameters import declare_parameters, parameters_in
+from drake_nonstop.systems.point_forces import applied_force, no_forces
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import StrictFields
@@ -176,7 +176,7 @@ class _LoadForces(InnerBlock):
         self._body, self._points = body, [*model.attachments, np.zeros(3)]
         self.DeclareAbstractOutputPort(
             "spatial_forces",
-            lambda: AbstractValue.Make([ExternallyAppliedSpatialForce_[scalar]()]),
+            lambda: no_forces(scalar),
             self._calc,
             {self.all_input_ports_ticket(), self.all_parameters_ticket()},
         )
@@ -193,13 +193,11 @@ class _LoadForces(InnerBlock):
         values = np.concatenate([state, torque, force, cables.ravel()])
         if self.scalar is not Expression and not values @ values < LARGEST**2:
             raise NotFiniteError(self.box(), was_given=True)
-        make = SpatialForce_[self.scalar]
-        spatial = [make(np.zeros(3), cable) for cable in cables]
-        applied = []
-        for point, part in zip(self._points, [*spatial, make(torque, force)], strict=True):
-            entry = ExternallyAppliedSpatialForce_[self.scalar]()
-            entry.body_index, entry.p_BoBq_B, entry.F_Bq_W = self._body, point, part
-            applied.append(entry)
+        parts = [*((np.zeros(3), cable) for cable in cables), (torque, force)]
+        applied = [
+            applied_force(self.scalar, self._body, point, *part)
+            for point, part in zip(self._points, parts, strict=True)
+        ]
         output.set_value(applied)
 
 

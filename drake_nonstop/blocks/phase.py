@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, ContinuousState, State
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, State
+from pydrake.systems.primitives import Integrator, MatrixGain
 
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.block import DiagramBlock, InnerBlock, LeafBlock
 from drake_nonstop.validation import StrictFields
 
 
@@ -17,7 +17,7 @@ class AccumulatedPhaseConfig(StrictFields):
     """No parameters."""
 
 
-class AccumulatedPhase(LeafBlock):
+class AccumulatedPhase(DiagramBlock):
     """θ̇ = ξ: the phase is continuous, also where ξ jumps.
 
     The paper's cos(ξ(t) t + φ), that of `PaperPhase`, jumps by t Δξ when ξ changes.
@@ -38,29 +38,37 @@ class AccumulatedPhase(LeafBlock):
 
     def __init__(self, model: Model, config: AccumulatedPhaseConfig | None = None):
         super().__init__()
-        self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
-        self._period = model.control_period
-        if self._period > 0:
-            index = self.DeclareDiscreteState(PHASE_SIZE)
-            # Unrestricted, because Drake runs these before the discrete updates: θ steps
-            # with the ξ of the interval that ends, and the optimization layer, which
-            # updates at the same instant, reads the stepped phase.
-            self.DeclarePeriodicUnrestrictedUpdateEvent(self._period, self._period, self._step)
+        builder = DiagramBuilder()
+        if model.control_period > 0:
+            state = builder.AddNamedSystem("state", _SteppedPhase(model.control_period))
+            parameters = state.get_input_port()
         else:
-            index = self.DeclareContinuousState(PHASE_SIZE)
-        self.DeclareStateOutputPort("phase", index)
+            rate = builder.AddNamedSystem("rate", MatrixGain(np.diag([1.0, 0.0])))
+            state = builder.AddNamedSystem("state", Integrator(PHASE_SIZE))
+            builder.Connect(rate.get_output_port(), state.get_input_port())
+            parameters = rate.get_input_port()
+        builder.ExportInput(parameters, "parameters")
+        builder.ExportOutput(state.get_output_port(), "phase")
+        builder.BuildInto(self)
 
-    def _rate(self, context: Context) -> NDArray:
-        frequency, _ = self._parameters.Eval(context)
-        return np.array([frequency, 0.0])
 
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        if self._period == 0:
-            derivatives.get_mutable_vector().SetFromVector(self._rate(context))
+class _SteppedPhase(InnerBlock):
+    """The phase at samples, of the parameters."""
+
+    def __init__(self, period: float):
+        super().__init__()
+        self._period = period
+        self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
+        self.DeclareStateOutputPort("phase", self.DeclareDiscreteState(PHASE_SIZE))
+        # Unrestricted, because Drake runs these before the discrete updates: θ steps
+        # with the ξ of the interval that ends, and the optimization layer, which
+        # updates at the same instant, reads the stepped phase.
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._step)
 
     def _step(self, context: Context, state: State) -> None:
-        phase = context.get_discrete_state_vector().CopyToVector()
-        state.get_mutable_discrete_state().set_value(phase + self._period * self._rate(context))
+        angle, slope = context.get_discrete_state_vector().CopyToVector()
+        frequency, _ = self._parameters.Eval(context)
+        state.get_mutable_discrete_state().set_value([angle + self._period * frequency, slope])
 
 
 @dataclass(kw_only=True)

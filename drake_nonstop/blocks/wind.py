@@ -18,6 +18,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.validation import (
     StrictFields,
+    is_number,
     require,
     require_array,
     require_non_negative,
@@ -27,6 +28,7 @@ from drake_nonstop.validation import (
 
 _BOX = "wind"
 _FASTEST = 100.0  # m/s, more than in any storm
+_HIGHEST_GROUND = 1e5  # m, above or below z = 0
 _STEEPEST = 1.0  # exponent of the height
 _WAVES, _HIGHEST = 64, 100.0  # of a gust on each axis, and its highest frequency times its time
 _SHORTEST = 0.01  # s, correlation time of a gust
@@ -64,13 +66,18 @@ class StillAir(LeafBlock):
 
 
 @dataclass(kw_only=True)
-class SteadyWindConfig(StrictFields):
+class _MeanWindFields(StrictFields):  # no config may be below another: YAML could not tell them
     """A velocity, and when it rises."""
 
     velocity: list[float] = field(default_factory=lambda: [2.0, 0.0, 0.0])  # m/s, in W
     start_time: float = 0.0  # s, still air before it
     rise_time: float = 0.0  # s, in which it then rises linearly to the velocity; 0: at once
     believed: list[float] | None = None  # m/s, in W, wind_estimate; null: the mean wind at the load
+
+
+@dataclass(kw_only=True)
+class SteadyWindConfig(_MeanWindFields):
+    """A velocity, and when it rises."""
 
 
 class _MeanWind(LeafBlock):
@@ -80,7 +87,7 @@ class _MeanWind(LeafBlock):
         config: the block's.
     """
 
-    def __init__(self, config: SteadyWindConfig):
+    def __init__(self, config: _MeanWindFields):
         super().__init__()
         self._velocity = _checked_velocity("velocity", config.velocity)
         times = {"start_time": config.start_time, "rise_time": config.rise_time}
@@ -150,7 +157,7 @@ class SteadyWind(_MeanWind):
 
 
 @dataclass(kw_only=True)
-class WindProfileConfig(SteadyWindConfig):
+class _ProfileFields(_MeanWindFields):
     """A velocity, when it rises, and how it grows with the height."""
 
     exponent: float = 0.14  # of the height; 0.14: open land, 0: the same wind everywhere
@@ -158,42 +165,20 @@ class WindProfileConfig(SteadyWindConfig):
     ground_height: float = 0.0  # m, z of the ground in W
 
 
-class WindProfile(_MeanWind):
-    """A wind that grows with the height above the ground by a power law, and may rise in time.
+@dataclass(kw_only=True)
+class WindProfileConfig(_ProfileFields):
+    """A velocity, when it rises, and how it grows with the height."""
 
-    w = w_r (h/h_r)^α at the height h, which counts as 1 m below 1 m, see `mechanics.wind`.
 
-    .. pydrake_system::
+class _Profile(_MeanWind):
+    """The mean wind at the heights of carriers and load.
 
-        name: WindProfile
-        input_ports:
-        - carrier_state
-        - load_state
-        output_ports:
-        - wind
-        - load_wind
-        - wind_estimate
-
-    `carrier_state` (6n) = [positions (m), velocities (m/s)] and `load_state` (13) = [quaternion
-    w x y z, position (m), angular velocity (rad/s), velocity (m/s)], in W, tell the heights;
-    `wind` (3n) at the carriers, `load_wind` (3) at the load and `wind_estimate` (3), which the
-    controllers believe, in m/s, in W.
-
-    Parameters, the fields of `WindProfileConfig`:
-        velocity: m/s, in W
-        start_time: s, still air before it
-        rise_time: s, in which it then rises linearly to the velocity; 0: at once
-        believed: m/s, in W, wind_estimate; null: the mean wind at the load
-        exponent: of the height; 0.14: open land, 0: the same wind everywhere
-        reference_height: m, above the ground, where the wind has the velocity
-        ground_height: m, z of the ground in W
-
-    Raises:
-        ScenarioError: a field is out of range.
+    Args:
+        model: of the carriers.
+        config: the block's.
     """
 
-    def __init__(self, model: Model, config: WindProfileConfig | None = None):
-        config = config or WindProfileConfig()
+    def __init__(self, model: Model, config: _ProfileFields):
         super().__init__(config)
         require_non_negative(_BOX, exponent=config.exponent)
         is_profile = config.exponent <= _STEEPEST
@@ -205,7 +190,9 @@ class WindProfile(_MeanWind):
             config.reference_height,
             f"give at least {LOWEST_HEIGHT:g} m; below that the wind does not change",
         )
-        require_array(f"{_BOX}.ground_height", [config.ground_height], [1], "m, in W")
+        is_height = is_number(config.ground_height) and abs(config.ground_height) <= _HIGHEST_GROUND
+        remedy = f"give a number of {_HIGHEST_GROUND:g} m at most"
+        require(is_height, f"{_BOX}.ground_height", config.ground_height, remedy)
         self._law = {
             "reference_height": config.reference_height,
             "exponent": config.exponent,
@@ -246,8 +233,46 @@ class WindProfile(_MeanWind):
         output.SetFromVector(self._at_load(context) if believed is None else believed)
 
 
+class WindProfile(_Profile):
+    """A wind that grows with the height above the ground by a power law, and may rise in time.
+
+    w = w_r (h/h_r)^α at the height h, which counts as 1 m below 1 m, see `mechanics.wind`.
+
+    .. pydrake_system::
+
+        name: WindProfile
+        input_ports:
+        - carrier_state
+        - load_state
+        output_ports:
+        - wind
+        - load_wind
+        - wind_estimate
+
+    `carrier_state` (6n) = [positions (m), velocities (m/s)] and `load_state` (13) = [quaternion
+    w x y z, position (m), angular velocity (rad/s), velocity (m/s)], in W, tell the heights;
+    `wind` (3n) at the carriers, `load_wind` (3) at the load and `wind_estimate` (3), which the
+    controllers believe, in m/s, in W.
+
+    Parameters, the fields of `WindProfileConfig`:
+        velocity: m/s, in W
+        start_time: s, still air before it
+        rise_time: s, in which it then rises linearly to the velocity; 0: at once
+        believed: m/s, in W, wind_estimate; null: the mean wind at the load
+        exponent: of the height; 0.14: open land, 0: the same wind everywhere
+        reference_height: m, above the ground, where the wind has the velocity
+        ground_height: m, z of the ground in W
+
+    Raises:
+        ScenarioError: a field is out of range.
+    """
+
+    def __init__(self, model: Model, config: WindProfileConfig | None = None):
+        super().__init__(model, config or WindProfileConfig())
+
+
 @dataclass(kw_only=True)
-class GustyWindConfig(WindProfileConfig):
+class GustyWindConfig(_ProfileFields):
     """The mean wind, and the gusts on top of it."""
 
     velocity: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m/s, in W, the mean
@@ -260,7 +285,7 @@ class GustyWindConfig(WindProfileConfig):
     seed: int = 0  # of the gusts
 
 
-class GustyWind(WindProfile):
+class GustyWind(_Profile):
     """A `WindProfile` with seeded gusts, each carrier's its own.
 
     On each axis first-order coloured noise, of `mechanics.coloured_noise`, whose time constant is

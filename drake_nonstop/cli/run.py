@@ -20,7 +20,8 @@ from drake_nonstop.simulation.interruption import ALL, current_interruption
 from drake_nonstop.simulation.metrics import in_brief, metrics_table
 from drake_nonstop.simulation.moved_metrics import TOLERANCES
 from drake_nonstop.simulation.outcome import RunOutcome
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, RunInterrupted, RunStopped
+from drake_nonstop.simulation.recording import least_size
+from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.files import require_writable
 from drake_nonstop.studies.journal import own_code_of
@@ -176,7 +177,7 @@ def run_into(
     with current_interruption() as interruption, interruption.patient(ALL):
         interruption.keep = keep
         try:
-            require_writable(folder, RUN_FILES, room=_least_size(scenario))
+            require_writable(folder, RUN_FILES, room=least_size(scenario))
             for run in runs():
                 metrics, place, missing = write(run)
                 if interruption.number:
@@ -241,13 +242,6 @@ def _write_somewhere(run: Run, folder: Path, own_code: str | None) -> dict[str, 
             shutil.rmtree(other, ignore_errors=True)
             raise error from None
         raise ScenarioError(f"{error}; the results are in {other}") from None
-
-
-def _least_size(scenario: Scenario) -> float:
-    """Bytes that the results of a scenario take at least, roughly: its signals, compressed."""
-    columns = 126 + 27 * len(scenario.system.attachments)
-    samples = scenario.simulation_duration / SIGNAL_PERIOD
-    return 4 * columns * samples
 
 
 def _report(metrics: dict[str, Any], run: Run, place: str) -> None:

@@ -158,7 +158,8 @@ class EllipticCarouselConfig(StrictFields):
     f₀ its share of the weight. A_r, A_t and B are `radial`, `tangential` and `vertical` times the
     amplitude A of the parameters: with A = 1 N they are in N. `SpreadCarousel` is κ = −2 with
     A_r = A_t. `second_harmonic` h makes the ground speed differ between the directions of flight,
-    as in wind: h A e^{2i(φ_i + β_i)} is added to the horizontal force, in the complex plane.
+    as in wind: h A e^{2i(φ_i + β_i)} is added to the horizontal force, in the complex plane. Well
+    below half of A_r/A and A_t/A it lets no carrier stop.
 
     On regular polygons of n attachments the forces have no wrench where A_t ≠ 0 and κ ≢ 0 (modulo
     n), A_r ≠ −A_t needs κ ≢ −1, A_r ≠ A_t needs κ ≢ 1, B ≠ 0 needs κ ≢ ±1, and h ≠ 0 needs

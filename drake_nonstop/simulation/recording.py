@@ -478,6 +478,15 @@ def expected_size(nonstop: Diagram, scenario: Scenario) -> float:
     )
 
 
+def least_size(scenario: Scenario) -> float:
+    """Bytes that the results of a run take at least: about half its signals, as compressed.
+
+    It is known before there is a diagram, so that only what every loop exports is counted.
+    """
+    columns = 126 + 27 * len(scenario.system.attachments)
+    return scenario.simulation_duration / SIGNAL_PERIOD * columns * _DOUBLE / 2
+
+
 def require_room(nonstop: Diagram, scenario: Scenario) -> None:
     """Checks that the temporary folder has room for the signals of a run that needs it.
 

@@ -1,5 +1,6 @@
 """A scenario to a run: the simulated signals of every block."""
 
+import contextlib
 import dataclasses
 import time
 import warnings
@@ -19,6 +20,7 @@ from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario, check
+from drake_nonstop.simulation.aircraft_margins import margins_of_loop
 from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.recording import (
@@ -204,6 +206,7 @@ def _simulate(
         set_equilibrium(nonstop, nonstop_context)
         plant_states(nonstop).declare_defaults(nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
+        _warn_of_margins(scenario, nonstop, nonstop_context)
         chosen = chosen or with_chosen_step(scenario, nonstop, nonstop_context)
         if after_step is None:  # which may end a run of any duration
             require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
@@ -352,6 +355,17 @@ def with_chosen_step(scenario: Scenario, nonstop: Diagram, context: Context) -> 
             stacklevel=4,
         )
     return chosen
+
+
+def _warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
+    """Warns where aircraft cannot fly the orbit above the resting load within their limits."""
+    if not nonstop.HasOutputPort("aircraft_state"):
+        return
+    with contextlib.suppress(ScenarioError):  # there is no such orbit
+        found = margins_of_loop(scenario, nonstop, context)
+        if not found.is_flyable:
+            message = f"{found.verdict}; drake-nonstop check shows all margins"
+            warnings.warn(message, ScenarioWarning, stacklevel=4)
 
 
 def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:

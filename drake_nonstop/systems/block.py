@@ -35,6 +35,7 @@ from pydrake.systems.framework import (
     LeafSystem,
     LeafSystem_,
     OutputPort,
+    System,
     SystemScalarConverter,
 )
 
@@ -146,13 +147,31 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
 
 
 class InnerBlock(LeafBlock):
-    """A LeafBlock inside a block that is a Diagram."""
+    """A LeafBlock inside a block that is a Diagram.
+
+    Attributes:
+        is_for_users: whether it may be in a Diagram of the user's own, and not in a `DiagramBlock`.
+    """
+
+    is_for_users = False
 
     def box(self) -> str:
         """The name of the block in the loop that this is inside of, however deep."""
         names = self.GetSystemPathname().split("::")
         above = names.index(LOOP) if LOOP in names[:-1] else 0  # first comes an empty name
         return names[above + 1]
+
+
+def is_converted(system: System) -> bool:
+    """Whether Drake has made a system of a `DiagramBlock`: a Diagram without the block's methods.
+
+    Such are the blocks in a loop that was converted or cloned.
+    """
+    if not isinstance(system, Diagram):
+        return hasattr(system, "GetSystems")  # of another scalar type
+    return type(system) is Diagram and any(
+        isinstance(part, InnerBlock) and not part.is_for_users for part in system.GetSystems()
+    )
 
 
 def of_scalar(block: type, scalar: type) -> type:

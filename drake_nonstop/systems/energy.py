@@ -10,7 +10,8 @@ from typing import Any
 
 from pydrake.systems.framework import Context, Diagram, System
 
-from drake_nonstop.systems.block import DiagramBlock
+from drake_nonstop.systems.block import DiagramBlock, is_converted
+from drake_nonstop.validation import ScenarioError
 
 
 def kinetic_energy(system: System, context: Context) -> float:
@@ -19,6 +20,9 @@ def kinetic_energy(system: System, context: Context) -> float:
     Of a system written in Python it is what its method `CalcKineticEnergy(context)` returns, zero
     without one, and of any other that of Drake's. For a diagram around a loop, whose own
     `CalcKineticEnergy` is Drake's and leaves blocks in Python out.
+
+    Raises:
+        ScenarioError: a loop was converted or cloned, whose blocks have no such methods any more.
     """
     return _total(system, context, "CalcKineticEnergy")
 
@@ -29,6 +33,11 @@ def potential_energy(system: System, context: Context) -> float:
 
 
 def _total(system: Any, context: Context, method: str) -> float:
+    if is_converted(system):
+        raise ScenarioError(
+            f"{system.get_name()} = {type(system).__name__}, converted or cloned: ask the loop "
+            "that it was made of, in a context of its own, after SetTimeStateAndParametersFrom"
+        )
     is_own = isinstance(getattr(type(system), method), types.FunctionType)
     if isinstance(system, Diagram) and (not is_own or isinstance(system, LoopDiagram)):
         return sum(

@@ -6,7 +6,7 @@ large one the entries that are not zero only, so that the costs grow with the nu
 not with its square.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, Inpu
 from pydrake.systems.primitives import (
     Adder,
     Gain,
-    Integrator,
     MatrixGain,
     PortSwitch,
     Selector,
@@ -25,64 +24,29 @@ from pydrake.systems.primitives import (
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
-from drake_nonstop.systems.traced_block import Equations, splitting, stacking
+from drake_nonstop.systems.traced_block import stacking
 from drake_nonstop.systems.tracing import TracedFunction
 
-_STATE = "(state)"  # not the name of a port
 _RELATIVE_TOLERANCE = 1e-9  # of what counts as linear
 _PORTS = InputPortIndex(1), InputPortIndex(2)  # of a switch, whose selector's is the first
 _LARGEST_DENSE = 1500  # entries of a matrix that is multiplied as it is
 
 
 class LinearBlock(DiagramBlock):
-    """A block whose outputs and state's rate are a linear function of its inputs and its state.
+    """A block whose output is a matrix times its inputs, by the entries that are not zero.
 
-    `equations` are the same function, for a bigger trace. Products are summed in the order of the
-    inputs, the state last.
+    Products are summed in the order of the inputs.
 
     Args:
-        function: takes one flat array for the state, where there is one, and one per entry of
-            `inputs`; returns the rate of the state, where there is one, and one flat array per
-            entry of `outputs`. It is evaluated at unit vectors.
+        matrix: (size of the output, sum of the inputs' sizes).
         inputs: the names of the input ports and their sizes.
-        outputs: the names of the output ports and their sizes.
-        state_size: the size of the continuous state, which begins at zero; 0: there is none.
-        initial_state: the continuous state at the start, instead of `state_size`.
-        state_port: the name of the output port that shows the state; none: no port does.
-
-    Raises:
-        ValueError: the function is not linear.
     """
 
-    def __init__(
-        self,
-        function: Callable,
-        *,
-        inputs: Mapping[str, int],
-        outputs: Mapping[str, int] | None = None,
-        state_size: int = 0,
-        initial_state: NDArray | None = None,
-        state_port: str = "",
-    ):
+    def __init__(self, matrix: NDArray, inputs: Mapping[str, int]):
         super().__init__()
-        read, made = dict(inputs), dict(outputs or {})
-        initial = np.zeros(state_size) if initial_state is None else initial_state
-        state_size = len(initial)
-        self.equations = Equations(function, dict(inputs), dict(made), initial, state_port)
-        matrix = _matrix(self.equations)
-        builder = DiagramBuilder()
-        # Not with a state: a LinearSystem draws one from the generator of a Monte Carlo study.
-        is_one_product = len(read) == len(made) == 1 and state_size == 0
-        if is_one_product and matrix.size <= _LARGEST_DENSE:
-            product = builder.AddNamedSystem("linear", MatrixGain(matrix))
-            builder.ExportInput(product.get_input_port(), *read)
-            builder.ExportOutput(product.get_output_port(), *made)
-            builder.BuildInto(self)
-            return
         terms = _terms(matrix)
-        if state_size > 0:
-            read, made = read | {_STATE: state_size}, {_STATE: state_size} | made
-        chosen = builder.AddNamedSystem("chosen", Selector(_choosing(read, terms)))
+        builder = DiagramBuilder()
+        chosen = builder.AddNamedSystem("chosen", Selector(_choosing(inputs, terms)))
         products = [
             builder.AddNamedSystem(f"gain_{k}", Gain(gains)) for k, (_, gains) in enumerate(terms)
         ]
@@ -90,26 +54,12 @@ class LinearBlock(DiagramBlock):
             builder.Connect(chosen.get_output_port(k), gain.get_input_port())
         total = products[0]
         if len(products) > 1:
-            total = builder.AddNamedSystem("sum", Adder(len(products), len(terms[0][1])))
+            total = builder.AddNamedSystem("sum", Adder(len(products), len(matrix)))
             for k, gain in enumerate(products):
                 builder.Connect(gain.get_output_port(), total.get_input_port(k))
-        outputs_of = total.get_output_port
-        if len(made) > 1:
-            parts = builder.AddNamedSystem("parts", Selector(splitting(made)))
-            builder.Connect(total.get_output_port(), parts.get_input_port())
-            outputs_of = parts.get_output_port
-        for i, name in enumerate(read):
-            if name != _STATE:
-                builder.ExportInput(chosen.get_input_port(i), name)
-        for i, name in enumerate(made):
-            if name != _STATE:
-                builder.ExportOutput(outputs_of(i), name)
-        if state_size > 0:
-            state = builder.AddNamedSystem("state", Integrator(initial))
-            builder.Connect(state.get_output_port(), chosen.get_input_port(len(read) - 1))
-            builder.Connect(outputs_of(0), state.get_input_port())
-            if state_port:
-                builder.ExportOutput(state.get_output_port(), state_port)
+        for i, name in enumerate(inputs):
+            builder.ExportInput(chosen.get_input_port(i), name)
+        builder.ExportOutput(total.get_output_port(), "output")
         builder.BuildInto(self)
 
 
@@ -123,7 +73,8 @@ class AdjustableLinear:
 
     Args:
         builder: the block's.
-        function: as of `LinearBlock`; it takes the parameters by name, as that of a `TracedBlock`.
+        function: takes one flat array per entry of `inputs`, and the parameters by name, as that of
+            a `TracedBlock`; returns a flat array. It is evaluated at unit vectors.
         inputs: the names of the input ports and their sizes.
         size: of the output.
         parameters: a numeric parameter of the context.
@@ -133,6 +84,9 @@ class AdjustableLinear:
         function: with the default values.
         inputs: by name, the ports that take an input.
         output: the port.
+
+    Raises:
+        ValueError: the function is not linear.
     """
 
     def __init__(
@@ -146,13 +100,10 @@ class AdjustableLinear:
         key: Any = None,
     ):
         self.function = parameters.filled_in(function)
-        matrix = _matrix(Equations(self.function, inputs, {"output": size}))
+        matrix = _matrix(self.function, [*inputs.values()])
         is_dense = len(inputs) == 1 and matrix.size <= _LARGEST_DENSE
         default = builder.AddNamedSystem(
-            "default",
-            MatrixGain(matrix)
-            if is_dense
-            else LinearBlock(self.function, inputs=inputs, outputs={"output": size}),
+            "default", MatrixGain(matrix) if is_dense else LinearBlock(matrix, inputs)
         )
         adjusted = builder.AddNamedSystem(
             "adjusted", _Adjusted(function, inputs, size, parameters, key)
@@ -222,23 +173,19 @@ class _Adjusted(InnerBlock):
         output.set_value(_PORTS[0 if is_default else 1])
 
 
-def _matrix(equations: Equations) -> NDArray:
-    """The matrix from [inputs, state] to [rate of the state, outputs]."""
-    count = len(equations.initial_state)
-    sizes = [count, *equations.inputs.values()] if count else [*equations.inputs.values()]
+def _matrix(function: Callable[..., NDArray], sizes: Sequence[int]) -> NDArray:
+    """That of a linear function of inputs of these sizes."""
 
     def values(vector: NDArray) -> NDArray:
-        results = equations.function(*np.split(vector, np.cumsum(sizes)[:-1]))
-        return np.concatenate(results if isinstance(results, tuple) else (results,))
+        return function(*np.split(vector, np.cumsum(sizes)[:-1]))
 
-    size = sum(sizes)
-    columns = np.stack([values(unit) for unit in np.eye(size)], axis=1)
-    probe = np.random.default_rng(0).normal(size=size)
+    matrix = np.stack([values(unit) for unit in np.eye(sum(sizes))], axis=1)
+    probe = np.random.default_rng(0).normal(size=sum(sizes))
     expected = values(probe)
-    error = np.max(np.abs(columns @ probe - expected), initial=0.0)
+    error = np.max(np.abs(matrix @ probe - expected), initial=0.0)
     if not error <= _RELATIVE_TOLERANCE * np.max(np.abs(expected), initial=0.0):
-        raise ValueError(f"function = {equations.function}: give one that is linear")
-    return np.roll(columns, -count, axis=1)
+        raise ValueError(f"function = {function}: give one that is linear")
+    return matrix
 
 
 def _terms(matrix: NDArray) -> list[tuple[NDArray, NDArray]]:

@@ -1,17 +1,34 @@
 """Forces at points of bodies, as a MultibodyPlant takes them."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue
-from pydrake.multibody.math import SpatialForce
-from pydrake.multibody.plant import ExternallyAppliedSpatialForce
-from pydrake.multibody.tree import RigidBody
+from pydrake.multibody.math import SpatialForce_
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce_
+from pydrake.multibody.tree import BodyIndex, RigidBody
+from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context
 
 from drake_nonstop.systems.block import InnerBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+
+
+def no_forces(scalar: type) -> AbstractValue:
+    """What a MultibodyPlant of that scalar type takes as applied spatial forces."""
+    return AbstractValue.Make([ExternallyAppliedSpatialForce_[scalar]()])
+
+
+def applied_force(
+    scalar: type, body: BodyIndex, point: NDArray, torque: NDArray, force: NDArray
+) -> Any:
+    """A torque (N m) and a force (N), in W, at a point (m) in the frame of a body."""
+    entry = ExternallyAppliedSpatialForce_[scalar]()
+    entry.body_index, entry.p_BoBq_B = body, point
+    entry.F_Bq_W = SpatialForce_[scalar](torque, force)
+    return entry
 
 
 class PointForces(InnerBlock):
@@ -36,27 +53,30 @@ class PointForces(InnerBlock):
         NotFiniteError: a force is not finite, or is far too large.
     """
 
+    is_for_users = True
+
     def __init__(self, bodies: Sequence[RigidBody], points: ArrayLike):
         super().__init__()
         self._places = [
             (body.index(), point) for body, point in zip(bodies, np.asarray(points), strict=True)
         ]
         self._forces = self.DeclareVectorInputPort("forces", 3 * len(bodies))
+        scalar = self.scalar
         self.DeclareAbstractOutputPort(
             "spatial_forces",
-            lambda: AbstractValue.Make([ExternallyAppliedSpatialForce()]),
+            lambda: no_forces(scalar),
             self._calc,
             {self.all_input_ports_ticket()},
         )
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
         forces = self._forces.Eval(context)
-        if not forces @ forces < LARGEST**2:
+        if self.scalar is not Expression and not forces @ forces < LARGEST**2:
             raise NotFiniteError(self.box(), was_given=True)
-        applied = []
-        for (body, point), force in zip(self._places, forces.reshape(-1, 3), strict=True):
-            entry = ExternallyAppliedSpatialForce()
-            entry.body_index, entry.p_BoBq_B = body, point
-            entry.F_Bq_W = SpatialForce(np.zeros(3), force)
-            applied.append(entry)
-        output.set_value(applied)
+        pairs = zip(self._places, forces.reshape(-1, 3), strict=True)
+        output.set_value(
+            [
+                applied_force(self.scalar, body, point, np.zeros(3), force)
+                for (body, point), force in pairs
+            ]
+        )

@@ -5,18 +5,26 @@ as the traced function. Drake's systems, in C++, therefore stack the inputs to o
 outputs and hold the state, and Python is called once, for the function.
 """
 
+import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, System
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiagramBuilder,
+    InputPort,
+    OutputPort,
+    System,
+)
 from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
-from drake_nonstop.systems.block import DiagramBlock, InnerBlock
+from drake_nonstop.systems.block import DiagramBlock, InnerBlock, weakly
 from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
-from drake_nonstop.systems.tracing import LateTrace, Trace
+from drake_nonstop.systems.tracing import ArrayFunction, LateFunction, Trace
 
 _STATE = "(state)"  # no name of a port
 _NUMBERS = "(parameters)"  # likewise
@@ -39,6 +47,19 @@ class Equations:
     outputs: Mapping[str, int]
     initial_state: NDArray = field(default_factory=lambda: np.zeros(0))
     state_port: str = ""
+
+
+class LateOutputs(NamedTuple):
+    """Outputs that are traced when one of them is evaluated for the first time.
+
+    `function` takes the block's inputs whose names `reads` has, and its parameters; every output
+    feeds through all of these inputs. `outputs` and `key` are as of the block.
+    """
+
+    function: Callable
+    reads: Sequence[str]
+    outputs: Mapping[str, int]
+    key: Any = None
 
 
 class TracedBlock(DiagramBlock):
@@ -64,10 +85,9 @@ class TracedBlock(DiagramBlock):
         parameters: what `function` takes by name, as arrays, numbers as (1,), besides: a numeric
             parameter of the context. `equations` have the default values.
         key: as of `TracedFunction`; the parameters' values are no part of it.
-        is_traced_late: the function is traced when an output is evaluated for the first time, for
-            what most loops do not read; every output feeds through every input.
         is_one_call: all outputs are made by one call into Python, and each depends on what any of
             them reads.
+        late: makes further outputs, which most loops do not read.
 
     Raises:
         ValueError: there is nothing to take: neither an input nor a state nor the time.
@@ -84,8 +104,8 @@ class TracedBlock(DiagramBlock):
         reads_time: bool = False,
         parameters: NumericParameters | None = None,
         key: Any = None,
-        is_traced_late: bool = False,
         is_one_call: bool = False,
+        late: "LateOutputs | None" = None,
     ):
         super().__init__()
         parameters = parameters or NumericParameters({})
@@ -103,57 +123,43 @@ class TracedBlock(DiagramBlock):
             read, made = own | read, own | made
         if not read and not reads_time:
             raise ValueError("inputs = none: give some, a state, or reads_time")
+        own_inputs = len(read)
         if len(parameters) > 0:
-            function = parameters.as_argument(function, len(read))
+            function = parameters.as_argument(function, own_inputs)
             read = read | {_NUMBERS: len(parameters)}
         time = len(read)
-        sizes = [*read.values(), *([1] if reads_time else [])]
-        if is_traced_late:
-            trace: Trace = LateTrace(function, sizes, [*made.values()], key=key)
-        else:
-            trace = Trace(function, sizes, key=key)
+        trace = Trace(function, [*read.values(), *([1] if reads_time else [])], key=key)
         inner = {i for i, name in enumerate(read) if name in _INNER}
         dependence = trace.dependence
         if is_one_call:
             dependence = [set().union(*dependence)] * len(dependence)
         groups = _groups(dependence, {*inner, time}, has_state=state is not None)
+        parts = [_part_of(trace, group, [*made], time) for group in groups]
+        if late is not None:
+            parts.append(_late_part(late, read, parameters))
         builder = DiagramBuilder()
-        traced = [
-            builder.AddNamedSystem(
-                f"traced_{k}" if k else "traced",
-                _Traced(trace, group, time, None if k else parameters),
-            )
-            for k, group in enumerate(groups)
-        ]
-        names = [part.get_name() for part in traced]
-        inputs_of, outputs_of = traced[0].get_input_port, traced[0].get_output_port
-        if len(read) > 1 or (read and groups != [_Group([0], [*range(len(made))])]):
-            chosen = [[i for i in group.reads if i != time] for group in groups]
-            params = _stacking_of(read, dict(zip(names, chosen, strict=True)))
-            stacked = builder.AddNamedSystem("stacked", Selector(params))
+        sizes = [*read.values()]
+        traced = builder.AddNamedSystem("traced", _Traced(parts, sizes, parameters))
+        inputs_of = traced.get_input_port
+        if len(read) > 1 or (read and [part.reads for part in parts] != [[0]]):
+            chosen = {f"inputs_{k}": part.reads for k, part in enumerate(parts) if part.reads}
+            stacked = builder.AddNamedSystem("stacked", Selector(_stacking_of(read, chosen)))
             inputs_of = stacked.get_input_port
-            for part, numbers in zip(traced, chosen, strict=True):
-                if numbers:
-                    source = stacked.GetOutputPort(part.get_name())
-                    builder.Connect(source, part.get_input_port())
-        if len(made) > 1:
-            makes = {name: group.makes for name, group in zip(names, groups, strict=True)}
-            parts = builder.AddNamedSystem("parts", Selector(_splitting_of(made, makes)))
-            outputs_of = parts.get_output_port
-            for part in traced:
-                builder.Connect(part.GetOutputPort("results"), parts.GetInputPort(part.get_name()))
+            for name in chosen:
+                builder.Connect(stacked.GetOutputPort(name), traced.GetInputPort(name))
+        outputs_of = _outputs(builder, traced, parts)
         for i, name in enumerate(read):
             if name not in _INNER:
                 builder.ExportInput(inputs_of(i), name)
         if len(parameters) > 0:
-            builder.Connect(traced[0].GetOutputPort("parameters"), inputs_of(len(read) - 1))
-        for i, name in enumerate(made):
+            builder.Connect(traced.GetOutputPort("parameters"), inputs_of(len(read) - 1))
+        for name in [*made, *(late.outputs if late is not None else [])]:
             if name != _STATE:
-                builder.ExportOutput(outputs_of(i), name)
+                builder.ExportOutput(outputs_of[name], name)
         if state is not None:
             builder.AddNamedSystem(_STATE, state)
             builder.Connect(state.get_output_port(), inputs_of(0))
-            builder.Connect(outputs_of(0), state.get_input_port())
+            builder.Connect(outputs_of[_STATE], state.get_input_port())
             if state_port:
                 builder.ExportOutput(state.get_output_port(), state_port)
         builder.BuildInto(self)
@@ -187,39 +193,86 @@ def _groups(dependence: list[set[int]], inner: set[int], has_state: bool) -> lis
     return groups
 
 
-class _Traced(InnerBlock):
-    """A part of a trace: a function of one vector, the inputs stacked, with one output, likewise.
+class _Part(NamedTuple):
+    """Outputs that are made together."""
 
-    The parameters are another output, for the stack: a system of their own would cost time at each
-    step, and Drake's ConstantVectorSource makes what reads it depend on the time.
+    reads: list[int]  # the numbers of the inputs, but for the time
+    reads_time: bool
+    outputs: dict[str, int]  # names and sizes
+    # Takes the scalar type and the name of the block, and returns what evaluates the part: a
+    # `TracedFunction` or what stands in for one.
+    make: Callable[[type, Callable[[], str]], Any]
+
+
+def _part_of(trace: Trace, group: _Group, names: list[str], time: int) -> _Part:
+    """A group of the outputs, which have these names, of a trace whose input `time` is the time."""
+
+    def make(scalar: type, name: Callable[[], str]) -> Any:
+        function = trace.compiled if scalar is float else trace.on_arrays
+        return function(group.reads, group.makes, name=name)
+
+    return _Part(
+        [i for i in group.reads if i != time],
+        time in group.reads,
+        {names[i]: trace.output_sizes[i] for i in group.makes},
+        make,
+    )
+
+
+def _late_part(
+    late: LateOutputs, inputs: Mapping[str, int], parameters: NumericParameters
+) -> _Part:
+    """The part for late outputs of a block's inputs, whose names and sizes are given."""
+    names = [*late.reads, *([_NUMBERS] if len(parameters) > 0 else [])]
+    function = parameters.as_argument(late.function, len(late.reads))
+    sizes = [inputs[name] for name in names]
+    whole = range(len(names)), range(len(late.outputs))
+
+    def make(scalar: type, name: Callable[[], str]) -> Any:
+        if scalar is not float:
+            return ArrayFunction(function, sizes, *whole, name=name)
+        return LateFunction(
+            lambda: Trace(function, sizes, key=late.key).compiled(*whole, name=name)
+        )
+
+    numbers = [[*inputs].index(name) for name in names]
+    return _Part(numbers, False, dict(late.outputs), make)
+
+
+class _Traced(InnerBlock):
+    """The parts of a block: for each a vector of inputs, stacked, and one of outputs, likewise.
+
+    They are one system, since each one costs time at each step. So do the parameters: they are
+    another output, for the stack. Drake's ConstantVectorSource would make what reads it depend on
+    the time.
 
     Args:
-        trace: of the whole function.
-        group: the part's inputs and outputs.
-        time: the number of the input that is the time.
-        parameters: of the whole function; None: another part has them.
+        parts: what is evaluated.
+        sizes: of the block's inputs.
+        parameters: of all parts.
     """
 
-    def __init__(
-        self, trace: Trace, group: _Group, time: int, parameters: NumericParameters | None
-    ):
+    def __init__(self, parts: Sequence[_Part], sizes: Sequence[int], parameters: NumericParameters):
         super().__init__()
-        make = trace.compiled if self.scalar is float else trace.on_arrays
-        self._evaluate = make(group.reads, group.makes, name=self.box)
-        input_size = sum(trace.input_sizes[i] for i in group.reads if i != time)
-        calc, prerequisites = self._calc, set()
-        if input_size > 0:
-            self._inputs = self.DeclareVectorInputPort("inputs", input_size)
-            prerequisites.add(self.all_input_ports_ticket())
-        if time in group.reads:
-            prerequisites.add(self.time_ticket())
-        if input_size == 0 or time in group.reads:
-            calc = self._calc_at_time if input_size > 0 else self._calc_of_time
-        result_size = sum(trace.output_sizes[i] for i in group.makes)
-        self.DeclareVectorOutputPort(
-            "results", result_size, calc, prerequisites or {self.nothing_ticket()}
-        )
-        if parameters is not None and len(parameters) > 0:
+        self._ports: list[InputPort | None] = []  # of the parts
+        for k, part in enumerate(parts):
+            function = part.make(self.scalar, weakly(self.box))
+            size = sum(sizes[i] for i in part.reads)
+            prerequisites = set()
+            port = None
+            if size > 0:
+                port = self.DeclareVectorInputPort(f"inputs_{k}", size)
+                prerequisites.add(self.input_port_ticket(port.get_index()))
+            self._ports.append(port)
+            if part.reads_time:
+                prerequisites.add(self.time_ticket())
+            self.DeclareVectorOutputPort(
+                f"results_{k}",
+                sum(part.outputs.values()),
+                _callback(weakref.ref(self), k, function, size > 0, part.reads_time),
+                prerequisites or {self.nothing_ticket()},
+            )
+        if len(parameters) > 0:
             self.parameters = parameters
             declare_parameters(self, parameters)
             sources = {self.all_parameters_ticket()}
@@ -229,17 +282,54 @@ class _Traced(InnerBlock):
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_numeric_parameter(0).CopyToVector())
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        (results,) = self._evaluate(self._inputs.Eval(context))
-        output.SetFromVector(results)
 
-    def _calc_of_time(self, context: Context, output: BasicVector) -> None:
-        (results,) = self._evaluate(np.array([context.get_time()]))
-        output.SetFromVector(results)
+def _callback(
+    block: Callable[[], Any], k: int, function: Any, reads_inputs: bool, reads_time: bool
+) -> Callable[[Context, BasicVector], None]:
+    """What Drake calls for the results of part k of a `_Traced`, to which `block` refers weakly.
 
-    def _calc_at_time(self, context: Context, output: BasicVector) -> None:
-        (results,) = self._evaluate(self._inputs.Eval(context), (context.get_time(),))
-        output.SetFromVector(results)
+    A method, given with `weakly`, would take another call of Python.
+    """
+    if not reads_inputs:
+        evaluate = function.of_vector
+
+        def calc(context: Context, output: BasicVector) -> None:
+            output.SetFromVector(evaluate(np.array([context.get_time()])))
+
+    elif reads_time:
+        evaluate = function.of_vector_and_time
+
+        def calc(context: Context, output: BasicVector) -> None:
+            inputs = block()._ports[k].Eval(context)
+            output.SetFromVector(evaluate(inputs, context.get_time()))
+
+    else:
+        evaluate = function.of_vector
+
+        def calc(context: Context, output: BasicVector) -> None:
+            output.SetFromVector(evaluate(block()._ports[k].Eval(context)))
+
+    return calc
+
+
+def _outputs(
+    builder: DiagramBuilder, traced: System, parts: Sequence[_Part]
+) -> dict[str, OutputPort]:
+    """The ports of the parts' outputs by name; outputs that are made together are split."""
+    outputs_of = {}
+    stacks = {}
+    for k, part in enumerate(parts):
+        made = part.outputs
+        if len(made) == 1:
+            outputs_of[next(iter(made))] = traced.GetOutputPort(f"results_{k}")
+        else:
+            stacks[f"results_{k}"] = made
+    if stacks:
+        split = builder.AddNamedSystem("parts", Selector(_splitting_of(stacks)))
+        for stack, made in stacks.items():
+            builder.Connect(traced.GetOutputPort(stack), split.GetInputPort(stack))
+            outputs_of |= {name: split.GetOutputPort(name) for name in made}
+    return outputs_of
 
 
 def stacking(sizes: Mapping[str, int], output: str = "stacked") -> SelectorParams:
@@ -264,22 +354,19 @@ def _stacking_of(sizes: Mapping[str, int], outputs: Mapping[str, Sequence[int]])
 
 def splitting(sizes: Mapping[str, int]) -> SelectorParams:
     """Of a Selector that makes outputs of these names and sizes of one vector."""
-    return _splitting_of(sizes, {"stacked": range(len(sizes))})
+    return _splitting_of({"stacked": sizes})
 
 
-def _splitting_of(sizes: Mapping[str, int], inputs: Mapping[str, Sequence[int]]) -> SelectorParams:
-    """Of a Selector that splits inputs, each of which has these of the outputs stacked."""
-    counts = [*sizes.values()]
-    places: dict[int, list[tuple[int, int]]] = {}
-    for i, chosen in enumerate(inputs.values()):
+def _splitting_of(stacks: Mapping[str, Mapping[str, int]]) -> SelectorParams:
+    """Of a Selector that splits inputs: the names and sizes of the outputs of each, by its name."""
+    outputs = []
+    for i, sizes in enumerate(stacks.values()):
         start = 0
-        for number in chosen:
-            places[number] = [(i, start + k) for k in range(counts[number])]
-            start += counts[number]
-    return SelectorParams(
-        inputs=_inputs({name: sum(counts[i] for i in chosen) for name, chosen in inputs.items()}),
-        outputs=[_output(name, places[i]) for i, name in enumerate(sizes)],
-    )
+        for name, size in sizes.items():
+            outputs.append(_output(name, [(i, start + k) for k in range(size)]))
+            start += size
+    inputs = _inputs({name: sum(sizes.values()) for name, sizes in stacks.items()})
+    return SelectorParams(inputs=inputs, outputs=outputs)
 
 
 def _inputs(sizes: Mapping[str, int]) -> list[SelectorParams.InputPortParams]:

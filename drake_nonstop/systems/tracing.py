@@ -93,21 +93,40 @@ class TracedFunction:
         """The outputs as expressions of CasADi's, for its solvers."""
         return tuple(self._function(casadi.vertcat(*inputs)))[: self._count]
 
-    def __call__(self, *inputs: NDArray | tuple[float, ...]) -> tuple[NDArray, ...]:
+    def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs for flat inputs of the declared sizes."""
         vector, evaluate, squared_norm, results = self._scratch.parts
         if len(inputs) == 1:
             vector[:] = inputs[0]
-        elif len(inputs) == 2 and len(inputs[0]) + len(inputs[1]) == len(vector):
-            end = len(inputs[0])  # this is faster than to concatenate them
-            vector[:end], vector[end:] = inputs
         else:
             np.concatenate(inputs, out=vector)
         evaluate()
         if not squared_norm[0] < self._largest_squared:
-            was_given = not np.all(np.abs(vector) < self._largest)
-            raise NotFiniteError(self._name(), was_given=was_given)
+            self._raise(vector)
         return results
+
+    def of_vector(self, values: NDArray) -> NDArray:
+        """The output, where there is one, for the only input: as by a call, but sooner."""
+        vector, evaluate, squared_norm, results = self._scratch.parts
+        vector[:] = values
+        evaluate()
+        if not squared_norm[0] < self._largest_squared:
+            self._raise(vector)
+        return results[0]
+
+    def of_vector_and_time(self, values: NDArray, time: float) -> NDArray:
+        """Likewise for the only input, all of it but the time at its end."""
+        vector, evaluate, squared_norm, results = self._scratch.parts
+        vector[:-1] = values
+        vector[-1] = time
+        evaluate()
+        if not squared_norm[0] < self._largest_squared:
+            self._raise(vector)
+        return results[0]
+
+    def _raise(self, vector: NDArray) -> None:
+        was_given = not np.all(np.abs(vector) < self._largest)
+        raise NotFiniteError(self._name(), was_given=was_given)
 
 
 class _Scratch(threading.local):
@@ -153,8 +172,8 @@ class Trace:
 
     def compiled(
         self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
-    ) -> Callable[..., tuple[NDArray, ...]]:
-        """The function of the inputs `reads` to the outputs `makes`, stacked, on floats.
+    ) -> TracedFunction:
+        """The function of the inputs `reads` to the outputs `makes`, both stacked, on floats.
 
         Where it reads none, it takes a number (1,), and leaves that alone.
         """
@@ -163,66 +182,75 @@ class Trace:
 
     def on_arrays(
         self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
-    ) -> Callable[..., tuple[NDArray]]:
+    ) -> "ArrayFunction":
         """The same on object arrays: of AutoDiffXd or Expression."""
-        ends = np.cumsum([self.input_sizes[i] for i in reads])
-
-        def evaluate(*inputs: NDArray) -> tuple[NDArray]:
-            flat = np.concatenate(inputs)
-            scalar = type(flat[0])
-            unread = scalar(1.0) if scalar is AutoDiffXd else scalar(Variable("unread"))
-            given = [np.full(size, unread) for size in self.input_sizes]
-            for i, values in zip(reads, np.split(flat, ends[:-1]), strict=False):
-                given[i] = values
-            with np.errstate(invalid="ignore"):  # Expression raises the flag without a cause
-                outputs = self._function(*given)
-            if not isinstance(outputs, tuple):
-                outputs = (outputs,)
-            stacked = np.concatenate([np.ravel(outputs[i]) for i in makes])
-            stacked = np.array([v if isinstance(v, scalar) else scalar(v) for v in stacked])
-            if scalar is AutoDiffXd and not np.linalg.norm(ExtractValue(stacked)) < LARGEST:
-                was_given = not np.all(np.abs(ExtractValue(flat)) < LARGEST)
-                raise NotFiniteError(name(), was_given=was_given)
-            return (stacked,)
-
-        return evaluate
+        return ArrayFunction(self._function, self.input_sizes, reads, makes, name=name)
 
 
-class LateTrace(Trace):
-    """A `Trace` that is made when it is evaluated for the first time.
+class ArrayFunction:
+    """Some outputs of a function of some of its inputs, both stacked, on object arrays.
 
-    Until then it is not known what depends on what: every output is taken to do on every input.
+    It stands in for the part of a trace where numbers are AutoDiffXd or Expression.
 
     Args:
-        function: as of `Trace`, and so are `input_sizes` and `key`.
-        output_sizes: the length of each output, flat.
+        function: as of `TracedFunction`.
+        input_sizes: of the whole function.
+        reads: the inputs' numbers.
+        makes: the outputs' numbers.
+        name: as of `TracedFunction`.
+
+    Raises:
+        NotFiniteError: as `TracedFunction`, on AutoDiffXd.
     """
 
     def __init__(
         self,
         function: Callable,
         input_sizes: Sequence[int],
-        output_sizes: Sequence[int],
+        reads: Sequence[int],
+        makes: Sequence[int],
         *,
-        key: Any = None,
+        name: Callable[[], str],
     ):
-        self._function, self.input_sizes, self._key = function, list(input_sizes), key
-        self.output_sizes = list(output_sizes)
-        self.dependence = [set(range(len(self.input_sizes))) for _ in self.output_sizes]
+        self._function, self._sizes = function, list(input_sizes)
+        self._reads, self._makes, self._name = list(reads), list(makes), name
 
-    def compiled(
-        self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
-    ) -> Callable[..., tuple[NDArray, ...]]:
-        """As of `Trace`."""
-        made: list[Callable[..., tuple[NDArray, ...]]] = []
+    def of_vector(self, values: NDArray) -> NDArray:
+        """The outputs for the inputs."""
+        scalar = type(values[0])
+        unread = scalar(1.0) if scalar is AutoDiffXd else scalar(Variable("unread"))
+        given = [np.full(size, unread) for size in self._sizes]
+        ends = np.cumsum([self._sizes[i] for i in self._reads])
+        for i, read in zip(self._reads, np.split(values, ends[:-1]), strict=False):
+            given[i] = read
+        with np.errstate(invalid="ignore"):  # Expression raises the flag without a cause
+            outputs = self._function(*given)
+        if not isinstance(outputs, tuple):
+            outputs = (outputs,)
+        stacked = np.concatenate([np.ravel(outputs[i]) for i in self._makes])
+        stacked = np.array([v if isinstance(v, scalar) else scalar(v) for v in stacked])
+        if scalar is AutoDiffXd and not np.linalg.norm(ExtractValue(stacked)) < LARGEST:
+            was_given = not np.all(np.abs(ExtractValue(values)) < LARGEST)
+            raise NotFiniteError(self._name(), was_given=was_given)
+        return stacked
 
-        def evaluate(*inputs: NDArray | tuple[float, ...]) -> tuple[NDArray, ...]:
-            if not made:
-                trace = Trace(self._function, self.input_sizes, key=self._key)
-                made.append(trace.compiled(reads, makes, name=name))
-            return made[0](*inputs)
+    def of_vector_and_time(self, values: NDArray, time: Any) -> NDArray:
+        """The outputs for the inputs, the last of which is the time."""
+        return self.of_vector(np.append(values, time))
 
-        return evaluate
+
+class LateFunction:
+    """A traced function that `make` returns when it is evaluated for the first time."""
+
+    def __init__(self, make: Callable[[], TracedFunction]):
+        self._make = make
+        self._made: TracedFunction | None = None
+
+    def of_vector(self, values: NDArray) -> NDArray:
+        """As of `TracedFunction`."""
+        if self._made is None:
+            self._made = self._make()
+        return self._made.of_vector(values)
 
 
 class _Expressions:
@@ -294,7 +322,46 @@ def _traced(
 
 def _object_array(symbol: casadi.SX) -> NDArray:
     """A flat NumPy object array of the symbol's scalar entries."""
-    array = np.empty(symbol.numel(), dtype=object)
-    for i in range(symbol.numel()):
-        array[i] = symbol[i]
-    return array
+    return np.fromiter(map(_entry, symbol.elements()), dtype=object, count=symbol.numel())
+
+
+def _entry(symbol: casadi.SX) -> casadi.SX:
+    symbol.__class__ = _Entry
+    return symbol
+
+
+def _operators(symbol: str, code: int) -> tuple[Callable, Callable]:
+    """An operator of `_Entry` and its reflected one."""
+    general = getattr(casadi.SX, f"__{symbol}__"), getattr(casadi.SX, f"__r{symbol}__")
+
+    def operate(x: casadi.SX, y: Any) -> Any:
+        if isinstance(y, _SCALARS):
+            return _entry(casadi.SX.binary(code, x, y))
+        return general[0](x, y)
+
+    def reflected(x: casadi.SX, y: Any) -> Any:
+        if isinstance(y, _SCALARS):
+            return _entry(casadi.SX.binary(code, y, x))
+        return general[1](x, y)
+
+    return operate, reflected
+
+
+class _Entry(casadi.SX):
+    """A scalar of a trace, for which CasADi need not look for an operator among those of all types.
+
+    That search takes ten times as long as the operation, and most of the time of a trace.
+    """
+
+    __add__, __radd__ = _operators("add", casadi.OP_ADD)
+    __sub__, __rsub__ = _operators("sub", casadi.OP_SUB)
+    __mul__, __rmul__ = _operators("mul", casadi.OP_MUL)
+    __truediv__, __rtruediv__ = _operators("truediv", casadi.OP_DIV)
+    __pow__, __rpow__ = _operators("pow", casadi.OP_POW)
+    __iadd__, __isub__, __imul__, __itruediv__ = __add__, __sub__, __mul__, __truediv__
+
+    def __neg__(self) -> casadi.SX:
+        return _entry(super().__neg__())
+
+
+_SCALARS = (casadi.SX, float, int)

@@ -14,7 +14,6 @@ from pydrake.systems.framework import (
     System,
 )
 
-from drake_nonstop.systems.energy import LoopDiagram
 from drake_nonstop.validation import ScenarioError, require
 
 OUTSIDE = "outside"  # what wires call the diagram's own input ports
@@ -287,6 +286,32 @@ def require_signals(diagram: Diagram, sizes: Sizes, field: str) -> None:
         )
 
 
+def require_own_context(field: str, diagram: Diagram, context: Context) -> None:
+    """Checks that a context is that of a diagram, and the diagram one of floats.
+
+    Drake's own functions end the process where they copy states of other sizes.
+
+    Args:
+        field: what the error calls it.
+        diagram: the diagram.
+        context: what should be its context.
+
+    Raises:
+        ScenarioError: it is another one's.
+    """
+    remedy = "give a Diagram of floats, such as make_nonstop builds; converted ones cannot be set"
+    require(isinstance(diagram, Diagram), field, type(diagram).__name__, remedy)
+    remedy = "give a context, such as diagram.CreateDefaultContext()"
+    require(isinstance(context, Context), field, type(context).__name__, remedy)
+    try:
+        diagram.ValidateContext(context)
+    except RuntimeError:
+        raise ScenarioError(
+            f"{field} = a context of another system: give that of the diagram, inside of "
+            "a bigger one diagram.GetMyMutableContextFromRoot(root)"
+        ) from None
+
+
 def nested(diagram: Diagram, signals: Collection[str]) -> list[Diagram]:
     """A diagram that exports signals, and those inside of it that make all of them.
 
@@ -295,7 +320,7 @@ def nested(diagram: Diagram, signals: Collection[str]) -> list[Diagram]:
     found = [diagram]
     while True:
         maker = maker_of(found[-1], next(iter(signals)))
-        if type(maker) not in (Diagram, LoopDiagram) or not all(map(maker.HasOutputPort, signals)):
+        if not isinstance(maker, Diagram) or not all(map(maker.HasOutputPort, signals)):
             return found
         found.append(maker)
 

@@ -12,6 +12,7 @@ from drake_nonstop.cli.main import main
 def test_the_pictures_show_both_runs_moving(tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "_SPAN", (7.0, 7.5))
     monkeypatch.setattr(pictures, "_STILL_TIME", 7.2)
+    monkeypatch.setattr(pictures, "_TURN", 2)
     assert main(["pictures", "--out", str(tmp_path)]) == 0
     with Image.open(tmp_path / "line.png") as picture:
         still = np.asarray(picture.convert("RGB")).astype(int)

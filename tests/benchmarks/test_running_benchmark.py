@@ -21,7 +21,7 @@ from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
 from drake_nonstop.simulation.run import RunStopped, StepCheck
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.traced_block import _Traced
+from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import ScenarioError
 
 # The integrator's name is written out, since what is counted depends on it.
@@ -76,7 +76,7 @@ def test_timed_runs_give_the_results_of_others_to_the_bit(overrides):
 def test_blocks_are_as_they_were_after_a_timed_run(timed):
     kind = type(simulate(load_scenario("quintic", SHORT)).diagram.GetSubsystemByName("cables"))
     assert kind is drake_nonstop.Cables
-    for function in (_Traced._calc, drake_nonstop.NonstopOptimizer._update):
+    for function in (TracedFunction.of_vector, drake_nonstop.NonstopOptimizer._update):
         assert not hasattr(function, "__wrapped__")
 
 
@@ -85,13 +85,13 @@ def test_blocks_are_as_they_were_after_an_error(timed):
 
     def fail():
         with BlockTimers().installed():
-            found.append(hasattr(_Traced._calc, "__wrapped__"))
+            found.append(hasattr(TracedFunction.of_vector, "__wrapped__"))
             raise RuntimeError("on purpose")
 
     with pytest.raises(RuntimeError, match="on purpose"):
         fail()
     assert found == [True]
-    assert not hasattr(_Traced._calc, "__wrapped__")
+    assert not hasattr(TracedFunction.of_vector, "__wrapped__")
 
 
 def test_times_are_exclusive_and_complete(timed):
@@ -124,7 +124,7 @@ def test_every_box_is_there(timed):
 def test_calls_are_counted(timed):
     run, timers = timed
     assert timers.steps == len(run.steps["time"]) - 1
-    assert calls(timers, "load_plant", "_calc") == 3 * timers.steps
+    assert calls(timers, "load_plant", "calc") == 3 * timers.steps
     updates = round(run.scenario.simulation_duration / run.scenario.optimization_layer.period)
     assert abs(calls(timers, "optimization_layer", "_update_at_sample") - updates) <= 1
     evaluations = sum(f.evaluations for f in timers.root.walk() if f.box == "load_plant")

@@ -25,7 +25,7 @@ from drake_nonstop.model.pattern import (
 )
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.systems import tracing
+from drake_nonstop.systems import traced_block
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
 
@@ -251,9 +251,9 @@ def test_what_the_derivatives_need_may_be_left_unconnected(rng):
 def test_derivatives_that_nothing_reads_are_not_even_traced(monkeypatch):
     diagram, context = loop_on_its_reference()
     traced = []
-    make = tracing.Trace
+    make = traced_block.Trace
     monkeypatch.setattr(
-        tracing, "Trace", lambda *sizes, key: traced.append(1) or make(*sizes, key=key)
+        traced_block, "Trace", lambda *sizes, key: traced.append(1) or make(*sizes, key=key)
     )
     diagram.EvalTimeDerivatives(context)
     carriers_at(diagram, context, 0.1, ["carrier_reference"])

@@ -312,6 +312,20 @@ def test_the_equilibrium_says_which_signals_it_needs():
     )
 
 
+def test_the_equilibrium_takes_no_context_of_another_system():
+    (nonstop, _, _), _ = reference(0.0)
+    builder = DiagramBuilder()
+    builder.AddSystem(ConstantVectorSource([1.0]))
+    other = builder.Build().CreateDefaultContext()
+    with pytest.raises(ScenarioError, match=r"another system: give that of the diagram, inside of"):
+        set_equilibrium(nonstop, other)
+    with pytest.raises(ScenarioError, match=r"= LoopDiagram: give a context, such as diagram\."):
+        set_equilibrium(nonstop, nonstop)
+    converted = nonstop.ToAutoDiffXd()
+    with pytest.raises(ScenarioError, match=r"give a Diagram of floats"):
+        set_equilibrium(converted, converted.CreateDefaultContext())
+
+
 @pytest.mark.parametrize("period", [0.0, 0.01])
 def test_the_equilibrium_is_the_same_under_other_names_and_inside_of_another_diagram(period):
     (nonstop, start, _), _ = reference(period)

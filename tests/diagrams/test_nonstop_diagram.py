@@ -225,6 +225,9 @@ def test_speed_bound_command_becomes_an_input_where_it_is_asked_for():
     diagram = make_nonstop(plain(), inputs=["speed_bound_command"])
     assert wiring.input_sizes(diagram) == {"speed_bound_command": 1}
     context = diagram.CreateDefaultContext()
+    whole = make_nonstop(plain())
+    start = output(whole, whole.CreateDefaultContext(), "carrier_state")
+    np.testing.assert_array_equal(output(diagram, context, "carrier_state"), start)
     np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.2])
     fix(diagram, context, speed_bound_command=np.array([0.4]))
     np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.4])

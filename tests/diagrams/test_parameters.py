@@ -8,6 +8,7 @@ import copy
 
 import numpy as np
 import pytest
+from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
@@ -31,6 +32,7 @@ from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.system import WatchedModel
 from drake_nonstop.systems import traced_block
 from drake_nonstop.systems.parameters import declared
+from drake_nonstop.systems.wiring import output_names
 
 DURATION = 0.03  # s
 CHOICES = {  # boxes whose blocks have parameters
@@ -134,10 +136,10 @@ def test_a_loop_set_to_values_is_the_loop_built_for_them(seed):
     for chosen in (changes, dict([list(changes.items())[random.integers(len(changes))]])):
         expected = signals(built_for(scenario, chosen), {})
         found = signals(scenario, chosen)
-        before = signals(scenario, {})
         for name, value in expected.items():
             # Where carriers' forces are scaled or summed up in another order: by rounding.
             np.testing.assert_allclose(found[name], value, rtol=1e-12, atol=1e-12, err_msg=name)
+    before = signals(scenario, {})
     assert any(not np.array_equal(before[name], value_) for name, value_ in expected.items())
 
 
@@ -194,7 +196,7 @@ def test_a_loop_in_a_bigger_diagram_is_set_in_its_own_context():
     builder.AddSystem(make_nonstop(load_scenario("quintic"))).set_name("other")
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
-    with pytest.raises(ScenarioError, match=r"give the loop's own, which has \d+, such as"):
+    with pytest.raises(ScenarioError, match=r"give that of the diagram, inside of a bigger"):
         set_parameter(loop, root, "system.load_mass", 1.2)
     own = loop.GetMyMutableContextFromRoot(root)
     set_parameter(loop, own, "system.load_mass", 1.2)
@@ -203,9 +205,51 @@ def test_a_loop_in_a_bigger_diagram_is_set_in_its_own_context():
     assert get_parameter(other, other.GetMyContextFromRoot(root), "system.load_mass") == 1.0
 
 
+def around(**loops):
+    """A diagram of loops by their names, which exports the first one's signals if it is alone."""
+    builder = DiagramBuilder()
+    for name, loop in loops.items():
+        builder.AddNamedSystem(name, loop)
+        if len(loops) == 1:
+            for signal in output_names(loop):
+                builder.ExportOutput(loop.GetOutputPort(signal), signal)
+    return builder.Build()
+
+
+def test_a_diagram_around_a_loop_has_the_loops_parameters_and_one_around_two_is_refused():
+    loop, _ = quintic()
+    paths = [entry.path for entry in parameters(loop, loop.CreateDefaultContext())]
+    outer = around(middle=around(inner=loop))
+    context = outer.CreateDefaultContext()
+    assert [entry.path for entry in parameters(outer, context)] == paths
+    set_parameter(outer, context, "wrench_controller.position_gain", 5.5)
+    own = loop.GetMyContextFromRoot(context)
+    assert get_parameter(loop, own, "wrench_controller.position_gain") == 5.5
+    two = around(a=quintic()[0], b=quintic()[0])
+    with pytest.raises(ScenarioError, match="a diagram around a and b: give the loop inside of it"):
+        set_parameter(two, two.CreateDefaultContext(), "system.load_mass", 1.2)
+
+
+def test_a_loop_is_given_as_it_was_before_its_conversion():
+    loop, _ = quintic("load_plant=MultibodyLoadPlant", "optimization_layer=ConstantParameters")
+    converted = loop.ToAutoDiffXd()
+    for made in (loop.Clone(), converted):
+        with pytest.raises(ScenarioError, match="give the loop that it was made of"):
+            set_parameter(made, made.CreateDefaultContext(), "system.gravity", 1.6)
+    context = converted.CreateDefaultContext()
+    set_parameter(loop, context, "optimization_layer.frequency", AutoDiffXd(2.1, [1.0]))
+    (frequency, _) = converted.GetOutputPort("parameters").Eval(context)
+    assert (frequency.value(), *frequency.derivatives()) == (2.1, 1.0)
+    one = around(inner=loop)
+    with pytest.raises(ScenarioError, match="give that of the loop itself"):
+        set_parameter(one, one.ToAutoDiffXd().CreateDefaultContext(), "system.gravity", 1.6)
+
+
 BAD = [
     ("system.load_mass", -1.0, "greater than zero"),
     ("system.load_mass", "heavy", "give a number"),
+    ("system.load_mass", AutoDiffXd(1.1, [1.0]), "a context of the loop converted to AutoDiffXd"),
+    (7, 1.0, "give a scenario path"),
     ("system.load_inertia", np.diag([1.0, 0.1, 0.1]), "triangle inequality"),
     ("system.cable_stiffness", np.inf, "simulated cables stretch"),
     ("system.attachments", [[0.0, 0.0, 0.0]], "fixed as the loop is built"),

@@ -8,11 +8,25 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.systems.framework import (
+    BasicVector,
+    DiagramBuilder,
+    InputPortSelection,
+    LeafSystem,
+    OutputPortSelection,
+)
+from pydrake.systems.primitives import ConstantVectorSource, FirstOrderTaylorApproximation
 
-from drake_nonstop import ScenarioError, ScenarioWarning, load_scenario, make_nonstop, simulate
-from drake_nonstop.blocks.load_plant import LoadPlant
+from drake_nonstop import (
+    CarrierDynamics,
+    LoadPlant,
+    ScenarioError,
+    ScenarioWarning,
+    connect_by_name,
+    load_scenario,
+    make_nonstop,
+    simulate,
+)
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.mechanics.carrier import double_integrator_rate
 from drake_nonstop.mechanics.rigid_load import load_state_rate
@@ -58,6 +72,39 @@ def test_discrete_multibody_plants_approach_our_blocks_with_the_first_order_of_t
     for name in SIGNALS:
         assert apart[1][name] < 5e-3
         assert apart[0][name] / apart[1][name] == pytest.approx(2, rel=0.2)
+
+
+def test_load_and_carriers_in_one_diagram_fly_as_in_two():
+    def both(model):
+        builder = DiagramBuilder()
+        blocks = {"body": LoadPlant(model), "carriers": CarrierDynamics(model)}
+        read = ["cable_forces", "disturbance_wrench", "carrier_forces"]
+        connect_by_name(builder, blocks, inputs=read)
+        return builder.Build()
+
+    scenario = short(0.05)
+    run = simulate(scenario, load_plant=both, carrier_dynamics=None)
+    assert max(distance(run, simulate(scenario)).values()) < 1e-12
+
+
+def test_multibody_plants_are_linearized_as_our_blocks():
+    layer = "optimization_layer=ConstantParameters"
+    overrides = [layer, "simulated.load_drag=0.0", "control_period=0"]
+    scenario = load_scenario("three_carriers", overrides)
+    spectra = []
+    for plants in ({}, own_plants(0.0)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ScenarioWarning)
+            loop = make_nonstop(scenario, **plants)
+        context = loop.CreateDefaultContext()
+        set_equilibrium(loop, context)
+        none = InputPortSelection.kNoInput, OutputPortSelection.kNoOutput
+        values = np.linalg.eigvals(FirstOrderTaylorApproximation(loop, context, *none).A())
+        spectra.append(values[np.abs(values) > 1])
+    ours, theirs = spectra  # theirs has the attitudes of the carriers, too, which stay
+    apart = np.abs(ours[:, None] - theirs[None, :])
+    assert len(theirs) == len(ours)
+    assert np.max(apart.min(axis=1) / np.abs(ours)) < 1e-6
 
 
 class MappedLoad(LeafSystem):
@@ -173,6 +220,20 @@ class FrozenCarriers(LeafSystem):
         output.SetFromVector(np.zeros(output.size()))
 
 
+class MovedByTrim(MappedLoad):
+    """A load that is elsewhere once it is trimmed."""
+
+    def TrimLoad(self, context):  # noqa: N802
+        context.SetContinuousState(self.map @ (np.eye(13)[0] + np.eye(13)[4] - self.shift))
+
+
+class ImmeasurableLoad(MappedLoad):
+    """A load whose acceleration is not finite."""
+
+    def CalcLoadAcceleration(self, context):  # noqa: N802
+        return np.full(6, np.nan)
+
+
 @pytest.mark.parametrize("period", ["0.0", "0.01"])
 @pytest.mark.parametrize(
     ("own", "said"),
@@ -188,6 +249,15 @@ class FrozenCarriers(LeafSystem):
             r"ShiftedLoad\.SetLoadState\(context, value\)",
         ),
         (
+            {"load_plant": lambda model: MovedByTrim(model, 3)},
+            r"load_plant\.load_state\[4\] = 1: its initial state was set to 0; correct "
+            r"MovedByTrim\.TrimLoad\(context\), after which the port has to show it still",
+        ),
+        (
+            {"load_plant": lambda model: ImmeasurableLoad(model, 3)},
+            r"start = load_plant: it makes a value that is not finite",
+        ),
+        (
             {"carrier_dynamics": FrozenCarriers},
             r"carrier_dynamics\.carrier_state\[\d+\] = 0: its initial state was set to .*; "
             r"give FrozenCarriers a method SetCarrierState\(context, value\)",
@@ -199,6 +269,30 @@ def test_a_state_that_the_port_does_not_show_is_refused_by_name(own, said, perio
         simulate(short(0.1, f"control_period={period}"), **own)
     with pytest.raises(ScenarioError, match=said):
         make_nonstop(short(0.1), **own)
+
+
+class LevelLoad(MappedLoad):
+    """A load that does not turn, whatever pulls at it."""
+
+    def __init__(self, model):
+        super().__init__(model, 5)
+        self.map, self.shift = np.eye(13), np.zeros(13)
+
+    def rate(self, context):
+        rate = super().rate(context)
+        rate[:4], rate[7:10] = 0, 0
+        return rate
+
+
+def test_a_load_that_does_not_turn_hangs_as_one_that_does():
+    scenario = load_scenario("three_carriers", ["optimization_layer=ConstantParameters"])
+    shown = []
+    for own in ({"load_plant": LevelLoad}, {}):
+        loop = make_nonstop(scenario, at_equilibrium=False, **own)
+        context = loop.CreateDefaultContext()
+        set_equilibrium(loop, context)
+        shown.append(loop.GetOutputPort("load_state").Eval(context)[:7])
+    np.testing.assert_allclose(*shown, rtol=0, atol=1e-6)
 
 
 class HiddenLoad(MappedLoad):

@@ -12,5 +12,5 @@ SEEDS = [223, 254, 310, 318, 349, 339, 110, 224, 271]
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_metric_moves_in_silence(seed):
-    flight = fly(seed)
+    flight = fly(seed, is_judged_if_said=False)
     assert flight.said or not flight.moves, flight.overrides

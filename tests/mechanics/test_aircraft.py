@@ -255,7 +255,7 @@ def test_thrust_is_commanded_within_its_limits():
 
 def test_a_gust_acts_at_once_and_is_taken_out():
     """δα = (w − w_s)·l/V, and the lift of a step of wind decays with 0.4 s."""
-    states, _ = at_trim(RASCAL, 15.0)
+    states, command = at_trim(RASCAL, 15.0)
     upwash = np.array([0.0, 0.0, 1.0])
     air = np.array([15.0, 0.0, -1.0])
     speed = np.sqrt(226.0)
@@ -264,8 +264,11 @@ def test_a_gust_acts_at_once_and_is_taken_out():
     np.testing.assert_allclose(shown.lift, expected, rtol=1e-9)
     np.testing.assert_allclose(shown.airspeed, speed, rtol=1e-12)
     assert np.allclose(air_frame(air).airspeed, speed)
-    settled = states.copy()
-    settled[9:] = upwash * (1 - np.exp(-1.0))
+    path = flown(
+        RASCAL, states, lambda time: command, wind=lambda time: upwash, duration=0.4, step=0.02
+    )
+    np.testing.assert_allclose(path[-1, 9:], upwash * (1 - np.exp(-1.0)), atol=1e-6)
+    settled = np.concatenate([states[:9], upwash * (1 - np.exp(-1.0))])
     later = AircraftState.view(shown_state(RASCAL, settled, upwash))
     np.testing.assert_allclose(later.lift - states[6], (expected - states[6]) / np.e, rtol=1e-9)
 

@@ -480,7 +480,10 @@ REFUSED = [
     ),
     ({"optimization_layer": ConstantParametersConfig()}, "amplitude = 1.2: .* give 0"),
     ({"optimization_layer": NonstopOptimizerConfig()}, "NonstopOptimizer: .*no orbits"),
-    ({"pattern": SpreadCarouselConfig()}, "optimization_layer.amplitude = 0.0: .*above|greater"),
+    (
+        {"pattern": SpreadCarouselConfig()},
+        "optimization_layer.amplitude = 0.0: .*greater than zero",
+    ),
     ({"pattern": ConstantSpreadConfig(spread=0.0)}, "pattern.spread = 0.0: .*greater than zero"),
     (
         {

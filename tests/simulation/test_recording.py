@@ -26,6 +26,7 @@ from drake_nonstop import (
     RunInterrupted,
     RunStopped,
     ScenarioError,
+    StepCheck,
     load_scenario,
     simulate,
 )
@@ -286,6 +287,14 @@ def test_the_expected_size_is_that_of_the_signals():
         arrays = [run.time, *run.signals.values(), *run.steps.values()]
         expected = recording.expected_size(make_nonstop(scenario), scenario)
         assert sum(values.nbytes for values in arrays) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["line_without_optimization", "three_carriers"])
+def test_results_take_at_least_half_the_size_of_the_signals(name):
+    scenario = load_scenario(name, ["simulation_duration=0.1"])
+    run = simulate(scenario, check_step=StepCheck.NOTHING)
+    signals = sum(values[1:].nbytes for values in run.signals.values())
+    assert recording.least_size(scenario) == pytest.approx(signals / 2, rel=0.05)
 
 
 class AccelerationReader(LeafSystem):

@@ -217,6 +217,13 @@ def test_a_diagram_around_the_loop_has_its_energy_by_the_functions():
     assert inner.EvalKineticEnergy(inner.GetMyContextFromRoot(context)) == own
 
 
+def test_energies_of_a_converted_loop_are_asked_of_the_loop():
+    diagram = loop(SystemParameters())
+    for made in (diagram.Clone(), diagram.ToAutoDiffXd()):
+        with pytest.raises(ScenarioError, match="converted or cloned: ask the loop that"):
+            kinetic_energy(made, made.CreateDefaultContext())
+
+
 def test_potential_energy_of_a_loop_at_rest_is_that_of_load_and_stretched_cables():
     diagram = loop(SystemParameters())
     context = diagram.CreateDefaultContext()

@@ -13,8 +13,8 @@ from drake_nonstop import load_scenario, simulate
 from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.systems.block import number
 from drake_nonstop.systems.sampled_integrator import SampledIntegrator
-from drake_nonstop.systems.traced_block import TracedBlock, _Traced
-from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction
 
 
 def spring(**more):
@@ -67,14 +67,14 @@ def test_time_is_read_last():
 @pytest.mark.parametrize(("reads_time", "count"), [(False, 1), (True, 2)])
 def test_a_held_input_is_not_evaluated_again(monkeypatch, reads_time, count):
     calls = []
-    for name in ("_calc", "_calc_at_time"):
-        calc = getattr(_Traced, name)
+    for name in ("of_vector", "of_vector_and_time"):
+        evaluate = getattr(TracedFunction, name)
 
-        def counted(self, *arguments, calc=calc):
+        def counted(self, *arguments, evaluate=evaluate):
             calls.append(1)
-            return calc(self, *arguments)
+            return evaluate(self, *arguments)
 
-        monkeypatch.setattr(_Traced, name, counted)
+        monkeypatch.setattr(TracedFunction, name, counted)
     builder = DiagramBuilder()
     holds = [builder.AddSystem(ZeroOrderHold(1.0, 1)) for _ in range(2)]
     block = builder.AddSystem(
@@ -120,8 +120,8 @@ def test_an_output_feeds_through_what_its_trace_reads_and_nothing_else():
         if block.HasDirectFeedthrough(i, k)
     }
     assert found == {("a", "both"), ("b", "both"), ("b", "second")}
-    names = [system.get_name() for system in block.GetSystems()]
-    assert sum(name.startswith("traced") for name in names) == 3
+    traced = block.GetSubsystemByName("traced")
+    assert [traced.HasOutputPort(f"results_{k}") for k in range(4)] == [True] * 3 + [False]
     converted = {AutoDiffXd: block.ToAutoDiffXd(), Expression: block.ToSymbolic()}
     for scalar, own in {float: block, **converted}.items():
         context = own.CreateDefaultContext()

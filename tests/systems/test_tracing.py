@@ -1,4 +1,6 @@
 import gc
+import operator
+from copy import copy
 
 import numpy as np
 import pytest
@@ -150,3 +152,20 @@ def test_results_outlive_the_function():
     clutter = [np.full(3, 9.0) for _ in range(1000)]
     np.testing.assert_array_equal(scaled, 3 * A)
     assert len(clutter) == 1000
+
+
+@pytest.mark.parametrize("name", ["add", "sub", "mul", "truediv", "pow"])
+@pytest.mark.parametrize("number", [3, 0.7, np.float64(0.7), np.array([0.7, 2.0, 3.0])])
+def test_operators_take_numbers_and_arrays_on_either_side(name, number, rng):
+    operate, in_place = getattr(operator, name), getattr(operator, f"i{name}")
+
+    def results(x, y):
+        pairs = (x, y), (x, number), (number, x), (x[0], number), (number, x[0]), (y, -x[0])
+        made = [operate(a, b) for a, b in pairs] + [in_place(copy(a), b) for a, b in pairs[:2]]
+        made.append(in_place(x[0], y[0]))
+        return tuple(m if isinstance(m, np.ndarray) else np.fromiter([m], object) for m in made)
+
+    x, y = rng.uniform(0.5, 2.0, (2, 3))
+    traced = TracedFunction(results, [3, 3], name=str)(x, y)
+    for value, expected in zip(traced, results(x, y), strict=True):
+        np.testing.assert_allclose(value, expected.astype(float), rtol=1e-15)

@@ -1,0 +1,49 @@
+"""`drake-nonstop check`, as a user meets it."""
+
+import json
+
+import pytest
+from PIL import Image
+
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.cli.main import main
+from drake_nonstop.scenario.loading import load_scenario
+
+RASCAL = "system.aircraft.model=rascal_110"
+
+
+def test_a_spread_carousel_is_refused_with_the_numbers(tmp_path, capsys):
+    folder = tmp_path / "a"
+    arguments = ["check", "real_scale_spread", "--out", str(folder), "--set", RASCAL]
+    assert main(arguments) == FAILED
+    *table, verdict, place = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("climb or descent") and "43.0 deg" in line for line in table)
+    assert verdict.startswith("system.aircraft: ")
+    assert "C_L / C_Lmax 2.20 (at most 0.90)" in verdict
+    assert str(folder) in place
+    report = json.loads((folder / "check.json").read_text())
+    assert not report["is_flyable"]
+    assert report["ranges"]["thrust_N"] == pytest.approx([-44.5, 62.0], abs=0.1)
+    least = min(report["margins"], key=lambda margin: margin["margin"])
+    assert (least["name"], least["limit_is"]) == ("thrust", "lower")
+    with Image.open(folder / "check.png") as picture:
+        assert picture.width > 1000
+    assert load_scenario(folder / "scenario.yaml").system.aircraft.model == "rascal_110"
+
+
+def test_a_level_formation_flies_in_wind(tmp_path, capsys):
+    overrides = ["wind.velocity=[3, -4, 0]"]
+    arguments = ["check", "aircraft_co_rotating", "--out", str(tmp_path), "--set", *overrides]
+    assert main(arguments) == 0
+    shown = capsys.readouterr().out
+    assert "within all limits" in shown
+    report = json.loads((tmp_path / "check.json").read_text())
+    assert report["wind_m_s"] == [3.0, -4.0, 0.0]
+    assert report["ranges"]["lift_share"][1] == pytest.approx(0.49, abs=0.01)
+
+
+def test_a_scenario_without_aircraft_is_told_how_to_give_some(tmp_path, capsys):
+    folder = tmp_path / "a"
+    assert main(["check", "line", "--out", str(folder)]) == BAD_INPUT
+    assert f"--set {RASCAL}" in capsys.readouterr().err
+    assert not folder.exists()

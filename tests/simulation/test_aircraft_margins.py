@@ -1,0 +1,225 @@
+"""The margins of aircraft on the orbit above a resting load."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from helpers import regular
+
+from drake_nonstop.mechanics.aircraft import drag_coefficient, stall_speed
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
+from drake_nonstop.model.aircraft import AircraftParameters
+from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
+from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation import aircraft_margins
+from drake_nonstop.simulation.aircraft_margins import (
+    FlightLimits,
+    MeanWind,
+    margins_at_rest,
+    margins_dictionary,
+    margins_table,
+)
+from drake_nonstop.simulation.run import StepCheck
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError, ScenarioWarning
+
+GRAVITY, AIR_DENSITY = 9.81, 1.225
+MASS, LOAD_MASS, SHARE = 6.0, 10.0, 10.0 * GRAVITY / 4
+RASCAL = AircraftParameters(model="rascal_110")
+# Without lift at no angle, and with an angle of attack of none: T acts along the path.
+STRAIGHT = {"lift_at_zero_angle": 0.0, "lift_slope": 1e9}
+
+
+def model(pattern, length, aircraft=RASCAL, **system):
+    inertia = np.diag([5.625, 5.625, 11.25]).tolist()
+    return Model(
+        SystemParameters(
+            load_mass=LOAD_MASS,
+            load_inertia=inertia,
+            load_drag=0.6,
+            attachments=regular(4, 1.5).tolist(),
+            cable_length=length,
+            aircraft=aircraft,
+            **{"cable_stiffness": 120.0, "carrier_mass": MASS} | system,
+        ),
+        pattern,
+    )
+
+
+def margins(made, frequency, *, yaw_rate=0.0, wind=(0.0, 0.0, 0.0), amplitude=1.0, **others):
+    reference = np.zeros(LOAD_REFERENCE_SIZE)
+    reference[0] = 1.0
+    LoadReference.view(reference).angular_velocity[2] = yaw_rate
+    parameters = np.array([frequency, amplitude])
+    return margins_at_rest(made, reference, parameters, wind=MeanWind(np.array(wind)), **others)
+
+
+def found(result, name):
+    return [margin for margin in result.margins if margin.name == name]
+
+
+F60 = EllipticCarouselConfig(spread=11.5, radial=3.6, tangential=7.0, vertical=9.1)
+F150 = EllipticCarouselConfig(spread=6.75, radial=3.3, tangential=4.5, vertical=4.9)
+R60 = ConstantSpreadConfig(spread=30.0)
+SPREAD = EllipticCarouselConfig(spread=24.525, radial=9.81, tangential=9.81)
+
+
+# Of an independent prototype: length; frequency; yaw rate; speeds; largest C_L / C_Lmax; bank in
+# deg; thrusts; distance; power of thrust. Each to the digits that it printed.
+@pytest.mark.parametrize(
+    ("pattern", "length", "rates", "speeds", "lift", "bank", "thrusts", "apart", "power"),
+    [
+        (F60, 60.0, (0.89, 0.0), (10.9, 17.3), 0.86, 43, (0, 25), 16, 157),
+        (F150, 150.0, (0.595, 0.0), (13.6, 18.2), 0.56, 33, (4.5, 23), 20.7, 225),
+        (R60, 60.0, (0.4, 0.4), (19.2, 19.2), 0.27, 11, (11.5, 11.5), 68, 223),
+    ],
+)
+def test_designs_of_a_prototype(pattern, length, rates, speeds, lift, bank, thrusts, apart, power):
+    result = margins(model(pattern, length), rates[0], yaw_rate=rates[1])
+    assert result.is_flyable
+    needs = result.needs
+    assert [needs.airspeed.min(), needs.airspeed.max()] == pytest.approx(speeds, abs=0.1)
+    assert found(result, "C_L / C_Lmax")[0].value == pytest.approx(lift, abs=0.01)
+    assert math.degrees(found(result, "bank")[0].value) == pytest.approx(bank, abs=0.6)
+    assert [needs.thrust.min(), needs.thrust.max()] == pytest.approx(thrusts, abs=0.4)
+    assert found(result, "carriers apart")[0].value == pytest.approx(apart, abs=0.2)
+    assert result.propulsive_power == pytest.approx(power, rel=0.01)
+    assert result.drawn_power == pytest.approx(result.propulsive_power / 0.65)
+
+
+def test_a_spread_carousel_asks_for_more_than_the_aircraft_have():
+    """C_L up to 2.2 C_Lmax, thrust from -45 to +63 N and a climb of 43 deg, by the prototype."""
+    result = margins(model(SPREAD, 60.0), 0.62)
+    missed = {margin.name for margin in result.missed}
+    assert missed == {"C_L / C_Lmax", "airspeed / stall speed", "climb or descent", "thrust"}
+    assert found(result, "C_L / C_Lmax")[0].value == pytest.approx(2.2, abs=0.01)
+    assert math.degrees(found(result, "climb or descent")[0].value) == pytest.approx(43, abs=0.2)
+    thrust = result.needs.thrust
+    assert [thrust.min(), thrust.max()] == pytest.approx([-45, 63], abs=1.2)
+    assert "C_L / C_Lmax 2.20 (at most 0.90)" in result.verdict
+    assert result.possible_wind is None
+
+
+def test_level_circles_with_the_load_are_those_of_the_closed_form():
+    outward, rate = 30.0, 0.4
+    aircraft = dataclasses.replace(RASCAL, **STRAIGHT)
+    made = model(ConstantSpreadConfig(spread=outward), 60.0, aircraft, cable_stiffness=math.inf)
+    result = margins(made, rate, yaw_rate=rate)
+    plane, ratio = made.aircraft, LOAD_MASS / (4 * MASS)
+    tangent = outward / SHARE
+    radius = 1.5 + 60.0 * math.sin(math.atan(tangent))
+    speed = rate * radius
+    bank = math.atan((speed**2 / (GRAVITY * radius) - ratio * tangent) / (1 + ratio))
+    pressure = AIR_DENSITY / 2 * speed**2 * plane.wing_area
+    lift = (MASS * GRAVITY + SHARE) / (pressure * math.cos(bank))
+    parasitic = plane.zero_lift_drag + 1.1 * 0.001 * 60.0 / (4 * plane.wing_area)
+    thrust = pressure * parasitic + plane.induced_drag * pressure * lift**2
+    needs = result.needs
+    for values, value in (
+        (needs.airspeed, speed),
+        (np.abs(needs.bank), abs(bank)),
+        (needs.lift, lift),
+        (needs.thrust, thrust),
+        (result.carrier_distance, 2 * radius * math.sin(math.pi / 4)),
+    ):
+        np.testing.assert_allclose(values, value, rtol=1e-6)
+    np.testing.assert_allclose(needs.climb, 0, atol=1e-9)
+    assert result.turn == pytest.approx(2 * math.pi / rate)
+    assert result.propulsive_power == pytest.approx(thrust * speed)
+
+
+def test_leaning_circles_are_those_of_the_closed_form():
+    """A cone of the half-angle theta about an axis that leans by psi, at a constant speed."""
+    lean, half_cone, frequency = 0.3, 0.2, 0.9
+    amplitude = SHARE * math.tan(half_cone) / math.cos(lean)
+    pattern = EllipticCarouselConfig(
+        spread=SHARE * math.tan(lean), radial=math.cos(lean), vertical=math.sin(lean)
+    )
+    aircraft = dataclasses.replace(RASCAL, **STRAIGHT)
+    made = model(pattern, 60.0, aircraft, cable_stiffness=math.inf)
+    result = margins(made, frequency, amplitude=amplitude)
+    needs, plane = result.needs, made.aircraft
+    speed = frequency * 60.0 * math.sin(half_cone)
+    np.testing.assert_allclose(needs.airspeed, speed, rtol=1e-9)
+    assert found(result, "climb or descent")[0].value == pytest.approx(lean, rel=1e-6)
+    pressure = AIR_DENSITY / 2 * speed**2 * plane.wing_area
+    climbing = needs.thrust - pressure * drag_coefficient(plane, needs.lift)
+    swing = MASS * GRAVITY * math.sin(lean)
+    assert [climbing.min(), climbing.max()] == pytest.approx([-swing, swing], rel=1e-4)
+
+
+def test_extremes_are_found_between_the_phases_of_the_grid(monkeypatch):
+    made, wind = model(F150, 150.0), (1.3, 0.7, 0.0)
+    fine = margins(made, 0.595, wind=wind).margins
+    monkeypatch.setattr(aircraft_margins, "_INSTANTS", 90)
+    for coarse, exact in zip(margins(made, 0.595, wind=wind).margins, fine, strict=True):
+        assert coarse.margin == pytest.approx(exact.margin, abs=1e-5)
+        assert coarse.value == pytest.approx(exact.value, rel=1e-3)
+
+
+def test_wind_beyond_what_the_formation_can_take_is_told_with_what_it_can():
+    made = model(F150, 150.0)
+    result = margins(made, 0.595, wind=(0.0, 4.0, 0.0))
+    assert not result.is_flyable
+    assert result.verdict.startswith("wind.velocity = [0.0, 4.0, 0.0]: ")
+    possible = [float(part) for part in result.verdict.split("[")[-1].rstrip("]").split(",")]
+    assert 2.0 < possible[1] < 3.0
+    assert margins(made, 0.595, wind=possible).is_flyable
+    assert not margins(made, 0.595, wind=np.add(possible, [0, 0.02, 0])).is_flyable
+
+
+def test_wind_and_turning_with_the_load_shift_the_airspeed_by_both():
+    speed = margins(model(R60, 60.0), 0.4, yaw_rate=0.4).needs.airspeed.mean()
+    needs = margins(model(R60, 60.0), 0.4, yaw_rate=0.4, wind=(5.0, 0.0, 0.0)).needs
+    # The wind's drag on the load shifts the circles a little, too.
+    assert [needs.airspeed.min(), needs.airspeed.max()] == pytest.approx(
+        [speed - 5, speed + 5], abs=0.03
+    )
+    assert needs.lift.max() / 1.4 == pytest.approx(0.49, abs=0.005)
+    assert [needs.thrust.min(), needs.thrust.max()] == pytest.approx([7, 17.5], abs=0.1)
+
+
+def test_a_wind_profile_is_taken_at_the_carriers_heights():
+    profile = MeanWind(np.array([2.0, 0.0, 0.0]), 0.14, 10.0, -5.0)
+    positions = np.array([[[0.0, 0.0, 5.0], [1.0, 2.0, 95.0]]])
+    np.testing.assert_allclose(
+        profile.at(positions)[0], [[2.0, 0.0, 0.0], [2.0 * 10**0.14, 0.0, 0.0]]
+    )
+
+
+def test_internal_force_and_load_that_turn_at_different_rates_repeat_after_some_turns():
+    result = margins(model(F150, 150.0), 0.6, yaw_rate=0.2)
+    assert result.turn == pytest.approx(3 * 2 * math.pi / 0.6)
+    assert result.phases[-1] > 5.9 * math.pi
+
+
+def test_distances_are_held_against_the_limits_of_a_run():
+    limits = FlightLimits(carrier_distance=0.2, cable_distance=0.9)
+    result = margins(model(F150, 150.0), 0.595, limits=limits)
+    assert [m.name for m in result.missed] == ["carriers apart"]
+    assert result.missed[0].limit == pytest.approx(0.2 * 151.5)
+    assert len(result.missed[0].carriers) == 2
+
+
+def test_a_load_that_turns_about_a_horizontal_axis_has_no_resting_orbit():
+    reference = np.eye(LOAD_REFERENCE_SIZE)[0]
+    LoadReference.view(reference).angular_velocity[0] = 0.1
+    with pytest.raises(ScenarioError, match=r"^load_trajectory.*rests? at first"):
+        margins_at_rest(model(F150, 150.0), reference, np.array([0.6, 1.0]))
+
+
+def test_the_table_has_a_line_for_each_margin():
+    result = margins(model(F150, 150.0), 0.595)
+    lines = margins_table(result).splitlines()
+    assert all(any(m.name in line for line in lines) for m in result.margins)
+    assert stall_speed(model(F150, 150.0).aircraft) == result.stall_speed
+    assert margins_dictionary(result)["is_flyable"]
+
+
+def test_a_run_warns_of_what_is_missed_before_it_flies():
+    overrides = ["simulation_duration=0.01", "wind=!SteadyWind {velocity: [0, 4, 0]}"]
+    scenario = load_scenario("aircraft_rest", overrides)
+    with pytest.warns(ScenarioWarning, match=r"^wind\.velocity = .*C_L / C_Lmax 1\.1.* check "):
+        simulate(scenario, check_step=StepCheck.NOTHING)
