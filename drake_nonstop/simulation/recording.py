@@ -49,6 +49,7 @@ _EVERY_STEP = (
     "carrier_state",
     "aircraft_state",
     "tensions",
+    "command_saturation",
     "diagnostics",
     "speed_bound",
     WALL_TIME,
