@@ -83,11 +83,11 @@ class FixedWingController(DiagramBlock):
         - carrier_reference_acceleration
         - carrier_reference_jerk
         - carrier_state
-        - carrier_acceleration
         - aircraft_state
         - desired_cable_forces
         - desired_cable_force_rates
         - wind_estimate
+        - carrier_acceleration
         output_ports:
         - aircraft_command
         - command_saturation
@@ -152,11 +152,11 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
         reference_acceleration: NDArray,
         reference_jerk: NDArray,
         carrier_state: NDArray,
-        acceleration: NDArray,
         aircraft_state: NDArray,
         cable_forces: NDArray,
         cable_force_rates: NDArray,
         wind: NDArray,
+        acceleration: NDArray,
         *,
         frequency: NDArray,
         damping: NDArray,
@@ -208,11 +208,11 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
             "carrier_reference_acceleration": size,
             "carrier_reference_jerk": size,
             "carrier_state": 2 * size,
-            "carrier_acceleration": size,
             "aircraft_state": 4 * n,
             "desired_cable_forces": size,
             "desired_cable_force_rates": size,
             "wind_estimate": WIND_SIZE,
+            "carrier_acceleration": size,
         },
         outputs={"observer_rates": 5 * n} | dict.fromkeys(_OUTPUTS, size),
         parameters=BlockParameters(

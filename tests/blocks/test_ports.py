@@ -35,6 +35,7 @@ from drake_nonstop.blocks.carrier_trajectory import (
     InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
+from drake_nonstop.blocks.fixed_wing_controller import FixedWingController
 from drake_nonstop.blocks.force_distribution import (
     BoundedTensionDistribution,
     BoundedTensionDistributionConfig,
@@ -47,6 +48,7 @@ from drake_nonstop.blocks.load_disturbance import (
     NoDisturbance,
 )
 from drake_nonstop.blocks.load_feedback import (
+    DesiredAttitudeFeedback,
     DesiredStateFeedback,
     IdealFeedback,
     NoisyFeedback,
@@ -129,6 +131,18 @@ def everything(inputs, outputs):
     return inputs, outputs, [(source, target) for source in inputs for target in outputs]
 
 
+# What an aircraft's command follows; the acceleration is for the observer.
+_FLIGHT = (
+    "carrier_reference",
+    "carrier_reference_acceleration",
+    "carrier_reference_jerk",
+    "carrier_state",
+    "aircraft_state",
+    "desired_cable_forces",
+    "desired_cable_force_rates",
+    "wind_estimate",
+)
+
 DISTRIBUTION = (
     ["measured_load_state", "wrench", "wrench_rate", "internal_force"],
     ["desired_cable_forces", "desired_cable_force_rates"],
@@ -204,6 +218,7 @@ BLOCKS = {
         ["measured_load_state"],
         [("reference", "measured_load_state")],
     ),
+    DesiredAttitudeFeedback: everything(["load_state", "reference"], ["measured_load_state"]),
     NonstopOptimizer: (
         [
             "measured_load_state",
@@ -249,6 +264,11 @@ BLOCKS = {
             ("wind", "carrier_acceleration"),
             ("cable_forces", "carrier_acceleration"),
         ],
+    ),
+    FixedWingController: (
+        [*_FLIGHT, "carrier_acceleration"],
+        ["aircraft_command", "command_saturation"],
+        [(s, t) for s in _FLIGHT for t in ("aircraft_command", "command_saturation")],
     ),
     LoadedCarrierPid: (
         ["carrier_reference", "carrier_state", "desired_cable_forces"],
@@ -327,6 +347,8 @@ def built(make, n, period):
 
 def expected_ports(make, period):
     inputs, outputs, feedthrough = BLOCKS[make]
+    if period > 0 and make is FixedWingController:  # its commands are held
+        return inputs, outputs, []
     if period > 0 and make in SAMPLED:
         return [*inputs, SAMPLED[make][0]], outputs, [*feedthrough, SAMPLED[make]]
     return inputs, outputs, feedthrough
@@ -350,6 +372,8 @@ def values(signal, seed, n):
         return np.array([0, 0, 0, 0, 0, 10.0]) + rng.uniform(-0.5, 0.5, 6)
     if signal == "desired_cable_forces":
         return rng.uniform(0.5, 2.0, 3 * n)
+    if signal == "wind_estimate":  # in which the carriers, at 0.5 m/s, fly as aircraft do
+        return np.array([-15.0, 0, 0]) + rng.uniform(0.2, 1.0, 3)
     return rng.uniform(0.2, 1.0, size(signal, n, n))
 
 
@@ -456,6 +480,8 @@ def test_what_feeds_through_changes_the_output(make, period):
     for source, target in feedthrough(block):
         if source == "wind_estimate" and target not in _DERIVATIVES:
             continue  # made by one call with what it changes; a whole feedforward cancels its rate
+        if target == "command_saturation":
+            continue  # 0 or 1, whatever most inputs are
         after = fresh(block, inputs | {source: values(source, 2, 4)}, 1, 5.5)
         assert not np.array_equal(before[target], after[target]), (source, target)
 
