@@ -1,4 +1,4 @@
-"""The README's pictures: the line task with and without optimization, and patterns compared."""
+"""The README's pictures: the line task with and without optimization, patterns, aircraft."""
 
 import io
 import tempfile
@@ -15,20 +15,27 @@ from PIL import Image
 
 from drake_nonstop.benchmarks.browser import open_browser
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.aircraft_margins import aircraft_margins
+from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import carrier_speeds, speed_bounds
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.figures import make_encounters_figure
 from drake_nonstop.studies.files import replacing_file
+from drake_nonstop.visualization.margins_figure import make_aircraft_margins_figure
 from drake_nonstop.visualization.replay import record_replay
 
 STILL, ANIMATION, PATTERNS = "line.png", "line.gif", "real_scale.png"
-FILES = (STILL, ANIMATION, PATTERNS)
+AIRCRAFT, ORBIT = "aircraft.png", "aircraft_check.png"
+FILES = (STILL, ANIMATION, PATTERNS, AIRCRAFT, ORBIT)
 _VIEW = 640, 460  # pixels, of one page
 _SPAN = 6.0, 11.0  # s, of the animation: the load sets off, and comes to its speed
 _FRAME_RATE = 12  # 1/s
 _TURN = 23  # s, of the patterns
 _STILL_TIME = 8.0  # s, about which the still is of the slowest instant
+_TASK = "aircraft_transfer"
+_FLIGHT = 30.0, 60.0  # s, of the aircraft: the load is fastest in the middle
+_CLOSE_VIEW = {"width": 700, "height": 700}  # pixels, of the aircraft
 
 
 def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[Path]:
@@ -48,6 +55,10 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
             for j, view in enumerate(_views(page, run, times)):
                 progress("pictures", (k + (j + 1) / len(times)) / len(runs))
                 views[k].append(view)
+        flight = simulate(load_scenario(_TASK, [f"simulation_duration={_FLIGHT[1]}"]))
+        page.set_viewport_size(_CLOSE_VIEW)
+        hardest = _hardest_instant(flight)
+        (flying,) = _views(page, flight, [hardest])
     figures = [_figure(runs, list(pair), time) for time, *pair in zip(times, *views, strict=True)]
     with replacing_file(folder / STILL) as file:
         file.write(_png(figures[0], dpi=150))
@@ -66,6 +77,11 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
         )
     with replacing_file(folder / PATTERNS) as file:
         file.write(_png(make_encounters_figure(_patterns()), dpi=110))
+    with replacing_file(folder / AIRCRAFT) as file:
+        file.write(_png(_aircraft_figure(flight, flying, hardest), dpi=110))
+    with replacing_file(folder / ORBIT) as file:
+        margins = aircraft_margins(load_scenario(_TASK))
+        file.write(_png(make_aircraft_margins_figure(margins), dpi=110))
     return [folder / name for name in FILES]
 
 
@@ -134,6 +150,42 @@ def _figure(runs: list[Run], views: list[NDArray], time: float) -> Figure:
         bottom.set_ylim(0, 1.1 * max(carrier_speeds(r.steps["carrier_state"]).max() for r in runs))
         bottom.set_xlabel("time (s)")
     axes[1, 0].set_ylabel("speed (m/s),\nbound ε dashed")
+    return figure
+
+
+def _hardest_instant(run: Run) -> float:
+    """When an aircraft comes closest to its largest lift, s."""
+    time = run.steps["time"]
+    shares = AircraftQuantities(run).lift_shares.max(axis=1)
+    return float(time[np.argmax(np.where(time >= _FLIGHT[0], shares, 0.0))])
+
+
+def _aircraft_figure(run: Run, view: NDArray, time: float) -> Figure:
+    """The aircraft at an instant, and their lift, bank and thrust about it."""
+    figure = Figure(figsize=(10.0, 4.9), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subfigures(1, 2, width_ratios=[1, 1])
+    scene = left.subplots()
+    scene.imshow(view)
+    scene.set_axis_off()
+    aircraft = AircraftQuantities(run)
+    shown = run.steps["time"] >= _FLIGHT[0]
+    panels = right.subplots(3, 1, sharex=True)
+    for axes, values, label in (
+        (panels[0], aircraft.lift_shares, "$C_L$ / $C_{L,max}$"),
+        (panels[1], np.degrees(aircraft.state.bank), "bank (°)"),
+        (panels[2], aircraft.state.thrust, "thrust (N)"),
+    ):
+        for i, column in enumerate(values.T):
+            colour = run.scenario.scene.carrier_colours[i]
+            axes.plot(run.steps["time"][shown], column[shown], color=colour, linewidth=1.2)
+        axes.axvline(time, color="0.5", linewidth=1.0)
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.3)
+    panels[0].axhline(1, color="red", linestyle="--", linewidth=1.0)
+    panels[0].set_ylim(bottom=0)
+    panels[-1].set_xlabel("time (s)")
+    panels[-1].set_xlim(_FLIGHT)
     return figure
 
 

@@ -11,7 +11,7 @@ from drake_nonstop.visualization.progress import TaskProgress
 
 def add_to(commands: Commands) -> None:
     """Adds the subcommand."""
-    parser = commands.add_parser("pictures", help="take the README's pictures of the line task")
+    parser = commands.add_parser("pictures", help="take the README's pictures")
     parser.set_defaults(action=_pictures)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", default=Path("out/pictures"), help="(out/pictures)"

@@ -248,6 +248,19 @@ _READ_WITH = {
 }
 
 
+def aircraft_in(system: SystemParameters | Model) -> Aircraft | None:
+    """The aircraft that the carriers of a system are; None where they are none.
+
+    Raises:
+        ScenarioError: a field of them is out of range.
+    """
+    if isinstance(system, Model):
+        return system.aircraft
+    if system.aircraft is None:
+        return None
+    return make_aircraft(system.aircraft, cable_length=system.cable_length, gravity=system.gravity)
+
+
 def _with_aircraft(
     system: SystemParameters, field: str, is_given: bool
 ) -> tuple[SystemParameters, Aircraft]:

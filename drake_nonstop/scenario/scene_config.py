@@ -39,6 +39,7 @@ class SceneConfig(StrictFields):
     )
     tension_range: float = 2.0  # of a cable's share of the load's weight
     slack_colour: str = "#ff00c8"
+    wind_colour: str = "#8c510a"
     background_colour: str = "#f7f7fa"
     wing_span: float = 0.2  # of the reach
     cable_radius: float = 0.0035  # of the reach
@@ -59,7 +60,13 @@ def check_scene(config: SceneConfig) -> None:
         require(is_list, f"scene.{name}", colours, f"give {least} or more of #rrggbb")
     singles = {
         name: [getattr(config, name)]
-        for name in ("load_colour", "reference_colour", "slack_colour", "background_colour")
+        for name in (
+            "load_colour",
+            "reference_colour",
+            "slack_colour",
+            "wind_colour",
+            "background_colour",
+        )
     }
     for name, colours in (lists | singles).items():
         for colour in colours:

@@ -5,6 +5,7 @@ the table of a run, the tables of an ablation and of a sweep, the quantities of 
 claims.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -33,11 +34,15 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     it and the turn radius are not meaningful where a carrier nearly stops. Turns and accelerations
     are measured over 0.1 s of the path: over less a carrier follows the ripple of its sampled
     reference. What was not measured, such as the solve times of a layer that solves nothing, is
-    None. `outcome` is a `RunOutcome`, `reasons` and `warnings` are sentences.
+    None. The group `aircraft` is that of the simulated aircraft, see `AircraftQuantities`, and is
+    missing where there are none. `outcome` is a `RunOutcome`, `reasons` and `warnings` are
+    sentences.
     """
     quantities = RunQuantities(run)
     values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}
     for metric in METRICS:
+        if metric.needs_aircraft and not quantities.has_aircraft:
+            continue
         *groups, name = metric.path.split(".")
         group = values
         for key in groups:
@@ -125,6 +130,7 @@ class Metric:
     better: Better = Better.NEITHER
     is_wall_time: bool = False  # measured with a clock: it differs from run to run
     is_list: bool = False  # of numbers or of sentences
+    needs_aircraft: bool = False  # left out of metrics.json where the run has none
     run_text: RunText | None = None
     column: TableColumn | None = None
 
@@ -351,6 +357,85 @@ METRICS = (
         better=Better.HIGHER,
         run_text=RunText(line="closest", text="cables {:g} {unit}", decimals=3),
         column=TableColumn(heading=("apart (m)", "cables")),
+    ),
+    Metric(
+        path="aircraft.lift_share_max",
+        measure=lambda run: run.flight.largest_lift_share,
+        label="largest share of the lift",
+        better=Better.LOWER,
+        needs_aircraft=True,
+        run_text=RunText(line="aircraft", text="up to {:.3g} of the largest lift"),
+    ),
+    Metric(
+        path="aircraft.airspeed_min_m_s",
+        measure=lambda run: run.flight.least_airspeed,
+        label="least airspeed",
+        unit="m/s",
+        better=Better.HIGHER,
+        needs_aircraft=True,
+        run_text=RunText(line="aircraft", text="airspeed from {:.3g} {unit}"),
+    ),
+    Metric(
+        path="aircraft.airspeed_over_stall_min",
+        measure=lambda run: run.flight.least_airspeed_over_stall,
+        label="least airspeed over the stall speed",
+        better=Better.HIGHER,
+        needs_aircraft=True,
+        run_text=RunText(line="aircraft", text="({:.3g} x stall)", separator=" "),
+    ),
+    Metric(
+        path="aircraft.bank_max_rad",
+        measure=lambda run: run.flight.largest_bank,
+        label="largest bank",
+        unit="deg",
+        scale=math.degrees(1),
+        better=Better.LOWER,
+        needs_aircraft=True,
+        run_text=RunText(line="aircraft", text="bank up to {:.3g} {unit}"),
+    ),
+    Metric(
+        path="aircraft.thrust_min_N",
+        measure=lambda run: run.flight.least_thrust,
+        label="least thrust",
+        unit="N",
+        needs_aircraft=True,
+        run_text=RunText(line="thrust", text="{:.3g}"),
+    ),
+    Metric(
+        path="aircraft.thrust_max_N",
+        measure=lambda run: run.flight.largest_thrust,
+        label="largest thrust",
+        unit="N",
+        needs_aircraft=True,
+        run_text=RunText(line="thrust", text="{:.3g} {unit}", separator=" to "),
+    ),
+    Metric(
+        path="aircraft.saturated_share",
+        measure=lambda run: run.saturated_share,
+        label="commands saturated",
+        unit="% of the time",
+        scale=100,
+        better=Better.LOWER,
+        needs_aircraft=True,
+        run_text=RunText(line="thrust", text="commands saturated for {:.3g} {unit}"),
+    ),
+    Metric(
+        path="aircraft.power_mean_W",
+        measure=lambda run: run.flight.mean_power,
+        label="mean power of an aircraft",
+        unit="W",
+        better=Better.LOWER,
+        needs_aircraft=True,
+        run_text=RunText(line="power of an aircraft", text="{:.3g} {unit} of thrust"),
+    ),
+    Metric(
+        path="aircraft.energy_Wh_per_kg_km",
+        measure=lambda run: run.flight.energy_per_mass_and_distance,
+        label="energy of the transport",
+        unit="Wh/(kg km)",
+        better=Better.LOWER,
+        needs_aircraft=True,
+        run_text=RunText(line="power of an aircraft", text="all took {:.3g} {unit}"),
     ),
     Metric(
         path="optimizer.updates",

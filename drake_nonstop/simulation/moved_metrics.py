@@ -22,6 +22,11 @@ _GRAINS = {
     "m_s2": 1e-2,
     "rad_s": 2e-3,
     "N": TENSION_GRAIN,
+    "W": 1.0,
+    "Wh_per_kg_km": 0.1,
+    "share": 0.005,
+    "share_max": 0.005,
+    "over_stall_min": 0.005,
     "s": 0.02 + 1e-9,  # a step of 10 ms at either end
 }
 _COUNT = 2  # updates

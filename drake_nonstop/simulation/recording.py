@@ -49,6 +49,7 @@ _EVERY_STEP = (
     "carrier_state",
     "aircraft_state",
     "tensions",
+    "command_saturation",
     "diagnostics",
     "speed_bound",
     WALL_TIME,
@@ -483,7 +484,7 @@ def least_size(scenario: Scenario) -> float:
 
     It is known before there is a diagram, so that only what every loop exports is counted.
     """
-    columns = 126 + 27 * len(scenario.system.attachments)
+    columns = 132 + 30 * len(scenario.system.attachments)
     return scenario.simulation_duration / SIGNAL_PERIOD * columns * _DOUBLE / 2
 
 

@@ -17,9 +17,9 @@ from drake_nonstop.mechanics.rotation import (
     rotation_vector,
 )
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Parameters, Pose
-from drake_nonstop.model.aircraft import make_aircraft
-from drake_nonstop.model.system import SystemParameters, overridden
+from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
+from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.separations import (
     least_cable_distances,
@@ -101,6 +101,24 @@ class RunQuantities:
     def speed_bounds(self) -> NDArray:
         """The ε (k,), m/s."""
         return speed_bounds(self.run)
+
+    @property
+    def has_aircraft(self) -> bool:
+        """Whether the carriers are aircraft."""
+        return has_aircraft(self.run)
+
+    @cached_property
+    def flight(self) -> AircraftQuantities:
+        """How the aircraft flew, where the carriers are aircraft."""
+        return AircraftQuantities(self.run)
+
+    @cached_property
+    def saturated_share(self) -> float | None:
+        """The share of the time with a command of any aircraft at its limit; None: unknown."""
+        flags = self.run.steps.get("command_saturation")
+        if flags is None or self.simulated_time == 0:
+            return None
+        return self.duration_of(np.any(flags > 0.5, axis=1)) / self.simulated_time
 
     @cached_property
     def system(self) -> SystemParameters:
@@ -226,12 +244,7 @@ class RunQuantities:
     @cached_property
     def aircraft(self) -> Aircraft | None:
         """The simulated aircraft, where the carriers are some."""
-        system = self.system
-        if system.aircraft is None:
-            return None
-        return make_aircraft(
-            system.aircraft, cable_length=system.cable_length, gravity=system.gravity
-        )
+        return aircraft_in(self.system)
 
     @cached_property
     def first_stall(self) -> Stall | None:

@@ -21,7 +21,7 @@ from drake_nonstop.studies.journal import journalled_settings, own_code_of
 from drake_nonstop.validation import require
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay
-from drake_nonstop.visualization.run_figures import FIGURE_NAMES, make_figure
+from drake_nonstop.visualization.run_figures import FIGURE_NAMES, figure_names, make_figure
 
 _FIGURES = "figures"
 _SCENARIO = "scenario.yaml"
@@ -211,7 +211,8 @@ def write_pictures(
         todo.append(("replay.html", lambda file: file.write(record_replay(run).encode())))
     if figures:
         todo += [
-            (f"{_FIGURES}/{name}.png", partial(_write_figure, run, name)) for name in FIGURE_NAMES
+            (f"{_FIGURES}/{name}.png", partial(_write_figure, run, name))
+            for name in figure_names(run)
         ]
     for k, (item, write) in enumerate(todo):
         progress("writing", k / len(todo))

@@ -26,20 +26,28 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, System
 
+from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, Pose
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, AircraftState, CarrierStates, Pose
 from drake_nonstop.model.load_file import read_load_shapes
-from drake_nonstop.model.system import overridden
+from drake_nonstop.model.system import aircraft_in, overridden
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.systems.block import LOOP, DiagramBlock, InnerBlock
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import output_sizes
 from drake_nonstop.validation import require, require_array
 from drake_nonstop.visualization.colours import Colour
-from drake_nonstop.visualization.poses import attitudes, cylinder_poses, stack_poses, unit_vectors
+from drake_nonstop.visualization.poses import (
+    aircraft_attitudes,
+    attitudes,
+    cylinder_poses,
+    stack_poses,
+    unit_vectors,
+)
 from drake_nonstop.visualization.scene import Scene
 from drake_nonstop.visualization.shapes import Part, carrier_parts, load_parts
 
+_OF_AIRCRAFT = "aircraft_state", "wind"  # ports that may be left unconnected
 _HALF_CABLE = 0.6  # of the unstretched length; the two halves of a cable overlap
 
 
@@ -50,7 +58,8 @@ class NonstopGeometry(DiagramBlock):
 
     - The load has the shapes of its file, or is a frame of bars around its attachments.
     - A carrier is an aircraft along its velocity (along x of W where it has none), with its top
-      away from the cable. For proximity it is a sphere with the wing span as diameter.
+      away from the cable. For proximity it is a sphere with the wing span as diameter. Where the
+      system has aircraft, they fly along the air that they meet, with bank and angle of attack.
     - A cable is straight, slack or not. Geometry is rigid: two cylinders of 0.6 unstretched
       lengths, one from the attachment and one from the carrier, slide over each other. Where the
       ends are more than 1.2 lengths apart there is a gap between the two; where they are less
@@ -66,6 +75,8 @@ class NonstopGeometry(DiagramBlock):
         input_ports:
         - load_state
         - carrier_state
+        - aircraft_state
+        - wind
         output_ports:
         - geometry_pose
 
@@ -73,6 +84,8 @@ class NonstopGeometry(DiagramBlock):
 
     - `load_state` (13): quaternion w x y z, position, angular velocity, velocity.
     - `carrier_state` (6n): positions, then velocities.
+    - `aircraft_state` (4n): lift coefficients, banks (rad), thrusts (N), airspeeds; may be left
+      unconnected, and so may `wind` (3n), at the carriers.
     - `geometry_pose`: a FramePoseVector, for the SceneGraph's pose port of `source`.
 
     Args:
@@ -159,8 +172,8 @@ class NonstopGeometry(DiagramBlock):
         lower_halves, upper_halves = zip(*self.cable_frames, strict=True)
         frames = [self.load_frame, *self.carrier_frames, *lower_halves, *upper_halves]
         inner = DiagramBuilder()
-        poses = inner.AddNamedSystem("poses", _Poses(attachments, frames))
-        for port in ("load_state", "carrier_state"):
+        poses = inner.AddNamedSystem("poses", _Poses(attachments, frames, aircraft_in(system)))
+        for port in ("load_state", "carrier_state", *_OF_AIRCRAFT):
             inner.ExportInput(poses.GetInputPort(port), port)
         inner.ExportOutput(poses.get_output_port(), "geometry_pose")
         inner.BuildInto(self)
@@ -172,19 +185,24 @@ class _Poses(InnerBlock):
     Args:
         attachments: (n, 3), m, in L.
         frames: of the load, the n carriers, and the cables' n lower and n upper halves.
+        aircraft: that the carriers are; None: they are none.
     """
 
-    def __init__(self, attachments: NDArray, frames: list[FrameId]):
+    def __init__(self, attachments: NDArray, frames: list[FrameId], aircraft: Aircraft | None):
         super().__init__()
-        self._attachments, self._frames = attachments, frames
+        self._attachments, self._frames, self._aircraft = attachments, frames, aircraft
         self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
         self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * len(attachments))
+        n = len(attachments)
+        self._aircraft_state = self.DeclareVectorInputPort("aircraft_state", 4 * n)
+        self._wind = self.DeclareVectorInputPort("wind", 3 * n)
+        inputs = self._load_state, self._carrier_state, self._aircraft_state, self._wind
         make = FramePoseVector_[self.scalar]
         self.DeclareAbstractOutputPort(
             "geometry_pose",
             lambda: AbstractValue.Make(make()),
             self._calc_poses,
-            {self._load_state.ticket(), self._carrier_state.ticket()},
+            {port.ticket() for port in inputs},
         )
 
     def box(self) -> str:
@@ -201,14 +219,29 @@ class _Poses(InnerBlock):
         X_WL = stack_poses(rotation_matrix(load.quaternion), load.position[None])
         p_WA = self._attachments @ X_WL[0, :3, :3].T + load.position
         p_WC = carriers.positions
-        headings = unit_vectors(carriers.velocities, otherwise=np.array([1.0, 0.0, 0.0]))
+        rotations = self._aircraft_attitudes(context, carriers.velocities)
+        if rotations is None:
+            headings = unit_vectors(carriers.velocities, otherwise=np.array([1.0, 0.0, 0.0]))
+            rotations = attitudes(headings, up=p_WC - p_WA)
         starts, ends = np.vstack([p_WA, p_WC]), np.vstack([p_WC, p_WA])
         halves, _ = cylinder_poses(starts, ends)
         halves[:, :3, 3] = starts
-        poses = [*X_WL, *stack_poses(attitudes(headings, up=p_WC - p_WA), p_WC), *halves]
+        poses = [*X_WL, *stack_poses(rotations, p_WC), *halves]
         vector = output.get_mutable_value()
         for frame, pose in zip(self._frames, poses, strict=True):
             vector.set_value(frame, RigidTransform(pose))
+
+    def _aircraft_attitudes(self, context: Context, velocities: NDArray) -> NDArray | None:
+        """Rotation matrices (n, 3, 3) of aircraft; None where there are none, or no state."""
+        if self._aircraft is None or not self._aircraft_state.HasValue(context):
+            return None
+        state = AircraftState.view(self._aircraft_state.Eval(context))
+        if self._wind.HasValue(context):
+            velocities = velocities - self._wind.Eval(context).reshape(-1, 3)
+        if not all(np.isfinite(part).all() for part in (*state, velocities)):
+            raise NotFiniteError(self.box(), was_given=True)
+        pitch = angle_of_attack(self._aircraft, state.lift)
+        return aircraft_attitudes(velocities, state.bank, pitch)
 
 
 def AddGeometry(  # noqa: N802
@@ -227,7 +260,8 @@ def AddGeometry(  # noqa: N802
     Args:
         builder: has the loop and the SceneGraph already, and is not built yet.
         loop: a diagram, as `make_nonstop` builds it, or any system with the output ports
-            `load_state` (13) and `carrier_state` (6n). Its name is that of the geometry's source.
+            `load_state` (13) and `carrier_state` (6n); of aircraft also `aircraft_state` (4n) and
+            `wind` (3n). Its name is that of the geometry's source.
         scene_graph: the SceneGraph.
         scenario: has the system, with what is simulated otherwise, and the colours and sizes of
             `scene`; nothing else of it is used.
@@ -255,6 +289,8 @@ def AddGeometry(  # noqa: N802
         require(isinstance(system, kind) and is_there, field, system, remedy)
     n = len(overridden(scenario.system, scenario.simulated).attachments)
     expected, sizes = {"load_state": LOAD_STATE_SIZE, "carrier_state": 6 * n}, output_sizes(loop)
+    of_aircraft = {"aircraft_state": 4 * n, "wind": 3 * n}
+    expected |= {port: size for port, size in of_aircraft.items() if port in sizes}
     for port, size in expected.items():
         has = f"{sizes[port]} values" if port in sizes else "no such output port"
         remedy = f"give a loop with {size} values there, for the scenario's {n} attachments"

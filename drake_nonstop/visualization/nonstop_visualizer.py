@@ -21,6 +21,7 @@ from drake_nonstop.visualization.snapshot import Snapshot
 
 FRAME_RATE = 30.0  # 1/s of wall time
 _PATH_SAMPLES = 100
+_OPTIONAL = "speed_bound", "aircraft_state", "wind", "load_wind"  # ports
 
 
 class NonstopVisualizer(LeafBlock):
@@ -45,6 +46,9 @@ class NonstopVisualizer(LeafBlock):
         - carrier_state
         - tensions
         - speed_bound
+        - aircraft_state
+        - wind
+        - load_wind
 
     All in SI units and the world frame W, for n carriers:
 
@@ -53,7 +57,9 @@ class NonstopVisualizer(LeafBlock):
       acceleration and jerk.
     - `carrier_state` (6n): positions, then velocities.
     - `tensions` (n): of the cables, in N.
-    - `speed_bound` (1): ε in m/s; may be left unconnected.
+    - `speed_bound` (1): ε in m/s; may be left unconnected, and so may the following.
+    - `aircraft_state` (4n): of aircraft, lift coefficients, banks (rad), thrusts (N), airspeeds.
+    - `wind` (3n), `load_wind` (3): m/s, at the carriers and at the load.
 
     Args:
         system: the load, attachments and cables that are shown.
@@ -104,6 +110,14 @@ class NonstopVisualizer(LeafBlock):
         self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * self._n)
         self._tensions = self.DeclareVectorInputPort("tensions", self._n)
         self._speed_bound = self.DeclareVectorInputPort("speed_bound", 1)
+        self._of_aircraft = {
+            name: self.DeclareVectorInputPort(name, size)
+            for name, size in (
+                ("aircraft_state", 4 * self._n),
+                ("wind", 3 * self._n),
+                ("load_wind", 3),
+            )
+        }
         if self.scalar is float:
             self.DeclarePerStepPublishEvent(self._publish)
             self.DeclareForcedPublishEvent(self._show)
@@ -123,7 +137,7 @@ class NonstopVisualizer(LeafBlock):
         Args:
             builder: has the loop's diagram already.
             nonstop: the diagram, as `make_nonstop` builds it. It exports the signals;
-                `speed_bound` may be missing.
+                those that may be left unconnected may be missing.
             scenario: what is shown, and its colours and sizes.
             meshcat: the Meshcat to show it in.
             frame_rate: the most frames per second of wall time.
@@ -146,7 +160,7 @@ class NonstopVisualizer(LeafBlock):
         )
         for i in range(visualizer.num_input_ports()):
             port = visualizer.get_input_port(i)
-            if port.get_name() != "speed_bound" or nonstop.HasOutputPort(port.get_name()):
+            if port.get_name() not in _OPTIONAL or nonstop.HasOutputPort(port.get_name()):
                 builder.Connect(nonstop.GetOutputPort(port.get_name()), port)
         return visualizer
 
@@ -172,6 +186,11 @@ class NonstopVisualizer(LeafBlock):
             carrier_state=self._carrier_state.Eval(context),
             tensions=self._tensions.Eval(context),
             speed_bound=speed_bound,
+            **{
+                name: port.Eval(context)
+                for name, port in self._of_aircraft.items()
+                if port.HasValue(context)
+            },
         )
         if not snapshot.is_finite:  # the block at fault raises the error
             return EventStatus.DidNothing()

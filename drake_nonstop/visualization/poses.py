@@ -36,6 +36,23 @@ def attitudes(headings: NDArray, up: NDArray) -> NDArray:
     return np.stack([headings, cross(tops, headings), tops], axis=2)
 
 
+def aircraft_attitudes(air_velocities: NDArray, bank: NDArray, angle_of_attack: NDArray) -> NDArray:
+    """Rotation matrices (k, 3, 3) of aircraft in coordinated flight: nose, left wing, top.
+
+    Args:
+        air_velocities: (k, 3), m/s, to the air. One without a direction flies along x of W.
+        bank: (k,), rad, of the lift about the air velocity, to the right.
+        angle_of_attack: (k,), rad, of the nose above the air velocity.
+    """
+    ahead = unit_vectors(air_velocities, otherwise=np.array([1.0, 0.0, 0.0]))
+    level = attitudes(ahead, up=np.broadcast_to([0.0, 0.0, 1.0], ahead.shape))
+    left, above = level[..., 1], level[..., 2]
+    lift = np.cos(bank)[:, None] * above - np.sin(bank)[:, None] * left
+    pitch = angle_of_attack[:, None]
+    nose = np.cos(pitch) * ahead + np.sin(pitch) * lift
+    return attitudes(nose, up=np.cos(pitch) * lift - np.sin(pitch) * ahead)
+
+
 def unit_vectors(vectors: NDArray, *, otherwise: NDArray) -> NDArray:
     """Unit vectors (k, 3) along `vectors`, or `otherwise` where these are not above `SMALL`."""
     lengths = np.sqrt((vectors**2).sum(axis=1, keepdims=True))

@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat, MeshcatAnimation
 
+from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.scene_config import SceneConfig
+from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, UnknownSignalError
 from drake_nonstop.simulation.run_quantities import carrier_speeds
 from drake_nonstop.visualization.canvas import RecordingCanvas
 from drake_nonstop.visualization.decimation import MOST_POINTS, extreme_samples
 from drake_nonstop.visualization.meshcat_server import start_hidden_meshcat
-from drake_nonstop.visualization.scene import Scene
+from drake_nonstop.visualization.scene import COLOURED_FROM, Scene, stall_shares
 from drake_nonstop.visualization.snapshot import Snapshot
 
 _FRAME_RATE = 25.0  # 1/s
@@ -109,6 +111,9 @@ def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
         speed_bounds = run.signal("speed_bound")[frames, 0]
     names = ("load_state", "reference", "carrier_state", "tensions")
     signals = {name: run.signal(name)[frames] for name in names}
+    for name in ("aircraft_state", "wind", "load_wind"):
+        with contextlib.suppress(UnknownSignalError):
+            signals[name] = run.signal(name)[frames]
     snapshots = (
         Snapshot.from_signals(
             run.time[frame],
@@ -120,41 +125,59 @@ def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     return list(itertools.takewhile(lambda snapshot: snapshot.is_finite, snapshots))
 
 
-def legend(config: SceneConfig) -> str:
+def legend(config: SceneConfig, *, has_aircraft: bool = False) -> str:
     """The legend of the scene's colours in HTML; a sample of a colour has the class `swatch`."""
+    marks = f"carrier's speed, from {config.mark_range:g} ε down to ε"
+    winds: list[tuple[list[str], str]] = []
+    if has_aircraft:
+        marks = f"wing, from {COLOURED_FROM:g} of the stall up to it"
+        winds = [([config.wind_colour] * 2, "wind at the load (arrow)")]
     colours = (
-        (config.mark_colours[::-1], f"carrier's speed, from {config.mark_range:g} ε down to ε"),
+        (config.mark_colours[::-1], marks),
         (config.cable_colours, f"tension, up to {config.tension_range:g} × weight / carriers"),
         ([config.slack_colour] * 2, "slack cable"),
         ([config.load_colour] * 2, "load"),
         ([config.reference_colour] * 2, "where the load should be"),
+        *winds,
     )
     swatch = '<span><span class="swatch" style="background:linear-gradient(to right,{})"></span>{}'
     return "".join(swatch.format(",".join(names), text) + "</span>" for names, text in colours)
 
 
 def _overlay(run: Run, config: SceneConfig, snapshots: list[Snapshot], frame_rate: float) -> str:
-    """The HTML below the scene: a time bar, a legend, and the slowest carrier's speed and ε."""
+    """The HTML below the scene: a time bar, a legend, and what a run is judged by with its bound.
+
+    That is the slowest carrier's speed with ε, or how near the nearest aircraft is to its stall.
+    """
     start = snapshots[0].time
     duration = snapshots[-1].time - start
     times = np.array([snapshot.time - start for snapshot in snapshots])
     bounds = np.array([float(snapshot.speed_bound) for snapshot in snapshots])
-    slowest_times = times
-    slowest = np.array([np.linalg.norm(each.velocities, axis=1).min() for each in snapshots])
+    end = np.searchsorted(run.time, snapshots[-1].time, side="right")
+    is_of_aircraft = has_aircraft(run)
+    if is_of_aircraft:
+        bounds = np.ones(len(times))
+        state = AircraftState.view(run.signal("aircraft_state")[:end])
+        values = stall_shares(AircraftQuantities(run).aircraft, state).max(axis=1)
+        judged = "black: the aircraft nearest to its stall, by lift or airspeed; dashed: the stall"
+    else:
+        values = carrier_speeds(run.signal("carrier_state")[:end]).min(axis=1)
+        judged = "black: speed of the slowest carrier, up to {top} m/s; dashed: the bound ε"
     is_reduced = frame_rate < _FRAME_RATE
-    if is_reduced:  # the speed may be lower between the frames
-        end = np.searchsorted(run.time, snapshots[-1].time, side="right")
-        speeds = carrier_speeds(run.signal("carrier_state")[:end]).min(axis=1)
-        chosen = extreme_samples(speeds, MOST_POINTS // 4)
-        chosen = chosen[np.isfinite(speeds[chosen])]
-        slowest_times, slowest = run.time[chosen] - start, speeds[chosen]
+    if is_reduced:  # there may be lower or higher values between the frames
+        shown = extreme_samples(values, MOST_POINTS // 4)
+        shown = shown[np.isfinite(values[shown])]
+    else:
+        shown = np.searchsorted(run.time[:end], [snapshot.time for snapshot in snapshots])
+    top = f"{1.1 * max(*values[shown], *bounds, 1e-3):.3g}"
     page = resources.files("drake_nonstop.visualization").joinpath("replay_overlay.html")
     return Template(page.read_text(encoding="utf-8")).substitute(
         title=html.escape(run.scenario.name),
-        legend=legend(config),
+        legend=legend(config, has_aircraft=is_of_aircraft),
         duration=f"{duration:g}",
-        top=f"{1.1 * max(*slowest, *bounds, 1e-3):.3g}",
-        slowest=_polyline(slowest_times, slowest),
+        top=top,
+        judged=_polyline(run.time[shown] - start, values[shown]),
+        meaning=judged.format(top=top),
         bound=_polyline(times, bounds),
         rate=f"; a long run: {frame_rate:.3g} frames per second" if is_reduced else "",
     )

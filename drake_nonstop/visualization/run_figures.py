@@ -11,6 +11,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
 
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
+from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import (
     attachment_positions,
@@ -29,7 +30,7 @@ _SIZE = (7.0, 4.2)  # inch
 
 
 def make_figure(run: Run, name: str) -> Figure:
-    """The figure of that name, one of `FIGURE_NAMES`."""
+    """The figure of that name, one of `figure_names`."""
     return _FIGURES[FIGURE_NAMES.index(name)](run)
 
 
@@ -102,6 +103,28 @@ def _draw_tensions(run: Run) -> Figure:
     return titled(figure, "Cable tensions")
 
 
+def _draw_aircraft(run: Run) -> Figure:
+    aircraft = AircraftQuantities(run)
+    time, state = run.steps["time"], aircraft.state
+    figure, (lift, bank, thrust, airspeed) = _stacked(4)
+    for axes, values, label in (
+        (lift, aircraft.lift_shares, "$C_L$ / $C_{L,max}$"),
+        (bank, np.degrees(state.bank), "bank (°)"),
+        (thrust, state.thrust, "thrust (N)"),
+        (airspeed, aircraft.airspeeds_over_stall, "airspeed / stall speed"),
+    ):
+        _plot_each(axes, time, values, "aircraft")
+        axes.set_ylabel(label)
+    for limits in aircraft.thrust_limits:
+        for i, limit in enumerate(limits.T):
+            _plot(thrust, time, limit, color=f"C{i}", linewidth=0.7, linestyle=":")
+    for axes in (lift, airspeed):
+        axes.axhline(1, color="red", linestyle="--", linewidth=1)
+    lift.set_ylim(bottom=0)
+    lift.legend(ncols=4, fontsize="small")
+    return titled(figure, "Aircraft; dashed: stall, dotted: limits of the thrust")
+
+
 def _draw_internal_force_parameters(run: Run) -> Figure:
     figure, (top, bottom) = _stacked(2)
     parameters = run.signal("parameters")
@@ -120,9 +143,16 @@ _FIGURES: tuple[Callable[[Run], Figure], ...] = (
     _draw_load_orientation_error,
     _draw_carrier_speeds,
     _draw_tensions,
+    _draw_aircraft,
     _draw_internal_force_parameters,
 )
 FIGURE_NAMES = tuple(draw.__name__.removeprefix("_draw_") for draw in _FIGURES)
+_AIRCRAFT = "aircraft"  # the figure of runs that have some
+
+
+def figure_names(run: Run) -> list[str]:
+    """The figures that a run has, of `FIGURE_NAMES`."""
+    return [name for name in FIGURE_NAMES if name != _AIRCRAFT or has_aircraft(run)]
 
 
 def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:

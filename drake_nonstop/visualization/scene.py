@@ -5,16 +5,24 @@ import re
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
+from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Sphere
 
+from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack, stall_speed
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.mechanics.signals import AircraftState
+from drake_nonstop.model.system import Model, SystemParameters, aircraft_in
 from drake_nonstop.scenario.scene_config import SceneConfig, check_scene
 from drake_nonstop.validation import require
 from drake_nonstop.visualization.camera import FollowingCamera, set_stage
 from drake_nonstop.visualization.canvas import ROOT, Canvas
 from drake_nonstop.visualization.colours import Colour, make_shades, pick_shade, rgb
-from drake_nonstop.visualization.poses import SMALL, attitudes, cylinder_poses, stack_poses
+from drake_nonstop.visualization.poses import (
+    SMALL,
+    aircraft_attitudes,
+    attitudes,
+    cylinder_poses,
+    stack_poses,
+)
 from drake_nonstop.visualization.shapes import Part, carrier_parts, load_parts
 from drake_nonstop.visualization.snapshot import Snapshot
 
@@ -22,6 +30,12 @@ _REFERENCE_BAR_RATIO = 1.7  # to the load's bars, which the reference's enclose:
 _MARK_RADIUS = 0.42  # of the wing span
 _MESHCATS_OWN = "Background", "Lights", "Grid", "Axes", "Cameras"  # first parts of paths
 _TRAIL_OPACITIES = 8  # different ones, of a trail's pieces
+COLOURED_FROM = 0.5  # of the stall, where wings begin to change their colour
+_LEAST_WIND = 0.05  # m/s, that is shown
+_ARROW_TIME = 0.05  # reaches per m/s, the wind's arrow
+_ARROW_HEIGHT = 0.3  # reaches, above the load's reference
+_ARROW_RADIUS = 0.006  # reaches
+_HEAD_LENGTH, _HEAD_RADIUS = 10.0, 3.0  # of the arrow's radius
 
 
 class Scene:
@@ -33,6 +47,10 @@ class Scene:
       away from the cable.
     - The mark around a carrier turns from green to red as its speed decreases to ε.
     - Trails show the past paths of load and carriers.
+
+    Where the system has aircraft, the carriers have an attitude: along the air that they meet, with
+    bank and angle of attack. Then there are no marks; the wings turn from green to red towards the
+    stall. The wind at the load is an arrow above it.
 
     Args:
         system: attachments, cable length, load mass and gravity of what is shown.
@@ -70,6 +88,8 @@ class Scene:
         palette = itertools.cycle(self.config.carrier_colours)
         self.carrier_colours = [rgb(next(palette)) for _ in range(self._n)]
         self.load_colour = rgb(self.config.load_colour)
+        self._wind_colour = rgb(self.config.wind_colour)
+        self._aircraft = aircraft_in(system)
         self._trail_colours = [self.load_colour, *self.carrier_colours]
         opacities = [
             _trail_opacity(age, self.config.trail_pieces) for age in range(self.config.trail_pieces)
@@ -109,9 +129,16 @@ class Scene:
             _draw(meshcat, f"{root}/carriers/{i}", carrier_parts(span), Rgba(*colour))
             # Marks and trails start translucent: Meshcat prepares a material for that only here.
             mark = Rgba(*self._mark_colours[-1], config.mark_opacity)
-            meshcat.SetObject(f"{root}/carriers/{i}/mark", Sphere(_MARK_RADIUS * span), mark)
+            if self._aircraft is None:
+                meshcat.SetObject(f"{root}/carriers/{i}/mark", Sphere(_MARK_RADIUS * span), mark)
             unit = Cylinder(self.cable_radius, 1.0)  # m, to be scaled
             meshcat.SetObject(f"{root}/cables/{i}", unit, Rgba(*self._cable_colours[0]))
+        if self._aircraft is not None:
+            shaft, head = (Rgba(*self._wind_colour, 0.0) for _ in range(2))
+            radius = _ARROW_RADIUS * self.reach
+            meshcat.SetObject(f"{root}/wind/shaft", Cylinder(radius, 1.0), shaft)
+            cone = MeshcatCone(_HEAD_LENGTH * radius, _HEAD_RADIUS * radius, _HEAD_RADIUS * radius)
+            meshcat.SetObject(f"{root}/wind/head", cone, head)
         unit = Cylinder(config.trail_radius * self.reach, 1.0)
         for body, colour in enumerate(self._trail_colours):
             for piece in range(config.trail_pieces):
@@ -162,14 +189,25 @@ class Scene:
         speeds = np.sqrt((snapshot.velocities**2).sum(axis=1))
         is_moving = speeds > SMALL
         self._headings[is_moving] = snapshot.velocities[is_moving] / speeds[is_moving, None]
-        carriers = stack_poses(attitudes(self._headings, up=p_WC - p_WA), p_WC)
+        rotations = attitudes(self._headings, up=p_WC - p_WA)
+        if self._aircraft is not None and snapshot.aircraft_state is not None:
+            state = AircraftState.view(snapshot.aircraft_state)
+            wind = np.zeros((self._n, 3)) if snapshot.wind is None else snapshot.wind
+            pitch = angle_of_attack(self._aircraft, state.lift)
+            rotations = aircraft_attitudes(snapshot.velocities - wind, state.bank, pitch)
+            for i, share in enumerate(stall_shares(self._aircraft, state).tolist()):
+                canvas.paint(f"{self._root}/carriers/{i}/wing", self.wing_colour(share), 1.0)
+            at_load = wind.mean(axis=0) if snapshot.load_wind is None else snapshot.load_wind
+            self._show_wind(canvas, snapshot.reference_position, at_load)
+        carriers = stack_poses(rotations, p_WC)
         tensions = snapshot.tensions.tolist()
         for i, (speed, length) in enumerate(zip(speeds.tolist(), lengths.tolist(), strict=True)):
             canvas.place(f"{self._root}/cables/{i}", cables[i], length)
             canvas.paint(f"{self._root}/cables/{i}", self.cable_colour(tensions[i]), 1.0)
             canvas.place(f"{self._root}/carriers/{i}", carriers[i])
-            colour = self.mark_colour(speed, snapshot.speed_bound)
-            canvas.paint(f"{self._root}/carriers/{i}/mark", colour, self.config.mark_opacity)
+            if self._aircraft is None:
+                colour = self.mark_colour(speed, snapshot.speed_bound)
+                canvas.paint(f"{self._root}/carriers/{i}/mark", colour, self.config.mark_opacity)
         self._extend_trails(canvas, snapshot.time, np.vstack([snapshot.load_position, p_WC]))
 
     def mark_colour(self, speed: float, speed_bound: float) -> Colour:
@@ -177,12 +215,31 @@ class Scene:
         excess = np.inf if speed_bound <= 0 else speed / speed_bound - 1
         return pick_shade(self._mark_colours, excess / (self.config.mark_range - 1))
 
+    def wing_colour(self, share: float) -> Colour:
+        """The colour of the wing of an aircraft; the share is 1 where it stalls."""
+        return pick_shade(self._mark_colours, (1 - share) / (1 - COLOURED_FROM))
+
     def cable_colour(self, tension: float) -> Colour:
         """The colour of a cable of this tension in N."""
         if tension <= 0:
             return self._slack_colour
         full = self.config.tension_range * self.weight_share
         return pick_shade(self._cable_colours, tension / full)
+
+    def _show_wind(self, canvas: Canvas, load: NDArray, wind: NDArray) -> None:
+        """An arrow above the load (3,), m, along the wind (3,), m/s, as long as it is strong."""
+        speed = float(np.sqrt((wind**2).sum()))
+        length = _ARROW_TIME * self.reach * speed
+        direction = wind / max(speed, SMALL)
+        start = load + np.array([0.0, 0.0, _ARROW_HEIGHT * self.reach])
+        end = start + length * direction
+        tip = end + _HEAD_LENGTH * _ARROW_RADIUS * self.reach * direction
+        (shaft, head), _ = cylinder_poses(np.array([start, tip]), np.array([end, end]))
+        head[:3, 3] = tip  # from which Meshcat's cone widens along z
+        for part, pose, scale in (("shaft", shaft, max(length, SMALL)), ("head", head, 1.0)):
+            path = f"{self._root}/wind/{part}"
+            canvas.place(path, pose, scale)
+            canvas.paint(path, self._wind_colour, 1.0 if speed > _LEAST_WIND else 0.0)
 
     def _extend_trails(self, canvas: Canvas, time: float, bodies: NDArray) -> None:
         """Adds a piece to each trail, from its last end to `bodies` (1 + n, 3), when one is due."""
@@ -206,6 +263,12 @@ class Scene:
                     canvas.paint(path, colour, opacity, fades=age > 0)
         self._trail_ends, self._trail_start = bodies.copy(), time
         self._trail_length += 1
+
+
+def stall_shares(aircraft: Aircraft, state: AircraftState) -> NDArray:
+    """How near aircraft (n,) are to their stall, by lift or by airspeed, from 0 to 1."""
+    by_speed = (stall_speed(aircraft) / np.maximum(state.airspeed, SMALL)) ** 2
+    return np.maximum(state.lift / aircraft.max_lift, by_speed)
 
 
 def _check_root(root: str) -> None:

@@ -21,6 +21,10 @@ class Snapshot:
     velocities: NDArray  # (n, 3), m/s
     tensions: NDArray  # (n,), N
     speed_bound: float  # m/s
+    # Where the carriers are aircraft, see `Scene`; None: unknown.
+    aircraft_state: NDArray | None = None  # (4n,)
+    wind: NDArray | None = None  # (n, 3), m/s, at the carriers
+    load_wind: NDArray | None = None  # (3,), m/s
 
     @classmethod
     def from_signals(
@@ -32,6 +36,9 @@ class Snapshot:
         carrier_state: NDArray,
         tensions: NDArray,
         speed_bound: float,
+        aircraft_state: NDArray | None = None,
+        wind: NDArray | None = None,
+        load_wind: NDArray | None = None,
     ) -> "Snapshot":
         """The instant at which the loop's signals have these values.
 
@@ -42,6 +49,9 @@ class Snapshot:
             carrier_state: (6n,).
             tensions: (n,), N.
             speed_bound: ε in m/s.
+            aircraft_state: (4n,), of aircraft.
+            wind: (3n,), m/s, at the carriers.
+            load_wind: (3,), m/s, at the load.
         """
         load, desired = Pose.view(load_state), Pose.view(reference)
         carriers = CarrierStates.view(carrier_state)
@@ -55,6 +65,9 @@ class Snapshot:
             velocities=carriers.velocities,
             tensions=tensions,
             speed_bound=speed_bound,
+            aircraft_state=aircraft_state,
+            wind=None if wind is None else wind.reshape(-1, 3),
+            load_wind=load_wind,
         )
 
     @property
@@ -68,7 +81,11 @@ class Snapshot:
             self.carriers,
             self.velocities,
             self.tensions,
+            self.aircraft_state,
+            self.wind,
+            self.load_wind,
         )
-        return all(np.isfinite(array).all() for array in arrays) and bool(
+        given = (array for array in arrays if array is not None)
+        return all(np.isfinite(array).all() for array in given) and bool(
             self.load_quaternion.any() and self.reference_quaternion.any()
         )

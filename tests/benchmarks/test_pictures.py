@@ -12,6 +12,7 @@ from drake_nonstop.cli.main import main
 def test_the_pictures_show_both_runs_moving(tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "_SPAN", (7.0, 7.5))
     monkeypatch.setattr(pictures, "_STILL_TIME", 7.2)
+    monkeypatch.setattr(pictures, "_FLIGHT", (0.0, 1.0))
     monkeypatch.setattr(pictures, "_TURN", 2)
     assert main(["pictures", "--out", str(tmp_path)]) == 0
     with Image.open(tmp_path / "line.png") as picture:
@@ -27,3 +28,8 @@ def test_the_pictures_show_both_runs_moving(tmp_path, monkeypatch):
             frames.append(np.asarray(animation.convert("RGB")).astype(int))
     for half in np.array_split(np.abs(frames[0] - frames[1]).max(axis=2), 2, axis=1):
         assert (half > 60).sum() > 200
+    with Image.open(tmp_path / "aircraft.png") as picture:
+        flying = np.asarray(picture.convert("RGB")).astype(int)
+    green = (flying[..., 1] > 120) & (flying[..., 1] > flying[..., 0] + 60)  # far from stall
+    assert green[:, : green.shape[1] // 2].sum() > 20
+    assert (tmp_path / "aircraft_check.png").stat().st_size > 10_000

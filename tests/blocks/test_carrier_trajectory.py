@@ -231,7 +231,8 @@ def test_derivatives_stand_still_between_samples(rng):
     block = CarrierTrajectory(model(4, 0.01))
     context = block.CreateDefaultContext()
     orbit = {"internal_force": rng.normal(size=8), "parameters": np.array([2.0, 1.2])}
-    fix(block, context, **generator_inputs(rng, 4), **orbit, sample_time=np.array([2.0]))
+    orbit |= {"sample_time": np.array([2.0]), "wind_estimate": np.zeros(3)}
+    fix(block, context, **generator_inputs(rng, 4), **orbit)
     values = []
     for time in (2.0, 2.007):
         context.SetTime(time)

@@ -90,7 +90,11 @@ def test_bad_gain_of_the_wrench_controller_is_named(gain, value):
         WrenchController(model(), WrenchControllerConfig(**{gain: value}))
 
 
-SIGNALS = {"measured_load_state": Motion(3).state(0.3), "reference": Motion(4).reference(0.3)}
+STILL_AIR = {"wind_estimate": np.zeros(3)}
+SIGNALS = STILL_AIR | {
+    "measured_load_state": Motion(3).state(0.3),
+    "reference": Motion(4).reference(0.3),
+}
 
 
 def test_pd_is_the_controller_without_integrals_and_feedforward():
@@ -151,6 +155,7 @@ def test_tuned_rotation_answers_alike_about_all_axes():
         np.zeros(6),
         measured_load_state=rotated,
         reference=still,
+        **STILL_AIR,
     )["wrench"][:3]
     acceleration = np.linalg.solve(body.load.inertia, torque)
     np.testing.assert_allclose(acceleration, -16.0 * 2 * rotated[1:4], rtol=1e-3)

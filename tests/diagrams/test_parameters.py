@@ -336,11 +336,12 @@ VARIANTS = [(name, variant) for name, box in BOXES.items() for variant in box.va
 
 @pytest.mark.parametrize(("name", "variant"), VARIANTS)
 def test_every_block_declares_the_numbers_of_the_model_that_it_reads(name, variant):
-    scenario = load_scenario("quintic")
+    scenario = load_scenario("aircraft_rest")
     model = WatchedModel(Model(scenario.system, SpreadCarouselConfig(), 0.01, field="simulated"))
     block = variant(model)
     known = {"pattern_offset"}  # read with the basis and the phases, see the loops above
     for _, found, _ in declared(block):
         if isinstance(found, BlockParameters):
             known |= {*found.of_system, *found.rules.fixed}
+    known |= {name.split(".")[0] for name in known}  # an aircraft by its single figures
     assert model.read <= known

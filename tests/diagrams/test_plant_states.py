@@ -78,7 +78,7 @@ def test_load_and_carriers_in_one_diagram_fly_as_in_two():
     def both(model):
         builder = DiagramBuilder()
         blocks = {"body": LoadPlant(model), "carriers": CarrierDynamics(model)}
-        read = ["cable_forces", "disturbance_wrench", "carrier_forces"]
+        read = ["cable_forces", "disturbance_wrench", "load_wind", "carrier_forces"]
         connect_by_name(builder, blocks, inputs=read)
         return builder.Build()
 

@@ -17,6 +17,14 @@ from drake_nonstop import (
 
 def test_the_shipped_scenarios():
     assert scenario_names() == [
+        "aircraft_co_rotating",
+        "aircraft_co_rotating_gusty",
+        "aircraft_rest",
+        "aircraft_six",
+        "aircraft_small",
+        "aircraft_three",
+        "aircraft_transfer",
+        "aircraft_transfer_gusty",
         "line",
         "line_without_optimization",
         "paper_line",

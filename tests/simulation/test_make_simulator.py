@@ -90,7 +90,7 @@ def test_a_box_cannot_be_left_out():
 @pytest.mark.parametrize("block", [block for box in BOXES.values() for block in box.variants])
 def test_no_block_draws_from_the_generator(block):
     """Or the next call of make_simulator would not get what a sweep's next run gets."""
-    scenario = load_scenario("quintic")
+    scenario = load_scenario("aircraft_rest", ["control_period=0.01"])
     system = block(Model(scenario.system, scenario.pattern, scenario.control_period))
     generator = RandomGenerator(3)
     system.SetRandomContext(system.CreateDefaultContext(), generator)

@@ -5,6 +5,7 @@ import itertools
 import msgpack
 import numpy as np
 import pytest
+from aircraft_runs import aircraft_run, instant_of
 from helpers import irregular, rotation, spatial
 from pydrake.geometry import (
     Box,
@@ -28,6 +29,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, PassThrough
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
+from scenes import ListCanvas
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.signals import CarrierStates, Pose
@@ -37,8 +39,9 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError
-from drake_nonstop.visualization.geometry import AddGeometry
+from drake_nonstop.visualization.geometry import AddGeometry, NonstopGeometry
 from drake_nonstop.visualization.meshcat_server import start_meshcat
+from drake_nonstop.visualization.scene import Scene
 
 CABLE = 0.8  # m
 UPRIGHT = np.array([1.0, *np.zeros(12)])
@@ -448,3 +451,20 @@ def test_values_that_are_not_finite_are_not_shown():
     made.set(np.zeros(13), carriers)
     with pytest.raises(NotFiniteError):
         made.query().GetPoseInWorld(made.geometry.load_frame)
+
+
+def test_aircraft_have_the_attitude_that_their_scene_has():
+    run = aircraft_run(0.1, wind=(3.0, -1.0, 0.5))
+    instant, canvas = instant_of(run, 3), ListCanvas()
+    Scene(run.scenario.system).show(canvas, instant)
+    geometry = NonstopGeometry(SceneGraph(), run.scenario)
+    context = geometry.CreateDefaultContext()
+    for name in ("load_state", "carrier_state", "aircraft_state", "wind"):
+        geometry.GetInputPort(name).FixValue(context, run.signal(name)[3])
+    poses = geometry.GetOutputPort("geometry_pose").Eval(context)
+    for i, frame in enumerate(geometry.carrier_frames):
+        expected = canvas.poses[f"/carriers/{i}"][0]
+        assert poses.value(frame).IsNearlyEqualTo(expected, 1e-12)
+    geometry.GetInputPort("aircraft_state").FixValue(context, np.full(16, np.nan))
+    with pytest.raises(NotFiniteError):
+        geometry.GetOutputPort("geometry_pose").Eval(context)

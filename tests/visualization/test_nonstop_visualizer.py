@@ -6,6 +6,7 @@ import re
 import msgpack
 import numpy as np
 import pytest
+from aircraft_runs import aircraft_run
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
@@ -135,6 +136,26 @@ def test_it_shows_any_scenario(meshcat, name):
     assert not meshcat.HasPath(f"{ROOT}/carriers/{n}")
 
 
+def test_aircraft_and_wind_may_come_from_ports(meshcat):
+    run = aircraft_run(0.1, wind=(2.0, 0.0, 0.0))
+    instants = []
+    visualizer = NonstopVisualizer(run.scenario.system, meshcat)
+    visualizer.scene.show = lambda canvas, snapshot: instants.append(snapshot)
+    context = visualizer.CreateDefaultContext()
+    plain = ["load_state", "reference", "carrier_state", "tensions"]
+    for names in (plain, ["aircraft_state", "wind", "load_wind"]):
+        for name in names:
+            visualizer.GetInputPort(name).FixValue(context, run.signal(name)[3])
+        visualizer.ForcedPublish(context)
+    without, with_all = instants
+    assert without.aircraft_state is None
+    assert without.load_wind is None
+    np.testing.assert_array_equal(with_all.aircraft_state, run.signal("aircraft_state")[3])
+    np.testing.assert_array_equal(with_all.wind, np.tile([2.0, 0.0, 0.0], (4, 1)))
+    assert meshcat.HasPath(f"{ROOT}/wind/shaft")
+    assert not meshcat.HasPath(f"{ROOT}/carriers/0/mark")
+
+
 @pytest.mark.parametrize("rate", [0.0, -1.0, float("inf"), "fast"])
 def test_bad_frame_rate(meshcat, rate):
     with pytest.raises(ScenarioError, match=r"visualizer\.frame_rate = "):
@@ -254,5 +275,6 @@ def test_bad_path(meshcat, path):
 
 
 def test_help_shows_the_ports_with_their_sizes():
-    for line in ("`load_state` (13)", "`reference` (22)", "`carrier_state` (6n)", "`tensions` (n)"):
+    ports = "`load_state` (13)", "`reference` (22)", "`carrier_state` (6n)", "`tensions` (n)"
+    for line in (*ports, "`aircraft_state` (4n)", "`wind` (3n)", "`load_wind` (3)"):
         assert line in NonstopVisualizer.__doc__

@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from aircraft_runs import aircraft_run
 from helpers import circling_run
 
 from drake_nonstop.scenario.loading import load_scenario
@@ -154,3 +155,19 @@ def test_recording_leaves_no_trace_in_the_log(caplog):
     finally:
         logger.setLevel(level)
     assert not caplog.records
+
+
+def test_page_of_aircraft_compares_the_nearest_with_its_stall():
+    run = aircraft_run(2.0, wind=(2.0, 0.0, 0.0))
+    html = record_replay(run)
+    stall, nearest = polyline(html, 0), polyline(html, 1)
+    np.testing.assert_array_equal(stall[:, 1], 1)
+    state = run.signal("aircraft_state")[::4]
+    shares = np.maximum(state[:, :4] / 1.4, (8.369 / state[:, 12:]) ** 2).max(axis=1)
+    np.testing.assert_allclose(nearest[:, 1], shares, rtol=1e-3)
+    assert "wind at the load" in html
+    (animation,) = (each for each in commands(html) if b"set_animation" in each)
+    assert b"carriers/0/wing/<object>" in animation
+    assert b"mark" not in animation
+    run.scenario.system.aircraft = None
+    assert "wind at the load" not in record_replay(run)

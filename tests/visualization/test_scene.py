@@ -1,9 +1,14 @@
 """Where a scene puts its objects, and in which colours, on a canvas that lists them."""
 
+import dataclasses
+
 import numpy as np
 import pytest
-from scenes import polygon, shown, snapshot, system
+from aircraft_runs import PERIOD, aircraft_run, instant_of, orbits
+from scenes import ListCanvas, polygon, shown, snapshot, system
 
+from drake_nonstop.mechanics.signals import AircraftState, CarrierStates
+from drake_nonstop.model.system import aircraft_in
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.visualization.canvas import ROOT
@@ -132,3 +137,67 @@ def test_drawing_again_replaces_what_was_there():
 def test_a_bad_config_is_refused():
     with pytest.raises(ScenarioError, match=r"^scene\.wing_span = .*greater than zero"):
         Scene(system(), SceneConfig(wing_span=0.0))
+
+
+@pytest.mark.parametrize("wind", [(0.0, 0.0, 0.0), (3.0, -1.0, 0.5)])
+def test_aircraft_are_drawn_in_coordinated_flight(wind):
+    """No air and no force from the side: the wing is across what the aircraft needs."""
+    run = aircraft_run(3.0, wind=wind)
+    canvas = ListCanvas()
+    made = Scene(run.scenario.system)
+    aircraft = aircraft_in(run.scenario.system)
+    velocities = CarrierStates.view(run.signal("carrier_state")).velocities
+    for row in (1, 100, 200):
+        instant = instant_of(run, row)
+        made.show(canvas, instant)
+        _, forces = orbits(run.time[row : row + 1])
+        acceleration = (velocities[row + 1] - velocities[row - 1]) / (2 * PERIOD)
+        needed = aircraft.mass * (acceleration + np.array([0, 0, aircraft.gravity])) + forces[0]
+        lifts = AircraftState.view(instant.aircraft_state).lift
+        for i in range(4):
+            nose, left, top = canvas.poses[f"/carriers/{i}"][-1].rotation().matrix().T
+            through_air = instant.velocities[i] - wind
+            through_air /= np.linalg.norm(through_air)
+            assert abs(left @ through_air) < 1e-12
+            assert abs(left @ needed[i]) < 1e-4 * np.linalg.norm(needed[i])
+            assert top @ needed[i] > 0
+            angle = np.arctan2(-top @ through_air, nose @ through_air)
+            assert angle == pytest.approx((lifts[i] - 0.25) / 5.0, abs=1e-12)
+
+
+def test_wings_turn_from_green_to_red_towards_the_stall():
+    run = aircraft_run(0.1)
+    made, canvas = Scene(run.scenario.system), ListCanvas()
+    red, yellow, green = (rgb(colour) for colour in SceneConfig().mark_colours)
+    state = np.concatenate([[0.1, 0.7, 1.05, 0.3], np.zeros(8), [30.0, 30.0, 30.0, 8.3]])
+    made.show(canvas, dataclasses.replace(instant_of(run, 0), aircraft_state=state))
+    colours = [canvas.colours[f"/carriers/{i}/wing"][0] for i in range(4)]
+    np.testing.assert_allclose(colours, [green, green, yellow, red], atol=1e-12)
+    assert not [path for path in canvas.colours if path.endswith("mark")]
+
+
+def test_the_wind_is_an_arrow_at_the_load():
+    run = aircraft_run(0.1, wind=(3.0, -4.0, 0.0))
+    made, canvas = Scene(run.scenario.system), ListCanvas()
+    made.show(canvas, instant_of(run, 0))
+    shaft, head = (canvas.poses[f"/wind/{part}"][0] for part in ("shaft", "head"))
+    direction = shaft.rotation().matrix()[:, 2]
+    np.testing.assert_allclose(direction, [0.6, -0.8, 0.0], atol=1e-12)
+    length = canvas.lengths["/wind/shaft"][0]
+    assert length == pytest.approx(0.25 * made.reach)
+    tip = head.translation()
+    np.testing.assert_allclose(head.rotation().matrix()[:, 2], -direction, atol=1e-12)
+    assert (tip - shaft.translation()) @ direction > length / 2
+    assert canvas.opacities["/wind/shaft"] == canvas.opacities["/wind/head"] == [1.0]
+    made.show(canvas, dataclasses.replace(instant_of(run, 1), load_wind=np.zeros(3)))
+    assert canvas.opacities["/wind/shaft"] == canvas.opacities["/wind/head"] == [1.0, 0.0]
+
+
+def test_aircraft_without_a_known_state_fly_along_their_velocity():
+    run = aircraft_run(0.1)
+    canvas = ListCanvas()
+    instant = dataclasses.replace(instant_of(run, 0), aircraft_state=None, wind=None)
+    Scene(run.scenario.system).show(canvas, instant)
+    nose = canvas.poses["/carriers/1"][0].rotation().matrix()[:, 0]
+    speed = np.linalg.norm(instant.velocities[1])
+    np.testing.assert_allclose(speed * nose, instant.velocities[1], atol=1e-9)

@@ -1,0 +1,105 @@
+"""A made-up run of aircraft that hold a resting load, for several test files."""
+
+import numpy as np
+
+from drake_nonstop import Run
+from drake_nonstop.mechanics.aircraft import needed_force, required_command
+from drake_nonstop.model.aircraft import AircraftParameters
+from drake_nonstop.model.system import SystemParameters, aircraft_in
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.visualization.snapshot import Snapshot
+
+LOAD_MASS, ATTACHMENTS_RADIUS, CABLE_LENGTH = 10.0, 1.5, 150.0  # kg, m, m
+FREQUENCY = 0.595  # rad/s
+SPREAD, RADIAL, TANGENTIAL, VERTICAL = 6.75, 3.3, 4.5, 4.9  # N
+PERIOD = 0.01  # s
+
+
+def attachments():
+    angles = np.pi / 2 * np.arange(4)
+    ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(4)])
+    return ATTACHMENTS_RADIUS * ring
+
+
+def orbits(time):
+    """Positions and cables' forces (k, 4, 3) of taut cables of constant length, in m and N."""
+    radial = attachments() / ATTACHMENTS_RADIUS
+    tangential = np.cross([0.0, 0.0, 1.0], radial)
+    phase = (FREQUENCY * time[:, None] - np.pi * np.arange(4))[..., None]
+    forces = (SPREAD + RADIAL * np.cos(phase)) * radial + TANGENTIAL * np.sin(phase) * tangential
+    share = LOAD_MASS * 9.81 / 4
+    forces = forces + (share - VERTICAL * np.cos(phase)) * np.array([0.0, 0.0, 1.0])
+    lengths = np.linalg.norm(forces, axis=2, keepdims=True)
+    return attachments() + CABLE_LENGTH * forces / lengths, forces
+
+
+def aircraft_run(duration=11.0, wind=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
+    """Four aircraft of 6 kg on 150 m cables, in a steady wind, above a load that moves steadily."""
+    time = np.arange(0, duration + 1e-9, PERIOD)
+    step = 1e-3  # s
+    before, now, after = (orbits(time + shift)[0] for shift in (-step, 0.0, step))
+    moved = np.multiply.outer(time, velocity)
+    positions = now + moved[:, None]
+    velocities = (after - before) / (2 * step) + np.array(velocity)
+    accelerations = (after - 2 * now + before) / step**2
+    forces = orbits(time)[1]
+    system = SystemParameters(
+        load_mass=LOAD_MASS,
+        attachments=attachments().tolist(),
+        cable_length=CABLE_LENGTH,
+        aircraft=AircraftParameters(model="rascal_110"),
+    )
+    aircraft = aircraft_in(system)
+    winds = np.broadcast_to(np.array(wind), positions.shape)
+    told = required_command(
+        aircraft, needed_force(aircraft, accelerations, forces), velocities, winds
+    )
+    airspeeds = np.linalg.norm(velocities - winds, axis=2)
+    state = np.hstack([*told, airspeeds])
+    load = np.zeros((len(time), 13))
+    load[:, 0] = 1.0
+    load[:, 4:7], load[:, 10:13] = moved, velocity
+    reference = np.hstack([load, np.zeros((len(time), 9))])
+    carriers = np.hstack([part.reshape(len(time), -1) for part in (positions, velocities)])
+    tensions = np.linalg.norm(forces, axis=2)
+    saturation = np.zeros((len(time), 12))
+    return Run(
+        scenario=Scenario(name="aircraft", system=system, simulation_duration=duration),
+        diagram=None,
+        time=time,
+        signals={
+            "load_plant.load_state": load,
+            "load_trajectory.reference": reference,
+            "carrier_dynamics.carrier_state": carriers,
+            "carrier_dynamics.aircraft_state": state,
+            "cables.tensions": tensions,
+            "optimization_layer.parameters": np.tile([FREQUENCY, RADIAL], (len(time), 1)),
+            "wind.wind": np.tile(wind, (len(time), 4)),
+            "wind.load_wind": np.tile(wind, (len(time), 1)),
+        },
+        steps={
+            "time": time,
+            "load_state": load,
+            "carrier_state": carriers,
+            "aircraft_state": state,
+            "command_saturation": saturation,
+            "tensions": tensions,
+        },
+        solve_times=np.zeros(0),
+        wall_time=1.0,
+    )
+
+
+def instant_of(run, row):
+    """A sample of a run."""
+    return Snapshot.from_signals(
+        run.time[row],
+        speed_bound=0.0,
+        **{
+            name: run.signal(name)[row]
+            for name in (
+                *("load_state", "reference", "carrier_state", "tensions"),
+                *("aircraft_state", "wind", "load_wind"),
+            )
+        },
+    )
