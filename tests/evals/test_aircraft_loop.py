@@ -1,0 +1,44 @@
+"""Closed loops of aircraft: they hold the load, and without limits they fly as point carriers do."""
+
+import numpy as np
+import pytest
+
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.simulate import simulate
+
+UNLIMITED = [
+    "system.aircraft.max_lift=100",
+    "system.aircraft.max_thrust=[1e4,0,0]",
+    "system.aircraft.min_thrust=[-1e4,0,0]",
+    *(f"system.aircraft.{name}_lag=0.002" for name in ("lift", "bank", "thrust")),
+    "system.aircraft.max_roll_rate=1e4",
+    "carrier_controller.max_bank=1.5",
+    "carrier_controller.observer=0",
+]
+
+
+def flown(*changes):
+    run = simulate(load_scenario("aircraft_rest", ["simulation_duration=1.0", *changes]))
+    return run.signal("load_state")[:, 4:7], run.signal("carrier_state")[:, :12]
+
+
+@pytest.mark.parametrize("period", [0.0, 0.04])
+def test_aircraft_hold_the_load(period):
+    load, _ = flown(f"control_period={period}")
+    assert np.max(np.abs(load)) < 5e-3
+
+
+def test_aircraft_without_limits_fly_as_double_integrators_do():
+    """Both keep their references; only the aircraft feel by how much a cable's force is off."""
+    move = [
+        "control_period=0",
+        "load_trajectory.displacement=[1,0,0]",
+        "load_trajectory.move_time=10",
+        "carrier_controller.frequency=10",
+    ]
+    load, carriers = flown(*move, *UNLIMITED, "simulator_config.max_step_size=0.0025")
+    points = ["carrier_dynamics=CarrierDynamics", "carrier_controller=TunedFeedforwardCarrierPid"]
+    ideal_load, ideal_carriers = flown(*points, *move)
+    assert np.ptp(ideal_carriers, axis=0).max() > 10  # m
+    np.testing.assert_allclose(carriers, ideal_carriers, atol=5e-3)
+    np.testing.assert_allclose(load, ideal_load, atol=5e-3)
