@@ -11,7 +11,6 @@ from pydrake.systems.primitives import Adder, Gain, Integrator, Selector
 
 from drake_nonstop.blocks.fixed_wing_controller import (
     FixedWingController,
-    FixedWingControllerConfig,
 )
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_acceleration, loaded_pid_forces, pid_forces

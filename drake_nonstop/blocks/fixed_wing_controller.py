@@ -69,11 +69,11 @@ class FixedWingController(DiagramBlock):
         F = m (a_d + K_v ė + K_p e) + m g e₃ + f_d − d̂
 
     is inverted to C_L, bank and thrust; each gets τ times its rate along the reference more, since
-    it follows with a lag τ. The disturbance d̂ is the low-pass of what the model of the aircraft does
-    not explain of the measured acceleration; of the aircraft's state it takes bank and airspeed, and
-    C_L and thrust from the commands and their lags. Limits
-    come last: C_L, whose vertical part is kept by cutting the bank, the bank, more thrust at low
-    speed, and the thrust, see `mechanics.flight_control`.
+    it follows with a lag τ. The disturbance d̂ is the low-pass, in the axes of flight through the
+    air, of what the model of the aircraft does not explain of the measured acceleration; of the
+    aircraft's state it takes bank and airspeed, and C_L and thrust from the commands and their
+    lags. Limits come last: C_L, whose vertical part is kept by cutting the bank, the bank, more
+    thrust at low speed, and the thrust, see `mechanics.flight_control`.
 
     .. pydrake_system::
 

@@ -1,4 +1,4 @@
-"""Control of fixed-wing aircraft along a reference: exact inverse, lead, disturbance observer, limits.
+"""Control of fixed-wing aircraft along a reference: inverse, lead, disturbance observer, limits.
 
 The needed force is inverted to the lift coefficient, bank and thrust that make it, see
 `mechanics.aircraft`. First-order lags follow these late: each channel u is told u + τ u̇, with the
@@ -112,9 +112,9 @@ def limited_command(
     """`AircraftCommand` (3n,) within limits, and 1 for each channel (3n,) that they change, else 0.
 
     In this order: the lift coefficient is at most `lift_share` C_Lmax, which a first-order lag
-    cannot overshoot; its vertical part is kept as far as that goes, and the bank is cut; the bank is
-    within ±`max_bank`; below `speed_share` V_s, the stall speed without a cable, thrust m k per m/s
-    is added; the thrust is within its limits at the airspeed.
+    cannot overshoot; its vertical part is kept as far as that goes, and the bank is cut; the bank
+    is within ±`max_bank`; below `speed_share` V_s, the stall speed without a cable, thrust m k per
+    m/s is added; the thrust is within its limits at the airspeed.
 
     Args:
         aircraft: the controller's parameters.

@@ -1,4 +1,4 @@
-"""Closed loops of aircraft: they hold the load, and without limits they fly as point carriers do."""
+"""Closed loops of aircraft: they hold the load; without limits they fly as point carriers do."""
 
 import numpy as np
 import pytest
