@@ -98,7 +98,8 @@ class FixedWingController(DiagramBlock):
     their rates (3n, N/s), `wind_estimate` (3, m/s), all in W; `aircraft_state` (4n) = [effective
     C_L; bank (rad); thrust (N); airspeed (m/s)]; `aircraft_command` (3n) = [C_L; bank (rad,
     positive to the right); thrust (N)]; `command_saturation` (3n): 1 where a limit changes an entry
-    of the command, else 0. The state is [disturbance (3n, N); C_L (n); thrust (n, N)]: continuous,
+    of the command, else 0. The state is [disturbance (3n, N), in each aircraft's axes of flight
+    through the air; C_L (n); thrust (n, N)]: continuous,
     or discrete where the model has a control period; the command is then computed at the samples
     and held.
 

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
+    AirFrame,
     air_force,
+    air_frame,
     needed_force,
     required_command,
     stall_speed,
@@ -49,7 +51,7 @@ def flight_command(
 
     is inverted at the velocity through the believed wind. Each channel gets τ u̇ more, times
     `lead`: u̇ is the rate of the inverse along the reference, of F without errors, by central
-    differences.
+    differences. The disturbance turns with the flight through the air.
 
     Args:
         aircraft: the controller's parameters.
@@ -59,37 +61,32 @@ def flight_command(
         carrier_state: [p, v] (6n,), in W.
         cable_forces: f_d (3n,), N, on the load, in W.
         cable_force_rates: ḟ_d (3n,), N/s, in W.
-        disturbance: d̂ (3n,), N, on the aircraft, in W.
+        disturbance: d̂ (3n,), N, on the aircraft, [forward, right, up] of each `AirFrame`.
         wind: (3,), m/s, in W, as believed.
         position_gain: K_p, 1/s².
         velocity_gain: K_v, 1/s.
         lead: weight of the lead, 1: exact along the reference.
     """
     reference, state = map(CarrierStates.view, (carrier_reference, carrier_state))
-    acceleration, jerk, forces, rates, disturbances = (
+    acceleration, jerk, forces, rates = (
         values.reshape(-1, 3)
-        for values in (
-            reference_acceleration,
-            reference_jerk,
-            cable_forces,
-            cable_force_rates,
-            disturbance,
-        )
+        for values in (reference_acceleration, reference_jerk, cable_forces, cable_force_rates)
     )
+
+    def undisturbed(force: NDArray, velocities: NDArray) -> AircraftCommand:
+        frame = air_frame(velocities - wind)
+        return required_command(
+            aircraft, force - _in_world(frame, disturbance), velocities, wind
+        )
+
     feedback = position_gain * (reference.positions - state.positions) + velocity_gain * (
         reference.velocities - state.velocities
     )
-    feedforward = needed_force(aircraft, acceleration, forces) - disturbances
-    force = feedforward + aircraft.mass * feedback
-    command = required_command(aircraft, force, state.velocities, wind)
+    feedforward = needed_force(aircraft, acceleration, forces)
+    command = undisturbed(feedforward + aircraft.mass * feedback, state.velocities)
     force_rate = aircraft.mass * jerk + rates
     later, earlier = (
-        required_command(
-            aircraft,
-            feedforward + step * force_rate,
-            reference.velocities + step * acceleration,
-            wind,
-        )
+        undisturbed(feedforward + step * force_rate, reference.velocities + step * acceleration)
         for step in (_STEP, -_STEP)
     )
     lags = (aircraft.lift_lag, aircraft.bank_lag, aircraft.thrust_lag)
@@ -149,7 +146,7 @@ def limited_command(
 class ObserverStates(NamedTuple):
     """What the controller of n aircraft remembers."""
 
-    disturbance: NDArray  # (3n,), N, on the aircraft, in W
+    disturbance: NDArray  # (3n,), N, on the aircraft, [forward, right, up] of each `AirFrame`
     lift: NDArray  # (n,), C_L by its lag behind the command
     thrust: NDArray  # (n,), N, likewise
 
@@ -193,7 +190,8 @@ def observer_targets(
     """What the low-passes of `ObserverStates` (5n,) follow.
 
     The disturbance follows m (v̇ + g e₃) + f_d − F_a, what the model of the aircraft does not
-    explain. F_a is `air_force` in the believed wind, of the measured bank, and of the C_L and thrust
+    explain, in the axes of flight through the air, in which errors of lift and thrust do not turn.
+    F_a is `air_force` in the believed wind, of the measured bank, and of the C_L and thrust
     that follow from the commands: what gusts and errors of the model add to these is part of the
     disturbance.
 
@@ -212,7 +210,20 @@ def observer_targets(
     force = air_force(aircraft, velocities - wind, own.lift, bank, own.thrust)
     needed = needed_force(aircraft, acceleration.reshape(-1, 3), cable_forces.reshape(-1, 3))
     lift, thrust = aircraft.lift_gain * told.lift, aircraft.thrust_gain * told.thrust
-    return np.concatenate(ObserverStates((needed - force).ravel(), lift, thrust))
+    frame = air_frame(velocities - wind)
+    return np.concatenate(ObserverStates(_in_air(frame, needed - force), lift, thrust))
+
+
+def _in_air(frame: AirFrame, vectors: NDArray) -> NDArray:
+    """The parts (3n,) of vectors (n, 3) along the axes forward, right and up."""
+    axes = (frame.forward, frame.right, frame.up)
+    return np.stack([(vectors * axis).sum(axis=-1) for axis in axes], axis=-1).ravel()
+
+
+def _in_world(frame: AirFrame, parts: NDArray) -> NDArray:
+    """The vectors (n, 3) of parts (3n,) along the axes forward, right and up."""
+    forward, right, up = (parts[i::3].reshape(-1, 1) for i in range(3))
+    return forward * frame.forward + right * frame.right + up * frame.up
 
 
 def _within(a: NDArray, least: NDArray, most: NDArray) -> NDArray:

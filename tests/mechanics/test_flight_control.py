@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from mechanics.test_aircraft import RASCAL
 
-from drake_nonstop.mechanics.aircraft import air_force, required_command, stall_speed, thrust_limits
+from drake_nonstop.mechanics.aircraft import (
+    air_force,
+    air_frame,
+    required_command,
+    stall_speed,
+    thrust_limits,
+)
 from drake_nonstop.mechanics.flight_control import (
     ObserverStates,
     flight_command,
@@ -65,7 +71,8 @@ def flown(command, velocities):
 def test_the_command_flies_the_needed_force_less_the_disturbance():
     orbits = Orbits()
     command = orbits.command(0.7, disturbance=3.0)
-    expected = orbits.needed(0.7) - 3.0
+    frame = air_frame(orbits.motion(0.7, 1) - WIND)
+    expected = orbits.needed(0.7) - 3.0 * (frame.forward + frame.right + frame.up)
     np.testing.assert_allclose(flown(command, orbits.motion(0.7, 1)), expected, atol=1e-9)
 
 
@@ -154,7 +161,8 @@ def test_the_observer_tells_the_force_that_the_model_does_not_explain(rng):
     made = air_force(
         RASCAL, np.array([[15.0, 0, 0]]), np.array([0.6]), np.array([0.2]), np.array([9.0])
     )
-    acceleration = (made[0] + push - np.array([1.0, 2.0, 24.0])) / 6.0 - GRAVITY
+    in_world = push * [1, -1, 1]  # in flight along x the right is at -y
+    acceleration = (made[0] + in_world - np.array([1.0, 2.0, 24.0])) / 6.0 - GRAVITY
     states = np.concatenate(ObserverStates(np.zeros(3), np.array([0.6]), np.array([9.0])))
     targets = observed(states, np.array([0.7, 0.3, 11.0]), acceleration)
     np.testing.assert_allclose(targets, [*push, 0.7, 11.0], atol=1e-12)
