@@ -75,9 +75,7 @@ def flight_command(
 
     def undisturbed(force: NDArray, velocities: NDArray) -> AircraftCommand:
         frame = air_frame(velocities - wind)
-        return required_command(
-            aircraft, force - _in_world(frame, disturbance), velocities, wind
-        )
+        return required_command(aircraft, force - _in_world(frame, disturbance), velocities, wind)
 
     feedback = position_gain * (reference.positions - state.positions) + velocity_gain * (
         reference.velocities - state.velocities
