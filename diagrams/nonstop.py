@@ -451,7 +451,7 @@ def _require_motion(model: Model, blocks: Mapping[str, System]) -> None:
 
 
 def _check_command(blocks: Mapping[str, System]) -> None:
-    """Raises ScenarioError where the carriers' controller makes what their dynamics do not read."""
+    """Raises ScenarioError where the carriers' controller and dynamics do not fit each other."""
     controller, dynamics = (blocks.get(name) for name in ("carrier_controller", "carrier_dynamics"))
     if controller is None or dynamics is None:
         return
@@ -467,6 +467,14 @@ def _check_command(blocks: Mapping[str, System]) -> None:
             raise wiring.WiringError(
                 f"carrier_dynamics = {type(dynamics).__name__}: it reads {signal}, which "
                 f"carrier_controller = {own} does not make; {remedy}"
+            )
+    optional = wiring.optional_inputs(controller)
+    for signal in BOXES["carrier_dynamics"].optional:
+        if signal in wiring.input_names(controller) and signal not in optional | made:
+            raise wiring.WiringError(
+                f"carrier_controller = {type(controller).__name__}: it reads {signal}, which "
+                f"carrier_dynamics = {type(dynamics).__name__} does not make; give "
+                "carrier_dynamics=FixedWingDynamics, or another carrier_controller"
             )
 
 

@@ -39,7 +39,15 @@ def show_warning(message: Warning | str, *about: Any, **where: Any) -> None:
 
 def one_line(error: BaseException) -> str:
     """An error's type and message in one line."""
-    return " ".join(f"{type(error).__name__}: {error}".split())
+    return " ".join(f"{type(error).__name__}: {message_of(error)}".split())
+
+
+def message_of(error: BaseException) -> str:
+    """An error's message, which a user's own class may fail to make."""
+    try:
+        return str(error)
+    except BaseException as failed:
+        return f"its message cannot be read, {type(failed).__name__}"
 
 
 def require(condition: Any, field: str, value: Any, remedy: str) -> None:
@@ -57,6 +65,20 @@ def require_installed(what: str, **packages: str) -> None:
     for module, package in packages.items():
         is_installed = importlib.util.find_spec(module) is not None
         require(is_installed, what, f"no {package}", f"install it, `pip install {package}`")
+
+
+def listed(field: str, value: Any, remedy: str) -> list[Any]:
+    """The items of what can be iterated and is no text.
+
+    Raises:
+        ScenarioError: it is anything else, such as an array without dimensions.
+    """
+    try:
+        items = None if isinstance(value, (str, bytes)) else iter(value)
+    except TypeError:
+        items = None
+    require(items is not None, field, value, remedy)
+    return [*typing.cast(Any, items)]
 
 
 def require_positive(owner: str, **values: float) -> None:

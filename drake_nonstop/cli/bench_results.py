@@ -9,6 +9,7 @@ from typing import Any
 from drake_nonstop.cli.exit_codes import FAILED
 from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.studies.files import replacing_file, require_writable, write_json
+from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
 
@@ -28,6 +29,8 @@ def run_benchmark(
         table: the results as text.
         make_figure: the results as a Matplotlib figure.
     """
+    if make_figure is not None:
+        require_drawing()
     folder: Path = options.out or Path("out/bench")
     path = folder / f"{name}.json"
     require_writable(folder, [path.name] + ([f"{name}.png"] if make_figure is not None else []))

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from typing import NoReturn
 
-from drake_nonstop.simulation.interruption import Interruption, handled_by
+from drake_nonstop.simulation.interruption import Interruption, before_end, handled_by
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _FIRST_GRACE = 1.5  # s, from a first signal that nothing waits for
@@ -70,6 +70,12 @@ class CommandInterruption(Interruption):
     def _end(self, rest: str = "") -> NoReturn:
         with contextlib.suppress(OSError):
             os.write(2, f"{_sentence(self.number, rest)}\n".encode())
+        self._exit()
+
+    def _exit(self) -> NoReturn:
+        for clean_up in before_end:
+            with contextlib.suppress(Exception):
+                clean_up()
         os._exit(exit_code(self.number))
 
     def watch(self) -> None:
@@ -100,7 +106,7 @@ class CommandInterruption(Interruption):
             time.sleep(0.01)
         if self.is_said:
             time.sleep(_LAST_GRACE)
-            os._exit(exit_code(self.number))
+            self._exit()
         rest, collect, keep = "", self.collect, self.keep
         if collect is not None and keep is not None:
             with contextlib.suppress(Exception):

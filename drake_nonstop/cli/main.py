@@ -70,7 +70,13 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
     from drake_nonstop.cli.parser import STUDIES, make_parser
     from drake_nonstop.simulation.interruption import ALL
     from drake_nonstop.simulation.run import RunStopped
-    from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, show_warning
+    from drake_nonstop.validation import (
+        ScenarioError,
+        ScenarioWarning,
+        message_of,
+        one_line,
+        show_warning,
+    )
 
     options = make_parser().parse_args(arguments)
     interruption.waits = options.command in STUDIES
@@ -85,11 +91,15 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
         finally:
             interruption.patience = ALL
     except ScenarioError as error:
-        message, code = str(error).replace("\n", "\\n"), BAD_INPUT
+        message, code = message_of(error).replace("\n", "\\n"), BAD_INPUT
     except RunStopped as stopped:
         message, code = str(stopped), FAILED
     except KeyboardInterrupt as interrupted:
-        return say_end(interruption, str(interrupted))
+        if interruption.number:
+            return say_end(interruption, message_of(interrupted))
+        rest = message_of(interrupted)
+        message = f"stopped by a KeyboardInterrupt in its code{rest and ': '}{rest}"
+        code = FAILED
     except (OSError, MemoryError, SystemExit) as error:
         message, code = one_line(error), FAILED
     except Exception:

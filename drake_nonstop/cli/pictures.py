@@ -6,6 +6,7 @@ from pathlib import Path
 from drake_nonstop.cli.arguments import Commands
 from drake_nonstop.studies.files import require_writable
 from drake_nonstop.validation import require_installed
+from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
 
@@ -20,6 +21,7 @@ def add_to(commands: Commands) -> None:
 
 def _pictures(options: argparse.Namespace) -> int:
     require_installed("pictures", PIL="pillow")
+    require_drawing()
     from drake_nonstop.benchmarks.browser import find_browser
     from drake_nonstop.benchmarks.pictures import FILES, make_pictures
 

@@ -8,6 +8,7 @@ from drake_nonstop.cli.arguments import Commands
 from drake_nonstop.cli.exit_codes import FAILED
 from drake_nonstop.studies.files import replacing_file, require_writable
 from drake_nonstop.validation import read_text, require_installed
+from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
 
@@ -39,6 +40,7 @@ def _report_claims(options: argparse.Namespace) -> int:
     files = ["report.md"]
     if not options.quick:  # what is missing is said before all is measured
         require_installed("report", PIL="pillow", scipy="scipy", pytest="pytest")
+        require_drawing()
         from drake_nonstop.benchmarks.browser import find_browser
         from drake_nonstop.benchmarks.pictures import FILES
 

@@ -8,6 +8,7 @@ from drake_nonstop.studies.figures import make_robustness_figure
 from drake_nonstop.studies.files import replacing_file, write_json
 from drake_nonstop.studies.robustness import robustness, robustness_settings, robustness_table
 from drake_nonstop.validation import require_seed
+from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
 
@@ -23,6 +24,7 @@ def add_to(commands: Commands) -> None:
 
 def _robustness(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
+    require_drawing()
     require_seed("--seed", options.seed)
     settings = robustness_settings(scenario, options.seed)
     folder = study_folder(options, scenario.name, settings)

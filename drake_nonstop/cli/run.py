@@ -34,6 +34,7 @@ from drake_nonstop.studies.results_folder import (
 )
 from drake_nonstop.studies.run_all import no_progress
 from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
+from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.progress import RunProgress, TaskProgress
@@ -129,6 +130,8 @@ def run_into(
     Raises:
         ScenarioError: the scenario cannot be built, or the folder not be written.
     """
+    if figures:
+        require_drawing()
     is_new = not os.path.lexists(folder)
     own_code = own_code_of(dump_scenario(scenario))  # before somebody edits it
     code = 0

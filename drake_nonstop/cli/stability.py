@@ -8,6 +8,7 @@ from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.figures import make_margins_figure
 from drake_nonstop.studies.files import replacing_file, require_writable, write_json
 from drake_nonstop.studies.margins import Margin, find_margins, find_stability, margins_settings
+from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
 _FINE_STEP = 0.001  # s, at which integrators damp nothing that matters here
@@ -24,6 +25,7 @@ def add_to(commands: Commands) -> None:
 
 def _stability(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
+    require_drawing()
     folder = study_folder(options, scenario.name, margins_settings(scenario))
     require_writable(folder)
     fine_step = min(_FINE_STEP, scenario.simulator_config.max_step_size)

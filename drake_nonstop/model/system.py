@@ -93,6 +93,11 @@ class PatternConfig(Protocol):
         ...
 
 
+def require_few(field: str, points: int) -> None:
+    """Raises ScenarioError for more attachment points than carriers can be flown."""
+    require(points <= _MAX_CARRIERS, field, f"{points} points", f"give at most {_MAX_CARRIERS}")
+
+
 class Model:
     """The system as arrays, checked, with the constants that follow from it.
 
@@ -179,7 +184,7 @@ class Model:
         )
         self.n = len(self.attachments)
         require(self.n >= 3, name, system.attachments, "give 3 or more attachment points")
-        require(self.n <= _MAX_CARRIERS, name, f"{self.n} points", f"give at most {_MAX_CARRIERS}")
+        require_few(name, self.n)
         grasp = grasp_matrix(self.attachments)
         size = np.max(np.abs(self.attachments))
         scaled = grasp / np.array([[size or 1.0]] * 3 + [[1.0]] * 3)

@@ -19,7 +19,7 @@ from drake_nonstop.scenario.own_blocks import make_importable
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import BASE, Tree, block_name, from_tree, to_tree
 from drake_nonstop.scenario.yaml_text import TreeDumper, parse_plain
-from drake_nonstop.validation import read_text, require, require_file, require_type
+from drake_nonstop.validation import listed, read_text, require, require_file, require_type
 
 SCENARIOS = diagrams.FOLDER / "scenarios"
 _MAX_BASES = 20
@@ -51,11 +51,13 @@ def load_scenario(
     require_type("trust", trust, bool)
     is_path = isinstance(name_or_file, (str, Path))
     require(is_path, "scenario", name_or_file, "give a scenario's name, or a .yaml file")
+    remedy = 'give a list of texts, such as ["simulation_duration=5"]'
+    texts = listed("overrides", overrides, remedy)
     path = _path(name_or_file, "scenario")
     if trust:
         make_importable(str(Path.cwd()))
     scenario = _parsed(read_text(path, "scenario"), str(path), path.parent, trust, [path])
-    return changed(scenario, overrides, trust=trust) if overrides else scenario
+    return changed(scenario, texts, trust=trust) if texts else scenario
 
 
 def parse_scenario(text: str, source: str = "scenario", *, trust: bool = False) -> Scenario:

@@ -20,7 +20,14 @@ from drake_nonstop.scenario.tree import (
     to_tree,
 )
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
-from drake_nonstop.validation import number_text, read_text, require, require_known, require_type
+from drake_nonstop.validation import (
+    listed,
+    number_text,
+    read_text,
+    require,
+    require_known,
+    require_type,
+)
 
 # Parts that are not in the tree where they are none.
 _LEFT_OUT = ("system.aircraft", "simulated.aircraft")
@@ -35,14 +42,12 @@ def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False
         ScenarioError: a path or value cannot be used.
     """
     require_type("trust", trust, bool)
-    is_list = isinstance(overrides, Iterable) and not isinstance(overrides, str)
-    require(
-        is_list, "overrides", overrides, 'give a list of texts, such as ["simulation_duration=5"]'
-    )
+    remedy = 'give a list of texts, such as ["simulation_duration=5"]'
+    texts = listed("overrides", overrides, remedy)
     tree = to_tree(scenario)
     before = copy.deepcopy(tree)
     trusted = True if trust else own_tags(tree)
-    for override in overrides:
+    for override in texts:
         _apply(tree, override, trusted)
     # By their texts, since True equals 1.
     parts = {name: part for name, part in tree.items() if repr(part) != repr(before.get(name))}

@@ -14,7 +14,7 @@ from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.diagrams.box import import_path
 from drake_nonstop.model.load_file import read_load
-from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.model.system import SystemParameters, require_few
 from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.own_blocks import import_config, is_import_path
 from drake_nonstop.scenario.run_limits import RunLimits
@@ -100,6 +100,9 @@ def from_tree(
         if field_name in tree:
             tree[field_name] = {} if tree[field_name] is None else tree[field_name]
             _check_fields(field_name, tree[field_name], schema)
+            points = tree[field_name].get("attachments")
+            if isinstance(points, list):  # of which many take long to load
+                require_few(f"{field_name}.attachments", len(points))
     scenario = _loaded(name, Scenario, tree, scenario)
     scenario.name = name
     for field_name, config in own.items():

@@ -14,6 +14,9 @@ from typing import Any
 
 ALL = math.inf  # the patience with which no signal raises
 
+# Called before the process is ended at once, from any thread.
+before_end: list[Callable[[], None]] = []
+
 
 class Interruption:
     """The signals that have come, and how many of them may come before one raises.

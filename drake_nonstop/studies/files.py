@@ -1,20 +1,32 @@
 """Files of results: never half-written, and errors that name the folder."""
 
+import atexit
 import contextlib
+import errno
 import fcntl
 import json
 import os
 import shutil
+import stat
 import tempfile
+import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from drake_nonstop.simulation.interruption import before_end
 from drake_nonstop.validation import ScenarioError, require
 
 _NEW = ".new-"  # how the names of files and folders begin that are being written
 _YOUNGEST_STALE = 1.0  # s; a younger one may not be locked yet
+_ENDING_TIME = 0.5  # s, in which a process that was killed ends
+_LARGEST_READ = 16_000_000  # bytes
+
+# What this process is writing, and the process: a fork has no part in it.
+_unfinished: dict[str, int] = {}
+_shared: list[Path] = []  # folders that processes of this one write to
+_changing = threading.RLock()  # held while something is begun, or put in its place
 
 
 def require_writable(
@@ -72,18 +84,20 @@ def _require_replaceable(folder: Path, item: Path) -> None:
 def replacing_file(path: Path) -> Iterator[BinaryIO]:
     """A new file to write, which replaces `path` at the end; it is removed after an error."""
     _remove_stale(path.parent)
-    with tempfile.NamedTemporaryFile(
-        dir=path.parent, prefix=_NEW, suffix=path.suffix, delete=False
-    ) as file:
-        _try_to_lock(file.fileno())
-        try:
-            yield file  # type: ignore[misc]
+    name = ""
+    try:
+        with _changing:
+            descriptor, name = tempfile.mkstemp(path.suffix, _NEW, path.parent)
+            _unfinished[name] = os.getpid()
+        with os.fdopen(descriptor, "w+b") as file:
+            _try_to_lock(descriptor)
+            yield file
             file.flush()
-            os.chmod(file.name, 0o644)
-            os.replace(file.name, path)
-        except BaseException:
-            os.unlink(file.name)
-            raise
+            os.chmod(name, 0o644)
+            with _changing:
+                os.replace(name, path)
+    finally:
+        _drop(name)
 
 
 @contextlib.contextmanager
@@ -99,29 +113,118 @@ def replacing_files(folder: Path, contents: Iterable[str]) -> Iterator[Path]:
         ScenarioError: the folder cannot be written.
     """
     contents = list(contents)
+    name = ""
     try:
         _remove_stale(folder)
-        with (
-            tempfile.TemporaryDirectory(dir=folder, prefix=_NEW) as name,
-            _opened(Path(name)) as descriptor,
-        ):
+        with _changing:
+            name = tempfile.mkdtemp(prefix=_NEW, dir=folder)
+            _unfinished[name] = os.getpid()
+        with _opened(Path(name)) as descriptor:
             _try_to_lock(descriptor)
             new = Path(name)
             yield new
-            for item in contents:
-                if (new / item).exists():
-                    (folder / item).parent.mkdir(parents=True, exist_ok=True)
-                    os.replace(new / item, folder / item)
-                else:
-                    (folder / item).unlink(missing_ok=True)
-            parents = {(folder / item).parent for item in contents} - {folder}
-            for parent in sorted(parents, reverse=True):  # the inner ones first
-                with contextlib.suppress(OSError):  # it has files
-                    parent.rmdir()
+            with _changing:
+                _replace(new, folder, contents)
     except OSError as error:
         raise ScenarioError(
             f"--out = {folder}: give a folder with room to write to ({_cause(error)})"
         ) from None
+    finally:
+        _drop(name)
+
+
+def _replace(new: Path, folder: Path, contents: Sequence[str]) -> None:
+    """Puts the new files in the places of the old ones."""
+    for item in contents:
+        if (new / item).exists():
+            (folder / item).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(new / item, folder / item)
+        else:
+            (folder / item).unlink(missing_ok=True)
+    parents = {(folder / item).parent for item in contents} - {folder}
+    for parent in sorted(parents, reverse=True):  # the inner ones first
+        with contextlib.suppress(OSError):  # it has files
+            parent.rmdir()
+
+
+def _drop(name: str) -> None:
+    """Removes what this process has begun to write, if it is there still."""
+    if name:
+        _remove(Path(name))
+        _unfinished.pop(name, None)
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        if stat.S_ISDIR(path.lstat().st_mode):
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink()
+
+
+@contextlib.contextmanager
+def shared(folders: Iterable[Path]) -> Iterator[None]:
+    """Within it processes of this one write to these folders, and others do not.
+
+    At the end, also where the process is ended before, what those that were killed have begun is
+    removed.
+    """
+    before = [*_shared]
+    _shared.extend(folders)
+    try:
+        yield
+    finally:
+        _remove_left(_shared[len(before) :])
+        _shared[:] = before
+
+
+def _remove_left(folders: Iterable[Path]) -> None:
+    """Removes what other processes have begun in these folders that end now."""
+    end = time.monotonic() + _ENDING_TIME
+    left = [path for folder in folders for path in folder.glob(f"{_NEW}*")]
+    while left and time.monotonic() < end:
+        left = [path for path in left if not _is_removed(path)]
+        time.sleep(0.01 if left else 0.0)
+
+
+@atexit.register
+def remove_unfinished() -> None:
+    """Removes what this process, or one that it has killed, is writing. It has to end after it."""
+    if not _changing.acquire(timeout=_ENDING_TIME):  # for good: nothing more is begun
+        return
+    for name, process in [*_unfinished.items()]:
+        if process == os.getpid():
+            _remove(Path(name))
+    _remove_left([*_shared])
+
+
+before_end.append(remove_unfinished)
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Opens a file to be read, which may be anything that stands in its place.
+
+    Raises:
+        OSError: it is no regular file, such as a pipe, which would have the reader wait.
+    """
+    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+    if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        return file
+    file.close()
+    raise OSError(errno.EINVAL, "no regular file", str(path))
+
+
+def read_regular(path: Path) -> bytes:
+    """The content of a file, which may be anything that stands in its place.
+
+    Raises:
+        OSError: it is no regular file, or larger than 16 MB.
+    """
+    with open_regular(path) as file:
+        content = file.read(_LARGEST_READ + 1)
+    if len(content) > _LARGEST_READ:
+        raise OSError(errno.EFBIG, "larger than 16 MB", str(path))
+    return content
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -140,12 +243,24 @@ def _remove_stale(folder: Path) -> None:
         with contextlib.suppress(OSError):  # it is somebody else's, or still being written
             if time.time() - path.stat().st_ctime < _YOUNGEST_STALE:
                 continue
-            with _opened(path) as descriptor:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if path.is_dir():
-                    shutil.rmtree(path)
-                else:
-                    path.unlink()
+            _remove_unlocked(path)
+
+
+def _is_removed(path: Path) -> bool:
+    """Whether it is removed, which it is not while it is being written."""
+    with contextlib.suppress(OSError):
+        _remove_unlocked(path)
+    return not os.path.lexists(path)
+
+
+def _remove_unlocked(path: Path) -> None:
+    """Removes what nobody is writing; raises OSError where somebody is, or it cannot be removed."""
+    with _opened(path) as descriptor:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
 
 
 def _try_to_lock(descriptor: int) -> None:
@@ -156,7 +271,7 @@ def _try_to_lock(descriptor: int) -> None:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[int]:
-    descriptor = os.open(path, os.O_RDONLY)
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     try:
         yield descriptor
     finally:

@@ -14,7 +14,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from drake_nonstop.studies.files import as_path, require_writable
+from drake_nonstop.studies.files import as_path, open_regular, require_writable
 from drake_nonstop.validation import ScenarioError, require
 from drake_nonstop.version import __version__
 
@@ -182,12 +182,12 @@ def _sources(name: str) -> list[Path]:
 def journalled_settings(folder: Path) -> str | None:
     """The settings of the study in a folder; "" where they cannot be read, None without one."""
     try:
-        with (folder / JOURNAL).open("rb") as file:
+        with open_regular(folder / JOURNAL) as file:
             return str(json.loads(file.readline(_MAX_HEAD))["settings"])
-    except (IsADirectoryError, ValueError, KeyError, TypeError):
-        return ""
-    except OSError:
+    except FileNotFoundError:
         return None
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
 
 
 @contextlib.contextmanager
@@ -197,6 +197,7 @@ def open_journal(
     keys: Collection[int | str],
     fields: Mapping[str, type | tuple[type, ...]],
     *,
+    contents: Iterable[str] = (),
     restart: bool = False,
     what: str = "runs",
 ) -> Iterator[Journal]:
@@ -210,6 +211,7 @@ def open_journal(
         settings: of the study, by `settings_of`.
         keys: of the study's runs.
         fields: of each result, with their types in JSON.
+        contents: paths, relative to the folder, of the files that the study will write.
         restart: whether to drop what the folder has.
         what: what the message of an interrupt calls the runs.
 
@@ -224,14 +226,15 @@ def open_journal(
         return
     folder = as_path(folder)
     is_new = not os.path.lexists(folder)
-    require_writable(folder)
+    require_writable(folder, contents)
     path = folder / JOURNAL
     with contextlib.ExitStack() as stack:
         try:
+            is_file = path.is_file() or not os.path.lexists(path)
+            require(is_file, "--out", folder, f"its {JOURNAL} is no file; remove it")
             file = stack.enter_context(path.open("a+b", buffering=0))
-            reader = stack.enter_context(path.open("rb"))
+            reader = stack.enter_context(open_regular(path))
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            is_file = path.is_file()
         except BlockingIOError:
             raise ScenarioError(
                 f"--out = {folder}: another sweep is running in it, or another study; wait for it "
@@ -242,7 +245,6 @@ def open_journal(
                 f"--out = {folder}: its {JOURNAL} cannot be used ({error.strerror}); remove it, or "
                 "give another folder"
             ) from None
-        require(is_file, "--out", folder, f"its {JOURNAL} is no file; remove it")
         journal = Journal(file, reader, folder, settings)
         if not restart:
             journal.read(keys, fields)

@@ -20,7 +20,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
+from drake_nonstop.simulation.interruption import before_end
+from drake_nonstop.studies.files import remove_unfinished
+from drake_nonstop.validation import ScenarioError, message_of, one_line, require, show_warning
 
 PROCESS_DIED = "its process died: it crashed or ran out of memory"
 
@@ -162,6 +164,9 @@ _workers: set[_Worker] = set()  # of this process
 def _kill_workers() -> None:
     for worker in list(_workers):
         worker.kill()
+
+
+before_end.insert(0, _kill_workers)  # before what they were writing is removed
 
 
 class _Calls:
@@ -382,7 +387,7 @@ def _answer(call: bytes) -> bytes:
         function, arguments = pickle.loads(call)
         return pickle.dumps((_RESULT, function(*arguments)))
     except ScenarioError as error:
-        return pickle.dumps((_BAD_INPUT, str(error)))
+        return pickle.dumps((_BAD_INPUT, message_of(error)))
     except BaseException as error:  # such as the SystemExit of a block
         return pickle.dumps((_ERROR, one_line(error)))
 
@@ -392,4 +397,5 @@ def _exit_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         parent.join()
+        remove_unfinished()
         os._exit(1)

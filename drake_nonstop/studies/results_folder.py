@@ -16,7 +16,13 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.studies.files import as_path, replacing_files, require_writable
+from drake_nonstop.studies.files import (
+    as_path,
+    open_regular,
+    read_regular,
+    replacing_files,
+    require_writable,
+)
 from drake_nonstop.studies.journal import journalled_settings, own_code_of
 from drake_nonstop.validation import require
 from drake_nonstop.visualization.drawing import draw_diagram
@@ -96,7 +102,7 @@ def _is_of(folder: Path, names: Sequence[str], scenario: Scenario) -> bool:
     """Whether the files of these names in a folder are those of such a run, which repeats them."""
     text = dump_scenario(scenario)
     try:
-        if (folder / _SCENARIO).read_text(encoding="utf-8") != text:
+        if read_regular(folder / _SCENARIO) != text.encode():
             return False
     except (OSError, ValueError):
         return False
@@ -111,7 +117,7 @@ def _is_of(folder: Path, names: Sequence[str], scenario: Scenario) -> bool:
 def _metrics_in(folder: Path) -> dict[str, Any]:
     """The metrics in a folder; empty where there are none that can be read."""
     try:
-        metrics = json.loads((folder / _METRICS).read_text(encoding="utf-8"))
+        metrics = json.loads(read_regular(folder / _METRICS))
     except (OSError, ValueError, RecursionError):
         return {}
     return metrics if isinstance(metrics, dict) else {}
@@ -177,9 +183,9 @@ def _remove(folder: Path, items: Sequence[str]) -> None:
 def _flight_in(folder: Path) -> object:
     """What pictures show of the data in a folder: equal for equal flights only."""
     try:
-        with zipfile.ZipFile(folder / _SIGNALS) as archive:
+        with open_regular(folder / _SIGNALS) as file, zipfile.ZipFile(file) as archive:
             signals = [(item.filename, item.file_size, item.CRC) for item in archive.infolist()]
-        return (folder / _SCENARIO).read_bytes(), signals
+        return read_regular(folder / _SCENARIO), signals
     except (OSError, ValueError, zipfile.BadZipFile):
         return None
 

@@ -10,7 +10,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.processes import Answer, call_in_processes, deferred_signals
-from drake_nonstop.validation import ScenarioError, one_line, require
+from drake_nonstop.validation import ScenarioError, message_of, one_line, require
 
 # How a run may end.
 COMPLETED = "completed"
@@ -102,7 +102,7 @@ def _call_in(
         try:
             return Answer(result=future.result())
         except ScenarioError as error:
-            return Answer(error=str(error), is_bad_input=True)
+            return Answer(error=message_of(error), is_bad_input=True)
         except BrokenExecutor as error:
             raise ScenarioError(
                 f"executor = {name}: its workers end or cannot be used ({one_line(error)}); give "
@@ -163,7 +163,7 @@ def attempt(scenario: Callable[[], Scenario], **arguments: Any) -> Attempt:
     except RunInterrupted:
         raise KeyboardInterrupt from None  # without the run, which cannot be sent to a process
     except ScenarioError as error:
-        return Attempt(ending=UNBUILDABLE, message=str(error), error=error)
+        return Attempt(ending=UNBUILDABLE, message=message_of(error), error=error)
     except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
         return Attempt(ending=UNBUILDABLE, message=one_line(error), error=error)
     return Attempt(ending=ending, message=message, run=run if len(run.time) > 0 else None)

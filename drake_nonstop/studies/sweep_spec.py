@@ -172,6 +172,7 @@ def read_sweep(file: str | Path) -> SweepSpec:
     Raises:
         ScenarioError: the file cannot be read, or its content cannot be used.
     """
+    require(isinstance(file, (str, Path)), "SPEC", file, "give a .yaml file")
     path = Path(file)
     known = ("description", "seed", "runs", "overrides", "grid", "draws")
     remedy = f"give grid, draws or runs, and if needed {', '.join(known[:4])}"

@@ -14,7 +14,7 @@ from pydrake.systems.framework import (
     System,
 )
 
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, listed, require
 
 OUTSIDE = "outside"  # what wires call the diagram's own input ports
 HELD = "held_"  # begins the name of a signal that is held from one sample to the next
@@ -197,9 +197,9 @@ def sizes_of_inputs(
     if isinstance(inputs, Mapping):
         return dict(inputs)
     remedy = 'give a list of signals that blocks read, such as ["wind_speed"]'
-    require(not isinstance(inputs, str), "inputs", inputs, remedy)
     sizes: dict[str, int | None] = {}
-    for signal in inputs:
+    for signal in listed("inputs", inputs, remedy):
+        require(isinstance(signal, str), "inputs", signal, remedy)
         read = [given[signal] for given in map(input_sizes, blocks.values()) if signal in given]
         require(bool(read), "inputs", signal, remedy)
         sizes[signal] = read[0]

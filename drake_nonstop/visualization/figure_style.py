@@ -6,7 +6,10 @@ and runs without figures do not need it.
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
+
+from drake_nonstop.validation import require
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,8 +21,20 @@ COLOURS = (  # Okabe and Ito's, which the colour-blind can tell apart, and four 
 LINE_STYLES = ("solid", (0, (5, 4)), (0, (1, 2)))  # of coinciding curves, so that all are seen
 
 
+def require_drawing() -> None:
+    """Raises ScenarioError where Matplotlib is not imported with the backend that is set."""
+    backend = os.environ.get("MPLBACKEND")
+    if backend:
+        try:
+            import matplotlib  # noqa: F401
+        except ValueError:
+            remedy = "give a backend of Matplotlib, such as agg, or unset the variable"
+            require(False, "MPLBACKEND", backend, remedy)
+
+
 def new_figure(size: tuple[float, float], layout: str | None = "constrained") -> Figure:
     """An empty figure of that size in inch."""
+    require_drawing()
     from matplotlib.figure import Figure
 
     return Figure(figsize=size, layout=layout)

@@ -127,7 +127,9 @@ def _new_bar(**options: Any) -> "tqdm[Any]":
     else:
         period = _LINE_PERIOD
         options |= {"file": _Lines(sys.stderr), "leave": False, "ascii": ".#"}
-    return tqdm.auto.tqdm(mininterval=period, delay=period, miniters=0, smoothing=0, **options)
+    # Without the thread that looks after bars whose miniters are not 0.
+    bar = type("Bar", (tqdm.auto.tqdm,), {"monitor_interval": 0})
+    return bar(mininterval=period, delay=period, miniters=0, smoothing=0, **options)
 
 
 class _Lines:

@@ -21,7 +21,9 @@ from drake_nonstop.blocks.carrier_dynamics import (
     CarrierDynamicsConfig,
     FixedWingDynamics,
     FixedWingDynamicsConfig,
+    IdealCarriersConfig,
 )
+from drake_nonstop.blocks.fixed_wing_controller import FixedWingControllerConfig
 from drake_nonstop.mechanics.aircraft import FlightStates, air_force
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.aircraft import AircraftParameters
@@ -176,6 +178,15 @@ def test_parameters_of_a_loop_are_checked(loop):
             "carrier_controller = CarrierPid does not make; give "
             "carrier_controller=FixedWingController, or carrier_dynamics=CarrierDynamics, which "
             "reads carrier_forces",
+        ),
+        (
+            {
+                "carrier_dynamics": IdealCarriersConfig(),
+                "carrier_controller": FixedWingControllerConfig(),
+            },
+            "carrier_controller = FixedWingController: it reads aircraft_state, which "
+            "carrier_dynamics = IdealCarriers does not make; give "
+            "carrier_dynamics=FixedWingDynamics, or another carrier_controller",
         ),
     ],
 )

@@ -31,7 +31,7 @@ from drake_nonstop.studies.ablation.tables import (
     shown,
 )
 from drake_nonstop.studies.figures import make_overlay_figure
-from drake_nonstop.studies.files import replacing_file
+from drake_nonstop.studies.files import open_regular, replacing_file
 from drake_nonstop.studies.run_all import COMPLETED
 from drake_nonstop.visualization.decimation import extreme_samples
 from drake_nonstop.visualization.replay import legend
@@ -87,7 +87,7 @@ class Curves:
     def load(cls, path: Path) -> "Curves":
         """The curves in a file; raises OSError, ValueError or KeyError where it has none."""
         try:
-            with np.load(path) as arrays:
+            with open_regular(path) as file, np.load(file) as arrays:
                 return cls(**{field.name: arrays[field.name] for field in fields(cls)})
         except (BadZipFile, EOFError) as error:
             raise ValueError(error) from None

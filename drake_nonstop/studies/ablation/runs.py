@@ -15,7 +15,7 @@ from drake_nonstop.simulation.simulate import LoopMaker
 from drake_nonstop.studies.ablation.page import PAGE, PLOTS, Curves, write_page
 from drake_nonstop.studies.ablation.rows import BASE, Row, ordered
 from drake_nonstop.studies.ablation.tables import as_csv, as_markdown
-from drake_nonstop.studies.files import as_path, replacing_files
+from drake_nonstop.studies.files import as_path, read_regular, replacing_files, shared
 from drake_nonstop.studies.journal import Journal, open_journal, settings_of
 from drake_nonstop.studies.processes import keep_what_is_done, require_main
 from drake_nonstop.studies.results_folder import RUN_FILES, write_results
@@ -35,7 +35,8 @@ from drake_nonstop.studies.variants import (
     require_sendable,
     varied,
 )
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, listed, message_of, require
+from drake_nonstop.visualization.figure_style import require_drawing
 
 Changes = Sequence[Change] | Mapping[str, Any]
 Variants = Mapping[str, Changes] | Iterable[tuple[str, Changes]]
@@ -94,6 +95,7 @@ def ablate(
     """
     folder = as_path(folder)
     require_main()
+    require_drawing()
     pairs = _checked(variants)
     require_sendable(make_loop, "make_loop")
     rows = _named([(BASE, []), *pairs])
@@ -107,7 +109,7 @@ def ablate(
             if k == 0:
                 raise
             first_error = first_error or error
-            row.ending, row.message = UNBUILDABLE, str(error)
+            row.ending, row.message = UNBUILDABLE, message_of(error)
     if first_error is not None and len(texts) <= 1:
         raise first_error
     curves: dict[str, Curves] = {}
@@ -115,14 +117,28 @@ def ablate(
     def add(row: Row, result: dict[str, Any]) -> None:
         row.ending, row.message = result["ending"], result["message"]
         if result["has_run"]:
-            text = (folder / row.folder / "metrics.json").read_text(encoding="utf-8")
-            row.metrics = json.loads(text)
+            row.metrics = json.loads(read_regular(folder / row.folder / "metrics.json"))
             curves[row.folder] = Curves.load(_curves_file(folder, row))
 
     settings = ablation_settings(scenario, pairs, replay=replay, make_loop=make_loop)
-    with open_journal(
-        folder, settings, list(texts), _RESULT, restart=restart, what="variants"
-    ) as journal:
+    places = [row.folder for row in rows]
+    contents = [
+        *_FILES,
+        *(f"{_CURVES}/{place}.npz" for place in places),
+        *(f"{place}/{item}" for place in places for item in RUN_FILES),
+    ]
+    with (
+        open_journal(
+            folder,
+            settings,
+            list(texts),
+            _RESULT,
+            contents=contents,
+            restart=restart,
+            what="variants",
+        ) as journal,
+        shared(folder / place for place in [_CURVES, *places]),
+    ):
         missing = []
         for key, text in texts.items():
             if _is_there(folder, rows[key], text, journal, key):
@@ -176,8 +192,7 @@ def _checked(variants: Variants) -> list[tuple[str, list[Change]]]:
     if isinstance(variants, Mapping):
         pairs = [*variants.items()]
     else:
-        require(isinstance(variants, Iterable), "variants", variants, remedy)
-        pairs = [*variants]
+        pairs = listed("variants", variants, remedy)
     checked = []
     for pair in pairs:
         is_pair = isinstance(pair, (tuple, list)) and len(pair) == 2
@@ -199,8 +214,8 @@ def _is_there(folder: Path, row: Row, text: str, journal: Journal, key: int) -> 
         return True
     try:
         Curves.load(_curves_file(folder, row))
-        json.loads((folder / row.folder / "metrics.json").read_text(encoding="utf-8"))
-        return (folder / row.folder / "scenario.yaml").read_text(encoding="utf-8") == text
+        json.loads(read_regular(folder / row.folder / "metrics.json"))
+        return read_regular(folder / row.folder / "scenario.yaml") == text.encode()
     except (OSError, ValueError, KeyError):
         return False
 
