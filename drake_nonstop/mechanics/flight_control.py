@@ -224,7 +224,7 @@ def _in_world(frame: AirFrame, parts: NDArray) -> NDArray:
     return forward * frame.forward + right * frame.right + up * frame.up
 
 
-def _within(a: NDArray, least: NDArray, most: NDArray) -> NDArray:
+def _within(a: NDArray, least: float | NDArray, most: float | NDArray) -> NDArray:
     """The entries within their limits, exact, for any scalar type."""
     raised = a + positive_part(least - a)
     return raised - positive_part(raised - most)

@@ -1,7 +1,9 @@
 """Gains from where the poles of a loop are to be, so that they carry over from scale to scale."""
 
+from typing import Any
 
-def pid_gains(frequency: float, damping: float, integral_rate: float) -> tuple[float, float, float]:
+
+def pid_gains(frequency: Any, damping: Any, integral_rate: Any) -> tuple[Any, Any, Any]:
     """Gains per unit of mass, K_p (1/s²), K_v (1/s) and K_i (1/s³), of a PID on a free mass.
 
     They give s³ + K_v s² + K_p s + K_i = (s² + 2 ζ ω s + ω²) (s + σ), with the natural
