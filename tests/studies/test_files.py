@@ -166,7 +166,7 @@ def write(then):
 def ends_at_once():
     interruption = CommandInterruption()
     interruption.number = signal.SIGINT
-    threading.Thread(target=interruption._end).start()
+    threading.Timer(0.05, interruption._end).start()
     while True:  # and begins again and again what it writes
         write(lambda: time.sleep(0.01))
 
@@ -213,7 +213,8 @@ def at_most_ten_seconds():
 @pytest.mark.usefixtures("at_most_ten_seconds")
 @pytest.mark.parametrize("kind", ["pipe", "/dev/zero"])
 @pytest.mark.parametrize("name", [*RUN_FILES[:3], JOURNAL, ".new-mine"])
-def test_nobody_waits_for_what_is_no_file(tmp_path, name, kind):
+def test_nobody_waits_for_what_is_no_file(tmp_path, monkeypatch, name, kind):
+    monkeypatch.setattr(files, "_YOUNGEST_STALE", 0.0)
     path = tmp_path / name
     os.mkfifo(path) if kind == "pipe" else path.symlink_to(kind)
     scenario = load_scenario("line")
