@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -52,10 +52,18 @@ def compute_metrics(run: Run) -> dict[str, Any]:
         values["half_step"] = run.half_step
     values["versions"] = {
         "drake_nonstop": __version__,
-        "drake": version("drake"),
-        "numpy": version("numpy"),
+        "drake": _version("drake"),
+        "numpy": _version("numpy"),
     }
     return values
+
+
+def _version(package: str) -> str:
+    """A package's version, which is not found where own code has changed sys.path."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"
 
 
 def flattened(metrics: Mapping[str, Any]) -> dict[str, Any]:

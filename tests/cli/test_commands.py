@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop.cli import run
-from drake_nonstop.cli.exit_codes import BAD_INPUT, NOT_OK
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, NOT_OK
 from drake_nonstop.cli.file_server import serve_folder
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
@@ -327,3 +327,39 @@ def test_run_says_all_its_exit_codes(capsys):
         main(["run", "--help"])
     said = capsys.readouterr().out.split("Exit codes:")[1]
     assert set(re.findall(r"\d+", said)) == {"0", "1", "2", "3", "129", "130", "143"}
+
+
+@pytest.mark.parametrize("said", ["", "1 of 2 variants are done"])
+def test_an_interrupt_that_no_signal_asked_for_is_an_error_of_the_code(
+    tmp_path, capsys, monkeypatch, said
+):
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt(*filter(None, [said]))
+
+    monkeypatch.setattr(run, "simulate", interrupted)
+    assert main(["run", "line", "--no-figures", "--out", str(tmp_path)]) == FAILED
+    error = capsys.readouterr().err
+    end = f": {said}" if said else ""
+    assert error == f"drake-nonstop: stopped by a KeyboardInterrupt in its code{end}\n"
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        ["run", "line"],
+        ["ablate", "line", "--swap", "phase=PaperPhase"],
+        ["stability", "line"],
+        ["robustness", "line"],
+        ["bench", "scale"],
+        ["pictures"],
+    ],
+)
+def test_a_backend_that_matplotlib_does_not_know_is_refused_first(
+    tmp_path, capsys, monkeypatch, call
+):
+    monkeypatch.setenv("MPLBACKEND", "no_such")
+    monkeypatch.delitem(sys.modules, "matplotlib", raising=False)  # which reads it as it is loaded
+    assert main([*call, "--out", str(tmp_path / "out")]) == BAD_INPUT
+    remedy = "give a backend of Matplotlib, such as agg, or unset the variable"
+    assert capsys.readouterr().err == f"drake-nonstop: MPLBACKEND = no_such: {remedy}\n"
+    assert not (tmp_path / "out").exists()

@@ -24,6 +24,7 @@ from drake_nonstop import (
     ScenarioWarning,
     SweepSpec,
     SystemParameters,
+    ablate,
     dump_scenario,
     load_scenario,
     make_nonstop,
@@ -35,6 +36,7 @@ from drake_nonstop import (
 )
 from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES, replaced
+from drake_nonstop.scenario import tree
 from drake_nonstop.scenario.schema import CHOICES
 from drake_nonstop.scenario.tree import to_tree
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
@@ -470,3 +472,36 @@ def test_a_bound_of_the_replacement_itself_is_warned_of(replacement):
     scenario = load_scenario("quintic", ["simulation_duration=0.02"])
     with pytest.warns(ScenarioWarning, match="judged by the 0.2 m/s .* bound of 0.55 m/s"):
         simulate(scenario, optimization_layer=replacement)
+
+
+class _Uniterable:
+    def __iter__(self):
+        return 3
+
+
+@pytest.mark.parametrize("value", [np.array("x"), np.array(None), _Uniterable(), 3, b"x", "a=1"])
+@pytest.mark.parametrize("what", ["overrides", "variants", "a variant", "inputs"])
+def test_what_is_no_list_is_one_sentence(tmp_path, value, what):
+    scenario = Scenario(simulation_duration=0.02)
+    calls: dict[str, Callable[[], Any]] = {
+        "overrides": lambda: load_scenario("quintic", value),
+        "variants": lambda: ablate(scenario, value, tmp_path),
+        "a variant": lambda: ablate(scenario, {"a": value}, tmp_path),
+        "inputs": lambda: make_nonstop(scenario, inputs=value),
+    }
+    with pytest.raises(ScenarioError, match=r"(?s)^(overrides|variants?( a)?|inputs) = .*: give "):
+        calls[what]()
+
+
+def test_an_empty_array_of_overrides_is_no_override():
+    assert load_scenario("quintic", np.array([])) == load_scenario("quintic")
+    heavier = load_scenario("quintic", np.array(["system.load_mass=1.2"]))
+    assert heavier.system.load_mass == 1.2
+
+
+def test_more_carriers_than_fly_are_refused_before_they_are_loaded(monkeypatch):
+    monkeypatch.setattr(tree, "yaml_load_typed", None)
+    points = [[math.cos(k), math.sin(k), 0.0] for k in range(101)]
+    for owner in ("system", "simulated"):
+        with pytest.raises(ScenarioError, match=f"{owner}.attachments = 101 points: give at most"):
+            parse_scenario(f"mine: {{{owner}: {{attachments: {points}}}}}")

@@ -1,5 +1,6 @@
 """The metrics, on runs made up so that each figure is known."""
 
+import sys
 import tracemalloc
 from itertools import combinations
 
@@ -118,6 +119,14 @@ def test_the_keys_are_those_that_others_read():
     assert set(metrics) == KEYS[""]
     for part in ("simulator", "load", "carriers", "cables", "optimizer", "versions"):
         assert set(metrics[part]) == KEYS[part]
+
+
+def test_a_version_that_is_not_found_takes_no_metric_away(monkeypatch):
+    run = circling_run()
+    monkeypatch.setattr(sys, "path", [])  # as own code may leave it
+    metrics = compute_metrics(run)
+    assert {metrics["versions"][name] for name in ("drake", "numpy")} == {"unknown"}
+    assert set(metrics) == KEYS[""]
 
 
 def test_the_table_has_a_row_for_each_metric():

@@ -112,6 +112,19 @@ def test_an_error_in_a_users_block_is_reported_with_its_time():
     assert 0.15 < caught.value.run.time[-1] <= 0.2
 
 
+@pytest.mark.parametrize("raised", [ZeroDivisionError, SystemExit])
+def test_an_error_without_a_readable_message_keeps_the_signals(raised):
+    class UnreadableError(ValueError):
+        def __str__(self):
+            raise raised
+
+    layer = lambda model: FailsAt(0.02, UnreadableError())  # noqa: E731
+    said = f"UnreadableError: its message cannot be read, {raised.__name__}"
+    with pytest.raises(RunStopped, match=said) as caught:
+        simulate(short("quintic", duration=0.05), optimization_layer=layer)
+    assert 0.0 < caught.value.run.time[-1] <= 0.02
+
+
 def test_an_interrupt_keeps_the_signals():
     from drake_nonstop import RunInterrupted
 

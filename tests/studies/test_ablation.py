@@ -442,3 +442,16 @@ def test_an_interrupted_repetition_keeps_table_page_and_plots(tmp_path, monkeypa
         ablate(scenario, {"a": ["system.load_mass=1.1"]}, tmp_path, replay=False)
     assert (tmp_path / JOURNAL).exists()
     assert {name for name in earlier if (tmp_path / name).exists()} == earlier
+
+
+@pytest.mark.parametrize(
+    "item", ["a", "as_it_is/metrics.json/x", "a/signals.npz/x", ".curves", "index.html/x"]
+)
+def test_what_is_in_the_way_of_any_result_is_said_before_any_run(tmp_path, item):
+    path = tmp_path / item
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(ScenarioError, match=r"^--out = .*: its (file|folder) .* is in the way"):
+        ablate(load_scenario("line"), {"a": ["system.load_mass=1.1"]}, tmp_path)
+    assert sorted(tmp_path.rglob("*")) == before

@@ -2,8 +2,11 @@
 
 import io
 import re
+import sys
+import warnings
 
 import pytest
+import tqdm
 
 from drake_nonstop.visualization import progress
 from drake_nonstop.visualization.progress import RunProgress, TaskProgress
@@ -70,3 +73,13 @@ def test_a_terminal_has_one_line_that_is_written_over(at_once, monkeypatch):
     assert "simulating" in states[1]
     assert "drawing" in states[-1]
     assert "100%" in states[-1]
+
+
+def test_a_bar_starts_no_thread(monkeypatch):
+    monkeypatch.setattr(tqdm.tqdm, "monitor", None)
+    monkeypatch.setattr(sys, "excepthook", None)  # with which Python starts none
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with TaskProgress() as show:
+            show("simulating", 0.5)
+    assert tqdm.tqdm.monitor is None
