@@ -4,13 +4,12 @@ One line per flight; of the gusty ones a line per seed. All of them, 20 seeds at
 take half an hour on two cores.
 """
 
+import math
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
-import numpy as np
-
-from drake_nonstop import Model, load_scenario, simulate
+from drake_nonstop import compute_metrics, load_scenario, simulate
 
 WIND = "wind.velocity=[{}, 0, 0]"
 ERRORS = [  # of the simulated aircraft: lift -10, mass +5, drag +30, thrust -20 %
@@ -50,24 +49,18 @@ def flights(runs: int) -> Iterator[tuple[str, str, list[str]]]:
 
 def fly(name: str, scenario_name: str, changes: list[str]) -> str:
     """Flies one, and returns its line."""
-    scenario = load_scenario(scenario_name, changes)
-    run = simulate(scenario)
-    aircraft = Model(scenario.system, scenario.pattern).aircraft
-    load, reference = run.signal("load_state"), run.signal("reference")
-    errors = np.linalg.norm(load[:, 4:7] - reference[:, 4:7], axis=1)
-    lift, bank, thrust, airspeed = np.split(run.signal("aircraft_state"), 4, axis=1)
-    positions, _ = np.split(run.signal("carrier_state"), 2, axis=1)
-    carriers = positions.reshape(len(positions), -1, 3)
-    apart = np.linalg.norm(carriers[:, :, None] - carriers[:, None], axis=3)
-    own = np.arange(carriers.shape[1])
-    apart[:, own, own] = np.inf
-    saturated = np.any(run.signal("command_saturation") > 0.5, axis=1).mean()
+    metrics = compute_metrics(simulate(load_scenario(scenario_name, changes)))
+    load, flight = metrics["load"], metrics["aircraft"]
     return (
-        f"{name:34} load error mean {errors.mean():.4f} max {errors.max():.4f} m, "
-        f"C_L {lift.max() / aircraft.max_lift:.2f} of C_Lmax, V {airspeed.min():.1f} m/s, "
-        f"bank {np.degrees(np.abs(bank).max()):.0f} deg, "
-        f"T {thrust.min():.1f} to {thrust.max():.1f} N, {apart.min():.1f} m apart, "
-        f"tension {run.signal('tensions').min():.1f} N, saturated {saturated:.1%}"
+        f"{name:34} {metrics['outcome']:7} load error mean {load['position_error_mean_m']:.4f} "
+        f"max {load['position_error_max_m']:.4f} m, "
+        f"C_L {flight['lift_share_max']:.2f} of C_Lmax, "
+        f"V {flight['airspeed_over_stall_min']:.2f} V_s, "
+        f"bank {math.degrees(flight['bank_max_rad']):.0f} deg, "
+        f"T {flight['thrust_min_N']:.1f} to {flight['thrust_max_N']:.1f} N, "
+        f"{metrics['carriers']['separation_min_m']:.1f} m apart, "
+        f"tension from {metrics['cables']['tension_min_N']:.1f} N, "
+        f"saturated {flight['saturated_share']:.1%}"
     )
 
 

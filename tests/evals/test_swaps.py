@@ -20,8 +20,9 @@ PAIRS = [
     for box, names in (NAMES | {"pattern": PATTERNS}).items()
     for old, new in itertools.permutations(names, 2)
 ]
+AIRCRAFT = ("FixedWingController", "FixedWingDynamics")  # which come in pairs, and need a scale
 ALTERNATIVES = [
-    *((box, block.__name__) for box, blocks in VARIANTS.items() for block in blocks[1:]),
+    *((box, name) for box, names in NAMES.items() for name in names[1:] if name not in AIRCRAFT),
     *(("pattern", name) for name in PATTERNS[1:]),
 ]
 
@@ -62,3 +63,15 @@ def test_swapped_loop_runs(with_block, box, block):
     assert np.linalg.norm(run.signal("load_state")[-1, 4:7]) < 2
     if box in BOXES:
         assert type(run.diagram.GetSubsystemByName(box)).__name__ == block
+
+
+def test_aircraft_are_swapped_for_points_and_back():
+    aircraft = load_scenario("aircraft_rest", ["simulation_duration=2"])
+    boxes = ("carrier_controller", "carrier_dynamics")
+    points = changed(aircraft, [f"{box}={NAMES[box][0]}" for box in boxes])
+    assert "aircraft_state" not in simulate(points).signals
+    again = changed(points, [f"{box}={name}" for box, name in zip(boxes, AIRCRAFT, strict=True)])
+    again.carrier_controller.frequency = aircraft.carrier_controller.frequency
+    np.testing.assert_array_equal(
+        simulate(again).signal("aircraft_state"), simulate(aircraft).signal("aircraft_state")
+    )
