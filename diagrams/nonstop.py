@@ -482,6 +482,7 @@ def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     """The blocks, which may be fused, with the hold in front of sampled ones."""
     believed, blocks, _ = parts
     _warn_of_unread_wind(blocks)
+    _warn_of_unflown_aircraft(scenario, blocks)
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
@@ -504,6 +505,23 @@ def _warn_of_unread_wind(blocks: Mapping[str, System]) -> None:
             f"{load} = {type(blocks[load]).__name__}: no wind acts on the load, since this block "
             "does not read it; give it an input port load_wind (3), the air's velocity in m/s, in "
             "W, or have still air by wind=StillAir",
+            ScenarioWarning,
+            stacklevel=5,
+        )
+
+
+def _warn_of_unflown_aircraft(scenario: LoopConfig, blocks: Mapping[str, System]) -> None:
+    """Tells of aircraft whose carriers move as points."""
+    dynamics = blocks.get("carrier_dynamics")
+    is_given = overridden(scenario.system, scenario.simulated).aircraft is not None
+    if not is_given or not isinstance(dynamics, carrier_dynamics.VARIANTS):
+        return
+    if "aircraft_command" not in wiring.input_names(dynamics):
+        controller, flying = COMMANDS["aircraft_command"]
+        warnings.warn(
+            f"carrier_dynamics = {type(dynamics).__name__}: its carriers are points of the "
+            f"aircraft's mass, which cannot stall; give carrier_dynamics={flying} and "
+            f"carrier_controller={controller}",
             ScenarioWarning,
             stacklevel=5,
         )

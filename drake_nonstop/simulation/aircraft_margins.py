@@ -28,7 +28,7 @@ from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
 from drake_nonstop.mechanics.wind import power_law
 from drake_nonstop.model.system import Model, overridden
 from drake_nonstop.scenario.run_limits import RunLimits
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.separations import segment_distances
 from drake_nonstop.validation import require
 
@@ -233,6 +233,7 @@ def aircraft_margins(scenario: Scenario, **replacements: Any) -> AircraftMargins
         ScenarioError: the scenario cannot be built, has no aircraft, or its load turns about a
             horizontal axis at the start.
     """
+    check(scenario)
     scenario, replacements = replaced(scenario, replacements)
     scenario = scenario.sampled()
     _simulated(scenario)  # without aircraft there is nothing to build
@@ -267,9 +268,8 @@ def margins_table(found: AircraftMargins) -> str:
     power = f"{found.propulsive_power:.0f} W of thrust, {found.drawn_power:.0f} W drawn"
     lines.append(f"{'mean power of each':{widths[0]}}  {power}")
     lines.append(f"{'a turn':{widths[0]}}  {found.turn:.2f} s")
-    if np.any(found.wind.velocity):
-        said = f"{found.wind.velocity.tolist()} m/s, without gusts"
-        lines.append(f"{'wind':{widths[0]}}  {said}")
+    said = f"{found.wind.velocity.tolist()} m/s, without gusts"
+    lines.append(f"{'wind':{widths[0]}}  {said}")
     return "\n".join(lines)
 
 

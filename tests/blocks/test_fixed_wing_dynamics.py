@@ -7,10 +7,14 @@ from helpers import fix, model, output
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop import (
+    FixedWingControllerConfig,
+    IdealCarriersConfig,
     ScenarioError,
+    ScenarioWarning,
     compute_metrics,
     get_parameter,
     kinetic_energy,
+    load_scenario,
     make_nonstop,
     potential_energy,
     set_parameter,
@@ -194,6 +198,12 @@ def test_half_a_pair_is_refused(blocks, said):
     with pytest.raises(ScenarioError) as error:
         make_nonstop(flying(), **blocks)
     assert str(error.value) == said
+
+
+def test_aircraft_that_are_not_flown_are_told():
+    scenario = load_scenario("real_scale_spread", ["system.aircraft.model=rascal_110"])
+    with pytest.warns(ScenarioWarning, match="its carriers are points of the aircraft's mass"):
+        make_nonstop(scenario)
 
 
 def test_a_short_flight_is_ok_and_keeps_to_its_references():

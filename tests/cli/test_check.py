@@ -47,3 +47,8 @@ def test_a_scenario_without_aircraft_is_told_how_to_give_some(tmp_path, capsys):
     assert main(["check", "line", "--out", str(folder)]) == BAD_INPUT
     assert f"--set {RASCAL}" in capsys.readouterr().err
     assert not folder.exists()
+
+
+def test_gusts_are_told_to_be_left_out(tmp_path, capsys):
+    assert main(["check", "aircraft_transfer_gusty", "--out", str(tmp_path)]) == 0
+    assert "[0.0, 0.0, 0.0] m/s, without gusts" in capsys.readouterr().out
