@@ -25,9 +25,7 @@ from drake_nonstop.blocks.carrier_dynamics import (
     CarrierDynamicsConfig,
     FixedWingDynamics,
     FixedWingDynamicsConfig,
-    IdealCarriersConfig,
 )
-from drake_nonstop.blocks.fixed_wing_controller import FixedWingControllerConfig
 from drake_nonstop.mechanics.aircraft import FlightStates, air_force
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.aircraft import AircraftParameters
