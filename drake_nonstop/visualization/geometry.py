@@ -34,7 +34,7 @@ from drake_nonstop.model.system import aircraft_in, overridden
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.systems.block import LOOP, DiagramBlock, InnerBlock
 from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.systems.wiring import output_sizes
+from drake_nonstop.systems.wiring import output_sizes, require_open
 from drake_nonstop.validation import require, require_array
 from drake_nonstop.visualization.colours import Colour
 from drake_nonstop.visualization.poses import (
@@ -280,9 +280,7 @@ def AddGeometry(  # noqa: N802
             `NonstopGeometry`.
     """
     check(scenario)
-    require(isinstance(builder, DiagramBuilder), "builder", builder, "give a DiagramBuilder")
-    remedy = "call AddGeometry before builder.Build()"
-    require(not builder.already_built(), "builder", "built", remedy)
+    require_open(builder, "AddGeometry")
     for field, system, kind in (("loop", loop, System), ("scene_graph", scene_graph, SceneGraph)):
         is_there = any(system is present for present in builder.GetSystems())
         remedy = f"give a {kind.__name__} that builder.AddSystem was given before"
