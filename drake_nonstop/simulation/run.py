@@ -88,6 +88,8 @@ class Run:
         """
         remedy = "give the Scenario that the loop was made from"
         require(isinstance(scenario, Scenario), "scenario", scenario, remedy)
+        remedy = "give what LogSignals.AddToBuilder returns"
+        require(hasattr(logs, "collect"), "logs", logs, remedy)
         time, signals, steps = logs.collect(context)
         carriers, given = steps["carrier_state"].shape[1] // 6, len(scenario.system.attachments)
         remedy = f"give the scenario of the loop, with {carriers} of them"

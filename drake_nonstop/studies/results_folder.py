@@ -24,7 +24,7 @@ from drake_nonstop.studies.files import (
     require_writable,
 )
 from drake_nonstop.studies.journal import journalled_settings, own_code_of
-from drake_nonstop.validation import require
+from drake_nonstop.validation import require, require_flags
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import FIGURE_NAMES, figure_names, make_figure
@@ -151,9 +151,11 @@ def write_results(
         replay: whether to write the replay.
 
     Raises:
-        ScenarioError: the folder cannot be written.
+        ScenarioError: the folder cannot be written, or `figures` or `replay` is no truth value;
+            then all but the pictures is written.
     """
     metrics = write_data(run, folder)
+    require_flags(figures=figures, replay=replay)  # only now: the flight is written
     write_pictures(run, folder, figures=figures, replay=replay)
     return metrics
 

@@ -35,7 +35,7 @@ from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.systems.block import LOOP, DiagramBlock, InnerBlock
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import output_sizes, require_open
-from drake_nonstop.validation import require, require_array
+from drake_nonstop.validation import require, require_array, require_flags, require_type
 from drake_nonstop.visualization.colours import Colour
 from drake_nonstop.visualization.poses import (
     aircraft_attitudes,
@@ -118,6 +118,10 @@ class NonstopGeometry(DiagramBlock):
         proximity: bool = True,
     ):
         super().__init__()
+        require_flags(proximity=proximity)
+        require_type("name", name, str)
+        remedy = "give the path of an SDF or URDF file"
+        require(isinstance(load_file, (str, Path)), "load_file", load_file, remedy)
         system = overridden(scenario.system, scenario.simulated)
         attachments = require_array(
             "system.attachments", system.attachments, [None, 3], "one position per cable"

@@ -113,6 +113,9 @@ def test_a_run_of_logs_is_written_whole(tmp_path):
     scenario = load_scenario("three_carriers", ["optimization_layer=ConstantParameters"])
     logs, simulator = flown(scenario, renamed(scenario))
     run = Run.from_logs(logs, simulator.get_context(), scenario)
+    with pytest.raises(ScenarioError, match=r"^figures = \[0\. 0\.\]: give true or false"):
+        write_results(run, tmp_path / "odd", figures=np.zeros(2))
+    assert (tmp_path / "odd" / "signals.npz").exists()  # the flight is not lost
     metrics = write_results(run, tmp_path, figures=False)
     make_figure(run, "carrier_speeds")
     assert metrics["wall_s"] is metrics["real_time_factor"] is None
@@ -130,6 +133,8 @@ def test_each_context_has_its_logs_and_the_last_flight_counts(scenario, shipped)
     for context in (None, logs.nonstop.GetMyContextFromRoot(first)):
         with pytest.raises(ScenarioError, match=r"^context = .*: give that of the whole diagram"):
             Run.from_logs(logs, context, scenario)
+    with pytest.raises(ScenarioError, match=r"^logs = None: give what LogSignals"):
+        Run.from_logs(None, first, scenario)
     with pytest.raises(ScenarioError, match=r"^scenario = line: give the Scenario"):
         Run.from_logs(logs, first, "line")
     # Again from the start, and initialized twice.
