@@ -74,7 +74,13 @@ from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.energy import LoopDiagram
-from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
+from drake_nonstop.validation import (
+    ScenarioError,
+    ScenarioWarning,
+    one_line,
+    require,
+    require_flags,
+)
 
 # The boxes of the figure, in its order.
 BOXES: dict[str, Box] = {
@@ -320,6 +326,7 @@ def make_nonstop(
             replacement do not fit, or there is no equilibrium; the message names the field, the
             value and the remedy.
     """
+    require_flags(at_equilibrium=at_equilibrium)
     scenario, others = _resolved(scenario, replacements)
     parts = _made_parts(scenario, others, extra)
     diagram = _connected(scenario, parts, inputs, has_extra=bool(extra))
