@@ -56,9 +56,9 @@ class FixedWingControllerConfig(StrictFields):
     lead: float = 1.0  # weight of the lead along the reference; 0: none
     observer: float = 1.0  # weight of the observed disturbance; 0: none
     observer_time: float = 0.1  # s, time constant of the disturbance observer
-    lift_share: float = 0.9  # of C_Lmax, the largest lift coefficient that is told
-    max_bank: float = 0.8726646259971648  # rad, the largest bank that is told, 50 degrees
-    speed_share: float = 1.2  # of the stall speed; more thrust below it
+    lift_share: float = 0.9  # of C_Lmax, the largest lift coefficient that is commanded
+    max_bank: float = 0.8726646259971648  # rad, the largest bank that is commanded, 50 degrees
+    speed_share: float = 1.2  # of the stall speed, below which thrust is added
 
 
 class FixedWingController(DiagramBlock):
@@ -109,9 +109,9 @@ class FixedWingController(DiagramBlock):
         lead: weight of the lead along the reference; 0: none
         observer: weight of the observed disturbance; 0: none
         observer_time: s, time constant of the disturbance observer
-        lift_share: of C_Lmax, the largest lift coefficient that is told
-        max_bank: rad, the largest bank that is told, 50 degrees
-        speed_share: of the stall speed; more thrust below it
+        lift_share: of C_Lmax, the largest lift coefficient that is commanded
+        max_bank: rad, the largest bank that is commanded, 50 degrees
+        speed_share: of the stall speed, below which thrust is added
 
     Raises:
         ScenarioError: the system has no aircraft, or a parameter is out of its range.

@@ -52,7 +52,7 @@ class AircraftParameters(StrictFields):
     air_density: float | None = None  # kg/m³; default 1.225
     cable_diameter: float | None = None  # m, for its drag; default 0.001
     cable_drag: float | None = None  # C_Dc, of the cable's area; default 1.1
-    lift_gain: float | None = None  # C_L that is flown of the one that is told; default 1
+    lift_gain: float | None = None  # C_L that is flown, over the commanded one; default 1
     thrust_gain: float | None = None  # likewise of the thrust; default 1
 
 
