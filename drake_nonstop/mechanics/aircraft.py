@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.cable import positive_part
+from drake_nonstop.mechanics.cable import positive_part, within
 from drake_nonstop.mechanics.rotation import absolute, cross
 from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState
 
@@ -213,9 +213,14 @@ def is_stalled(aircraft: Aircraft, aircraft_state: NDArray) -> NDArray:
     return is_at_limit | (shown.airspeed < stall_speed(aircraft) * (1 - _ROUNDING))
 
 
+def thrust_power(thrust: NDArray, airspeed: NDArray) -> NDArray:
+    """max(T, 0) V (...,), W, of T (...,), N, and V (...,), m/s: a braking propeller gives none."""
+    return positive_part(thrust) * airspeed
+
+
 def drawn_power(aircraft: Aircraft, thrust: NDArray, airspeed: NDArray) -> NDArray:
-    """max(T, 0) V/η (...,), W: what is drawn from the battery; a braking propeller gives none."""
-    return positive_part(thrust) * airspeed / aircraft.efficiency
+    """`thrust_power` over η (...,), W: what is drawn from the battery."""
+    return thrust_power(thrust, airspeed) / aircraft.efficiency
 
 
 def gust_lift(aircraft: Aircraft, air_velocity: NDArray, bank: NDArray, gust: NDArray) -> NDArray:
@@ -228,6 +233,11 @@ def gust_lift(aircraft: Aircraft, air_velocity: NDArray, bank: NDArray, gust: ND
 def limited_lift(aircraft: Aircraft, lift: NDArray) -> NDArray:
     """min(C_L, C_Lmax), exact, for any scalar type: that of a stalled wing is the largest."""
     return lift - positive_part(lift - aircraft.max_lift)
+
+
+def limited_thrust(aircraft: Aircraft, thrust: NDArray, airspeed: NDArray) -> NDArray:
+    """T (...,), N, within `thrust_limits` at airspeeds (...,), m/s."""
+    return within(thrust, *thrust_limits(aircraft, airspeed))
 
 
 class FlightStates(NamedTuple):
@@ -291,10 +301,7 @@ def flight_rate(
     own, told = FlightStates.view(states), AircraftCommand.view(command)
     velocities = own.carriers[len(wind) :]
     airspeed = air_frame((velocities - wind).reshape(-1, 3)).airspeed[..., 0]
-    least, most = thrust_limits(aircraft, airspeed)
-    thrust = aircraft.thrust_gain * told.thrust
-    thrust = thrust + positive_part(least - thrust)
-    thrust = thrust - positive_part(thrust - most)
+    thrust = limited_thrust(aircraft, aircraft.thrust_gain * told.thrust, airspeed)
     roll_rate = _clipped((told.bank - own.bank) / aircraft.bank_lag, aircraft.max_roll_rate)
     return np.concatenate(
         FlightStates(
@@ -322,9 +329,8 @@ def trimmed_states(
     air = wind.reshape(-1, 3)
     force = needed_force(aircraft, acceleration.reshape(-1, 3), cable_forces.reshape(-1, 3))
     told = required_command(aircraft, force, velocities, air)
-    least, most = thrust_limits(aircraft, air_frame(velocities - air).airspeed[..., 0])
-    thrust = told.thrust + positive_part(least - told.thrust)
-    thrust = thrust - positive_part(thrust - most)
+    airspeed = air_frame(velocities - air).airspeed[..., 0]
+    thrust = limited_thrust(aircraft, told.thrust, airspeed)
     lift = limited_lift(aircraft, told.lift)
     return np.concatenate(FlightStates(carrier_state, lift, told.bank, thrust, wind))
 

@@ -11,6 +11,12 @@ def positive_part(a: NDArray) -> NDArray:
     return (a + absolute(a)) / 2
 
 
+def within(a: NDArray, least: float | NDArray, most: float | NDArray) -> NDArray:
+    """The entries within their limits, exact, for any scalar type and without a branch."""
+    raised = a + positive_part(least - a)
+    return raised - positive_part(raised - most)
+
+
 def compliance_of(stiffness: NDArray) -> NDArray:
     """1/K_c (m/N) of a stiffness K_c (N/m), 0 where it is infinite.
 

@@ -15,12 +15,12 @@ from drake_nonstop.mechanics.aircraft import (
     AirFrame,
     air_force,
     air_frame,
+    limited_thrust,
     needed_force,
     required_command,
     stall_speed,
-    thrust_limits,
 )
-from drake_nonstop.mechanics.cable import positive_part
+from drake_nonstop.mechanics.cable import positive_part, within
 from drake_nonstop.mechanics.signals import AircraftCommand, CarrierStates
 
 _STEP = 1e-3  # s, of the central differences along the reference
@@ -127,15 +127,15 @@ def limited_command(
     """
     told = AircraftCommand.view(command)
     most = lift_share * aircraft.max_lift
-    lift = _within(told.lift, -most, most)
+    lift = within(told.lift, -most, most)
     upward, sideward = told.lift * np.cos(told.bank), told.lift * np.sin(told.bank)
     left = np.sqrt(positive_part(lift * lift - upward * upward) + _LEAST)
-    sideward = _within(sideward, -left, left)
+    sideward = within(sideward, -left, left)
     size = np.sqrt(upward * upward + sideward * sideward + _LEAST)
-    bank = _within(2 * np.arctan(sideward / (size + upward + _LEAST)), -max_bank, max_bank)
+    bank = within(2 * np.arctan(sideward / (size + upward + _LEAST)), -max_bank, max_bank)
     slow = positive_part(speed_share * stall_speed(aircraft) - airspeed)
     thrust = told.thrust + aircraft.mass * speed_gain * slow
-    thrust = _within(thrust, *thrust_limits(aircraft, airspeed))
+    thrust = limited_thrust(aircraft, thrust, airspeed)
     limited = np.concatenate(AircraftCommand(lift, bank, thrust))
     change = (limited - command) * (limited - command)
     return limited, change / (change + _ROUNDING**2)
@@ -222,9 +222,3 @@ def _in_world(frame: AirFrame, parts: NDArray) -> NDArray:
     """The vectors (n, 3) of parts (3n,) along the axes forward, right and up."""
     forward, right, up = (parts[i::3].reshape(-1, 1) for i in range(3))
     return forward * frame.forward + right * frame.right + up * frame.up
-
-
-def _within(a: NDArray, least: float | NDArray, most: float | NDArray) -> NDArray:
-    """The entries within their limits, exact, for any scalar type."""
-    raised = a + positive_part(least - a)
-    return raised - positive_part(raised - most)

@@ -22,6 +22,7 @@ from drake_nonstop.mechanics.aircraft import (
     required_command,
     stall_speed,
     thrust_limits,
+    thrust_power,
 )
 from drake_nonstop.mechanics.resting_orbit import CarrierOrbits, resting_orbits
 from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
@@ -549,7 +550,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         cable_distance=distances["cables apart"],
         max_lift=float(aircraft.max_lift),
         stall_speed=float(stall_speed(aircraft)),
-        propulsive_power=float(np.mean(np.maximum(needs.thrust, 0.0) * needs.airspeed)),
+        propulsive_power=float(np.mean(thrust_power(needs.thrust, needs.airspeed))),
         drawn_power=float(np.mean(drawn_power(aircraft, needs.thrust, needs.airspeed))),
         wind=wind,
     )

@@ -5,7 +5,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits
+from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits, thrust_power
 from drake_nonstop.mechanics.signals import AircraftState, LoadReference
 from drake_nonstop.model.system import aircraft_in, overridden
 from drake_nonstop.simulation.run import Run
@@ -90,7 +90,7 @@ class AircraftQuantities:
     def powers(self) -> NDArray:
         """Of the aircrafts' thrust, (samples, n), at 100 Hz, W."""
         state = AircraftState.view(self.run.signal("aircraft_state"))
-        return np.maximum(state.thrust * state.airspeed, 0.0)
+        return thrust_power(state.thrust, state.airspeed)
 
     @cached_property
     def mean_power(self) -> float:

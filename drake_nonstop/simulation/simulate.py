@@ -206,7 +206,8 @@ def _simulate(
         set_equilibrium(nonstop, nonstop_context)
         plant_states(nonstop).declare_defaults(nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
-        _warn_of_margins(scenario, nonstop, nonstop_context)
+        if not is_second:  # it has been said
+            _warn_of_margins(scenario, nonstop, nonstop_context)
         chosen = chosen or with_chosen_step(scenario, nonstop, nonstop_context)
         if after_step is None:  # which may end a run of any duration
             require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
