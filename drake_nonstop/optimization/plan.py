@@ -13,15 +13,16 @@ DEGREE = 4  # of ξ and A, whose third rates are continuous
 
 
 class PlanValues(NamedTuple):
-    """A plan at times (...)."""
+    """A plan at a time; `np.array` of it is the vector (8,) of the signal `planned`."""
 
-    angle: NDArray  # θ, rad
-    frequency: NDArray  # ξ, rad/s
-    frequency_rate: NDArray  # rad/s²
-    frequency_second_rate: NDArray  # rad/s³
-    amplitude: NDArray  # A, N
-    amplitude_rate: NDArray  # N/s
-    amplitude_second_rate: NDArray  # N/s²
+    angle: float  # θ, rad
+    frequency: float  # ξ, rad/s
+    amplitude: float  # A, N
+    frequency_rate: float  # rad/s²
+    amplitude_rate: float  # N/s
+    frequency_second_rate: float  # rad/s³
+    amplitude_second_rate: float  # N/s²
+    amplitude_third_rate: float  # N/s³
 
 
 class SplineRows(NamedTuple):
@@ -51,6 +52,18 @@ def spline_rows(times: NDArray, intervals: int, spacing: float) -> SplineRows:
     rates = [integral.MakeDerivative(i) if i else integral for i in range(5)]
     rows = [np.array([rate.value(time).ravel() for time in times]) for rate in rates]
     return SplineRows(rows[0] - start, *rows[1:])
+
+
+def _powers(x: float) -> NDArray:
+    """The powers (4, 5) of x from 0 on, and three derivatives."""
+    return np.array(
+        [
+            [1.0, x, x**2, x**3, x**4],
+            [0.0, 1.0, 2 * x, 3 * x**2, 4 * x**3],
+            [0.0, 0.0, 2.0, 6 * x, 12 * x**2],
+            [0.0, 0.0, 0.0, 6.0, 24 * x],
+        ]
+    )
 
 
 def _piece() -> NDArray:
@@ -92,23 +105,16 @@ class Plan:
         piece = min(max(int(x), 0), self.intervals - 1)
         late = max(x - self.intervals, 0.0)
         x = min(x - piece, 1.0)
-        powers = x ** np.arange(DEGREE + 1)
         frequency, amplitude = self._pieces[piece]
-        angle = self._angles[piece] + self.nominal[0] * self.spacing * (
-            frequency @ (powers * x / np.arange(1, DEGREE + 2))
-        )
-        rate = np.append(0.0, np.arange(1, DEGREE + 1) * powers[:-1]) / self.spacing
-        second = np.zeros(DEGREE + 1)
-        second[2:] = [2.0, 6 * x, 12 * x * x]
-        second /= self.spacing**2
-        rows = np.stack([powers, rate, second])
+        rows = _powers(x) / self.spacing ** np.arange(4)[:, None]
         if late > 0:
             rows[1:] = 0
-            angle = angle + self.nominal[0] * late * self.spacing * (frequency @ powers)
+        turns = frequency @ (x * rows[0] / np.arange(1, DEGREE + 2)) + late * (frequency @ rows[0])
+        xi, xi_rate, xi_second_rate, _ = (self.nominal[0] * (rows @ frequency)).tolist()
+        A, A_rate, A_second_rate, A_third_rate = (self.nominal[1] * (rows @ amplitude)).tolist()
+        angle = float(self._angles[piece] + self.nominal[0] * self.spacing * turns)
         return PlanValues(
-            angle,
-            *(self.nominal[0] * (rows @ frequency)),
-            *(self.nominal[1] * (rows @ amplitude)),
+            angle, xi, A, xi_rate, A_rate, xi_second_rate, A_second_rate, A_third_rate
         )
 
     @cached_property
@@ -130,7 +136,7 @@ class Plan:
         time = self.start_time + count * self.spacing
         return Plan(
             time,
-            float(self.values(time).angle),
+            self.values(time).angle,
             self.spacing,
             self.nominal,
             np.hstack([self.coefficients[:, count:], last]),
