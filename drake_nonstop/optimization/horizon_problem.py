@@ -43,7 +43,8 @@ class HorizonConfig:
 
     horizon: float = 6.0  # s
     knot_spacing: float = 0.4  # s, also the time between two plans
-    instant_spacing: float = 0.04  # s, between instants at which speeds are constrained
+    instant_spacing: float = 0.02  # s, between instants at which speeds are constrained
+    neighbours: int = 4  # instants of which a step of the solver constrains the slowest
     terminal_time: float = 1.6  # s, the last part, with all phases of the orbit
     terminal_spacing: float = 0.2  # s, between instants in it
     terminal_phases: int = 24
@@ -59,9 +60,14 @@ class HorizonData(NamedTuple):
 
     start_time: float  # s
     start_angle: float  # θ, rad
-    terms: OrbitTerms  # at the instants
+    flat_terms: NDArray  # (k, 9n + 3), the `OrbitTerms` at the instants
     terminal: LeastProducts  # at the terminal instants
     speed_bound: float  # m/s, tightened
+
+    @property
+    def terms(self) -> OrbitTerms:
+        """Those at the instants."""
+        return OrbitTerms.view(self.flat_terms)
 
 
 class Linearization(NamedTuple):
@@ -107,11 +113,12 @@ class HorizonProblem:
         self.amplitudes = np.linspace(*amplitude_range(limits, model), config.terminal_amplitudes)
         spacing = config.knot_spacing
         end = self.intervals * spacing
-        count = round(end / config.instant_spacing)
+        count = self.intervals * round(spacing / config.instant_spacing)
         # The value at the start is given by the fixed coefficients: no instant is there.
         self.instants = end / count * np.arange(1, count + 1)
-        count = round(config.terminal_time / config.terminal_spacing)
-        self.terminal_instants = end - config.terminal_spacing * np.arange(count)[::-1]
+        self._terminal_per_knot = max(1, round(spacing / config.terminal_spacing))
+        count = self._terminal_per_knot * round(config.terminal_time / spacing)
+        self.terminal_instants = end - spacing / self._terminal_per_knot * np.arange(count)[::-1]
         self._rows = spline_rows(self.instants, self.intervals, spacing)
         self._terminal_rows = spline_rows(self.terminal_instants, self.intervals, spacing).value
         pieces = np.floor(self.instants / spacing - 1e-9).astype(int)
@@ -143,21 +150,37 @@ class HorizonProblem:
         return self._terms(reference, self._beliefs)[0].copy()
 
     def data(
-        self, start_time: float, start_angle: float, reference: Reference, speed_bound: float
+        self,
+        start_time: float,
+        start_angle: float,
+        reference: Reference,
+        speed_bound: float,
+        last: HorizonData | None = None,
     ) -> HorizonData:
-        """The data of a plan from a time in s and phase in rad on, for ε in m/s."""
+        """The data of a plan from a time in s and phase in rad on, for ε in m/s.
+
+        Where `last` is of the same bound, and began one interval between knots before, what both
+        have in common is taken from it.
+        """
+        bound = (1 + self.limits.tightening) * speed_bound
+        spacing = self.config.knot_spacing
+        known, known_terminal = None, None
+        is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
+        if last is not None and is_next and last.speed_bound == bound:
+            known = last.flat_terms[len(self.instants) // self.intervals :]
+            known_terminal = last.terminal.products[self._terminal_per_knot :]
 
         def terms_at(instants: NDArray) -> NDArray:
             return np.array([self.terms_at(reference(start_time + t)) for t in instants])
 
-        bound = (1 + self.limits.tightening) * speed_bound
-        terminal = [self.least_products(t, bound) for t in terms_at(self.terminal_instants)]
+        flat = _continued(known, self.instants, terms_at)
+        products = _continued(
+            known_terminal,
+            self.terminal_instants,
+            lambda instants: np.array([self.least_products(t, bound) for t in terms_at(instants)]),
+        )
         return HorizonData(
-            start_time,
-            start_angle,
-            OrbitTerms.view(terms_at(self.instants)),
-            LeastProducts(self.amplitudes, np.array(terminal)),
-            bound,
+            start_time, start_angle, flat, LeastProducts(self.amplitudes, products), bound
         )
 
     def least_products(self, terms: NDArray, speed_bound: float) -> NDArray:
@@ -210,11 +233,15 @@ class HorizonProblem:
     def linearization(
         self, data: HorizonData, coefficients: NDArray, largest: float = math.inf
     ) -> Linearization:
-        """The constraints about coefficients (2, N), without those of margins above `largest`."""
+        """The constraints about coefficients (2, N), without those of margins above `largest`.
+
+        Of the speeds of a carrier at neighbouring instants it is the slowest.
+        """
         speeds = self.speeds(data, coefficients)
         unit = data.speed_bound**2
         margins = (speeds.squares / unit - 1).ravel()
-        near = np.flatnonzero(margins <= largest)
+        near = self._least_of_neighbours(margins)
+        near = near[margins[near] <= largest]
         by_angle, by_frequency, by_amplitude, by_rate = (
             (speeds.gradients / unit).reshape(4, -1)[:, near, None]
         )
@@ -256,6 +283,14 @@ class HorizonProblem:
         knots = self.config.knot_spacing * np.arange(1, self.intervals + 1)
         rows = spline_rows(knots, self.intervals, self.config.knot_spacing)
         return self.nominal[0] * rows.integral
+
+    def _least_of_neighbours(self, margins: NDArray) -> NDArray:
+        """The numbers of those margins of speeds (k n,) that are the least in their groups."""
+        n = self.model.n
+        size = math.gcd(self.config.neighbours, len(self.instants))
+        groups = margins.reshape(-1, size, n)
+        chosen = size * np.arange(len(groups))[:, None] + groups.argmin(axis=1)
+        return (chosen * n + np.arange(n)).ravel()
 
     def _terminal_margins(
         self, data: HorizonData, coefficients: NDArray
@@ -308,3 +343,12 @@ class HorizonProblem:
             offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
             attachments=model.attachments,
         )
+
+
+def _continued(
+    known: NDArray | None, instants: NDArray, make: Callable[[NDArray], NDArray]
+) -> NDArray:
+    """Rows for instants (k,), of which the first are `known`."""
+    if known is None or len(known) == 0:
+        return make(instants)
+    return np.concatenate([known, make(instants[len(known) :])])
