@@ -44,7 +44,7 @@ class HorizonConfig:
     horizon: float = 6.0  # s
     knot_spacing: float = 0.4  # s, also the time between two plans
     instant_spacing: float = 0.02  # s, between instants at which speeds are constrained
-    neighbours: int = 4  # instants of which a step of the solver constrains the slowest
+    neighbours: int = 2  # instants of which a step of the solver constrains the slowest
     terminal_time: float = 1.6  # s, the last part, with all phases of the orbit
     terminal_spacing: float = 0.2  # s, between instants in it
     terminal_phases: int = 24

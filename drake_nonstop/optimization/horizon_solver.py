@@ -35,6 +35,11 @@ class PlanAnswer(NamedTuple):
     converged: bool
 
     @property
+    def next_start(self) -> NDArray:
+        """Coefficients (2, N) to begin with one interval between knots later."""
+        return self.plan.shifted().coefficients
+
+    @property
     def is_feasible(self) -> bool:
         """Whether the plan needs no slack."""
         return self.slack <= FEASIBILITY_TOLERANCE
@@ -68,7 +73,7 @@ class HorizonSolver:
         start: NDArray,
         *,
         max_iterations: int = 3,
-        tolerance: float = 1e-4,
+        tolerance: float = 1e-3,
         scale: float = 1.0,
     ) -> PlanAnswer:
         """The best plan that is found from coefficients `start` (2, N), whose first are kept.
