@@ -242,9 +242,9 @@ class HorizonProblem:
         margins = (speeds.squares / unit - 1).ravel()
         near = self._least_of_neighbours(margins)
         near = near[margins[near] <= largest]
-        by_angle, by_frequency, by_amplitude, by_rate = (
-            (speeds.gradients / unit).reshape(4, -1)[:, near, None]
-        )
+        by_angle, by_frequency, by_amplitude, by_rate = (speeds.gradients / unit).reshape(4, -1)[
+            :, near, None
+        ]
         instant = near // self.model.n
         rows = self._rows
         frequency, amplitude = self.nominal

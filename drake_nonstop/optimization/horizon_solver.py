@@ -92,8 +92,9 @@ class HorizonSolver:
         merit, slack = self._merit(data, x)
         linearization: Linearization | None = None
         converged = False
-        iteration = 0
-        for iteration in range(1, max_iterations + 1):
+        iterations = 0
+        while iterations < max_iterations:
+            iterations += 1
             if linearization is None:
                 linearization = problem.linearization(data, x, _LARGEST_MARGIN)
             found = self._step(x, linearization, scale)
@@ -116,7 +117,7 @@ class HorizonSolver:
             if scale < _LEAST_SCALE:
                 break
         return PlanAnswer(
-            problem.plan(data, x), x, problem.cost(x), slack, iteration, scale, converged
+            problem.plan(data, x), x, problem.cost(x), slack, iterations, scale, converged
         )
 
     def first_guess(self, data: HorizonData, fixed: NDArray | None = None) -> NDArray:

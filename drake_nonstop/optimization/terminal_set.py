@@ -21,7 +21,7 @@ class LeastProducts(NamedTuple):
     products: NDArray  # (k, a), N/s, at k instants; beyond the largest, no s is too slow
 
     def at(self, amplitudes: NDArray) -> tuple[NDArray, NDArray]:
-        """s at A (k,), one per instant, and its slope by A: linear between entries."""
+        """The products at A (k,), one per instant, and their slopes: linear between entries."""
         low, step = self.amplitudes[0], self.amplitudes[1] - self.amplitudes[0]
         place = np.clip((amplitudes - low) / step, 0, len(self.amplitudes) - 1.000001)
         left = place.astype(int)
@@ -30,9 +30,7 @@ class LeastProducts(NamedTuple):
         return start + (place - left) * (end - start), (end - start) / step
 
 
-def orbit_polynomials(
-    terms: OrbitTerms, axes: tuple[NDArray, NDArray], angles: NDArray
-) -> NDArray:
+def orbit_polynomials(terms: OrbitTerms, axes: tuple[NDArray, NDArray], angles: NDArray) -> NDArray:
     """`speed_polynomials` (10, 3, h, n) of one instant at phases (h,), in rad."""
     products = speed_products(
         terms.forces, terms.rates, terms.velocities, terms.angular_velocity, *axes

@@ -19,7 +19,7 @@ from drake_nonstop.optimization.problem_config import NonstopProblemConfig
 
 _FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
 _LEAST_SCALE = 0.1  # of the trust region at the start of a plan
-_MAX_ITERATIONS = 60  # of a whole task's
+_MAX_ITERATIONS = 30  # of a whole task's
 _TOLERANCE = 1e-4
 
 
@@ -53,9 +53,7 @@ def receding_coefficients(
     for k in range(intervals):
         data = problem.data(k * spacing, angle, reference, speed_bound, data)
         if start is None:
-            answer = solver.solve(
-                data, solver.first_guess(data), max_iterations=_FIRST_ITERATIONS
-            )
+            answer = solver.solve(data, solver.first_guess(data), max_iterations=_FIRST_ITERATIONS)
         else:
             answer = solver.solve(data, start, max_iterations=max_iterations, scale=scale)
         answers.append(answer)
@@ -95,7 +93,8 @@ def plan_task(
     flown, _ = receding_coefficients(
         short, reference, intervals, limits.speed_bound, start_angle=start_angle
     )
-    whole = replace(config, horizon=intervals * config.knot_spacing)
+    # Every instant counts: a choice among neighbours that changes delays convergence.
+    whole = replace(config, horizon=intervals * config.knot_spacing, neighbours=1)
     problem = HorizonProblem(model, limits, whole, name)
     data: HorizonData = problem.data(0.0, start_angle, reference, limits.speed_bound)
     solver = HorizonSolver(problem)

