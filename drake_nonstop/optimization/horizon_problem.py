@@ -69,6 +69,11 @@ class HorizonData(NamedTuple):
         """Those at the instants."""
         return OrbitTerms.view(self.flat_terms)
 
+    @property
+    def speed_unit(self) -> float:
+        """What scales the margins of squared speeds, m²/s²; without a bound any speed is enough."""
+        return self.speed_bound**2 or 1.0
+
 
 class Linearization(NamedTuple):
     """The constraints about a plan, as margins and their Jacobian by the free coefficients.
@@ -110,7 +115,8 @@ class HorizonProblem:
         self.compliance = float(beliefs.compliance[0])  # m/N
         self._cables = {"rest_length": self.rest_length, "compliance": self.compliance}
         self.axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
-        self.amplitudes = np.linspace(*amplitude_range(limits, model), config.terminal_amplitudes)
+        low, high = amplitude_range(limits, model)
+        self.amplitudes = np.linspace(low, high, config.terminal_amplitudes)
         spacing = config.knot_spacing
         end = self.intervals * spacing
         count = self.intervals * round(spacing / config.instant_spacing)
@@ -225,7 +231,7 @@ class HorizonProblem:
         squares = self.speeds(data, coefficients).squares
         return np.concatenate(
             [
-                (squares / data.speed_bound**2 - 1).ravel(),
+                ((squares - data.speed_bound**2) / data.speed_unit).ravel(),
                 self._terminal_margins(data, coefficients)[0],
             ]
         )
@@ -238,8 +244,8 @@ class HorizonProblem:
         Of the speeds of a carrier at neighbouring instants it is the slowest.
         """
         speeds = self.speeds(data, coefficients)
-        unit = data.speed_bound**2
-        margins = (speeds.squares / unit - 1).ravel()
+        unit = data.speed_unit
+        margins = ((speeds.squares - data.speed_bound**2) / unit).ravel()
         near = self._least_of_neighbours(margins)
         near = near[margins[near] <= largest]
         by_angle, by_frequency, by_amplitude, by_rate = (speeds.gradients / unit).reshape(4, -1)[
