@@ -15,7 +15,7 @@ from drake_nonstop.mechanics.rotation import cross
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE
 from drake_nonstop.mechanics.wrench import wrench_and_rate
 
-_NO_FEEDBACK = dict.fromkeys(
+_NO_FEEDBACK: dict[str, Any] = dict.fromkeys(
     (
         "position_gain",
         "velocity_gain",
