@@ -1,0 +1,143 @@
+"""Plans of ξ and A over time: uniform splines of fourth degree, and the phase that they make."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import BsplineBasis
+from pydrake.trajectories import BsplineTrajectory
+
+DEGREE = 4  # of ξ and A, whose third rates are continuous
+
+
+class PlanValues(NamedTuple):
+    """A plan at a time; `np.array` of it is the vector (8,) of the signal `planned`."""
+
+    angle: float  # θ, rad
+    frequency: float  # ξ, rad/s
+    amplitude: float  # A, N
+    frequency_rate: float  # rad/s²
+    amplitude_rate: float  # N/s
+    frequency_second_rate: float  # rad/s³
+    amplitude_second_rate: float  # N/s²
+    amplitude_third_rate: float  # N/s³
+
+
+class SplineRows(NamedTuple):
+    """Matrices (k, N) that make values at k times of the N coefficients of a spline."""
+
+    integral: NDArray  # from the start, s
+    value: NDArray
+    rate: NDArray  # 1/s
+    second_rate: NDArray  # 1/s²
+    third_rate: NDArray  # 1/s³
+
+
+def spline_rows(times: NDArray, intervals: int, spacing: float) -> SplineRows:
+    """The matrices of a spline with knots at 0, spacing, … intervals · spacing, at times (k,).
+
+    The integral is a spline of one degree more, whose coefficients are the sums of the others
+    times the spacing.
+    """
+    count = intervals + DEGREE
+    order = DEGREE + 2  # of the integral
+    knots = spacing * np.arange(1 - order, intervals + order)
+    points = spacing * np.tri(count + 1, count, -1)
+    integral = BsplineTrajectory(
+        BsplineBasis(order, knots.tolist()), [row[:, None] for row in points]
+    )
+    start = integral.value(0.0).ravel()
+    rates = [integral.MakeDerivative(i) if i else integral for i in range(5)]
+    rows = [np.array([rate.value(time).ravel() for time in times]) for rate in rates]
+    return SplineRows(rows[0] - start, *rows[1:])
+
+
+def _powers(x: float) -> NDArray:
+    """The powers (4, 5) of x from 0 on, and three derivatives."""
+    return np.array(
+        [
+            [1.0, x, x**2, x**3, x**4],
+            [0.0, 1.0, 2 * x, 3 * x**2, 4 * x**3],
+            [0.0, 0.0, 2.0, 6 * x, 12 * x**2],
+            [0.0, 0.0, 0.0, 6.0, 24 * x],
+        ]
+    )
+
+
+def _piece() -> NDArray:
+    """The polynomials (5, 5) of x in [0, 1] by which five coefficients make a value."""
+    rows = spline_rows(np.linspace(0, 1, DEGREE + 1), 1, 1.0).value
+    return np.linalg.solve(np.vander(np.linspace(0, 1, DEGREE + 1), increasing=True), rows)
+
+
+_PIECE = _piece()
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """ξ and A from `start_time` on: N = intervals + 4 coefficients each, relative to the nominal.
+
+    After its end a plan goes on with the last ξ and A that it has, for the convenience of callers
+    that are late; the rates are zero there.
+    """
+
+    start_time: float  # s
+    start_angle: float  # θ, rad
+    spacing: float  # s, of the knots
+    nominal: NDArray  # (2,), [ξ₀, A₀], rad/s and N
+    coefficients: NDArray  # (2, N), of ξ/ξ₀ and A/A₀
+
+    @property
+    def intervals(self) -> int:
+        """The number of intervals between knots."""
+        return self.coefficients.shape[1] - DEGREE
+
+    @property
+    def end_time(self) -> float:
+        """The end in s."""
+        return self.start_time + self.intervals * self.spacing
+
+    def values(self, time: float) -> PlanValues:
+        """The plan at a time in s, not before its start."""
+        x = (time - self.start_time) / self.spacing
+        piece = min(max(int(x), 0), self.intervals - 1)
+        late = max(x - self.intervals, 0.0)
+        x = min(x - piece, 1.0)
+        frequency, amplitude = self._pieces[piece]
+        rows = _powers(x) / self.spacing ** np.arange(4)[:, None]
+        if late > 0:
+            rows[1:] = 0
+        turns = frequency @ (x * rows[0] / np.arange(1, DEGREE + 2)) + late * (frequency @ rows[0])
+        xi, xi_rate, xi_second_rate, _ = (self.nominal[0] * (rows @ frequency)).tolist()
+        A, A_rate, A_second_rate, A_third_rate = (self.nominal[1] * (rows @ amplitude)).tolist()
+        angle = float(self._angles[piece] + self.nominal[0] * self.spacing * turns)
+        return PlanValues(
+            angle, xi, A, xi_rate, A_rate, xi_second_rate, A_second_rate, A_third_rate
+        )
+
+    @cached_property
+    def _pieces(self) -> NDArray:
+        """The polynomials (intervals, 2, 5) of x in [0, 1] of each interval."""
+        windows = np.lib.stride_tricks.sliding_window_view(self.coefficients, DEGREE + 1, axis=1)
+        return np.einsum("aij,pj->iap", windows, _PIECE)
+
+    @cached_property
+    def _angles(self) -> NDArray:
+        """θ at the knots."""
+        turns = self._pieces[:, 0] @ (1 / np.arange(1, DEGREE + 2))
+        angles = np.concatenate([[0.0], np.cumsum(turns)])
+        return self.start_angle + self.nominal[0] * self.spacing * angles
+
+    def shifted(self, count: int = 1) -> "Plan":
+        """The plan from a later knot on, as long, which goes on with its last coefficients."""
+        last = np.repeat(self.coefficients[:, -1:], count, axis=1)
+        time = self.start_time + count * self.spacing
+        return Plan(
+            time,
+            self.values(time).angle,
+            self.spacing,
+            self.nominal,
+            np.hstack([self.coefficients[:, count:], last]),
+        )

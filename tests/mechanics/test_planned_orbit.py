@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+from helpers import Motion, difference, model
+
+from drake_nonstop.mechanics import nonstop
+from drake_nonstop.mechanics.carrier import carrier_motion
+from drake_nonstop.mechanics.grasp import cable_forces_and_rates
+from drake_nonstop.mechanics.planned_orbit import (
+    OrbitTerms,
+    orbit_along_reference,
+    planned_speeds,
+)
+from drake_nonstop.mechanics.wrench import wrench_and_rate
+
+CABLES = {"rest_length": 0.8, "compliance": 1 / 500}
+NO_GAINS = dict.fromkeys(
+    (
+        "position_gain",
+        "velocity_gain",
+        "position_integral_gain",
+        "orientation_gain",
+        "angular_velocity_gain",
+        "orientation_integral_gain",
+    ),
+    0.0,
+)
+
+
+def terms_of(system, references):
+    flat = [
+        orbit_along_reference(
+            system.load,
+            reference,
+            pseudo_inverse=system.pseudo_inverse,
+            offset=system.pattern.offset,
+            attachments=system.attachments,
+        )
+        for reference in references
+    ]
+    return OrbitTerms.view(np.array(flat))
+
+
+def axes_of(system):
+    return nonstop.orbit_axes(system.pattern.basis, system.pattern.phases)
+
+
+@pytest.mark.parametrize("n", [3, 4, 7])
+def test_speeds_are_those_that_force_distribution_and_carrier_trajectory_command(n):
+    system, motion = model(n), Motion(n)
+    rng = np.random.default_rng(n)
+    times = rng.uniform(0, 9, 5)
+    numbers = rng.uniform([0, 0.5, 0.3, -0.5], [6, 3, 1.5, 0.5], (5, 4))
+    references = [motion.reference(time) for time in times]
+    speeds = planned_speeds(
+        terms_of(system, references), axes_of(system), *numbers.T, **CABLES
+    ).squares
+    for reference, (angle, xi, A, rate), squares in zip(references, numbers, speeds, strict=True):
+        angles = angle + system.pattern.phases
+        internal = [A * np.cos(angles), rate * np.cos(angles) - A * xi * np.sin(angles)]
+        wrenches = wrench_and_rate(
+            system.load, reference[:13], reference, np.zeros(6), feedforward=1.0, **NO_GAINS
+        )
+        forces, rates = cable_forces_and_rates(
+            reference,
+            *wrenches,
+            np.concatenate(internal),
+            pseudo_inverse=system.pseudo_inverse,
+            basis=system.pattern.basis,
+            offset=system.pattern.offset,
+        )
+        velocities = carrier_motion(
+            reference, forces, rates, attachments=system.attachments, **CABLES
+        )[1]
+        np.testing.assert_allclose(squares, (velocities**2).sum(axis=1), rtol=1e-9)
+
+
+def test_at_constant_parameters_they_are_the_speeds_of_one_update():
+    system, motion = model(5), Motion(8)
+    reference, (angle, xi, A) = motion.reference(1.3), (2.1, 1.9, 0.8)
+    wrenches = wrench_and_rate(
+        system.load, reference[:13], reference, np.zeros(6), feedforward=1.0, **NO_GAINS
+    )
+    forces, rates, _, velocities, omega = nonstop.orbit_ahead(
+        reference[:13],
+        reference[:13],
+        *wrenches,
+        np.zeros(6),
+        time=0.0,
+        pseudo_inverse=system.pseudo_inverse,
+        offset=system.pattern.offset,
+        attachments=system.attachments,
+    )
+    products = nonstop.speed_products(forces, rates, velocities, omega, *axes_of(system))
+    polynomials = nonstop.speed_polynomials(np.cos(angle), np.sin(angle), products)
+    c, b, a, tension_squared = nonstop.speed_squares(
+        nonstop.polynomial_values(polynomials, A), **CABLES
+    )
+    found = planned_speeds(
+        terms_of(system, [reference]),
+        axes_of(system),
+        *np.array([[angle], [xi], [A], [0.0]]),
+        **CABLES,
+    )
+    s = A * xi
+    np.testing.assert_allclose(found.squares[0], c + 2 * b * s + a * s * s, rtol=1e-9)
+    np.testing.assert_allclose(found.tension_squares[0], tension_squared, rtol=1e-9)
+
+
+def test_gradients_are_central_differences():
+    system, motion = model(4), Motion(3)
+    rng = np.random.default_rng(3)
+    numbers = rng.uniform([0, 0.5, 0.3, -0.5], [6, 3, 1.5, 0.5], (6, 4)).T
+    terms = terms_of(system, [motion.reference(time) for time in rng.uniform(0, 9, 6)])
+
+    def at(values):
+        return planned_speeds(terms, axes_of(system), *values, **CABLES)
+
+    found = at(numbers)
+    for i, unit in enumerate(np.eye(4)[:, :, None]):
+        expected = difference(lambda h, unit=unit: at(numbers + h * unit).squares, 0.0)
+        np.testing.assert_allclose(found.gradients[i], expected, rtol=1e-7, atol=1e-8)
+    for i, unit in enumerate(np.eye(4)[[0, 2]][:, :, None]):
+        expected = difference(lambda h, unit=unit: at(numbers + h * unit).tension_squares, 0.0)
+        np.testing.assert_allclose(found.tension_gradients[i], expected, rtol=1e-7, atol=1e-8)
