@@ -105,7 +105,7 @@ def test_planned_internal_force_has_the_differences_of_what_is_below_as_rates(rn
         np.testing.assert_allclose(force(time)[0], expected, rtol=0, atol=1e-14)
         for order in (1, 2, 3):
             below = difference(lambda t, k=order: force(t)[k - 1], time)
-            np.testing.assert_allclose(force(time)[order], below, rtol=0, atol=1e-8)
+            np.testing.assert_allclose(force(time)[order], below, rtol=1e-8, atol=1e-8)
 
 
 def test_planned_internal_force_without_rates_is_that_of_constant_parameters(rng):
