@@ -105,5 +105,6 @@ class PlannedInternalForce(TracedBlock):
         )
 
 
-# The blocks that the box can be, the default first.
-VARIANTS = (InternalForceTrajectory, PlannedInternalForce)
+# The blocks that the box can be, the default first. `PlannedInternalForce` is for a loop with a
+# block of one's own that makes `planned`.
+VARIANTS = (InternalForceTrajectory,)

@@ -23,6 +23,14 @@ SAME = {
     "tilted, 60 m, feedforward": ("real_scale_spread", "simulation_duration=1"),
     "integral": ("line", "simulation_duration=1", CONSTANT, "carrier_controller.integral_gain=50"),
     "50 Hz": ("line", "simulation_duration=1", CONSTANT, "control_period=0.02"),
+    "second-order hold": (
+        *("quintic", "simulation_duration=1", CONSTANT, "carrier_trajectory.hold=second_order"),
+        "carrier_controller=FeedforwardCarrierPid",
+    ),
+    "second-order hold alone": (
+        *("line", "simulation_duration=0.5", CONSTANT),
+        "carrier_trajectory.hold=second_order",
+    ),
     "20 steps": (
         "line",
         "simulation_duration=0.3",
