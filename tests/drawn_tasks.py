@@ -36,8 +36,8 @@ def draw(seed: int) -> list[str]:
 
     3 to 8 cables of 0.6 to 3 m hold a load of 0.5 to 3 kg, at attachments within 0.5 to 1.5 m of
     its centre of mass, level or not. The amplitude is 0.3 to 0.6 of a cable's equal share of the
-    weight, ξ 1.2 to 2.5 rad/s. The load moves by up to two cable lengths in 8 to 16 s and turns by
-    up to 0.25 rad. The bound is 40 to 80 % of the least speed of the orbits at rest.
+    weight, ξ 1.2 to 2.5 rad/s. The load moves by up to two cable lengths along each axis in 8 to 16
+    s and turns by up to 0.25 rad. The bound is 40 to 80 % of the least speed of the orbits at rest.
     """
     rng = np.random.default_rng([19, seed])
 
@@ -49,11 +49,12 @@ def draw(seed: int) -> list[str]:
     mass, length = uniform(0.5, 3.0), uniform(0.6, 3.0)
     amplitude = round(mass * GRAVITY / n * uniform(0.3, 0.6), 4)
     frequency = uniform(1.2, 2.5)
-    displacement = _direction(rng) * uniform(0.2, 2.0) * length
+    displacement = rng.uniform(-2.0, 2.0, 3) * length
     turn = _direction(rng) * uniform(0.0, 0.25)
     move_time = uniform(8.0, 16.0)
     system = {"attachments": attachments.tolist(), "load_mass": mass, "cable_length": length}
-    bound = uniform(0.4, 0.8) * _least_resting_speed(SystemParameters(**system), amplitude, frequency)
+    resting_speed = _least_resting_speed(SystemParameters(**system), amplitude, frequency)
+    bound = uniform(0.4, 0.8) * resting_speed
     trajectory = {
         "displacement": np.round(displacement, 4).tolist(),
         "roll_pitch_yaw": np.round(turn, 4).tolist(),

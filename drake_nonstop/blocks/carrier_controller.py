@@ -233,8 +233,8 @@ class FeedforwardCarrierPid(_PositionPid):
         - carrier_forces
 
     `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)] and
-    `carrier_reference_acceleration` (3n, m/s²), in W; `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
-    state, where their gain is not zero.
+    `carrier_reference_acceleration` (3n, m/s²), in W; `carrier_forces` (3n) in N, in W. The
+    integrals of the position errors (3n, m s) are the state, where their gain is not zero.
 
     Parameters, the fields of `FeedforwardCarrierPidConfig`:
         position_gain: N/m
@@ -331,8 +331,8 @@ class TunedFeedforwardCarrierPid(_PositionPid):
         - carrier_forces
 
     `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)] and
-    `carrier_reference_acceleration` (3n, m/s²), in W; `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
-    state, where their gain is not zero.
+    `carrier_reference_acceleration` (3n, m/s²), in W; `carrier_forces` (3n) in N, in W. The
+    integrals of the position errors (3n, m s) are the state, where their gain is not zero.
 
     Parameters, the fields of `TunedFeedforwardCarrierPidConfig`:
         frequency: rad/s, natural frequency of a carrier about its reference

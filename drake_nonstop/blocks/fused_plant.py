@@ -39,11 +39,10 @@ class FusedPlant(DiagramBlock):
         - (the parts' outputs)
 
     Names and sizes are those of the parts' ports. Over a period the `disturbance_wrench` is
-    held at its value at the beginning, the `carrier_reference` moves along its velocities, or
-    with its accelerations, as that of `CarrierTrajectory`, and other inputs are assumed to be
-    constant. If they are, the
-    results at the samples are those of the parts to round-off, if the integrator's step
-    divides the period and no event cuts a step short.
+    held at its value at the beginning, the `carrier_reference` moves along its velocities, or with
+    its accelerations, as that of `CarrierTrajectory`, and other inputs are assumed to be constant.
+    If they are, the results at the samples are those of the parts to round-off, if the
+    integrator's step divides the period and no event cuts a step short.
 
     Blocks that hold their outputs between samples say so by `is_sampled`. Their subclasses inherit
     it: one whose outputs change between samples has to set it to False.

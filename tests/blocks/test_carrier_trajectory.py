@@ -265,7 +265,7 @@ def test_accelerations_that_cannot_be_made_are_told_with_a_remedy():
         {"carrier_trajectory": second_order},
         {"carrier_controller": TunedFeedforwardCarrierPid},
     ):
-        with pytest.raises(WiringError, match="^internal_force = OwnInternalForce: it does not"):
+        with pytest.raises(WiringError, match=r"^internal_force = OwnInternalForce: it does not"):
             make_nonstop(Scenario(), **own, **boxes)
     boxes = {"carrier_trajectory": MeasuredCarrierTrajectory}
     assert make_nonstop(Scenario(), at_equilibrium=False, **boxes)

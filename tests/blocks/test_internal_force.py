@@ -26,7 +26,9 @@ def test_internal_forces_in_closed_form(n):
 
 @counts
 def test_a_plan_without_rates_is_the_trajectory_of_constant_parameters(n):
-    of_plan = outputs(PlannedInternalForce(model(n)), planned=np.array([0.4, *PARAMETERS, *[0] * 5]))
+    of_plan = outputs(
+        PlannedInternalForce(model(n)), planned=np.array([0.4, *PARAMETERS, *[0] * 5])
+    )
     constant = outputs(
         InternalForceTrajectory(model(n)), parameters=PARAMETERS, phase=np.array([0.4, 5.0])
     )

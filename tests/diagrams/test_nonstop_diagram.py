@@ -52,7 +52,7 @@ def sampled_figure():
     return make_nonstop(Scenario(control_period=0.01))
 
 
-# What only blocks of aircraft make.
+# What only blocks of aircraft, or of a plan, make.
 NOT_BY_DEFAULT = {
     "carrier_controller": ("aircraft_command", "command_saturation"),
     "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
@@ -295,7 +295,8 @@ LAYER = "expected parameters (2), optional diagnostics (7), solve_time (1), spee
         (
             "internal_force",
             {"internal_force": 4},
-            "internal_force (4): expected internal_force (8)",
+            "internal_force (4): expected internal_force (8), "
+            "optional internal_force_higher_rates (8)",
         ),
         (
             "wrench_controller",
