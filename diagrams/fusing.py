@@ -12,9 +12,10 @@ from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.box import Box
 from drake_nonstop.systems.parameters import declared
 from drake_nonstop.systems.traced_block import Equations
-from drake_nonstop.systems.wiring import output_names
+from drake_nonstop.systems.wiring import input_names, output_names
 from drake_nonstop.validation import ScenarioWarning
 
+_AIRCRAFT_COMMAND = "aircraft_command"  # a signal that only blocks of aircraft make and read
 _MAX_STEPS = 20  # in a control period: all of them are in one trace
 
 
@@ -73,6 +74,10 @@ def _reason_against(
     config: SimulatorConfig,
 ) -> str:
     """Why the blocks cannot be one with that number of steps a sample; empty where they can."""
+    apart = [name for name, box in boxes.items() if box.is_fused and name not in parts]
+    for block in (blocks[name] for name in apart if name in blocks):
+        if _AIRCRAFT_COMMAND in {*input_names(block), *output_names(block)}:
+            return "aircraft fly with separate blocks, so give fused_plant = false"
     if control_period == 0:
         return "control_period = 0, and it steps from sample to sample of the controllers"
     if config.integration_scheme != "runge_kutta3" or config.use_error_control:
@@ -90,9 +95,8 @@ def _reason_against(
         others = set(output_names(block)) - (boxes[name].signals.keys() if name in boxes else set())
         if others & read and not getattr(block, "is_sampled", False):
             return f"{_named(name, blocks)} may change between samples"
-    for name, box in boxes.items():
-        if box.is_fused and name not in parts:
-            return f"{_named(name, blocks)} has no equations to be traced"
+    if apart:
+        return f"{_named(apart[0], blocks)} has no equations to be traced"
     if not any("carrier_reference" in part.inputs for part in parts.values()):
         return "no part of it reads carrier_reference"
     return ""

@@ -75,7 +75,13 @@ from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.energy import LoopDiagram
-from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
+from drake_nonstop.validation import (
+    ScenarioError,
+    ScenarioWarning,
+    one_line,
+    require,
+    require_flags,
+)
 
 # The boxes of the figure, in its order.
 BOXES: dict[str, Box] = {
@@ -323,6 +329,7 @@ def make_nonstop(
             replacement do not fit, or there is no equilibrium; the message names the field, the
             value and the remedy.
     """
+    require_flags(at_equilibrium=at_equilibrium)
     scenario, others = _resolved(scenario, replacements)
     parts = _made_parts(scenario, others, extra)
     diagram = _connected(scenario, parts, inputs, has_extra=bool(extra))
@@ -513,6 +520,7 @@ def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     believed, blocks, _ = parts
     _warn_of_unread_wind(blocks)
     _warn_of_unflown_aircraft(scenario, blocks)
+    _warn_of_unknown_aircraft(blocks)
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
@@ -552,6 +560,21 @@ def _warn_of_unflown_aircraft(scenario: LoopConfig, blocks: Mapping[str, System]
             f"carrier_dynamics = {type(dynamics).__name__}: its carriers are points of the "
             f"aircraft's mass, which cannot stall; give carrier_dynamics={flying} and "
             f"carrier_controller={controller}",
+            ScenarioWarning,
+            stacklevel=5,
+        )
+
+
+def _warn_of_unknown_aircraft(blocks: Mapping[str, System]) -> None:
+    """Tells of an optimization layer that keeps a speed bound, and no aircraft in the air."""
+    dynamics, layer = blocks.get("carrier_dynamics"), blocks.get("optimization_layer")
+    if dynamics is None or type(layer) is not optimization_layer.NonstopOptimizer:
+        return
+    if "aircraft_command" in wiring.input_names(dynamics):
+        warnings.warn(
+            "optimization_layer = NonstopOptimizer: it does not know aircraft yet and may ask of "
+            "them what they cannot fly; give optimization_layer: !ConstantParameters, with which "
+            "they fly",
             ScenarioWarning,
             stacklevel=5,
         )

@@ -95,6 +95,7 @@ def get_parameter(loop: Diagram, context: Context, path: str) -> float | NDArray
     Raises:
         ScenarioError: there is none of that path, or the context is not the loop's.
     """
+    _require_path(path)
     found = {entry.path: entry.value for entry in parameters(loop, context)}
     require_known(path, list(found), "parameter", path)
     return found[path]
@@ -167,8 +168,7 @@ class _Loop:
 
     def set(self, path: str, value: Any) -> None:
         """As `set_parameter`."""
-        remedy = 'give a scenario path, such as "system.load_mass"'
-        require(isinstance(path, str), "parameter", path, remedy)
+        _require_path(path)
         is_converted_one = isinstance(self._context, Context_[AutoDiffXd])
         remedy = "give a number, or a context of the loop converted to AutoDiffXd"
         require(is_converted_one or not _has_derivatives(value), path, value, remedy)
@@ -380,6 +380,11 @@ class _Loop:
                 begin_anew(self._loop.GetMutableSubsystemContext(block, self._context))
 
 
+def _require_path(path: Any) -> None:
+    remedy = 'give a scenario path, such as "system.load_mass"'
+    require(isinstance(path, str), "parameter", path, remedy)
+
+
 def _innermost(loop: Diagram, context: Context) -> tuple[Diagram, Context]:
     """The diagram whose own blocks have the parameters, and its context.
 
@@ -447,14 +452,22 @@ def _spread_of(model: Model, offset: Any) -> float:
 
 def _plain(value: Any) -> Any:
     """Numbers without their derivatives; arrays as lists."""
-    array = np.asarray(value)
+    array = _array(value)
     if _has_derivatives(value):
         array = _floats(array.ravel()).reshape(array.shape)
     return array.tolist() if isinstance(value, np.ndarray) or array.dtype != object else value
 
 
+def _array(value: Any) -> NDArray:
+    """The value as an array; of an object where it is none."""
+    try:
+        return np.asarray(value)
+    except ValueError:  # lists of several lengths
+        return np.full((), None)
+
+
 def _has_derivatives(value: Any) -> bool:
-    array = np.asarray(value)
+    array = _array(value)
     return array.dtype == object and any(isinstance(v, AutoDiffXd) for v in array.ravel())
 
 

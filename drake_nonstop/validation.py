@@ -275,6 +275,12 @@ def _file_remedy(remedy: str) -> str:
     return f"{remedy}, of {_LARGEST_FILE / 1e6:g} MB at most"
 
 
+def require_flags(**flags: bool) -> None:
+    """Raises ScenarioError for the first argument that is neither True nor False."""
+    for name, value in flags.items():
+        require_type(name, value, bool)
+
+
 def require_array(field: str, value: Any, shape: Sequence[int | None], meaning: str) -> NDArray:
     """`value` as a finite float array of the shape, in which None stands for any length."""
     expected = " x ".join("n" if size is None else str(size) for size in shape)

@@ -1,7 +1,7 @@
 """Drawn plausible scenarios, each flown also at a fifth of its step.
 
 `python -m tests.plausible_scenarios --count 300` flies them in two processes and lists those whose
-metrics move with the step though nothing was said.
+metrics move with the step though nothing was said; with `--aircraft` those of aircraft in wind.
 """
 
 import argparse
@@ -10,11 +10,11 @@ import warnings
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
-from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.loading import load_scenario, scenario_names
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.moved_metrics import moved_metrics
@@ -134,6 +134,31 @@ def draw(seed: int) -> tuple[str, list[str]]:
     )
 
 
+def draw_aircraft(seed: int) -> tuple[str, list[str]]:
+    """A shipped scenario of aircraft, in a wind, with disturbances and errors of the model."""
+    rng = np.random.default_rng([18, seed])
+    name = str(rng.choice([name for name in scenario_names() if name.startswith("aircraft_")]))
+    velocity = [*rng.uniform(-3, 3, 2).round(3).tolist(), 0.0]
+    wind, law = (
+        ("StillAir", {}),
+        ("SteadyWind", {"velocity": velocity, "rise_time": round(rng.uniform(0, 5), 3)}),
+        ("WindProfile", {"velocity": velocity, "exponent": round(rng.uniform(0, 0.3), 3)}),
+        ("GustyWind", {"velocity": velocity, "gust": round(rng.uniform(0, 1), 3), "seed": seed}),
+    )[rng.integers(4)]
+    settings = {"simulation_duration": 10.0, "wind": _tagged(wind, law)}
+    settings["simulator_config.max_step_size"] = float(rng.choice([0.01, 0.02, 0.04]))
+    settings["control_period"] = float(rng.choice([0.0, 0.01, 0.04, 0.1]))
+    force = [*rng.uniform(-5, 5, 2).round(3).tolist(), 0.0]
+    further = {
+        "load_disturbance": _tagged("DisturbanceForce", {"force": force, "gust_force": 2.0}),
+        "simulated.load_mass": round(10 * rng.uniform(0.9, 1.1), 4),
+        "simulated.aircraft.lift_gain": round(rng.uniform(0.9, 1.05), 4),
+        "simulated.aircraft.thrust_gain": round(rng.uniform(0.8, 1.1), 4),
+    }
+    settings |= {path: value for path, value in further.items() if rng.random() < 0.3}
+    return name, [f"{path}={value}" for path, value in settings.items()]
+
+
 def _trajectory(duration, is_large, uniform, choice, chance):
     start = uniform(0.3, 1.0)
     move = round(min(uniform(1.5, 6.0), duration - start), 4)
@@ -180,7 +205,7 @@ class Flight:
     seconds: float = 0.0
 
 
-def fly(seed: int, *, is_judged_if_said: bool = True) -> Flight:
+def fly(seed: int, *, is_judged_if_said: bool = True, draw=draw) -> Flight:
     """Flies a draw as it is and at a fifth of its step.
 
     Where `is_judged_if_said` is false, what was said of the first flight saves the second.
@@ -229,11 +254,13 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--aircraft", action="store_true", help="in wind, with disturbances")
     parser.add_argument("--verbose", action="store_true")
     options = parser.parse_args()
     kinds = Counter()
+    flown = partial(fly, draw=draw_aircraft if options.aircraft else draw)
     with ProcessPoolExecutor(options.workers) as executor:
-        for flight in executor.map(fly, range(options.first, options.first + options.count)):
+        for flight in executor.map(flown, range(options.first, options.first + options.count)):
             kinds[flight.kind] += 1
             if flight.kind == "moved" or options.verbose:
                 print(f"{flight.seed}: {flight.kind}, {flight.seconds:.1f} s", flush=True)

@@ -56,9 +56,9 @@ class FixedWingControllerConfig(StrictFields):
     lead: float = 1.0  # weight of the lead along the reference; 0: none
     observer: float = 1.0  # weight of the observed disturbance; 0: none
     observer_time: float = 0.1  # s, time constant of the disturbance observer
-    lift_share: float = 0.9  # of C_Lmax, the largest lift coefficient that is told
-    max_bank: float = 0.8726646259971648  # rad, the largest bank that is told, 50 degrees
-    speed_share: float = 1.2  # of the stall speed; more thrust below it
+    lift_share: float = 0.9  # of C_Lmax, the largest lift coefficient that is commanded
+    max_bank: float = 0.8726646259971648  # rad, the largest bank that is commanded, 50 degrees
+    speed_share: float = 1.2  # of the stall speed, below which thrust is added
 
 
 class FixedWingController(DiagramBlock):
@@ -109,9 +109,9 @@ class FixedWingController(DiagramBlock):
         lead: weight of the lead along the reference; 0: none
         observer: weight of the observed disturbance; 0: none
         observer_time: s, time constant of the disturbance observer
-        lift_share: of C_Lmax, the largest lift coefficient that is told
-        max_bank: rad, the largest bank that is told, 50 degrees
-        speed_share: of the stall speed; more thrust below it
+        lift_share: of C_Lmax, the largest lift coefficient that is commanded
+        max_bank: rad, the largest bank that is commanded, 50 degrees
+        speed_share: of the stall speed, below which thrust is added
 
     Raises:
         ScenarioError: the system has no aircraft, or a parameter is out of its range.
@@ -123,7 +123,9 @@ class FixedWingController(DiagramBlock):
         _check(model, config)
         builder = DiagramBuilder()
         law = builder.AddNamedSystem("law", _law(model, config))
-        memory = builder.AddNamedSystem("observer", _Observer(model.n, model.control_period))
+        period = model.control_period
+        observer = _SampledObserver(model.n, period) if period > 0 else _ContinuousObserver(model.n)
+        memory = builder.AddNamedSystem("observer", observer)
         builder.Connect(memory.GetOutputPort("state"), law.GetInputPort("observer_states"))
         builder.Connect(law.GetOutputPort("observer_rates"), memory.GetInputPort("rates"))
         for name in input_names(law):
@@ -131,9 +133,9 @@ class FixedWingController(DiagramBlock):
                 builder.ExportInput(law.GetInputPort(name), name)
         builder.ConnectInput("aircraft_state", memory.GetInputPort("aircraft_state"))
         made: System = law
-        if model.control_period > 0:
+        if period > 0:
             sizes = dict.fromkeys(_OUTPUTS, 3 * model.n)
-            made = builder.AddNamedSystem("hold", _Hold(sizes, model.control_period))
+            made = builder.AddNamedSystem("hold", _Hold(sizes, period))
             for name in _OUTPUTS:
                 builder.Connect(law.GetOutputPort(name), made.GetInputPort(name))
         for name in _OUTPUTS:
@@ -228,40 +230,53 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
 
 
 class _Observer(LeafBlock):
-    """`ObserverStates` (5n,): their rates are integrated, or added at each sample but the first.
+    """The inputs of what holds `ObserverStates` (5n,), and their start.
 
     At the start there is no disturbance, and lift and thrust are those of the aircraft.
     """
 
-    def __init__(self, n: int, period: float):
+    def __init__(self, n: int):
         super().__init__()
-        self._period = period
         self._rates = self.DeclareVectorInputPort("rates", 5 * n)
         self._aircraft_state = self.DeclareVectorInputPort("aircraft_state", 4 * n)
-        if period > 0:
-            index = self.DeclareDiscreteState(5 * n)
-            self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._add)
-        else:
-            index = self.DeclareContinuousState(5 * n)
-        self.DeclareStateOutputPort("state", index)
+
+    def _start(self, context: Context) -> NDArray:
+        measured = AircraftState.view(self._aircraft_state.Eval(context))
+        nothing = np.zeros(3 * len(measured.lift))
+        return np.concatenate(ObserverStates(nothing, measured.lift, measured.thrust))
+
+
+class _ContinuousObserver(_Observer):
+    """Integrates the rates."""
+
+    def __init__(self, n: int):
+        super().__init__(n)
+        self.DeclareStateOutputPort("state", self.DeclareContinuousState(5 * n))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
 
     def _begin(self, context: Context, state: State) -> None:
-        measured = AircraftState.view(self._aircraft_state.Eval(context))
-        nothing = np.zeros(3 * len(measured.lift))
-        start = np.concatenate(ObserverStates(nothing, measured.lift, measured.thrust))
-        if self._period > 0:
-            state.get_mutable_discrete_state().set_value(start)
-        else:
-            state.get_mutable_continuous_state().SetFromVector(start)
+        state.get_mutable_continuous_state().SetFromVector(self._start(context))
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
+        derivatives.SetFromVector(self._rates.Eval(context))
+
+
+class _SampledObserver(_Observer):
+    """Adds the rates at each sample but the first."""
+
+    def __init__(self, n: int, period: float):
+        super().__init__(n)
+        self._period = period
+        self.DeclareStateOutputPort("state", self.DeclareDiscreteState(5 * n))
+        self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._add)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
+
+    def _begin(self, context: Context, state: State) -> None:
+        state.get_mutable_discrete_state().set_value(self._start(context))
 
     def _add(self, context: Context, discrete_state: DiscreteValues) -> None:
         states = context.get_discrete_state_vector().CopyToVector()
         discrete_state.set_value(states + self._period * self._rates.Eval(context))
-
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        if self._period == 0:
-            derivatives.SetFromVector(self._rates.Eval(context))
 
 
 class _Hold(LeafBlock):

@@ -13,7 +13,8 @@ from drake_nonstop.simulation.aircraft_margins import (
     margins_table,
 )
 from drake_nonstop.studies.files import replacing_files, require_writable
-from drake_nonstop.studies.results_folder import default_folder
+from drake_nonstop.studies.results_folder import default_folder, require_no_other_run
+from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.margins_figure import make_aircraft_margins_figure
 
 _FILES = _SCENARIO, _DATA, _FIGURE = "scenario.yaml", "check.json", "check.png"
@@ -33,8 +34,10 @@ def add_to(commands: Commands) -> None:
 
 def _check(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
-    found = aircraft_margins(scenario)
+    require_drawing()
     folder = options.out or default_folder(Path("out") / "check" / scenario.name, scenario)
+    require_no_other_run(folder, scenario)
+    found = aircraft_margins(scenario)
     require_writable(folder, _FILES)
     with replacing_files(folder, _FILES) as new:
         (new / _SCENARIO).write_text(dump_scenario(scenario), encoding="utf-8")

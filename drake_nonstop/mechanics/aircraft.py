@@ -57,7 +57,7 @@ class Aircraft(NamedTuple):
     cable_drag: float | NDArray  # C_Dc, of the cable's diameter
     cable_length: float | NDArray  # m
     gravity: float | NDArray  # m/s²
-    lift_gain: float | NDArray = 1.0  # C_L that is flown, of the one that is told
+    lift_gain: float | NDArray = 1.0  # C_L that is flown, over the commanded one
     thrust_gain: float | NDArray = 1.0  # likewise of the thrust
 
     @property
@@ -275,11 +275,11 @@ def flight_rate(
 
         Ċ_L = (k_L C_Lc − C_L)/τ_L,   μ̇ = sat((μ_c − μ)/τ_μ, p_max),   Ṫ = (sat(k_T T_c) − T)/τ_T,
 
-    with gains k_L and k_T of commands that are not met, and the thrust within its limits at that
-    airspeed. Gusts change the angle of attack
-    at once, and the autopilot takes their slow part out again: with the wind w and the slow wind
-    w_s, ẇ_s = (w − w_s)/τ_w, the effective C_L is min(C_L + C_Lα (w − w_s)·l/V, C_Lmax). A wind
-    that does not change thus has no effect on an aircraft that turns in it.
+    with the gains k_L and k_T of an aircraft that does not meet its commands, and the thrust within
+    its limits at that airspeed. Gusts change the angle of attack at once, and the autopilot takes
+    their slow part out again: with the wind w and the slow wind w_s, ẇ_s = (w − w_s)/τ_w, the
+    effective C_L is min(C_L + C_Lα (w − w_s)·l/V, C_Lmax). The gusts' part is therefore zero in a
+    wind that does not change, also for an aircraft that turns.
 
     Args:
         aircraft: the parameters.

@@ -1,8 +1,8 @@
 """Control of fixed-wing aircraft along a reference: inverse, lead, disturbance observer, limits.
 
 The needed force is inverted to the lift coefficient, bank and thrust that make it, see
-`mechanics.aircraft`. First-order lags follow these late: each channel u is told u + τ u̇, with the
-rate along the reference.
+`mechanics.aircraft`. They are followed with first-order lags: the command of each channel u
+is u + τ u̇, with the rate along the reference.
 """
 
 from typing import NamedTuple
@@ -196,7 +196,7 @@ def observer_targets(
     Args:
         aircraft: the controller's parameters.
         observer_states: `ObserverStates` (5n,).
-        command: `AircraftCommand` (3n,), as told.
+        command: `AircraftCommand` (3n,), as given to the aircraft.
         carrier_state: [positions, velocities] (6n,), m and m/s, in W.
         acceleration: v̇ (3n,), m/s², in W, as measured.
         bank: (n,), rad, as measured.

@@ -21,6 +21,7 @@ from drake_nonstop.validation import (
 
 TABLE = Path(__file__).parent / "aircraft_table"
 _SHORTEST_LAG = 1e-3  # s, that steps of a run resolve
+_KIND = "give an AircraftParameters, or in YAML a mapping of its fields"
 _SPEEDS = 1000  # from a tenth of the stall speed to ten times, that a search tries
 
 
@@ -52,7 +53,7 @@ class AircraftParameters(StrictFields):
     air_density: float | None = None  # kg/m³; default 1.225
     cable_diameter: float | None = None  # m, for its drag; default 0.001
     cable_drag: float | None = None  # C_Dc, of the cable's area; default 1.1
-    lift_gain: float | None = None  # C_L that is flown of the one that is told; default 1
+    lift_gain: float | None = None  # C_L that is flown, over the commanded one; default 1
     thrust_gain: float | None = None  # likewise of the thrust; default 1
 
 
@@ -83,7 +84,14 @@ def _of_table(name: str) -> dict[str, Any]:
 def merged(
     parameters: AircraftParameters | None, overrides: AircraftParameters | None
 ) -> AircraftParameters | None:
-    """The parameters with the fields replaced that `overrides` gives; a model replaces all."""
+    """The parameters with the fields replaced that `overrides` gives; a model replaces all.
+
+    Raises:
+        ScenarioError: one is neither None nor an AircraftParameters.
+    """
+    for field, value in (("system.aircraft", parameters), ("simulated.aircraft", overrides)):
+        is_aircraft = value is None or isinstance(value, AircraftParameters)
+        require(is_aircraft, field, value, _KIND)
     if parameters is None or overrides is None or overrides.model is not None:
         return overrides or parameters
     given = {k: v for k, v in vars(overrides).items() if v is not None}
@@ -96,8 +104,7 @@ def values_of(parameters: AircraftParameters, field: str = "system.aircraft") ->
     Raises:
         ScenarioError: the table has no such aircraft, or a field is missing.
     """
-    remedy = "give an AircraftParameters, or a mapping of its fields"
-    require(isinstance(parameters, AircraftParameters), field, parameters, remedy)
+    require(isinstance(parameters, AircraftParameters), field, parameters, _KIND)
     values = dict(_DEFAULTS)
     name = parameters.model
     if name is not None:

@@ -5,6 +5,7 @@ class with such a `make` is one.
 """
 
 import itertools
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,6 +32,10 @@ from drake_nonstop.validation import (
 )
 
 _MIN_SINE = 1e-3  # of an angle that counts as different from zero
+_INSTANTS = 2048  # of a turn of the highest harmonic, at which rates of forces are compared
+# Of a force's fastest rate, below which one counts as zero. Where a rate is zero, one at an instant
+# is at most π / 2048 of the fastest, by Bernstein's inequality.
+_SLOWEST = 2e-3
 
 
 @dataclass(frozen=True)
@@ -159,7 +164,8 @@ class EllipticCarouselConfig(StrictFields):
     amplitude A of the parameters: with A = 1 N they are in N. `SpreadCarousel` is κ = −2 with
     A_r = A_t. `second_harmonic` h makes the ground speed differ between the directions of flight,
     as in wind: h A e^{2i(φ_i + β_i)} is added to the horizontal force, in the complex plane. Well
-    below half of A_r/A and A_t/A it lets no carrier stop.
+    below half of A_r/A and A_t/A it lets no carrier stop; where it is so large that a force stands
+    still for an instant, it is refused, see `check_pattern`.
 
     On regular polygons of n attachments the forces have no wrench where A_t ≠ 0 and κ ≢ 0 (modulo
     n), A_r ≠ −A_t needs κ ≢ −1, A_r ≠ A_t needs κ ≢ 1, B ≠ 0 needs κ ≢ ±1, and h ≠ 0 needs
@@ -180,7 +186,8 @@ class EllipticCarouselConfig(StrictFields):
 
         Raises:
             ScenarioError: a number is out of its range, or the forces would have a wrench on a
-                regular polygon of n attachments, or as `check_pattern`.
+                regular polygon of n attachments, or the second harmonic makes one of them stand
+                still, or as `check_pattern`.
         """
         attachments = _checked(attachments)
         _require_directions(attachments)
@@ -205,12 +212,18 @@ class EllipticCarouselConfig(StrictFields):
             require(False, "pattern.phase_turns", turns, _remedy(self, n, sizes))
         basis, phases = self._forces(attachments, turns, sizes), np.array([0.0, -np.pi / 2] * 2)
         count = 4 if self.second_harmonic > 0 else 2
-        return InternalForcePattern(
+        pattern = InternalForcePattern(
             without_wrench(attachments, basis[:, :count]),
             phases[:count],
             self.spread * spread(attachments),
             (1, 1, 2, 2) if count == 4 else (),
         )
+        cable, harmonic = _standing_force(pattern), self.second_harmonic
+        if cable is not None:
+            stops = f"the force in cable {cable} stands still, so that its carrier would stop"
+            remedy = _moving_remedy(pattern, harmonic)
+            require(False, "pattern.second_harmonic", harmonic, f"{stops}; {remedy}")
+        return pattern
 
     def _forces(self, attachments: NDArray, turns: int, sizes: dict[str, float]) -> NDArray:
         return elliptic_carousel(
@@ -253,6 +266,17 @@ def _remedy(config: EllipticCarouselConfig, n: int, sizes: dict[str, float]) -> 
                 f"(modulo {n}){words}"
             )
     raise AssertionError("a circle suits every number of cables")
+
+
+def _moving_remedy(pattern: InternalForcePattern, harmonic: float) -> str:
+    """What lets no force of an elliptic carousel with that second harmonic stand still."""
+    ratios = []  # of the slowest rate of the first order to the fastest one of the second
+    for ellipses in zip(*_ellipses(pattern), strict=True):
+        (_, least), (most, _) = (np.linalg.svd(axes, compute_uv=False) for axes in ellipses)
+        ratios.append(least / (2 * most))
+    if min(ratios) < _MIN_SINE:
+        return "give another number, and another radial or vertical one than 0"
+    return f"give at most {0.9 * harmonic * min(ratios):.2g}"
 
 
 @dataclass(kw_only=True)
@@ -330,11 +354,15 @@ def check_pattern(
 ) -> None:
     """Checks the conditions on every pattern.
 
-    `gravity_forces` (n, 3) are the shares of a resting, level load's weight, in L.
+    `gravity_forces` (n, 3) are the shares of a resting, level load's weight, in L. What is refused
+    stops a carrier at any amplitude A. With harmonics of several orders and vertical internal
+    forces a carrier may also stop at some A only, where its force changes along itself: that is
+    left to the speeds of a run, since a pattern does not know A.
 
     Raises:
         ScenarioError: the pattern has a net wrench, or some carrier would stop: the
-            force in its cable moves on a line, or in a plane through the attachment. A pattern
+            force in its cable moves on a line, or in a plane through the attachment, or stands
+            still for an instant, as harmonics of several orders may make it. A pattern
             without any internal force but its offset is for a load that turns, and passes.
     """
     grasp = grasp_matrix(attachments)
@@ -350,18 +378,49 @@ def check_pattern(
     if pattern.is_constant:
         return
     constant = gravity_forces + pattern.offset.reshape(-1, 3)
-    axes = [constant]
-    for order in np.unique(pattern.orders):
-        columns = pattern.orders == order
-        axes += ellipse_axes(pattern.basis[:, columns], pattern.phases[columns])
+    axes = [constant[:, None], *_ellipses(pattern)]
     for i, of_cable in enumerate(zip(*axes, strict=True)):
         require(
-            _span_space(np.stack(of_cable)),
+            _span_space(np.concatenate(of_cable)),
             "pattern.phases",
             pattern.phases.tolist(),
             f"cable {i + 1} swings in a plane or not at all, so its carrier would stop; "
             "choose other phases or another basis, or other amplitudes",
         )
+    cable = _standing_force(pattern)
+    require(
+        cable is None,
+        "pattern.harmonics",
+        pattern.harmonics,
+        f"the force in cable {cable} stands still, so that its carrier would stop; "
+        "choose other phases, or other amplitudes of one order",
+    )
+
+
+def _ellipses(pattern: InternalForcePattern) -> list[NDArray]:
+    """Two conjugate axes (n, 2, 3) of each cable's ellipse, in L, for each order that there is."""
+    found = []
+    for order in np.unique(pattern.orders):
+        columns = pattern.orders == order
+        axes = ellipse_axes(pattern.basis[:, columns], pattern.phases[columns])
+        found.append(np.stack(axes, axis=1))
+    return found
+
+
+def _standing_force(pattern: InternalForcePattern) -> int | None:
+    """The number of the first cable whose force stands still for an instant; None: no one's does.
+
+    Of one order they do so on a line only, which is not looked for.
+    """
+    orders = pattern.orders
+    if len(np.unique(orders)) < 2:
+        return None
+    count = math.ceil(_INSTANTS * np.max(np.abs(orders)))
+    instants = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    rates = (orders * np.sin(instants[:, None] * orders + pattern.phases)) @ pattern.basis.T
+    speeds = np.linalg.norm(rates.reshape(count, -1, 3), axis=2)
+    slow = np.flatnonzero(speeds.min(axis=0) < _SLOWEST * speeds.max(axis=0))
+    return int(slow[0]) + 1 if len(slow) > 0 else None
 
 
 def _span_space(vectors: NDArray) -> bool:

@@ -7,7 +7,9 @@ my_blocks, made with the model and a config of the dataclass MyOptimizerConfig b
 import dataclasses
 import difflib
 import importlib
+import os
 import sys
+from pathlib import Path
 
 from pydrake.common.yaml import yaml_dump_typed
 
@@ -34,6 +36,7 @@ def import_config(field: str, path: str) -> type:
         ScenarioError: the module cannot be imported, or holds no such block and config.
     """
     module_name, _, name = path.rpartition(".")
+    folder = Path.cwd()
     try:
         module = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # whatever a user's module may raise
@@ -41,6 +44,8 @@ def import_config(field: str, path: str) -> type:
             f"{field} = !{path}: the module {module_name} cannot be imported ({one_line(error)}); "
             "correct it, or put it into the current folder, the scenario's or PYTHONPATH"
         ) from error
+    finally:
+        os.chdir(folder)  # which the module may have left: results would be written elsewhere
     config = getattr(module, f"{name}Config", None)
     if config is None and not hasattr(module, name):
         own = [key.removesuffix("Config") for key in vars(module) if key.endswith("Config")]

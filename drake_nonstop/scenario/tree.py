@@ -188,8 +188,22 @@ def _checked_entry(name: str, entry: Any, trusted: Trusted) -> tuple[type, Tree]
     require(isinstance(entry, dict), name, entry, remedy)
     fields = dict(entry)
     config_class = config_class_of(name, fields.pop("_tag", f"!{default}"), trusted)
+    _check_block_fields(name, fields, config_class)
     _check_fields(name, fields, config_class)
     return config_class, fields
+
+
+def _check_block_fields(name: str, fields: Tree, config_class: type) -> None:
+    """Raises ScenarioError for the first key that is a field of other blocks of the box alone."""
+    of_others = {key: value for key, value in fields.items() if not _has_field(config_class, key)}
+    for key, value in of_others.items():
+        others = [block_name(choice) for choice in CHOICES[name] if _has_field(choice, key)]
+        remedy = f"{block_name(config_class)} has none; make {name} one of {', '.join(others)}"
+        require(not others, f"{name}.{key}", value, remedy)
+
+
+def _has_field(config_class: type, key: str) -> bool:
+    return any(field.name == key for field in fields_of(config_class))
 
 
 def _loaded(name: str, schema: type, fields: Tree, defaults: Any) -> Any:

@@ -167,7 +167,7 @@ class AircraftMargins:
         cable_distance: (k,) m, of the closest two there.
         max_lift: C_Lmax.
         stall_speed: m/s, without a cable's force.
-        propulsive_power: W, the mean of T V of one aircraft.
+        propulsive_power: W, the mean of T V of one aircraft, none where it windmills.
         drawn_power: W, the mean of what one aircraft draws from its battery.
         wind: in which they fly.
         possible_wind: the share of it up to which all limits are kept, where it is the wind that is
@@ -549,7 +549,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         cable_distance=distances["cables apart"],
         max_lift=float(aircraft.max_lift),
         stall_speed=float(stall_speed(aircraft)),
-        propulsive_power=float(np.mean(needs.thrust * needs.airspeed)),
+        propulsive_power=float(np.mean(np.maximum(needs.thrust, 0.0) * needs.airspeed)),
         drawn_power=float(np.mean(drawn_power(aircraft, needs.thrust, needs.airspeed))),
         wind=wind,
     )

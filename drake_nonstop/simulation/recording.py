@@ -37,8 +37,14 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
 from drake_nonstop.systems.block import LOOP, LeafBlock
-from drake_nonstop.systems.wiring import maker_of, nested, optional_inputs, require_signals
-from drake_nonstop.validation import require
+from drake_nonstop.systems.wiring import (
+    maker_of,
+    nested,
+    optional_inputs,
+    require_open,
+    require_signals,
+)
+from drake_nonstop.validation import ScenarioError, require
 
 MEMORY_LIMIT = 32e6  # bytes of signals in memory; with more of them all go to files
 STEP_TIME = "time"  # the name of the steps' times
@@ -156,8 +162,10 @@ class LogSignals:
                 `tensions` and `parameters`.
 
         Raises:
-            ScenarioError: it does not export these, or is not in the builder.
+            ScenarioError: it does not export these, or is not in the builder, or that is built.
         """
+        require_open(builder, "LogSignals.AddToBuilder")
+        require(isinstance(nonstop, Diagram), "LogSignals", nonstop, "give a loop's diagram")
         require_signals(nonstop, RUN_SIGNALS, "LogSignals")
         remedy = "add it to the builder first, builder.AddSystem(...), and give what that returns"
         is_there = any(system is nonstop for system in builder.GetSystems())
@@ -175,8 +183,15 @@ class LogSignals:
             context: of the whole diagram, such as a Simulator's.
 
         Raises:
-            ScenarioError: there is nothing in the logs of the context.
+            ScenarioError: there is nothing in the logs of the context, or it is another one's.
         """
+        try:
+            self._samples.GetMyContextFromRoot(context)
+        except (RuntimeError, TypeError):
+            raise ScenarioError(
+                f"context = {type(context).__name__} of another diagram: give that of the whole "
+                "diagram with the logs, such as simulator.get_context()"
+            ) from None
         samples = _last_flight(self._samples.columns(context))
         steps = _last_flight(_columns(self._steps.sizes, self._steps.log_of(context)))
         times = samples[_Log.TIMES]

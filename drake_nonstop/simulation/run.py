@@ -82,9 +82,14 @@ class Run:
             replacements: as in `Run`.
 
         Raises:
-            ScenarioError: there is nothing in the logs, or the signals are those of another number
-                of carriers than the scenario's.
+            ScenarioError: it is no scenario, the context is not that of the logs' diagram, there is
+                nothing in the logs, or the signals are those of another number of carriers than
+                the scenario's.
         """
+        remedy = "give the Scenario that the loop was made from"
+        require(isinstance(scenario, Scenario), "scenario", scenario, remedy)
+        remedy = "give what LogSignals.AddToBuilder returns"
+        require(hasattr(logs, "collect"), "logs", logs, remedy)
         time, signals, steps = logs.collect(context)
         carriers, given = steps["carrier_state"].shape[1] // 6, len(scenario.system.attachments)
         remedy = f"give the scenario of the loop, with {carriers} of them"

@@ -24,7 +24,7 @@ from drake_nonstop.studies.files import (
     require_writable,
 )
 from drake_nonstop.studies.journal import journalled_settings, own_code_of
-from drake_nonstop.validation import require
+from drake_nonstop.validation import require, require_flags
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import FIGURE_NAMES, figure_names, make_figure
@@ -98,13 +98,25 @@ def _numbered(folder: Path) -> Iterator[Path]:
     yield from (folder.with_name(f"{folder.name}_{k}") for k in itertools.count(2))
 
 
+def require_no_other_run(folder: Path, scenario: Scenario) -> None:
+    """Raises ScenarioError where the results of a run of another scenario are in the folder."""
+    is_other = os.path.lexists(folder / _METRICS) and not _has(folder, dump_scenario(scenario))
+    remedy = f"a run of other settings has its {_SCENARIO} there; give another folder"
+    require(not is_other, "--out", folder, remedy)
+
+
+def _has(folder: Path, text: str) -> bool:
+    """Whether that is the text of the scenario in a folder."""
+    try:
+        return read_regular(folder / _SCENARIO) == text.encode()
+    except (OSError, ValueError):
+        return False
+
+
 def _is_of(folder: Path, names: Sequence[str], scenario: Scenario) -> bool:
     """Whether the files of these names in a folder are those of such a run, which repeats them."""
     text = dump_scenario(scenario)
-    try:
-        if read_regular(folder / _SCENARIO) != text.encode():
-            return False
-    except (OSError, ValueError):
+    if not _has(folder, text):
         return False
     if _METRICS not in names:
         return True
@@ -139,9 +151,11 @@ def write_results(
         replay: whether to write the replay.
 
     Raises:
-        ScenarioError: the folder cannot be written.
+        ScenarioError: the folder cannot be written, or `figures` or `replay` is no truth value;
+            then all but the pictures is written.
     """
     metrics = write_data(run, folder)
+    require_flags(figures=figures, replay=replay)  # only now: the flight is written
     write_pictures(run, folder, figures=figures, replay=replay)
     return metrics
 

@@ -55,7 +55,9 @@ class Case:
     level: float  # by how much
     unit: str  # of the level
     overrides: list[str]  # "path=value"
-    ending: str = COMPLETED  # or "diverged", or "failed": a block raised an error
+    # Or "diverged", "failed": a block raised an error, or "unbuildable": with this error there is
+    # no such loop.
+    ending: str = COMPLETED
     message: str = ""  # why it did not complete
     # By path, no wall times among them. "warnings" has those of the step that was chosen, too.
     metrics: dict[str, Any] = field(default_factory=dict)
@@ -68,7 +70,8 @@ class Case:
     @property
     def said(self) -> list[str]:
         """Why the outcome is not ok, and what else is not as it should be."""
-        return [*self.metrics.get(_REASONS, []), *self.metrics.get(_WARNINGS, [])]
+        reasons = self.metrics.get(_REASONS, [self.message] if self.message else [])
+        return [*reasons, *self.metrics.get(_WARNINGS, [])]
 
     @property
     def speed_margin(self) -> float:
@@ -107,8 +110,8 @@ def robustness(
         The case without error first.
 
     Raises:
-        ScenarioError: the scenario, or one with such an error, cannot be built, processes end as
-            they start, or the folder cannot be written, or has unfinished runs of other settings.
+        ScenarioError: the scenario without error cannot be built, processes end as they start, or
+            the folder cannot be written, or has unfinished runs of other settings.
         StudyInterrupted: Ctrl-C; the cases that are done stay in the folder.
     """
     require_main()
@@ -214,12 +217,12 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
 
 
 def _measured(text: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """How the run of a case ended, and its metrics."""
+    """How the run of a case ended, and its metrics; raises ScenarioError without overrides only."""
     with warnings.catch_warnings(record=True) as caught:  # of a case, which they do not name
         warnings.simplefilter("always")
         # A copy of a scenario that was trusted when it was loaded.
         tried = attempt(lambda: changed(parse_scenario(text, trust=True), overrides))
-    if tried.ending == UNBUILDABLE:
+    if tried.ending == UNBUILDABLE and not overrides:
         raise ScenarioError(tried.message) from tried.error
     values: dict[str, Any] = {}
     if tried.run is not None:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +32,7 @@ from drake_nonstop.validation import require
 
 _STEP = 1e-6  # of the differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized
+_ONE_THREAD = 2**17  # multiplications in a product; OpenBLAS starts threads above 2^18
 NEUTRAL = 1 + 1e-4  # above the multipliers of slow integrators, with rounding
 _CHANGES_OF_WIND = ("start_time", "rise_time", "gust", "load_gust")  # fields of its blocks
 _LOAD = box_of("load_state")
@@ -148,9 +149,7 @@ def linearize(scenario: Scenario) -> Stability:
         simulator.Initialize()
         simulator.AdvanceTo(lead * sample)
         steps.append(_sample_map(coordinates, simulator, context.Clone(), sample))
-    monodromy = np.eye(coordinates.size)
-    for step in _interpolated(np.array(steps), samples):
-        monodromy = step @ monodromy
+    monodromy = _product(_interpolated(np.array(steps), samples), coordinates.size)
     multipliers, vectors = np.linalg.eig(monodromy)
     order = np.argsort(-np.abs(multipliers), kind="stable")
     mode = vectors[:, order[0]]
@@ -175,9 +174,23 @@ def _interpolated(values: NDArray, count: int) -> Iterator[NDArray]:
     By trigonometric interpolation, whose error for a smooth periodic function is near rounding.
     """
     orders = np.fft.fftfreq(len(values), 1 / len(values))
-    spectrum = np.fft.fft(values, axis=0) / len(values)
+    spectrum = np.fft.fft(np.eye(len(values)), axis=0) / len(values)
     for phase in 2 * math.pi * np.arange(count) / count:
-        yield np.tensordot(np.exp(1j * orders * phase), spectrum, axes=1).real
+        weights = (np.exp(1j * orders * phase) @ spectrum).real
+        yield np.einsum("k,k...->...", weights, values)
+
+
+def _product(steps: Iterable[NDArray], size: int) -> NDArray:
+    """The product of square matrices, the first one on the right.
+
+    By parts so small that NumPy's OpenBLAS starts no threads, as `einsum` starts none: in a process
+    per core they would wait for each other, a hundred times as long as the products take.
+    """
+    width = max(1, _ONE_THREAD // size**2)
+    parts = np.split(np.eye(size), range(width, size, width), axis=1)
+    for step in steps:
+        parts = [step @ part for part in parts]
+    return np.hstack(parts)
 
 
 def _start_orbit(nonstop: Diagram, context: Context, phase: float) -> None:
@@ -253,8 +266,10 @@ class _Coordinates:
     def move(self, context: Context, change: NDArray) -> None:
         """Moves the states of a context by a small change (k,)."""
         for name, (block, place) in self._blocks.items():
-            values = self._values(block, context)
             by = change[place]
+            if not np.any(by):
+                continue
+            values = self._values(block, context)
             if name != _LOAD:
                 values += by
             elif self._directions is not None:

@@ -34,7 +34,7 @@ from drake_nonstop.studies.run_all import (
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, dump_spec
 from drake_nonstop.studies.variants import Change, identity, labels, require_sendable, varied
 from drake_nonstop.systems.block import release
-from drake_nonstop.validation import ScenarioError, require, require_installed
+from drake_nonstop.validation import ScenarioError, require, require_flags, require_installed
 
 TABLE = "runs.parquet"
 WALL_TIMES = "wall_times.parquet"
@@ -108,6 +108,7 @@ def sweep(
     """
     require(isinstance(spec, SweepSpec), "spec", spec, "give a SweepSpec, such as of read_sweep")
     folder = as_path(folder)
+    require_flags(restart=restart, trust=trust)
     _pyarrow()
     if executor is None:
         require_main()

@@ -226,9 +226,13 @@ def connect_by_name(
             size of the port that reads it.
 
     Raises:
-        ScenarioError: a name is none, two blocks make the same signal, or an input names no signal,
-            or one of another size; the message names block and port, and lists the signals.
+        ScenarioError: the builder is built, a name is none, two blocks make the same signal, or an
+            input names no signal, or one of another size; the message names block and port, and
+            lists the signals.
     """
+    require_open(builder, "connect_by_name")
+    remedy = 'give a mapping from names to blocks, such as {"estimator": Estimator(model)}'
+    require(isinstance(blocks, Mapping), "blocks", blocks, remedy)
     for name, block in blocks.items():
         is_name = isinstance(name, str) and name and not {":", "."} & set(name)
         require(is_name, "blocks", name, "name each block by a text without colons and dots")
@@ -256,6 +260,13 @@ def connect_by_name(
     for block in sorted(blocks.values(), key=lambda block: block.num_input_ports() == 0):
         for signal in output_names(block):
             builder.ExportOutput(block.GetOutputPort(signal), signal)
+
+
+def require_open(builder: DiagramBuilder, function: str) -> None:
+    """Raises ScenarioError for what is no DiagramBuilder, or built before the function's call."""
+    require(isinstance(builder, DiagramBuilder), "builder", builder, "give a DiagramBuilder")
+    remedy = f"call {function} before builder.Build()"
+    require(not builder.already_built(), "builder", "built", remedy)
 
 
 def maker_of(diagram: Diagram, signal: str) -> System:

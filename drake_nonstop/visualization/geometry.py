@@ -34,8 +34,8 @@ from drake_nonstop.model.system import aircraft_in, overridden
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.systems.block import LOOP, DiagramBlock, InnerBlock
 from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.systems.wiring import output_sizes
-from drake_nonstop.validation import require, require_array
+from drake_nonstop.systems.wiring import output_sizes, require_open
+from drake_nonstop.validation import require, require_array, require_flags, require_type
 from drake_nonstop.visualization.colours import Colour
 from drake_nonstop.visualization.poses import (
     aircraft_attitudes,
@@ -118,6 +118,10 @@ class NonstopGeometry(DiagramBlock):
         proximity: bool = True,
     ):
         super().__init__()
+        require_flags(proximity=proximity)
+        require_type("name", name, str)
+        remedy = "give the path of an SDF or URDF file"
+        require(isinstance(load_file, (str, Path)), "load_file", load_file, remedy)
         system = overridden(scenario.system, scenario.simulated)
         attachments = require_array(
             "system.attachments", system.attachments, [None, 3], "one position per cable"
@@ -280,9 +284,7 @@ def AddGeometry(  # noqa: N802
             `NonstopGeometry`.
     """
     check(scenario)
-    require(isinstance(builder, DiagramBuilder), "builder", builder, "give a DiagramBuilder")
-    remedy = "call AddGeometry before builder.Build()"
-    require(not builder.already_built(), "builder", "built", remedy)
+    require_open(builder, "AddGeometry")
     for field, system, kind in (("loop", loop, System), ("scene_graph", scene_graph, SceneGraph)):
         is_there = any(system is present for present in builder.GetSystems())
         remedy = f"give a {kind.__name__} that builder.AddSystem was given before"

@@ -107,6 +107,8 @@ def _arguments(rng: np.random.Generator) -> list[str]:
                 "run",
                 "run",
                 "run",
+                "check",
+                "check",
                 "view",
                 "stability",
                 "robustness",
@@ -175,6 +177,23 @@ def _arguments(rng: np.random.Generator) -> list[str]:
         return ["run", scenario, *quick, *(a for o in drawn for a in o), *brief]
     if command == "view":
         return ["view", *([] if pick < 0.1 else [_text(rng)]), "--port", _number(rng), "--no-open"]
+    if command == "check":
+        options = [
+            ["--out"],
+            ["--out", _text(rng)],
+            ["--trust"],
+            ["--set", f"{_text(rng)}={_text(rng)}"],
+            ["--set", f"system.aircraft.model={_text(rng)}"],
+            ["--set", f"system.aircraft.max_lift={_number(rng)}"],
+            ["--set", f"wind=!SteadyWind {{velocity: [{_number(rng)}, 0, 0]}}"],
+            ["--help"],
+            ["--seed", "1"],
+            [_text(rng)],
+            [],
+        ]
+        drawn = [options[k] for k in rng.choice(len(options), rng.integers(1, 3), replace=False)]
+        name = "aircraft_rest" if rng.random() < 0.7 else scenario
+        return ["check", name, *(a for o in drawn for a in o)]
     if command in ("stability", "robustness"):
         more = ["--seed", _number(rng)] if command == "robustness" else []
         return [
@@ -302,6 +321,6 @@ def _attempt(
 
 
 def _prints(arguments: list[str]) -> bool:
-    return arguments[:1] in (["list"], ["blocks"], ["--help"], ["--version"]) or (
+    return arguments[:1] in (["list"], ["blocks"], ["check"], ["--help"], ["--version"]) or (
         arguments[:1] == ["run"] and "--quiet" not in arguments
     )

@@ -211,8 +211,10 @@ def _written(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             ".",
         ),
         "robustness": (".",),
+        "check": ("scenario.yaml", "check.json", "check.png", "."),
     }
-    command = str(rng.choice(["run", "run", "run", "ablate", "sweep", "sweep", "robustness"]))
+    commands = ["run", "run", "run", "ablate", "sweep", "sweep", "robustness", "check"]
+    command = str(rng.choice(commands))
     name = str(rng.choice(names[command]))
     _made(rng, folder / "out" / name if name != "." else folder / "out", "text\n" * 20, form)
     if command == "run":
@@ -234,6 +236,8 @@ def _written(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         (folder / "s.yaml").write_text(_SWEPT)
         call = ["sweep", "line", "s.yaml", "--serial", "--out", "out"]
         call += ["--restart"] if rng.random() < 0.3 else []
+    elif command == "check":
+        call = ["check", "aircraft_rest", "--out", "out"]
     else:
         call = ["robustness", "line", "--out", "out", "--set", "simulation_duration=-1"]
         if form not in ("directory", "full directory"):
@@ -294,7 +298,9 @@ def _named(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         )
     )
     command = str(
-        rng.choice(["run", "run", "ablate", "sweep", "robustness", "stability", "pictures"])
+        rng.choice(
+            ["run", "run", "ablate", "sweep", "robustness", "stability", "check", "pictures"]
+        )
     )
     (folder / "s.yaml").write_text(_SWEPT)
     call = {
@@ -311,6 +317,7 @@ def _named(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         "sweep": ["sweep", "line", "s.yaml", "--serial"],
         "robustness": ["robustness", "line", "--set", "system.load_mass=-1"],
         "stability": ["stability", "line", "--set", "system.load_mass=-1"],
+        "check": ["check", "aircraft_rest"],
         "pictures": ["view", "--no-open"],
     }[command]
     if command == "pictures":
@@ -387,8 +394,10 @@ def _scarce(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             "--no-replay",
         ],
         "sweep": ["sweep", "line", "s.yaml"],
-    }[str(rng.choice(["run", "run", "run", "ablate", "sweep"]))]
-    return [*call, "--out", "out"], f"no more than {amount} {what}"
+        "check": ["check", "aircraft_rest"],
+    }[str(rng.choice(["run", "run", "run", "ablate", "sweep", "check"]))]
+    out = "out/check" if call[0] == "check" else "out"  # beside a run's results, not over them
+    return [*call, "--out", out], f"no more than {amount} {what}"
 
 
 _FORMS = {_scarce: 1.5, _read: 4, _written: 4, _named: 2, _resumed: 1}
@@ -476,7 +485,7 @@ def _attempt_scarce(folder: Path, call: list[str], what: str) -> Verdict:
         verdict.faults = []
         verdict.add(EXIT_CODE, "killed by SIGXFSZ")
     earlier.judge_tidiness(verdict, folder / "out")
-    if call[0] == "run":
+    if call[0] in ("run", "check"):
         earlier.judge_results(verdict, folder / "out", 0.0)
     return verdict
 

@@ -71,6 +71,7 @@ CALLS: dict[str, tuple[list[str], float]] = {
     ),
     "robustness": (["robustness", "line", "--set", "simulation_duration=0.2", "--out", "out"], 6.0),
     "stability": (["stability", "line", "--out", "out"], 20.0),
+    "check": (["check", "aircraft_rest", "--out", "out/check"], 3.0),
     "view": (["view", "out", "--no-open"], 1.0),
     "bench scale": (["bench", "scale", "--max-n", "4", "--duration", "0.1"], 4.0),
     "list": (["list"], 0.5),
@@ -84,6 +85,7 @@ _WEIGHTS = {
     "ablate": 4,
     "robustness": 2,
     "stability": 1,
+    "check": 1,
     "view": 0.7,
     "bench scale": 0.5,
     "list": 0.5,
@@ -171,7 +173,8 @@ def _attempt(
         verdict.add(LEFTOVER, f"{name}: process {process}")
     end_all_below(os.getpid())
     _judge_work(verdict, command, name, out, flown, rows, len(gaps) + 1)
-    if name in ("sweep", "sweep serial", "ablate", "run to its end") and not verdict.faults:
+    is_repeated = name in ("sweep", "sweep serial", "ablate", "check", "run to its end")
+    if is_repeated and not verdict.faults:
         _judge_continued(verdict, folder, arguments, out, name)
     return verdict
 

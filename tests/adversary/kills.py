@@ -19,6 +19,7 @@ from adversary.processes import slowness
 from adversary.verdicts import EXIT_CODE, LEFTOVER, LOST_WORK, STOPPED, Case, Verdict
 
 _WEIGHTS = {"run to its end": 2, "sweep": 3, "ablate": 3, "robustness": 1.5, "sweep serial": 0.5}
+_WEIGHTS["check"] = 1
 
 
 def draw(rng: np.random.Generator) -> Case:
@@ -56,7 +57,7 @@ def _attempt(
             verdict.add(LEFTOVER, f"{name}: process {process}")
         if is_over:
             return verdict
-        if name == "run to its end" and out.exists():
+        if name in ("run to its end", "check") and out.exists():
             earlier.judge_results(verdict, out, 0.0)
         if journal_rows(out)[: len(rows)] != rows:
             verdict.add(LOST_WORK, f"{name}: rows of the journal are gone")

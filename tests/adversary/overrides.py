@@ -1,4 +1,7 @@
-"""`run NAME --set PATH=VALUE` with every path of every scenario, and a flight of a few steps."""
+"""`run` and `check NAME --set PATH=VALUE` with every path of every scenario.
+
+A run is a flight of a few steps.
+"""
 
 from pathlib import Path
 
@@ -8,6 +11,7 @@ from adversary.commands import Command, ended
 from adversary.values import (
     BLOCKS,
     SPELLINGS,
+    block_with_a_field,
     drawn_value,
     near_value,
     paths,
@@ -34,7 +38,9 @@ def draw(rng: np.random.Generator) -> Case:
     is_lengthy = any(override.startswith(_LENGTHY) for override in overrides[1:])
     is_seen = any(override.startswith("scene") for override in overrides)
     brief = ["--no-figures"] if is_seen else ["--no-figures", "--no-replay"]
-    arguments = ["run", name, *brief, "--out", "out", "--set", *overrides]
+    is_check = name.startswith("aircraft") and rng.random() < 0.3
+    call = ["check", name] if is_check else ["run", name, *brief]
+    arguments = [*call, "--out", "out", "--set", *overrides]
     shown = [a if len(a) < 400 else a[:200] + "…" for a in arguments]
     return Case(
         text=" ".join(shown),
@@ -53,8 +59,10 @@ def _override(rng: np.random.Generator, name: str) -> tuple[str, str]:
         return f"{path}={rng.choice([*values, *SPELLINGS][: 11 + 3])}", ""
     if form < 0.4:
         return f"{path}={near_value(rng, value)}", ""
-    if form < 0.8:
+    if form < 0.7:
         return f"{path}={drawn_value(rng)}", ""
+    if form < 0.8:
+        return "=".join(block_with_a_field(rng)), ""
     if form < 0.88:
         box = str(rng.choice(list(BLOCKS)))
         block = str(rng.choice(BLOCKS[box] if rng.random() < 0.6 else _EVERY_BLOCK))
@@ -74,7 +82,8 @@ def _attempt(folder: Path, arguments: list[str], expected: str) -> Verdict:
     verdict = ended(command, 20)
     if expected and verdict.ending != REFUSED:
         verdict.add(MISREAD, verdict.ending)
-    has_results = (folder / "out" / "metrics.json").exists()
+    results = "check.json" if arguments[0] == "check" else "metrics.json"
+    has_results = (folder / "out" / results).exists()
     if verdict.ending == ACCEPTED and not has_results:
         verdict.add(LOST_WORK, "no results")
     if verdict.ending == REFUSED and (folder / "out").exists():

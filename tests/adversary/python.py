@@ -16,6 +16,7 @@ from adversary.api import attempt_call
 from adversary.values import paths, resolved, scenario_name
 from adversary.verdicts import ACCEPTED, MISREAD, Case, Verdict
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.scenario.schema import CHOICES, PATTERN
 from drake_nonstop.scenario.tree import block_name
 
 _ALIENS = (
@@ -54,6 +55,18 @@ _ALIENS = (
     *("decimal.Decimal('1.5')", "fractions.Fraction(1, 3)", "set()", "...", "float", "'é' * 300"),
 )
 _RUN = "run = simulate(load_scenario('quintic', ['simulation_duration=0.02']))\n"
+_LOOP = (
+    "loop = make_nonstop(load_scenario('{name}'))\n"
+    "context = loop.CreateDefaultContext()\nfound = parameters(loop, context)\n"
+)
+_BUILT = (
+    "builder = DiagramBuilder()\nloop = builder.AddSystem(make_nonstop(Scenario()))\n"
+    "scene_graph = builder.AddSystem(SceneGraph())\n"
+)
+_FLOWN = (
+    _BUILT + "logs = LogSignals.AddToBuilder(builder, loop)\n"
+    "simulator = Simulator(builder.Build())\nsimulator.AdvanceTo(0.02)\n"
+)
 _SCENARIO = "scenario = load_scenario({name!r}, ['simulation_duration=0.02'])\n"
 
 # What is called, with `{}` for each drawn argument.
@@ -134,6 +147,38 @@ _CALLS = (
     "SceneConfig(load_colour={}).no_such",
     "Scenario({})",
     "Scenario(durration={})",
+    "Scenario(system=SystemParameters(aircraft={})).check()",
+    "aircraft_margins({})",
+    "aircraft_margins(load_scenario('aircraft_rest'), wind={})",
+    "make_simulator({}, {})",
+    "make_simulator(Scenario(), wind={})",
+    "connect_by_name(DiagramBuilder(), {})",
+    "connect_by_name(DiagramBuilder(), {{'a': {}}})",
+    "connect_by_name(DiagramBuilder(), make_blocks(Scenario()), inputs={})",
+    "connect_by_name({}, make_blocks(Scenario()))",
+    _BUILT + "LogSignals.AddToBuilder(builder, {})",
+    _BUILT + "LogSignals.AddToBuilder({}, loop)",
+    _BUILT + "AddGeometry({}, loop, scene_graph, Scenario())",
+    _BUILT + "AddGeometry(builder, {}, {}, Scenario())",
+    _BUILT + "AddGeometry(builder, loop, scene_graph, {})",
+    _BUILT + "AddGeometry(builder, loop, scene_graph, Scenario(), load_file={}, proximity={})",
+    "NonstopGeometry(SceneGraph(), {})",
+    "NonstopGeometry(SceneGraph(), Scenario(), name={}, load_file={})",
+    _FLOWN + "Run.from_logs(logs, {}, Scenario())",
+    _FLOWN + "Run.from_logs({}, simulator.get_context(), Scenario())",
+    _FLOWN + "Run.from_logs(logs, simulator.get_context(), {})",
+    _FLOWN + "compute_metrics(Run.from_logs(logs, simulator.get_context(), Scenario(), step={}))",
+    *(
+        _LOOP.format(name="aircraft_rest") + call
+        for call in (
+            "parameters(loop, {})",
+            "parameters({}, context)",
+            "get_parameter(loop, context, {})",
+            "set_parameter(loop, context, {}, {})",
+            "set_parameter(loop, {}, 'system.load_mass', 1.0)",
+            "set_parameter({}, context, 'system.load_mass', 1.0)",
+        )
+    ),
 )
 
 # What takes an object of the package in its first place.
@@ -141,7 +186,7 @@ _OF_OBJECTS = (
     *("set_equilibrium(", "compute_metrics(", "record_replay(", "draw_diagram(", "verify_step("),
     *("Model(", "TracedBlock(", "Equations(", "SampleAndHold(", "LoadTrajectory(", "FusedPlant("),
     *("NonstopVisualizer(", "show_in(", "next(iter(run_live(", "RunProgress(", "TaskProgress("),
-    *("HamiltonianCycleConfig().make(", "SpreadCarouselConfig().make("),
+    *("HamiltonianCycleConfig().make(", "SpreadCarouselConfig().make(", "NonstopGeometry("),
 )
 
 # Fields that numbers, texts and lists are assigned to; what makes no sense has to be refused.
@@ -170,6 +215,9 @@ def _assigned(rng: np.random.Generator) -> tuple[str, bool]:
     new = str(rng.choice(_BAD_VALUES))
     is_senseless = new in _SENSELESS and not (isinstance(value, dict) and new == "{}")
     setting = f"scenario.{path} = {new}"
+    if (part := path.partition(".aircraft.")[0]) != path:
+        given = f"scenario.{part}.aircraft"
+        setting = f"{given} = {given} or AircraftParameters()\n{setting}"
     use = str(
         rng.choice(
             [
@@ -245,21 +293,32 @@ def _configured(rng: np.random.Generator) -> tuple[str, bool]:
     """A block's config with one field of any kind, built alone or in the loop."""
     configs = {
         block_name(config): config
-        for box in BOXES.values()
-        for config in box.configs
+        for box in (*BOXES, PATTERN)
+        for config in CHOICES[box]
         if dataclasses.fields(config)
     }
     name = str(rng.choice(list(configs)))
     field = str(rng.choice([field.name for field in dataclasses.fields(configs[name])]))
     value = str(rng.choice([*_BAD_VALUES, *_ALIENS]))
-    box = next(key for key, one in BOXES.items() if configs[name] in one.configs)
+    box = next(key for key, choices in CHOICES.items() if configs[name] in choices)
     config = f"{name}Config({field}={value})"
+    if box == PATTERN:
+        text = f"simulate(Scenario(simulation_duration=0.02, pattern={config}))"
+        return text, value in _SENSELESS
     if rng.random() < 0.5:
         model = "Model(SystemParameters(), HamiltonianCycleConfig())"
         return f"{name}({model}, {config})", False
     is_senseless = value in _SENSELESS
     text = f"simulate(load_scenario('quintic', ['simulation_duration=0.02']), {box}={config})"
     return text, is_senseless and name not in ("DisturbanceForce",)
+
+
+def _parameter(rng: np.random.Generator) -> tuple[str, bool]:
+    """A parameter of a loop's context, set to anything."""
+    value = str(rng.choice([*_BAD_VALUES, *_ALIENS]))
+    loop = _LOOP.format(name=scenario_name(rng))
+    path = f"found[{rng.integers(200)} % len(found)].path"
+    return f"{loop}set_parameter(loop, context, {path}, {value})", value in _SENSELESS
 
 
 def _constructed(rng: np.random.Generator) -> tuple[str, bool]:
@@ -281,7 +340,8 @@ def _constructed(rng: np.random.Generator) -> tuple[str, bool]:
     return f"{name}({', '.join(given)})", False
 
 
-_FORMS = {_call: 4, _assigned: 3, _misspelt: 1, _replaced: 2.5, _configured: 2, _constructed: 0.6}
+_FORMS = {_call: 5, _assigned: 3, _misspelt: 1, _replaced: 2.5, _configured: 2, _constructed: 0.6}
+_FORMS[_parameter] = 1
 
 
 def draw(rng: np.random.Generator) -> Case:
@@ -295,6 +355,8 @@ _IMPORTS = """
 import dataclasses, decimal, fractions, functools, math, sys
 from pathlib import Path
 import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 import drake_nonstop
 from drake_nonstop import *
@@ -311,7 +373,11 @@ def _attempt(folder: Path, text: str, must_refuse: bool) -> Verdict:
     takes_objects = call.startswith((*_OF_OBJECTS, *(f"{block}(" for block in blocks)))
     # What a function in place of a block raises is left as it is.
     is_given_no_block = call.startswith(
-        "simulate(load_scenario('quintic', ['simulation_duration=0.02']), "
+        (
+            "simulate(load_scenario('quintic', ['simulation_duration=0.02']), ",
+            "aircraft_margins(load_scenario('aircraft_rest'), ",
+            "make_simulator(Scenario(), ",
+        )
     )
     is_fine = ".no_such" in text or takes_objects or is_given_no_block
     allowed = (AttributeError, TypeError) if is_fine else ()

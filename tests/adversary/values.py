@@ -1,5 +1,6 @@
 """Bad and extreme values, as YAML texts, and the paths of scenarios that they are put at."""
 
+import copy
 import functools
 import math
 from collections.abc import Iterator
@@ -7,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.model.aircraft import AircraftParameters, aircraft_names, values_of
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
 from drake_nonstop.scenario.schema import CHOICES
 from drake_nonstop.scenario.tree import block_name, to_tree
+from drake_nonstop.validation import fields_of
 
 # Spellings of numbers and what a reader takes them for; None: it has to be refused.
 SPELLINGS: dict[str, float | None] = {
@@ -184,8 +187,29 @@ def _as_yaml(value: Any) -> str:
 
 @functools.cache
 def resolved(name: str) -> dict[str, Any]:
-    """The tree of a shipped scenario, with every field."""
-    return to_tree(load_scenario(name))
+    """The tree of a shipped scenario, with every field, those that it leaves out too."""
+    scenario = load_scenario(name)
+    tree, model = to_tree(scenario), aircraft_names()[0]
+    aircraft = {"model": model, **values_of(AircraftParameters(model=model))}
+    tree["system"]["aircraft"] = aircraft | tree["system"].get("aircraft", {})
+    tree["simulated"] = copy.deepcopy(tree["system"]) | tree["simulated"]
+    for box in CHOICES:
+        names = [field.name for field in fields_of(type(getattr(scenario, box)))]
+        tree[box] = dict.fromkeys(names) | tree[box]
+    return tree
+
+
+def block_with_a_field(rng: np.random.Generator) -> tuple[str, str]:
+    """A box, and as YAML one of its blocks with a bad or extreme value of a field."""
+    found = [(box, config) for box, configs in CHOICES.items() for config in configs]
+    box, config = found[rng.integers(len(found))]
+    names = [field.name for field in fields_of(config)]
+    if not names:
+        return box, f"!{block_name(config)} {drawn_value(rng)}"
+    name = str(rng.choice(names))
+    near = near_value(rng, getattr(config(), name))
+    value = near if rng.random() < 0.6 else drawn_value(rng)
+    return box, f"!{block_name(config)} {{{name}: {value}}}"
 
 
 def paths(tree: dict[str, Any]) -> Iterator[tuple[str, Any]]:

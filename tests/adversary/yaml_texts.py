@@ -12,6 +12,7 @@ from adversary.api import attempt_call
 from adversary.values import (
     BLOCKS,
     SPELLINGS,
+    block_with_a_field,
     drawn_value,
     near_value,
     paths,
@@ -44,7 +45,9 @@ def _at_a_path(rng: np.random.Generator, place: str, value: str) -> str:
     tag = tree["_tag"] + " " if isinstance(tree, dict) and "_tag" in tree else ""
     if not rest:
         return f"mine:\n  based_on: quintic\n  {first}: {value}\n"
-    return f"mine:\n  based_on: quintic\n  {first}: {tag}\n    {rest[0]}: {value}\n"
+    base = "aircraft_rest" if rest[0] == "aircraft" else "quintic"
+    keys = "".join(f"\n{'  ' * (k + 2)}{key}:" for k, key in enumerate(rest))
+    return f"mine:\n  based_on: {base}\n  {first}: {tag}{keys} {value}\n"
 
 
 def _path(rng: np.random.Generator) -> tuple[str, Any]:
@@ -65,7 +68,15 @@ def _spelling(rng: np.random.Generator, text: str) -> _Mutated:
     numbers = [p for p, v in paths(resolved("quintic")) if isinstance(v, float) and "." in p]
     path, spelling = str(rng.choice(numbers)), str(rng.choice(list(SPELLINGS)))
     meant = SPELLINGS[spelling]
+    if spelling in ("null", "~") and (path.startswith("simulated.") or ".aircraft." in path):
+        return _at_a_path(rng, path, spelling), _ANY  # these may be left out
     return _at_a_path(rng, path, spelling), _REFUSED if meant is None else (path, meant)
+
+
+def _field(rng: np.random.Generator, text: str) -> _Mutated:
+    """A field of any block, in any scenario."""
+    box, block = block_with_a_field(rng)
+    return f"mine:\n  based_on: {scenario_name(rng)}\n  {box}: {block}\n", _ANY
 
 
 def _in_list(rng: np.random.Generator, text: str) -> _Mutated:
@@ -351,6 +362,7 @@ def _base(rng: np.random.Generator, text: str) -> _Mutated:
 _MUTATIONS: dict[_Mutation, float] = {
     _value: 3,
     _near: 3,
+    _field: 2,
     _spelling: 2,
     _in_list: 1,
     _renamed: 1,

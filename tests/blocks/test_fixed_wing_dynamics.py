@@ -204,6 +204,17 @@ def test_aircraft_that_are_not_flown_are_told():
         make_nonstop(scenario)
 
 
+def test_a_layer_that_does_not_know_aircraft_is_told_before_they_fly():
+    other = "optimization_layer=!NonstopOptimizer {period: 0.04}"
+    pattern = "pattern=!SpreadCarousel {spread: 6.75}"
+    with pytest.warns(ScenarioWarning) as warned:
+        make_nonstop(load_scenario("aircraft_rest", [other, pattern]), at_equilibrium=False)
+    assert [str(warning.message) for warning in warned] == [
+        "optimization_layer = NonstopOptimizer: it does not know aircraft yet and may ask of them "
+        "what they cannot fly; give optimization_layer: !ConstantParameters, with which they fly"
+    ]
+
+
 def test_a_short_flight_is_ok_and_keeps_to_its_references():
     run = simulate(flying("simulation_duration=0.3"), carrier_controller=controller)
     assert compute_metrics(run)["outcome"] == RunOutcome.OK

@@ -135,6 +135,16 @@ def test_what_cannot_be_fused_stays_apart_and_says_why(setting, words):
     }
 
 
+def test_aircraft_stay_apart_and_the_remedy_is_said():
+    scenario = load_scenario("aircraft_rest", [FUSE])
+    with pytest.warns(ScenarioWarning) as warned:
+        make_nonstop(scenario, at_equilibrium=False)
+    assert [str(warning.message) for warning in warned] == [
+        "fused_plant = true: aircraft fly with separate blocks, so give fused_plant = false; the "
+        "separate blocks are used instead"
+    ]
+
+
 class Hover(LeafSystem):
     """Carriers that stay where they are; no equations."""
 

@@ -7,7 +7,7 @@ from PIL import Image
 
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
-from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.loading import dump_scenario, load_scenario
 
 RASCAL = "system.aircraft.model=rascal_110"
 
@@ -47,6 +47,17 @@ def test_a_scenario_without_aircraft_is_told_how_to_give_some(tmp_path, capsys):
     assert main(["check", "line", "--out", str(folder)]) == BAD_INPUT
     assert f"--set {RASCAL}" in capsys.readouterr().err
     assert not folder.exists()
+
+
+def test_the_scenario_of_a_run_of_other_settings_is_kept(tmp_path, capsys):
+    (tmp_path / "metrics.json").write_text("{}")
+    (tmp_path / "scenario.yaml").write_text("line: {}")
+    assert main(["check", "aircraft_co_rotating", "--out", str(tmp_path)]) == BAD_INPUT
+    assert "a run of other settings has its scenario.yaml there" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["metrics.json", "scenario.yaml"]
+    text = dump_scenario(load_scenario("aircraft_co_rotating"))
+    (tmp_path / "scenario.yaml").write_text(text)
+    assert main(["check", "aircraft_co_rotating", "--out", str(tmp_path)]) == 0
 
 
 def test_gusts_are_told_to_be_left_out(tmp_path, capsys):

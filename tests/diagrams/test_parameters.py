@@ -250,6 +250,9 @@ BAD = [
     ("system.load_mass", "heavy", "give a number"),
     ("system.load_mass", AutoDiffXd(1.1, [1.0]), "a context of the loop converted to AutoDiffXd"),
     (7, 1.0, "give a scenario path"),
+    (np.zeros(3), 1.0, "give a scenario path"),
+    ("system.load_mass", [[1, 2], [3]], "give a number"),
+    ("optimization_layer.frequency_bounds", [[1, 2], [3]], "give a number"),
     ("system.load_inertia", np.diag([1.0, 0.1, 0.1]), "triangle inequality"),
     ("system.cable_stiffness", np.inf, "simulated cables stretch"),
     ("system.attachments", [[0.0, 0.0, 0.0]], "fixed as the loop is built"),
@@ -271,6 +274,12 @@ def test_what_cannot_be_set_is_said_and_nothing_changes(path, value, remedy):
     with pytest.raises(ScenarioError, match=remedy):
         set_parameter(loop, context, path, value)
     assert [entry.value for entry in parameters(loop, context)] == before
+
+
+@pytest.mark.parametrize("path", [7, None, ["system.load_mass"], np.zeros(3)])
+def test_a_path_that_is_no_text_is_refused(path):
+    with pytest.raises(ScenarioError, match=r"^parameter = .*give a scenario path"):
+        get_parameter(*quintic(), path)
 
 
 def test_what_a_block_keeps_names_the_block():

@@ -109,3 +109,14 @@ def test_the_plants_carrier_mass_is_not_given_beside_the_aircrafts():
     plant = overridden(system, SystemOverrides(carrier_mass=0.1))
     with pytest.raises(ScenarioError, match=r"simulated.carrier_mass = 0.1: leave it out"):
         model_of(plant, field="simulated", overridden=["carrier_mass"])
+
+
+@pytest.mark.parametrize("given", ["system", "simulated"])
+def test_what_is_no_aircraft_is_refused(given):
+    fields = {name: AircraftParameters(model=RASCAL) for name in ("system", "simulated")}
+    fields[given] = 1e30
+    with pytest.raises(ScenarioError, match=f"{given}.aircraft = 1e\\+30: give an Aircraft"):
+        overridden(
+            SystemParameters(aircraft=fields["system"]),
+            SystemOverrides(aircraft=fields["simulated"]),
+        )

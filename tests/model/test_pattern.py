@@ -15,6 +15,7 @@ from drake_nonstop.blocks.optimization_layer import (
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
+from drake_nonstop.model import pattern as pattern_module
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     ConstantSpreadConfig,
@@ -423,6 +424,54 @@ def test_second_harmonic_makes_one_direction_of_flight_the_fastest():
 def test_elliptic_carousel_refuses_bad_numbers(field, value, remedy):
     with pytest.raises(ScenarioError, match=rf"^pattern\.{field} = .*{remedy}"):
         EllipticCarouselConfig(**(ELLIPTIC | {field: value})).make(regular(4))
+
+
+def slowest_turns(pattern, attachments, amplitude):
+    """How far each cable's direction turns per rad of the phase, at the slowest of a fine grid."""
+    thetas = np.linspace(0, 2 * np.pi, 7201)
+    forces = np.array([pattern_forces(pattern, theta, amplitude) for theta in thetas])
+    forces += weight_shares(attachments)
+    directions = forces / np.linalg.norm(forces, axis=2, keepdims=True)
+    return np.linalg.norm(np.diff(directions, axis=0), axis=2).min(axis=0) / thetas[1]
+
+
+@pytest.mark.parametrize("amplitude", [0.5, 2.0])
+def test_a_second_harmonic_that_stops_carriers_is_refused(amplitude, rng, monkeypatch):
+    """|ġ| = A |1 − 2 h| at the slowest, of a circle; it is refused where that is zero."""
+    direction = float(rng.uniform(0, 6))
+    fields = {"radial": 1.0, "tangential": 1.0, "vertical": 0.0}
+    fields["second_harmonic_direction"] = direction
+    attachments = regular(4)
+
+    def carousel(harmonic):
+        return EllipticCarouselConfig(**(ELLIPTIC | fields | {"second_harmonic": harmonic}))
+
+    with pytest.raises(ScenarioError) as error:
+        carousel(0.5).make(attachments)
+    assert str(error.value) == (
+        "pattern.second_harmonic = 0.5: the force in cable 1 stands still, so that its carrier "
+        "would stop; give at most 0.45"
+    )
+    for harmonic in (0.45, 0.55):
+        pattern = carousel(harmonic).make(attachments)
+        check_pattern(pattern, attachments, weight_shares(attachments))
+        assert np.all(slowest_turns(pattern, attachments, amplitude) > 5e-3 * amplitude)
+    with monkeypatch.context() as patch:
+        patch.setattr(pattern_module, "_standing_force", lambda pattern: None)
+        stopping = carousel(0.5).make(attachments)
+    assert np.all(slowest_turns(stopping, attachments, amplitude) < 5e-4 * amplitude)
+    with pytest.raises(ScenarioError, match=r"^pattern\.harmonics = .* cable 1 stands still"):
+        check_pattern(stopping, attachments, weight_shares(attachments))
+
+
+def test_the_remedy_of_a_second_harmonic_that_stops_a_carrier_works():
+    """Of a leaning ellipse its flattest part moves with √(A_r² + B²) or A_t."""
+    fields = {"radial": 0.6, "tangential": 0.9, "vertical": 0.0, "second_harmonic_direction": 0.0}
+    config = EllipticCarouselConfig(**(ELLIPTIC | fields | {"second_harmonic": 0.3}))
+    with pytest.raises(ScenarioError, match=r"cable \d stands still.* give at most 0\.27$"):
+        config.make(regular(4))
+    config.second_harmonic = 0.27
+    config.make(regular(4))
 
 
 @pytest.mark.parametrize("second", [0.0, 0.2])

@@ -140,6 +140,10 @@ def test_a_file_with_defaults_only_needs_no_more_than_its_name(tmp_path):
         ("simulation_duration=0", ["simulation_duration = 0", "greater than zero"]),
         ("duration", ["--set = duration", "path=value"]),
         ("simulated.attachments=[[1,0,0],[0,1,0],[-1,-1,0]]", ["simulated.attachments", "4"]),
+        (
+            "wind.velocity=[2, 0, 0]",
+            ["wind.velocity = [2, 0, 0]", "StillAir has none", "SteadyWind, WindProfile, Gusty"],
+        ),
     ],
 )
 def test_a_bad_setting_ends_with_the_field_the_value_and_the_remedy(setting, words):

@@ -2,6 +2,7 @@
 
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
 
@@ -194,6 +195,15 @@ def test_what_cannot_be_had_is_told(folder, path, message):
     (folder / "broken_test_blocks.py").write_text("1 / 0")
     with pytest.raises(ScenarioError, match=message):
         load_scenario("quintic", [f"optimization_layer={path}"], trust=True)
+
+
+def test_a_module_that_leaves_the_folder_does_not_take_the_results_with_it(folder):
+    (folder / "leaving_test_blocks.py").write_text(
+        f"import os\nos.chdir('/')\n{textwrap.dedent(MODULE)}"
+    )
+    before = Path.cwd()
+    load_scenario("quintic", ["optimization_layer=leaving_test_blocks.Steady"], trust=True)
+    assert Path.cwd() == before
 
 
 @pytest.mark.parametrize(

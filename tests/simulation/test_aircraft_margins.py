@@ -98,6 +98,7 @@ def test_a_spread_carousel_asks_for_more_than_the_aircraft_have():
     assert math.degrees(found(result, "climb or descent")[0].value) == pytest.approx(43, abs=0.2)
     thrust = result.needs.thrust
     assert [thrust.min(), thrust.max()] == pytest.approx([-45, 63], abs=1.2)
+    assert result.drawn_power == pytest.approx(result.propulsive_power / 0.65)  # none windmilling
     assert "C_L / C_Lmax 2.20 (at most 0.90)" in result.verdict
     assert result.possible_wind is None
 

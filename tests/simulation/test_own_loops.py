@@ -113,6 +113,9 @@ def test_a_run_of_logs_is_written_whole(tmp_path):
     scenario = load_scenario("three_carriers", ["optimization_layer=ConstantParameters"])
     logs, simulator = flown(scenario, renamed(scenario))
     run = Run.from_logs(logs, simulator.get_context(), scenario)
+    with pytest.raises(ScenarioError, match=r"^figures = \[0\. 0\.\]: give true or false"):
+        write_results(run, tmp_path / "odd", figures=np.zeros(2))
+    assert (tmp_path / "odd" / "signals.npz").exists()  # the flight is not lost
     metrics = write_results(run, tmp_path, figures=False)
     make_figure(run, "carrier_speeds")
     assert metrics["wall_s"] is metrics["real_time_factor"] is None
@@ -127,6 +130,13 @@ def test_each_context_has_its_logs_and_the_last_flight_counts(scenario, shipped)
     second = Simulator(simulator.get_system())
     with pytest.raises(ScenarioError, match=r"^logs = no samples: advance a Simulator"):
         Run.from_logs(logs, second.get_context(), scenario)
+    for context in (None, logs.nonstop.GetMyContextFromRoot(first)):
+        with pytest.raises(ScenarioError, match=r"^context = .*: give that of the whole diagram"):
+            Run.from_logs(logs, context, scenario)
+    with pytest.raises(ScenarioError, match=r"^logs = None: give what LogSignals"):
+        Run.from_logs(None, first, scenario)
+    with pytest.raises(ScenarioError, match=r"^scenario = line: give the Scenario"):
+        Run.from_logs(logs, first, "line")
     # Again from the start, and initialized twice.
     loop = logs.nonstop
     first.SetTime(0.0)
@@ -179,6 +189,12 @@ def test_a_loop_that_cannot_be_logged_is_refused(scenario):
         simulate(scenario, make_loop=lambda scenario: cables)
     with pytest.raises(ScenarioError, match=r"^LogSignals = nonstop: add it to the builder first"):
         LogSignals.AddToBuilder(DiagramBuilder(), make_nonstop(scenario))
+    for arguments, said in (
+        ((None, cables), "builder = None"),
+        ((DiagramBuilder(), 3), "LogSignals = 3"),
+    ):
+        with pytest.raises(ScenarioError, match=f"^{said}: give a"):
+            LogSignals.AddToBuilder(*arguments)
     for make_loop, said in ((3, "3: give a function that"), (lambda scenario: 3, "3: return a")):
         with pytest.raises(ScenarioError, match=f"^make_loop = {said}"):
             simulate(scenario, make_loop=make_loop)

@@ -110,6 +110,31 @@ def test_a_run_that_does_not_complete_says_how_it_ended(
     assert {case["ending"] for case in others} == {"completed"}
 
 
+def test_an_error_with_which_nothing_can_be_built_is_a_row_of_its_own(
+    tmp_path, capsys, monkeypatch
+):
+    """With cables that are too long they are all slack; without error a loop has to be built."""
+    errors = [
+        ("none", 0.0, "", []),
+        ("cable length", 5.0, "%", ["simulated.cable_length=1.2"]),
+        ("load mass", 1.0, "%", ["simulated.load_mass=1.01"]),
+    ]
+    monkeypatch.setattr(robustness, "_errors", lambda *given: errors)
+    arguments = ["robustness", "quintic", "--out", str(tmp_path)]
+    arguments += ["--set", "simulation_duration=0.1"]
+    assert main(arguments) == 0
+    lines = capsys.readouterr().out.splitlines()
+    cases = json.loads((tmp_path / "robustness.json").read_text())["cases"]
+    assert [case["ending"] for case in cases] == ["completed", "unbuildable", "completed"]
+    (row,) = [k for k, line in enumerate(lines) if line.startswith("cable length +5 %")]
+    assert lines[row].endswith("  unbuildable")
+    assert lines[row + 1] == f"    {cases[1]['message']}"
+    assert "all of them are slack" in cases[1]["message"]
+    assert (tmp_path / "robustness.png").exists()
+    assert main([*arguments, "simulated.cable_length=1.2"]) == 2
+    assert "all of them are slack" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("seed", ["-1"])
 def test_bad_seed(seed, tmp_path, capsys):
     arguments = ["robustness", "quintic", "--out", str(tmp_path), "--seed", seed]

@@ -442,3 +442,17 @@ class TestCommand:
         assert 3 <= count < 500
         assert f"interrupted: {count} of 500 runs are in {tmp_path}" in error
         assert not (tmp_path / TABLE).exists()
+
+
+@pytest.mark.parametrize("flag", ["restart", "trust"])
+def test_a_text_is_no_flag_and_removes_nothing(tmp_path, flag):
+    (tmp_path / JOURNAL).write_text("mine")
+    scenario = load_scenario("line")
+    spec = SweepSpec(grid={"simulation_duration": [0.01]})
+    for study in (
+        lambda: drake_nonstop.sweep(scenario, spec, tmp_path, **{flag: "no"}),
+        lambda: drake_nonstop.ablate(scenario, {"a": []}, tmp_path, **{flag: "no"}),
+    ):
+        with pytest.raises(ScenarioError, match=rf"^{flag} = no: give true or false"):
+            study()
+    assert (tmp_path / JOURNAL).read_text() == "mine"

@@ -247,6 +247,19 @@ def test_drakes_own_systems_are_named_after_their_keys():
     assert diagram.GetSubsystemByName("constant") is source
 
 
+def test_what_is_no_builder_or_no_mapping_of_blocks_is_refused():
+    built = DiagramBuilder()
+    connect_by_name(built, figure())
+    built.Build()
+    for builder, blocks, said in (
+        (None, figure(), "^builder = None: give a DiagramBuilder"),
+        (built, figure(), "^builder = built: call connect_by_name before"),
+        (DiagramBuilder(), [*figure().values()], "^blocks = .*: give a mapping from names"),
+    ):
+        with pytest.raises(ScenarioError, match=said):
+            connect_by_name(builder, blocks)
+
+
 def test_blocks_in_an_algebraic_loop_do_not_build():
     blocks = {"a": Box(["two"], ["one"]), "b": Box(["one"], ["two"])}
     with pytest.raises(RuntimeError, match="algebraic loop"):

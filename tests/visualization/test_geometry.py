@@ -419,9 +419,9 @@ def test_bad_input_is_told_in_a_sentence():
     scene_graph = builder.AddSystem(SceneGraph())
     loop = builder.AddSystem(_ports(load_state=UPRIGHT, carrier_state=carriers))
 
-    def refused(words, *, loop=loop, scene_graph=scene_graph, scenario=scenario):
+    def refused(words, *, loop=loop, scene_graph=scene_graph, scenario=scenario, **options):
         with pytest.raises(ScenarioError) as caught:
-            AddGeometry(builder, loop, scene_graph, scenario)
+            AddGeometry(builder, loop, scene_graph, scenario, **options)
         assert words in str(caught.value)
         assert "\n" not in str(caught.value)
 
@@ -433,6 +433,8 @@ def test_bad_input_is_told_in_a_sentence():
     refused("loop.load_state = no such output port: give a loop with 13 values", loop=other)
     refused("loop.carrier_state = 24 values: ", scenario=described(irregular(3)))
     refused("scenario = {}: give a Scenario", scenario={})
+    refused("load_file = [0. 0.]: give the path of an SDF", load_file=np.zeros(2))
+    refused("proximity = no: give true or false", proximity="no")
     refused("system.attachments = ", scenario=described([[1.0, 2.0]] * 4))
     AddGeometry(builder, loop, scene_graph, scenario)
     refused("loop = ports: add the geometry of a loop once")

@@ -35,7 +35,7 @@ from drake_nonstop.studies.variants import (
     require_sendable,
     varied,
 )
-from drake_nonstop.validation import ScenarioError, listed, message_of, require
+from drake_nonstop.validation import ScenarioError, listed, message_of, require, require_flags
 from drake_nonstop.visualization.figure_style import require_drawing
 
 Changes = Sequence[Change] | Mapping[str, Any]
@@ -94,6 +94,7 @@ def ablate(
         StudyInterrupted: Ctrl-C; the variants that are done stay.
     """
     folder = as_path(folder)
+    require_flags(replay=replay, trust=trust, restart=restart)
     require_main()
     require_drawing()
     pairs = _checked(variants)
