@@ -43,10 +43,10 @@ class Box:
             the dataclass of its parameters, XConfig, and is made by `X(model, config)`.
         signals: what its block makes, with sizes: numbers, or, for n carriers and m coordinates
             of the internal force, texts such as "3n" and "2m". The numbers become texts, too.
-        optional: the signals among them that a block may leave out; nothing in the figure
-            reads them.
+        optional: the signals among them that a block may leave out; the figure's default blocks
+            do not need them.
         recorded_where_read: the signals that take time to evaluate and are in a run's recorded
-            signals only where a block reads them.
+            signals only where a block needs them.
         place: where the drawing has it.
         is_simulated: its block takes the model that is simulated, not the one that the
             controllers believe in.

@@ -53,7 +53,12 @@ def fuse(
         warnings.warn(message, ScenarioWarning, stacklevel=4)
         return dict(blocks)
     others = {box: block for box, block in blocks.items() if box not in fused}
-    plant = FusedPlant(ordered, period=control_period, steps=steps)
+    holds_acceleration = any(
+        getattr(block, "holds_acceleration", False) for block in others.values()
+    )
+    plant = FusedPlant(
+        ordered, period=control_period, steps=steps, holds_acceleration=holds_acceleration
+    )
     plant.kept_parameters = {
         box: [parameters for _, parameters, _ in declared(blocks[box])] for box in fused
     }

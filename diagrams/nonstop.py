@@ -57,6 +57,7 @@ from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
     PHASE_SIZE,
+    PLANNED_SIZE,
     TRACKING_ERROR_SIZE,
     WIND_SIZE,
     WRENCH_SIZE,
@@ -121,14 +122,17 @@ BOXES: dict[str, Box] = {
     ),
     "phase": Box(
         variants=phase.VARIANTS,
-        signals={"phase": PHASE_SIZE},
+        signals={"phase": PHASE_SIZE, "planned": PLANNED_SIZE},
+        optional=("planned",),
         place=Place(4, 0, 1, Kind.TRAJECTORY),
         feeds_fused_plant=True,
         is_linearized=False,  # nothing drives it: its multiplier is 1 in any loop
     ),
     "internal_force": Box(
         variants=internal_force.VARIANTS,
-        signals={"internal_force": "2m"},
+        signals={"internal_force": "2m", "internal_force_higher_rates": "2m"},
+        optional=("internal_force_higher_rates",),
+        recorded_where_read=("internal_force_higher_rates",),
         place=Place(3, 1, -1, Kind.TRAJECTORY),
         feeds_fused_plant=True,
     ),
@@ -231,8 +235,7 @@ phase.phase -> optimization_layer.phase
 phase.phase -> internal_force.phase
 internal_force.internal_force -> force_distribution.internal_force
 
-internal_force.internal_force -> carrier_trajectory.internal_force
-optimization_layer.parameters -> carrier_trajectory.parameters
+internal_force.internal_force_higher_rates -> carrier_trajectory.internal_force_higher_rates
 force_distribution.desired_cable_forces -> carrier_trajectory.desired_cable_forces
 force_distribution.desired_cable_force_rates -> carrier_trajectory.desired_cable_force_rates
 carrier_trajectory.carrier_reference -> carrier_controller.carrier_reference
@@ -441,6 +444,7 @@ def _made_parts(
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
     _require_motion(believed, blocks)
     _check_command(blocks)
+    _check_accelerations(blocks)
     return _Parts(believed, blocks, watched)
 
 
@@ -482,6 +486,32 @@ def _check_command(blocks: Mapping[str, System]) -> None:
                 f"carrier_controller = {type(controller).__name__}: it reads {signal}, which "
                 f"carrier_dynamics = {type(dynamics).__name__} does not make; give "
                 "carrier_dynamics=FixedWingDynamics, or another carrier_controller"
+            )
+
+
+def _check_accelerations(blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where what is read of the references' accelerations is not made."""
+    trajectory = blocks.get("carrier_trajectory")
+    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    needs = getattr(trajectory, "holds_acceleration", False)
+    for name, block in blocks.items():
+        read = {*wiring.input_names(block)} - wiring.optional_inputs(block)
+        for signal in BOXES["carrier_trajectory"].optional:
+            needs |= signal in read
+            if signal in read and signal not in made and trajectory is not None:
+                raise wiring.WiringError(
+                    f"{name} = {type(block).__name__}: it reads {signal}, which "
+                    f"carrier_trajectory = {type(trajectory).__name__} does not make; give "
+                    f"carrier_trajectory=CarrierTrajectory, or another block for {name}"
+                )
+    internal_force = blocks.get("internal_force")
+    for signal in BOXES["internal_force"].optional:
+        is_read = trajectory is not None and signal in wiring.input_names(trajectory)
+        if needs and is_read and signal not in made and internal_force is not None:
+            raise wiring.WiringError(
+                f"internal_force = {type(internal_force).__name__}: it does not make {signal}, of "
+                "which the references' accelerations follow; give it this output, the second and "
+                "third rates (2m) of the internal force, or internal_force=InternalForceTrajectory"
             )
 
 

@@ -1,7 +1,7 @@
 """The controller half of box "Carrier Controller + Dynamics"."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,20 +12,17 @@ from pydrake.systems.primitives import Adder, Gain, Integrator, Selector
 from drake_nonstop.blocks.fixed_wing_controller import (
     FixedWingController,
 )
-from drake_nonstop.mechanics.cable import compliance_of
-from drake_nonstop.mechanics.carrier import carrier_acceleration, loaded_pid_forces, pid_forces
-from drake_nonstop.mechanics.force_rates import second_force_rates_of_steady_wrench
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, PARAMETERS_SIZE
+from drake_nonstop.mechanics.carrier import loaded_pid_forces, pid_forces
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.linear_block import AdjustableLinear
 from drake_nonstop.systems.traced_block import Equations, TracedBlock, splitting
-from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import StrictFields, require_non_negative, require_positive
 
 _BOX = "carrier_controller"
+_ACCELERATION = "carrier_reference_acceleration"
 
 
 class _PositionPid(DiagramBlock):
@@ -38,14 +35,10 @@ class _PositionPid(DiagramBlock):
     Args:
         model: the number of carriers.
         config: the block's.
-        law: how the gains follow from its fields.
-        feedforward: a block with one output, forces (3n) to add; its input ports are the
-            controller's, too.
+        law: how the gains follow from its fields, and whether there is feedforward m_c a_d.
     """
 
-    def __init__(
-        self, model: Model, config: Any, law: "_Law", feedforward: TracedBlock | None = None
-    ):
+    def __init__(self, model: Model, config: Any, law: "_Law"):
         super().__init__()
         law.check(model, config)
         size = 3 * model.n
@@ -62,7 +55,7 @@ class _PositionPid(DiagramBlock):
         )
         pid = _pid(builder, size, law, has_integral, parameters)
         reference_input, negated_state_input = map(error.get_input_port, range(2))
-        self.equations = _equations(size, pid.function, has_integral, feedforward)
+        self.equations = _equations(size, pid.function, [*pid.inputs])
         builder.Connect(minus.get_output_port(), negated_state_input)
         for port in pid.inputs["error"]:
             builder.Connect(error.get_output_port(), port)
@@ -76,16 +69,12 @@ class _PositionPid(DiagramBlock):
                 builder.Connect(integral.get_output_port(), port)
         builder.ExportInput(reference_input, "carrier_reference")
         builder.ExportInput(minus.get_input_port(), "carrier_state")
-        forces = pid.output
-        if feedforward is not None:
-            builder.AddNamedSystem("feedforward", feedforward)
-            for name in input_names(feedforward):
-                builder.ExportInput(feedforward.GetInputPort(name), name)
-            total = builder.AddNamedSystem("total", Adder(2, size))
-            for i, addend in enumerate((forces, feedforward.get_output_port())):
-                builder.Connect(addend, total.get_input_port(i))
-            forces = total.get_output_port()
-        builder.ExportOutput(forces, "carrier_forces")
+        for i, port in enumerate(pid.inputs.get(_ACCELERATION, [])):
+            if i == 0:
+                acceleration = builder.ExportInput(port, _ACCELERATION)
+            else:
+                builder.ConnectInput(acceleration, port)
+        builder.ExportOutput(pid.output, "carrier_forces")
         builder.BuildInto(self)
 
 
@@ -98,11 +87,14 @@ class _Law:
             returns position_gain (N/m), velocity_gain (N s/m) and integral_gain (N/(m s)).
         check: raises ScenarioError for a config that cannot be used.
         of_system: the fields of the system.
+        has_feedforward: whether the forces have the carriers' mass times the references'
+            acceleration in them; `of_system` then names the mass.
     """
 
     gains: Callable[..., dict[str, Any]]
     check: Callable[[Model, Any], None]
     of_system: tuple[str, ...] = ()
+    has_feedforward: bool = False
 
     def has_integral(self, model: Model, config: Any) -> bool:
         """Whether the integral has a gain."""
@@ -117,40 +109,44 @@ def _pid(
     has_integral: bool,
     parameters: BlockParameters,
 ) -> AdjustableLinear:
-    """The forces (`size`, 3n) of the error and of its integral, if that has a gain."""
+    """The forces (`size`, 3n) of the error, and of its integral and the references' acceleration.
 
-    def forces(error: NDArray, *integral: NDArray, **numbers: NDArray) -> NDArray:
-        given = integral[0] if integral else np.zeros(size)
-        return pid_forces(error, given, **law.gains(**numbers))
+    The integral is there if it has a gain, the acceleration if the law has feedforward.
+    """
+    inputs = {"error": 2 * size}
+    inputs |= {"integral": size} if has_integral else {}
+    inputs |= {_ACCELERATION: size} if law.has_feedforward else {}
+
+    def forces(*values: NDArray, **numbers: NDArray) -> NDArray:
+        given = dict(zip(inputs, values, strict=True))
+        integral = given.get("integral", np.zeros(size))
+        feedback = pid_forces(given["error"], integral, **law.gains(**numbers))
+        if not law.has_feedforward:
+            return feedback
+        return feedback + numbers["carrier_mass"] * given[_ACCELERATION]
 
     return AdjustableLinear(
         builder,
         forces,
-        inputs={"error": 2 * size} | ({"integral": size} if has_integral else {}),
+        inputs=inputs,
         size=size,
         parameters=parameters,
-        key=("pid", size, has_integral, law.gains.__qualname__),
+        key=("pid", *inputs.items(), law.gains.__qualname__),
     )
 
 
-def _equations(
-    size: int, pid: Callable, has_integral: bool, feedforward: TracedBlock | None
-) -> Equations:
-    """Those of `_PositionPid`, whose `size` is 3n."""
+def _equations(size: int, pid: Callable, reads: list[str]) -> Equations:
+    """Those of `_PositionPid`, whose `size` is 3n, of the function `pid` and what it reads."""
     inputs = {"carrier_reference": 2 * size, "carrier_state": 2 * size}
-    added = feedforward.equations if feedforward is not None else None
-    if added is not None:
-        inputs |= added.inputs
+    inputs |= {_ACCELERATION: size} if _ACCELERATION in reads else {}
+    has_integral = "integral" in reads
 
     def function(*values: NDArray) -> tuple[NDArray, ...]:
         integral, others = ([values[0]], values[1:]) if has_integral else ([], values)
-        reference, state, *further = others
+        reference, state, *acceleration = others
         error = reference - state
-        forces = pid(error, *integral)
         rate = [np.split(error, 2)[0]] if has_integral else []
-        if added is not None:
-            forces = forces + added.function(*further)
-        return (*rate, forces)
+        return (*rate, pid(error, *integral, *acceleration))
 
     initial_state = np.zeros(size if has_integral else 0)
     return Equations(function, inputs, {"carrier_forces": size}, initial_state)
@@ -164,7 +160,12 @@ def _as_given(**gains: Any) -> dict[str, Any]:
     return gains
 
 
+def _as_given_beside_mass(*, carrier_mass: Any, **gains: Any) -> dict[str, Any]:
+    return gains
+
+
 _GIVEN = _Law(_as_given, _check)
+_WITH_FEEDFORWARD = _Law(_as_given_beside_mass, _check, ("carrier_mass",), has_feedforward=True)
 
 
 @dataclass(kw_only=True)
@@ -210,79 +211,15 @@ class CarrierPid(_PositionPid):
         super().__init__(model, config or CarrierPidConfig(), _GIVEN)
 
 
-class _FeedforwardPid(_PositionPid):
-    """A `_PositionPid` with the forces m_c a_d that the references' acceleration needs.
-
-    Args:
-        model: carriers, cables and pattern.
-        config: as of `_PositionPid`.
-        law: likewise.
-    """
-
-    def __init__(self, model: Model, config: Any, law: _Law):
-        n, attachments = model.n, model.attachments
-        basis, orders = model.pattern.basis, model.pattern.orders
-
-        def inertial_forces(
-            reference: NDArray,
-            cable_forces: NDArray,
-            rates: NDArray,
-            internal_force: NDArray,
-            parameters: NDArray,
-            *,
-            carrier_mass: NDArray,
-            cable_length: NDArray,
-            cable_stiffness: NDArray,
-        ) -> NDArray:
-            forces, rates = cable_forces.reshape(n, 3), rates.reshape(n, 3)
-            second_rates = second_force_rates_of_steady_wrench(
-                reference,
-                forces,
-                rates,
-                internal_force,
-                parameters,
-                basis=basis,
-                orders=orders,
-            )
-            acceleration = carrier_acceleration(
-                reference,
-                forces,
-                rates,
-                second_rates,
-                attachments=attachments,
-                rest_length=cable_length,
-                compliance=compliance_of(cable_stiffness),
-            )
-            return carrier_mass * acceleration.reshape(3 * n)
-
-        sizes = {
-            "reference": LOAD_REFERENCE_SIZE,
-            "desired_cable_forces": 3 * n,
-            "desired_cable_force_rates": 3 * n,
-            "internal_force": 2 * model.m,
-            "parameters": PARAMETERS_SIZE,
-        }
-        feedforward = TracedBlock(
-            inertial_forces,
-            inputs=sizes,
-            outputs={"inertial_forces": 3 * n},
-            parameters=BlockParameters(model, ("carrier_mass", "cable_length", "cable_stiffness")),
-            key=("inertial forces", basis, attachments, orders),
-        )
-        super().__init__(model, config, law, feedforward)
-
-
 @dataclass(kw_only=True)
 class FeedforwardCarrierPidConfig(_Gains):
     """Gains on each axis."""
 
 
-class FeedforwardCarrierPid(_FeedforwardPid):
-    """PID with the acceleration of a carrier on its orbit as feedforward.
+class FeedforwardCarrierPid(_PositionPid):
+    """PID with the references' acceleration as feedforward.
 
-    u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d. The references' acceleration a_d
-    is that of the internal forces' and the load's rotation, exact where the wrench on the load
-    changes slowly in its frame, see `mechanics.force_rates`. A PID without it lags behind its
+    u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d. A PID without it lags behind its
     circle by m_c a_d/K_p.
 
     .. pydrake_system::
@@ -291,19 +228,13 @@ class FeedforwardCarrierPid(_FeedforwardPid):
         input_ports:
         - carrier_reference
         - carrier_state
-        - reference
-        - desired_cable_forces
-        - desired_cable_force_rates
-        - internal_force
-        - parameters
+        - carrier_reference_acceleration
         output_ports:
         - carrier_forces
 
-    `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)],
-    `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s), all in W;
-    `internal_force` (2m) = [λ (N); λ̇ (N/s)]; `parameters` (2) = [ξ (rad/s), A (N)];
-    `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
-    state, where their gain is not zero.
+    `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)] and
+    `carrier_reference_acceleration` (3n, m/s²), in W; `carrier_forces` (3n) in N, in W. The
+    integrals of the position errors (3n, m s) are the state, where their gain is not zero.
 
     Parameters, the fields of `FeedforwardCarrierPidConfig`:
         position_gain: N/m
@@ -315,7 +246,7 @@ class FeedforwardCarrierPid(_FeedforwardPid):
     """
 
     def __init__(self, model: Model, config: FeedforwardCarrierPidConfig | None = None):
-        super().__init__(model, config or FeedforwardCarrierPidConfig(), _GIVEN)
+        super().__init__(model, config or FeedforwardCarrierPidConfig(), _WITH_FEEDFORWARD)
 
 
 def _check_tuned(model: Model, config: Any) -> None:
@@ -332,6 +263,7 @@ def _tuned(
 
 
 _TUNED = _Law(_tuned, _check_tuned, ("carrier_mass",))
+_TUNED_WITH_FEEDFORWARD = replace(_TUNED, has_feedforward=True)
 
 
 @dataclass(kw_only=True)
@@ -382,7 +314,7 @@ class TunedFeedforwardCarrierPidConfig(_Poles):
     """The desired poles of every carrier."""
 
 
-class TunedFeedforwardCarrierPid(_FeedforwardPid):
+class TunedFeedforwardCarrierPid(_PositionPid):
     """`FeedforwardCarrierPid` whose gains follow from a natural frequency and the carriers' mass.
 
     u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d, gains from
@@ -394,19 +326,13 @@ class TunedFeedforwardCarrierPid(_FeedforwardPid):
         input_ports:
         - carrier_reference
         - carrier_state
-        - reference
-        - desired_cable_forces
-        - desired_cable_force_rates
-        - internal_force
-        - parameters
+        - carrier_reference_acceleration
         output_ports:
         - carrier_forces
 
-    `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)],
-    `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s), all in W;
-    `internal_force` (2m) = [λ (N); λ̇ (N/s)]; `parameters` (2) = [ξ (rad/s), A (N)];
-    `carrier_forces` (3n) in N, in W. The integrals of the position errors (3n, m s) are the
-    state, where their gain is not zero.
+    `carrier_reference` and `carrier_state` (6n) = [positions (m), velocities (m/s)] and
+    `carrier_reference_acceleration` (3n, m/s²), in W; `carrier_forces` (3n) in N, in W. The
+    integrals of the position errors (3n, m s) are the state, where their gain is not zero.
 
     Parameters, the fields of `TunedFeedforwardCarrierPidConfig`:
         frequency: rad/s, natural frequency of a carrier about its reference
@@ -418,7 +344,8 @@ class TunedFeedforwardCarrierPid(_FeedforwardPid):
     """
 
     def __init__(self, model: Model, config: TunedFeedforwardCarrierPidConfig | None = None):
-        super().__init__(model, config or TunedFeedforwardCarrierPidConfig(), _TUNED)
+        config = config or TunedFeedforwardCarrierPidConfig()
+        super().__init__(model, config, _TUNED_WITH_FEEDFORWARD)
 
 
 @dataclass(kw_only=True)

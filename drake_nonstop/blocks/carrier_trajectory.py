@@ -5,34 +5,47 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop.mechanics.cable import compliance_of
-from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk, carrier_motion
+from drake_nonstop.mechanics.carrier import (
+    carrier_acceleration,
+    carrier_jerk,
+    carrier_motion,
+    motion_after,
+)
 from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
-    PARAMETERS_SIZE,
     WIND_SIZE,
 )
 from drake_nonstop.model.block_parameters import LOAD, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.traced_block import LateOutputs, TracedBlock
-from drake_nonstop.validation import StrictFields
+from drake_nonstop.systems.wiring import input_names
+from drake_nonstop.validation import StrictFields, require
+
+_BOX = "carrier_trajectory"
+_HOLDS = ("velocity", "second_order")
+_DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
+_FOR_DERIVATIVES = ("internal_force_higher_rates", "wind_estimate")
 
 
 class _TrajectoryAboveLoad(TracedBlock):
     """The carriers' positions and velocities for the desired cable forces (eqs. 1, 22).
 
-    The attachments are those of a given load pose. Behind a sampled controller the references
-    move along their velocities between the samples.
+    The attachments are those of a given load pose.
 
     Args:
         model: attachments and cables.
         pose: the signal with the load's pose, and its size: a load state, or what begins with
             one.
         stretches: whether the cables do, by their stiffness.
-        derivatives: makes accelerations and jerks as well, of these inputs and three more.
+        derivatives: makes accelerations and jerks as well, of these inputs and two more.
+        moves: whether the references move along their velocities between the samples of a
+            sampled controller.
     """
 
     is_sampled = True
@@ -44,6 +57,7 @@ class _TrajectoryAboveLoad(TracedBlock):
         pose: tuple[str, int],
         stretches: bool = True,
         derivatives: LateOutputs | None = None,
+        moves: bool,
     ):
         attachments = model.attachments
 
@@ -56,61 +70,108 @@ class _TrajectoryAboveLoad(TracedBlock):
             cable_stiffness: NDArray | None = None,
             **_: NDArray,
         ) -> NDArray:
-            positions, velocities = carrier_motion(
-                state,
-                forces.reshape(-1, 3),
-                rates.reshape(-1, 3),
-                attachments=attachments,
-                rest_length=cable_length,
-                compliance=_compliance(cable_stiffness),
+            now = np.concatenate(
+                carrier_motion(
+                    state,
+                    forces.reshape(-1, 3),
+                    rates.reshape(-1, 3),
+                    attachments=attachments,
+                    rest_length=cable_length,
+                    compliance=_compliance(cable_stiffness),
+                )
             )
-            if is_sampled:
-                sample_time, time = further[-2:]
-                positions = positions + (time - sample_time) * velocities
-            return np.concatenate([positions, velocities])
+            if not moves:
+                return now
+            sample_time, time = further[-2:]
+            return motion_after(now.reshape(-1), time - sample_time)
 
         inputs = dict([pose])
         inputs |= dict.fromkeys(("desired_cable_forces", "desired_cable_force_rates"), 3 * model.n)
         parameters = _of_cables(stretches)
         if derivatives is not None:
-            inputs |= {"internal_force": 2 * model.m, "parameters": PARAMETERS_SIZE}
-            inputs |= {"wind_estimate": WIND_SIZE}
+            inputs |= {"internal_force_higher_rates": 2 * model.m, "wind_estimate": WIND_SIZE}
             parameters += LOAD
-        is_sampled = model.control_period > 0
-        if is_sampled:
+        if moves:
             inputs["sample_time"] = 1
         super().__init__(
             motion,
             inputs=inputs,
             outputs={"carrier_reference": 6 * model.n},
-            reads_time=is_sampled,
+            reads_time=moves,
             parameters=BlockParameters(model, parameters),
-            key=("carrier trajectory", tuple(inputs), is_sampled, stretches, attachments),
+            key=("carrier trajectory", tuple(inputs), moves, stretches, attachments),
             late=derivatives,
         )
 
 
-class _TrajectoryAboveReference(_TrajectoryAboveLoad):
-    """A `_TrajectoryAboveLoad` on its reference, with accelerations and jerks."""
+class _TrajectoryAboveReference(DiagramBlock):
+    """A `_TrajectoryAboveLoad` on its reference, with accelerations and jerks.
 
-    optional_inputs = ("internal_force", "parameters", "wind_estimate")
+    Args:
+        model: as there.
+        config: how the references move between the samples of a sampled controller.
+        stretches: as there.
 
-    def __init__(self, model: Model, *, stretches: bool = True):
-        pose = ("reference", LOAD_REFERENCE_SIZE)
-        super().__init__(model, pose=pose, stretches=stretches, derivatives=_derivatives(model))
+    Attributes:
+        holds_acceleration: whether the references move with constant accelerations between samples.
+    """
+
+    is_sampled = True
+
+    def __init__(self, model: Model, config: Any, *, stretches: bool = True):
+        super().__init__()
+        require(config.hold in _HOLDS, f"{_BOX}.hold", config.hold, f"give {' or '.join(_HOLDS)}")
+        is_sampled = model.control_period > 0
+        self.holds_acceleration = is_sampled and config.hold == "second_order"
+        self.optional_inputs = () if self.holds_acceleration else _FOR_DERIVATIVES
+        builder = DiagramBuilder()
+        motion = _TrajectoryAboveLoad(
+            model,
+            pose=("reference", LOAD_REFERENCE_SIZE),
+            stretches=stretches,
+            derivatives=_derivatives(model),
+            moves=is_sampled and not self.holds_acceleration,
+        )
+        builder.AddNamedSystem("motion", motion)
+        for name in input_names(motion):
+            builder.ExportInput(motion.GetInputPort(name), name)
+        made = motion.GetOutputPort("carrier_reference")
+        if self.holds_acceleration:
+            hold = builder.AddNamedSystem("hold", _second_order_hold(model.n))
+            builder.Connect(made, hold.GetInputPort("motion"))
+            acceleration = motion.GetOutputPort("carrier_reference_acceleration")
+            builder.Connect(acceleration, hold.GetInputPort("acceleration"))
+            builder.ExportInput(hold.GetInputPort("sample_time"), "sample_time")
+            made = hold.get_output_port()
+        builder.ExportOutput(made, "carrier_reference")
+        for name in _DERIVATIVES:
+            builder.ExportOutput(motion.GetOutputPort(name), name)
+        builder.BuildInto(self)
+
+
+def _second_order_hold(n: int) -> TracedBlock:
+    """The motion (6n) of n carriers at a time, of that at `sample_time` and its acceleration."""
+    return TracedBlock(
+        lambda motion, acceleration, sample_time, time: motion_after(
+            motion, time - sample_time, acceleration
+        ),
+        inputs={"motion": 6 * n, "acceleration": 3 * n, "sample_time": 1},
+        outputs={"carrier_reference": 6 * n},
+        reads_time=True,
+        key=("second-order hold", n),
+    )
 
 
 def _derivatives(model: Model) -> LateOutputs:
     """The carriers' accelerations and jerks while the load is on its reference."""
     attachments, pseudo_inverse = model.attachments, model.pseudo_inverse
-    basis, orders = model.pattern.basis, model.pattern.orders
+    basis = model.pattern.basis
 
     def derivatives(
         reference: NDArray,
         forces: NDArray,
         rates: NDArray,
-        internal_force: NDArray,
-        parameters: NDArray,
+        internal_force_higher_rates: NDArray,
         wind: NDArray,
         *,
         cable_length: NDArray,
@@ -123,12 +184,10 @@ def _derivatives(model: Model) -> LateOutputs:
             reference,
             forces,
             rates,
-            internal_force,
-            parameters,
+            internal_force_higher_rates,
             wind,
             pseudo_inverse=pseudo_inverse,
             basis=basis,
-            orders=orders,
         )
         cables: dict[str, Any] = {
             "attachments": attachments,
@@ -146,12 +205,10 @@ def _derivatives(model: Model) -> LateOutputs:
             "reference",
             "desired_cable_forces",
             "desired_cable_force_rates",
-            "internal_force",
-            "parameters",
-            "wind_estimate",
+            *_FOR_DERIVATIVES,
         ),
-        dict.fromkeys(("carrier_reference_acceleration", "carrier_reference_jerk"), 3 * model.n),
-        key=("carrier derivatives", attachments, basis, orders),
+        dict.fromkeys(_DERIVATIVES, 3 * model.n),
+        key=("carrier derivatives", attachments, basis),
     )
 
 
@@ -166,8 +223,13 @@ def _compliance(stiffness: NDArray | None) -> NDArray:
 
 
 @dataclass(kw_only=True)
-class CarrierTrajectoryConfig(StrictFields):
-    """No parameters: cable length and stiffness are the system's."""
+class _Hold(StrictFields):
+    hold: str = "velocity"  # of the references between samples; or "second_order"
+
+
+@dataclass(kw_only=True)
+class CarrierTrajectoryConfig(_Hold):
+    """How the references move between samples; the cables are the system's."""
 
 
 class CarrierTrajectory(_TrajectoryAboveReference):
@@ -182,8 +244,7 @@ class CarrierTrajectory(_TrajectoryAboveReference):
         - reference
         - desired_cable_forces
         - desired_cable_force_rates
-        - internal_force
-        - parameters
+        - internal_force_higher_rates
         - wind_estimate
         - sample_time (where the model has a control period)
         output_ports:
@@ -192,23 +253,29 @@ class CarrierTrajectory(_TrajectoryAboveReference):
         - carrier_reference_jerk
 
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
-    `internal_force` (2m) = [λ (N); λ̇ (N/s)], `parameters` (2) = [ξ (rad/s), A (N)] and
-    `wind_estimate` (3, m/s) in W, which only accelerations and jerks need; `sample_time` (1) in s;
-    `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W. Between samples the reference
-    moves along its velocity.
+    `internal_force_higher_rates` (2m) = [λ̈ (N/s²); λ⃛ (N/s³)] and `wind_estimate` (3, m/s) in W,
+    which only accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) =
+    [positions (m), velocities (m/s)] in W. A time τ after a sample it is p + τ v and v, or, with
+    `hold` "second_order", p + τ v + τ² a/2 and v + τ a.
 
     `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
-    those of constant ξ and A while the load is on its reference, whose snap and angular jerk are
-    taken as zero, see `mechanics.force_rates`; between samples they stand still.
+    those while the load is on its reference, whose snap and angular jerk are taken as zero, see
+    `mechanics.force_rates`; between samples they stand still.
+
+    Parameters, the fields of `CarrierTrajectoryConfig`:
+        hold: of the references between samples; or "second_order"
+
+    Raises:
+        ScenarioError: `hold` is another text.
     """
 
     def __init__(self, model: Model, config: CarrierTrajectoryConfig | None = None):
-        super().__init__(model)
+        super().__init__(model, config or CarrierTrajectoryConfig())
 
 
 @dataclass(kw_only=True)
-class InextensibleCarrierTrajectoryConfig(StrictFields):
-    """No parameters: the cable length is the system's."""
+class InextensibleCarrierTrajectoryConfig(_Hold):
+    """How the references move between samples; the cables are the system's."""
 
 
 class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
@@ -224,8 +291,7 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
         - reference
         - desired_cable_forces
         - desired_cable_force_rates
-        - internal_force
-        - parameters
+        - internal_force_higher_rates
         - wind_estimate
         - sample_time (where the model has a control period)
         output_ports:
@@ -234,18 +300,24 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
         - carrier_reference_jerk
 
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
-    `internal_force` (2m) = [λ (N); λ̇ (N/s)], `parameters` (2) = [ξ (rad/s), A (N)] and
-    `wind_estimate` (3, m/s) in W, which only accelerations and jerks need; `sample_time` (1) in s;
-    `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W. Between samples the reference
-    moves along its velocity.
+    `internal_force_higher_rates` (2m) = [λ̈ (N/s²); λ⃛ (N/s³)] and `wind_estimate` (3, m/s) in W,
+    which only accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) =
+    [positions (m), velocities (m/s)] in W. A time τ after a sample it is p + τ v and v, or, with
+    `hold` "second_order", p + τ v + τ² a/2 and v + τ a.
 
     `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
-    those of constant ξ and A while the load is on its reference, whose snap and angular jerk are
-    taken as zero, see `mechanics.force_rates`; between samples they stand still.
+    those while the load is on its reference, whose snap and angular jerk are taken as zero, see
+    `mechanics.force_rates`; between samples they stand still.
+
+    Parameters, the fields of `InextensibleCarrierTrajectoryConfig`:
+        hold: of the references between samples; or "second_order"
+
+    Raises:
+        ScenarioError: `hold` is another text.
     """
 
     def __init__(self, model: Model, config: InextensibleCarrierTrajectoryConfig | None = None):
-        super().__init__(model, stretches=False)
+        super().__init__(model, config or InextensibleCarrierTrajectoryConfig(), stretches=False)
 
 
 @dataclass(kw_only=True)
@@ -276,7 +348,8 @@ class MeasuredCarrierTrajectory(_TrajectoryAboveLoad):
     """
 
     def __init__(self, model: Model, config: MeasuredCarrierTrajectoryConfig | None = None):
-        super().__init__(model, pose=("measured_load_state", LOAD_STATE_SIZE))
+        pose = ("measured_load_state", LOAD_STATE_SIZE)
+        super().__init__(model, pose=pose, moves=model.control_period > 0)
 
 
 # The blocks that the box can be, the default first.

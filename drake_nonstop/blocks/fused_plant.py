@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, State
 from pydrake.systems.primitives import Selector
 
+from drake_nonstop.mechanics.carrier import motion_after
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.parameters import NumericParameters
@@ -16,7 +17,7 @@ from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import ScenarioError
 
 _HELD = "disturbance_wrench"
-_MOVING = "carrier_reference"
+_MOVING, _ACCELERATION = "carrier_reference", "carrier_reference_acceleration"
 _TIME = -1  # the place of the time in a `_Memory`
 
 
@@ -38,10 +39,10 @@ class FusedPlant(DiagramBlock):
         - (the parts' outputs)
 
     Names and sizes are those of the parts' ports. Over a period the `disturbance_wrench` is
-    held at its value at the beginning, the `carrier_reference` moves along its velocities, as
-    that of `CarrierTrajectory`, and other inputs are assumed to be constant. If they are, the
-    results at the samples are those of the parts to round-off, if the integrator's step
-    divides the period and no event cuts a step short.
+    held at its value at the beginning, the `carrier_reference` moves along its velocities, or with
+    its accelerations, as that of `CarrierTrajectory`, and other inputs are assumed to be constant.
+    If they are, the results at the samples are those of the parts to round-off, if the
+    integrator's step divides the period and no event cuts a step short.
 
     Blocks that hold their outputs between samples say so by `is_sampled`. Their subclasses inherit
     it: one whose outputs change between samples has to set it to False.
@@ -50,6 +51,8 @@ class FusedPlant(DiagramBlock):
         parts: the equations of the blocks by their names, each after its sources.
         period: the controllers' sample time in s.
         steps: the integrator's steps in a period.
+        holds_acceleration: whether the `carrier_reference` moves with constant accelerations; they
+            are then another input.
 
     Attributes:
         kept_parameters: by the names of the parts, the parameters of their blocks, whose values it
@@ -58,10 +61,17 @@ class FusedPlant(DiagramBlock):
 
     kept_parameters: Mapping[str, Sequence[NumericParameters]]
 
-    def __init__(self, parts: Mapping[str, Equations], *, period: float, steps: int):
+    def __init__(
+        self,
+        parts: Mapping[str, Equations],
+        *,
+        period: float,
+        steps: int,
+        holds_acceleration: bool = False,
+    ):
         super().__init__()
         self.kept_parameters = {}
-        together = _CombinedEquations(parts)
+        together = _CombinedEquations(parts, holds_acceleration)
         builder = DiagramBuilder()
         stepped = builder.AddNamedSystem("stepped", _Stepped(together, period, steps))
         stacked = builder.AddNamedSystem("stacked", Selector(stacking(together.inputs)))
@@ -126,7 +136,7 @@ class _CombinedEquations:
     states, by the names of the ports that show them or, where there is none, of the parts.
     """
 
-    def __init__(self, parts: Mapping[str, Equations]):
+    def __init__(self, parts: Mapping[str, Equations], holds_acceleration: bool):
         self._parts = parts
         initial = {part.state_port or name: part.initial_state for name, part in parts.items()}
         self.initial_states = {name: state for name, state in initial.items() if len(state)}
@@ -136,6 +146,9 @@ class _CombinedEquations:
         for part in parts.values():
             self.outputs |= part.outputs
             read |= part.inputs
+        self.holds_acceleration = holds_acceleration
+        if holds_acceleration:
+            read[_ACCELERATION] = read[_MOVING] // 2
         known = {*self.states, *self.outputs, _HELD}
         self.inputs = {name: size for name, size in read.items() if name not in known}
 
@@ -267,9 +280,8 @@ def _traced(
 
         def rate(state: NDArray, since: NDArray) -> NDArray:
             parts = _split(inputs, together.inputs)
-            positions, velocities = np.split(parts[_MOVING], 2)
-            positions = positions - (elapsed - since) * velocities
-            parts[_MOVING] = np.concatenate([positions, velocities])
+            acceleration = parts[_ACCELERATION] if together.holds_acceleration else None
+            parts[_MOVING] = motion_after(parts[_MOVING], since - elapsed, acceleration)
             return at.traced(state, np.concatenate([*parts.values()]), held)[0]
 
         for i in range(steps):

@@ -122,6 +122,18 @@ def carrier_jerk(
     )
 
 
+def motion_after(motion: NDArray, time: NDArray, acceleration: NDArray | None = None) -> NDArray:
+    """[positions, velocities] (6n,) of carriers a `time` (1,) after `motion` (6n,), SI.
+
+    p + τ v + τ² a/2 and v + τ a of a constant `acceleration` (3n,), or p + τ v and v without one.
+    """
+    positions, velocities = np.split(motion, 2)
+    if acceleration is None:
+        return np.concatenate([positions + time * velocities, velocities])
+    change = time * acceleration
+    return np.concatenate([positions + time * (velocities + change / 2), velocities + change])
+
+
 def pid_forces(
     error: NDArray,
     integral: NDArray,

@@ -6,13 +6,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.internal_force import (
-    internal_force_acceleration,
-    internal_force_jerk,
-)
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix, skew
-from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.mechanics.signals import InternalForceHigherRates, LoadReference
 
 
 def second_and_third_force_rates(
@@ -20,27 +16,25 @@ def second_and_third_force_rates(
     reference: NDArray,
     forces: NDArray,
     rates: NDArray,
-    internal_force: NDArray,
-    parameters: NDArray,
+    internal_force_higher_rates: NDArray,
     wind: NDArray = STILL_AIR,
     *,
     pseudo_inverse: NDArray,
     basis: NDArray,
-    orders: float | NDArray = 1,
 ) -> tuple[NDArray, NDArray]:
     """f̈ and f⃛ (n, 3) each, in W, of the desired cable forces on a load along its reference.
 
     `load` is the controllers' model and `reference` (22,) its motion; `forces` and `rates` are f
-    and ḟ (n, 3) in W, `internal_force` (2m,) is [λ; λ̇] and `parameters` (2,) are [ξ, A]; `wind`
-    (3,) is in m/s, in W, and constant; `pseudo_inverse` (3n, 6) and `basis` N₀ (3n, m) are
-    constants in L, `orders` h (m,) those of the pattern's harmonics. With f_i = R ᴸf_i,
+    and ḟ (n, 3) in W, `internal_force_higher_rates` (2m,) is [λ̈; λ⃛]; `wind` (3,) is in m/s, in
+    W, and constant; `pseudo_inverse` (3n, 6) and `basis` N₀ (3n, m) are constants in L. With
+    f_i = R ᴸf_i,
 
-        d²ᴸf/dt² = G₀† d²ᴸw/dt² + N₀ λ̈,   λ̈ = −(h ξ)² λ,
-        d³ᴸf/dt³ = G₀† d³ᴸw/dt³ + N₀ λ⃛,   λ⃛ = −(h ξ)² λ̇,
+        d²ᴸf/dt² = G₀† d²ᴸw/dt² + N₀ λ̈,
+        d³ᴸf/dt³ = G₀† d³ᴸw/dt³ + N₀ λ⃛,
 
-    exact for constant ξ and A, where w is the wrench that moves the load along its reference. What
-    the reference does not tell is taken as zero: its snap and its angular jerk, in W, and their
-    rates. So are the second and third rates of what the feedback adds to w. Own derivation.
+    where w is the wrench that moves the load along its reference. What the reference does not tell
+    is taken as zero: its snap and its angular jerk, in W, and their rates. So are the second and
+    third rates of what the feedback adds to w. Own derivation.
     """
     desired = LoadReference.view(reference)
     R_WL = rotation_matrix(desired.quaternion)
@@ -75,44 +69,14 @@ def second_and_third_force_rates(
     rates_L = rates @ R_WL - cross(omegas[0], forces_L)
     second_L, third_L = (
         (pseudo_inverse @ wrench_rate(order) + basis @ internal_rate).reshape(-1, 3)
-        for order, internal_rate in (
-            (2, internal_force_acceleration(parameters, internal_force, orders=orders)),
-            (3, internal_force_jerk(parameters, internal_force, orders=orders)),
+        for order, internal_rate in enumerate(
+            InternalForceHigherRates.view(internal_force_higher_rates), start=2
         )
     )
     of_forces = [forces_L, rates_L, second_L, third_L]
     return (
         _product_rate(np.matmul, of_forces, turns, 2),
         _product_rate(np.matmul, of_forces, turns, 3),
-    )
-
-
-def second_force_rates_of_steady_wrench(
-    reference: NDArray,
-    forces: NDArray,
-    rates: NDArray,
-    internal_force: NDArray,
-    parameters: NDArray,
-    *,
-    basis: NDArray,
-    orders: float | NDArray = 1,
-) -> NDArray:
-    """f̈ (n, 3), in W, of the desired cable forces where the wrench is constant in L.
-
-    Arguments as of `second_and_third_force_rates`. With ω and ω̇ of the reference,
-
-        f̈ = R N₀ λ̈ + 2 ω × (ḟ − ω × f) + ω̇ × f + ω × (ω × f).
-    """
-    desired = LoadReference.view(reference)
-    R_WL = rotation_matrix(desired.quaternion)
-    omega = desired.angular_velocity
-    second_rates = internal_force_acceleration(parameters, internal_force, orders=orders)
-    turning = cross(omega, forces)
-    return (
-        (basis @ second_rates).reshape(-1, 3) @ R_WL.T
-        + 2 * cross(omega, rates - turning)
-        + cross(desired.angular_acceleration, forces)
-        + cross(omega, turning)
     )
 
 

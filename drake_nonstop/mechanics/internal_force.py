@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
-from drake_nonstop.mechanics.signals import InternalForce, Parameters
+from drake_nonstop.mechanics.signals import InternalForce, Parameters, PlannedParameters
 
 
 def hamiltonian_cycle(attachments: NDArray) -> NDArray:
@@ -132,6 +132,41 @@ def internal_force_jerk(
     """λ⃛ = −(h ξ)² λ̇ (m,), for constant ξ and A, of [ξ, A] (2,) and [λ; λ̇] (2m,)."""
     frequency = orders * Parameters.view(parameters).frequency
     return -frequency * frequency * InternalForce.view(internal_force).rates
+
+
+def planned_internal_force(
+    planned: NDArray, *, phases: NDArray, orders: float | NDArray = 1
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """λ, λ̇, λ̈ and λ⃛ (m,) each, of ξ and A that change: of `PlannedParameters` (8,).
+
+    With φ = h θ + φ_k, ω = h ξ and the orders h (m,) of the harmonics,
+
+        λ̇ = Ȧ cos φ − A ω sin φ,
+        λ̈ = (Ä − A ω²) cos φ − (2 Ȧ ω + A ω̇) sin φ,
+        λ⃛ = (A⃛ − 3 Ȧ ω² − 3 A ω ω̇) cos φ − (3 Ä ω + 3 Ȧ ω̇ + A ω̈ − A ω³) sin φ.
+
+    With all rates zero they are those of `internal_force` at constant ξ and A. Own derivation.
+    """
+    plan = PlannedParameters.view(planned)
+    angles = orders * plan.angle + phases
+    cosine, sine = np.cos(angles), np.sin(angles)
+    speed, speed_rate = orders * plan.frequency, orders * plan.frequency_rate
+    speed_second_rate = orders * plan.frequency_second_rate
+    size, rate, second = plan.amplitude, plan.amplitude_rate, plan.amplitude_second_rate
+    squared = speed * speed
+    return (
+        size * cosine,
+        rate * cosine - size * speed * sine,
+        (second - size * squared) * cosine - (2 * rate * speed + size * speed_rate) * sine,
+        (plan.amplitude_third_rate - 3 * rate * squared - 3 * size * speed * speed_rate) * cosine
+        - (
+            3 * second * speed
+            + 3 * rate * speed_rate
+            + size * speed_second_rate
+            - size * squared * speed
+        )
+        * sine,
+    )
 
 
 def ellipse_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:

@@ -23,6 +23,7 @@ WRENCH_SIZE = 6
 TRACKING_ERROR_SIZE = 12
 PARAMETERS_SIZE = 2
 PHASE_SIZE = 2
+PLANNED_SIZE = 8
 WIND_SIZE = 3
 
 
@@ -149,6 +150,27 @@ class Phase(NamedTuple):
         return cls(values[..., :1], values[..., 1:2])
 
 
+class PlannedParameters(NamedTuple):
+    """Phase θ, frequency ξ = θ̇ and amplitude A of the internal force with all rates that matter.
+
+    Each part has a last axis of length 1; second and third rates are those of time.
+    """
+
+    angle: NDArray  # (..., 1), θ, rad
+    frequency: NDArray  # (..., 1), ξ, rad/s
+    amplitude: NDArray  # (..., 1), A, N
+    frequency_rate: NDArray  # (..., 1), rad/s²
+    amplitude_rate: NDArray  # (..., 1), N/s
+    frequency_second_rate: NDArray  # (..., 1), rad/s³
+    amplitude_second_rate: NDArray  # (..., 1), N/s²
+    amplitude_third_rate: NDArray  # (..., 1), N/s³
+
+    @classmethod
+    def view(cls, values: NDArray) -> "PlannedParameters":
+        """The parts of an array (..., 8)."""
+        return cls(*(values[..., i : i + 1] for i in range(PLANNED_SIZE)))
+
+
 class InternalForce(NamedTuple):
     """The m internal-force coordinates and their rates."""
 
@@ -157,6 +179,19 @@ class InternalForce(NamedTuple):
 
     @classmethod
     def view(cls, values: NDArray) -> "InternalForce":
+        """The parts of an array (..., 2m)."""
+        half = values.shape[-1] // 2
+        return cls(values[..., :half], values[..., half:])
+
+
+class InternalForceHigherRates(NamedTuple):
+    """The second and third rates of the m internal-force coordinates."""
+
+    second: NDArray  # (..., m), N/s²
+    third: NDArray  # (..., m), N/s³
+
+    @classmethod
+    def view(cls, values: NDArray) -> "InternalForceHigherRates":
         """The parts of an array (..., 2m)."""
         half = values.shape[-1] // 2
         return cls(values[..., :half], values[..., half:])

@@ -37,7 +37,13 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
 from drake_nonstop.systems.block import LOOP, LeafBlock
-from drake_nonstop.systems.wiring import maker_of, nested, require_open, require_signals
+from drake_nonstop.systems.wiring import (
+    maker_of,
+    nested,
+    optional_inputs,
+    require_open,
+    require_signals,
+)
 from drake_nonstop.validation import ScenarioError, require
 
 MEMORY_LIMIT = 32e6  # bytes of signals in memory; with more of them all go to files
@@ -525,7 +531,8 @@ def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, 
     """The ports, by name, that are recorded at 100 Hz and at every step."""
     read = {
         source.get_output_port(index).get_name()
-        for source, index in nonstop.connection_map().values()
+        for (reader, at), (source, index) in nonstop.connection_map().items()
+        if reader.get_input_port(at).get_name() not in optional_inputs(reader)
     }
     if_read = {name for box in BOXES.values() for name in box.recorded_where_read}
     outputs = [nonstop.get_output_port(i) for i in range(nonstop.num_output_ports())]

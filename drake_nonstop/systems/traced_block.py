@@ -223,8 +223,10 @@ def _late_part(
     late: LateOutputs, inputs: Mapping[str, int], parameters: NumericParameters
 ) -> _Part:
     """The part for late outputs of a block's inputs, whose names and sizes are given."""
-    names = [*late.reads, *([_NUMBERS] if len(parameters) > 0 else [])]
-    function = parameters.as_argument(late.function, len(late.reads))
+    names, function = [*late.reads], late.function
+    if len(parameters) > 0:
+        function = parameters.as_argument(function, len(names))
+        names.append(_NUMBERS)
     sizes = [inputs[name] for name in names]
     whole = range(len(names)), range(len(late.outputs))
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from helpers import difference, fix, model, output, outputs
+from helpers import fix, model, output, outputs
 
+from drake_nonstop.blocks import carrier_controller
 from drake_nonstop.blocks.carrier_controller import (
     CarrierPid,
     CarrierPidConfig,
@@ -15,9 +16,6 @@ from drake_nonstop.blocks.carrier_controller import (
     TunedFeedforwardCarrierPid,
     TunedFeedforwardCarrierPidConfig,
 )
-from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.grasp import cable_forces_and_rates
-from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.validation import ScenarioError
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
@@ -94,47 +92,27 @@ def test_default_tuned_gains_of_the_papers_carriers_are_those_of_the_pid(rng, n)
     np.testing.assert_allclose(heavy, 60 * plain, rtol=1e-13)
 
 
-def orbit(body, time, frequency=2.0, amplitude=1.2):
-    """The signals of carriers that turn above a load at rest, at a time."""
-    phase = np.array([frequency * time])
-    still = np.array([1.0, *np.zeros(21)])
-    parameters = np.array([frequency, amplitude])
-    internal = np.concatenate(internal_force(parameters, phase, phases=body.pattern.phases))
-    forces, rates = cable_forces_and_rates(
-        still[:13],
-        np.array([0, 0, 0, 0, 0, 9.81]),
-        np.zeros(6),
-        internal,
-        pseudo_inverse=body.pseudo_inverse,
-        basis=body.pattern.basis,
-        offset=body.pattern.offset,
-    )
-    motion = carrier_motion(
-        still,
-        forces,
-        rates,
-        attachments=body.attachments,
-        rest_length=body.cable_length,
-        compliance=body.cable_compliance,
-    )
-    return {
-        "carrier_reference": np.concatenate([part.ravel() for part in motion]),
-        "reference": still,
-        "desired_cable_forces": forces.ravel(),
-        "desired_cable_force_rates": rates.ravel(),
-        "internal_force": internal,
-        "parameters": parameters,
-    }
-
-
-@pytest.mark.parametrize("make", [FeedforwardCarrierPid, TunedFeedforwardCarrierPid])
-def test_feedforward_is_the_mass_times_the_acceleration_of_the_orbit(make):
+@pytest.mark.parametrize("integral_gain", [0.0, 3.0])
+@pytest.mark.parametrize(
+    ("make", "config", "without"),
+    [
+        (FeedforwardCarrierPid, FeedforwardCarrierPidConfig(), CarrierPid),
+        (TunedFeedforwardCarrierPid, TunedFeedforwardCarrierPidConfig(), TunedCarrierPid),
+    ],
+)
+def test_feedforward_adds_the_mass_times_the_acceleration_of_the_reference(
+    rng, make, config, without, integral_gain
+):
     body = model(4, carrier_mass=0.3)
-    signals = orbit(body, 0.4)
-    forces = outputs(make(body), carrier_state=signals["carrier_reference"], **signals)
-    acceleration = difference(lambda t: orbit(body, t)["carrier_reference"][12:], 0.4)
-    np.testing.assert_allclose(forces["carrier_forces"], 0.3 * acceleration, rtol=0, atol=1e-9)
-    assert np.linalg.norm(acceleration) > 1
+    fields = vars(config)
+    if "integral_gain" in fields:
+        fields["integral_gain"] = integral_gain
+    plain = getattr(carrier_controller, f"{without.__name__}Config")(**fields)
+    acceleration = rng.normal(size=12)
+    inputs = {"carrier_reference": rng.normal(size=24), "carrier_state": rng.normal(size=24)}
+    expected = outputs(without(body, plain), **inputs)["carrier_forces"] + 0.3 * acceleration
+    forces = outputs(make(body, config), **inputs, carrier_reference_acceleration=acceleration)
+    np.testing.assert_allclose(forces["carrier_forces"], expected, rtol=1e-12, atol=1e-11)
 
 
 def test_controller_of_loaded_carriers_carries_weight_and_cable():

@@ -10,9 +10,11 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop.blocks.carrier_controller import TunedFeedforwardCarrierPid
 from drake_nonstop.blocks.carrier_trajectory import (
     CarrierTrajectory,
+    CarrierTrajectoryConfig,
     InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
+from drake_nonstop.blocks.internal_force import PlannedInternalForceConfig
 from drake_nonstop.blocks.load_feedback import DesiredStateFeedback
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
@@ -22,10 +24,13 @@ from drake_nonstop.model.pattern import (
     CarouselConfig,
     ConstantSpreadConfig,
     EllipticCarouselConfig,
+    HamiltonianCycleConfig,
 )
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems import traced_block
+from drake_nonstop.systems.wiring import WiringError, input_names
+from drake_nonstop.validation import ScenarioError
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
 
@@ -201,6 +206,73 @@ def set_carriers(diagram, context, motion):
     np.testing.assert_array_equal(shown, motion)
 
 
+class Plan(LeafSystem):
+    """A phase, a frequency and an amplitude that swing, and all their rates."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("planned", 8, self._calc)
+        self.DeclareVectorOutputPort("phase", 2, lambda context, phase: None)
+
+    def _calc(self, context, planned):
+        time = context.get_time()
+        angles = [
+            0.2 * 1.3**k * np.sin(1.3 * time + k * np.pi / 2) + 2.0 * (time, 1, 0, 0)[k]
+            for k in range(4)
+        ]
+        sizes = [0.3 * 0.8**k * np.cos(0.8 * time + k * np.pi / 2) for k in range(4)]
+        rates = [angles[2], sizes[1], angles[3], sizes[2], sizes[3]]
+        planned.SetFromVector([angles[0], angles[1], 1.2 + sizes[0], *rates])
+
+
+@pytest.mark.parametrize("pattern", [HamiltonianCycleConfig(), ELLIPSES], ids=["cycle", "ellipses"])
+def test_derivatives_have_the_rates_of_a_plan_in_them(pattern):
+    boxes = {"phase": Plan, "internal_force": PlannedInternalForceConfig()}
+    scenario = Scenario(control_period=0.0, pattern=pattern)
+    diagram = make_nonstop(
+        scenario,
+        load_feedback=DesiredStateFeedback,
+        optimization_layer=ConstantParametersConfig(frequency=2.0, amplitude=1.2),
+        load_trajectory=SteadyJerk,
+        **boxes,
+    )
+    context = diagram.CreateDefaultContext()
+
+    def at(time, name):
+        context.SetTime(time)
+        return output(diagram, context, name)
+
+    for time in (0.3, 1.1):
+        velocity = difference(lambda t: at(t, "carrier_reference")[12:], time)
+        np.testing.assert_allclose(at(time, DERIVATIVES[0]), velocity, rtol=0, atol=1e-8)
+        acceleration = difference(lambda t: at(t, DERIVATIVES[0]), time)
+        np.testing.assert_allclose(at(time, DERIVATIVES[1]), acceleration, rtol=0, atol=1e-8)
+
+
+class OwnInternalForce(LeafSystem):
+    """Internal forces whose higher rates are not known."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("internal_force", 2 * model.m, lambda context, force: None)
+
+
+def test_accelerations_that_cannot_be_made_are_told_with_a_remedy():
+    second_order = CarrierTrajectoryConfig(hold="second_order")
+    own = {"at_equilibrium": False, "internal_force": OwnInternalForce}
+    assert make_nonstop(Scenario(), **own)  # nothing needs them
+    for boxes in (
+        {"carrier_trajectory": second_order},
+        {"carrier_controller": TunedFeedforwardCarrierPid},
+    ):
+        with pytest.raises(WiringError, match=r"^internal_force = OwnInternalForce: it does not"):
+            make_nonstop(Scenario(), **own, **boxes)
+    boxes = {"carrier_trajectory": MeasuredCarrierTrajectory}
+    assert make_nonstop(Scenario(), at_equilibrium=False, **boxes)
+    with pytest.raises(WiringError, match="carrier_trajectory = MeasuredCarrierTrajectory does"):
+        make_nonstop(Scenario(), carrier_controller=TunedFeedforwardCarrierPid, **boxes)
+
+
 def test_without_snap_what_is_missing_is_small_while_the_load_moves_slowly():
     # Of a quintic, over 10 s, of which the snap (0.2 m/s⁴ times the mass) is not told.
     move = RestToRestConfig(displacement=[1.0, 1.0, 1.0])
@@ -227,12 +299,48 @@ def test_carousel_over_a_resting_load_in_closed_form(n):
         np.testing.assert_allclose(jerk, -(2.0**2) * velocities, rtol=0, atol=1e-12)
 
 
+def orbit(rng):
+    """What the derivatives need besides, of four carriers."""
+    return {"internal_force_higher_rates": rng.normal(size=8), "wind_estimate": np.zeros(3)}
+
+
+@pytest.mark.parametrize("make", [CarrierTrajectory, InextensibleCarrierTrajectory])
+def test_second_order_hold_goes_on_with_the_acceleration_of_the_sample(rng, make):
+    config = CarrierTrajectoryConfig(hold="second_order")
+    block = make(model(4, 0.01), config)
+    context = block.CreateDefaultContext()
+    fix(block, context, **generator_inputs(rng, 4), **orbit(rng), sample_time=np.array([2.0]))
+    context.SetTime(2.0)
+    motion, acceleration = (
+        output(block, context, name) for name in ("carrier_reference", DERIVATIVES[0])
+    )
+    positions, velocities = np.split(motion, 2)
+    for since in (0.004, 0.01):
+        context.SetTime(2.0 + since)
+        expected = [
+            positions + since * velocities + since**2 / 2 * acceleration,
+            velocities + since * acceleration,
+        ]
+        np.testing.assert_allclose(
+            output(block, context, "carrier_reference"), np.ravel(expected), rtol=0, atol=1e-13
+        )
+    continuous = make(model(4), config)
+    context = continuous.CreateDefaultContext()
+    assert "sample_time" not in input_names(continuous)
+
+
+def test_an_unknown_hold_is_refused():
+    with pytest.raises(ScenarioError) as error:
+        CarrierTrajectory(model(), CarrierTrajectoryConfig(hold="third_order"))
+    assert str(error.value) == (
+        "carrier_trajectory.hold = third_order: give velocity or second_order"
+    )
+
+
 def test_derivatives_stand_still_between_samples(rng):
     block = CarrierTrajectory(model(4, 0.01))
     context = block.CreateDefaultContext()
-    orbit = {"internal_force": rng.normal(size=8), "parameters": np.array([2.0, 1.2])}
-    orbit |= {"sample_time": np.array([2.0]), "wind_estimate": np.zeros(3)}
-    fix(block, context, **generator_inputs(rng, 4), **orbit)
+    fix(block, context, **generator_inputs(rng, 4), **orbit(rng), sample_time=np.array([2.0]))
     values = []
     for time in (2.0, 2.007):
         context.SetTime(time)
@@ -245,7 +353,7 @@ def test_what_the_derivatives_need_may_be_left_unconnected(rng):
     context = block.CreateDefaultContext()
     fix(block, context, **generator_inputs(rng, 4))
     assert len(output(block, context, "carrier_reference")) == 24
-    with pytest.raises(RuntimeError, match="internal_force"):
+    with pytest.raises(RuntimeError, match="internal_force_higher_rates"):
         output(block, context, DERIVATIVES[0])
 
 
@@ -260,4 +368,4 @@ def test_derivatives_that_nothing_reads_are_not_even_traced(monkeypatch):
     carriers_at(diagram, context, 0.1, ["carrier_reference"])
     assert not traced
     carriers_at(diagram, context, 0.1)
-    assert traced == [1]
+    assert traced == [1, 1]  # the higher rates of the internal force are made likewise

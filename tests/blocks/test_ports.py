@@ -32,6 +32,7 @@ from drake_nonstop.blocks.carrier_dynamics import (
 )
 from drake_nonstop.blocks.carrier_trajectory import (
     CarrierTrajectory,
+    CarrierTrajectoryConfig,
     InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
@@ -41,7 +42,7 @@ from drake_nonstop.blocks.force_distribution import (
     BoundedTensionDistributionConfig,
     CableForceDistribution,
 )
-from drake_nonstop.blocks.internal_force import InternalForceTrajectory
+from drake_nonstop.blocks.internal_force import InternalForceTrajectory, PlannedInternalForce
 from drake_nonstop.blocks.load_disturbance import (
     DisturbanceForce,
     DisturbanceForceConfig,
@@ -126,6 +127,10 @@ def bounded_distribution(model):
     return BoundedTensionDistribution(model, BoundedTensionDistributionConfig(min_tension=2.9))
 
 
+def second_order_trajectory(model):
+    return CarrierTrajectory(model, CarrierTrajectoryConfig(hold="second_order"))
+
+
 def everything(inputs, outputs):
     """Ports of which every output depends on every input."""
     return inputs, outputs, [(source, target) for source in inputs for target in outputs]
@@ -157,7 +162,7 @@ DISTRIBUTION = (
     ],
 )
 _PULLED = ("reference", "desired_cable_forces", "desired_cable_force_rates")
-_ORBIT = ("internal_force", "parameters", "wind_estimate")
+_ORBIT = ("internal_force_higher_rates", "wind_estimate")
 _WINDS = ["wind", "load_wind", "wind_estimate"]
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 
@@ -174,7 +179,7 @@ BLOCKS = {
     ),
     bounded_distribution: DISTRIBUTION,
     **dict.fromkeys(
-        (CarrierTrajectory, InextensibleCarrierTrajectory),
+        (CarrierTrajectory, InextensibleCarrierTrajectory, second_order_trajectory),
         (
             [*_PULLED, *_ORBIT],
             ["carrier_reference", *_DERIVATIVES],
@@ -192,15 +197,7 @@ BLOCKS = {
     **dict.fromkeys(
         (FeedforwardCarrierPid, TunedFeedforwardCarrierPid),
         everything(
-            [
-                "carrier_reference",
-                "carrier_state",
-                "reference",
-                "desired_cable_forces",
-                "desired_cable_force_rates",
-                "internal_force",
-                "parameters",
-            ],
+            ["carrier_reference", "carrier_state", "carrier_reference_acceleration"],
             ["carrier_forces"],
         ),
     ),
@@ -238,10 +235,11 @@ BLOCKS = {
     ),
     AccumulatedPhase: (["parameters"], ["phase"], []),
     PaperPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
-    InternalForceTrajectory: (
-        ["parameters", "phase"],
-        ["internal_force"],
-        [("parameters", "internal_force"), ("phase", "internal_force")],
+    InternalForceTrajectory: everything(
+        ["parameters", "phase"], ["internal_force", "internal_force_higher_rates"]
+    ),
+    PlannedInternalForce: everything(
+        ["planned"], ["internal_force", "internal_force_higher_rates"]
     ),
     CableForceDistribution: DISTRIBUTION,
     CarrierPid: (
@@ -328,6 +326,7 @@ SAMPLED = {
     PaperPhase: ("sample_time", "phase"),
     CarrierTrajectory: ("sample_time", "carrier_reference"),
     InextensibleCarrierTrajectory: ("sample_time", "carrier_reference"),
+    second_order_trajectory: ("sample_time", "carrier_reference"),
     MeasuredCarrierTrajectory: ("sample_time", "carrier_reference"),
 }
 
@@ -349,6 +348,8 @@ def expected_ports(make, period):
     inputs, outputs, feedthrough = BLOCKS[make]
     if period > 0 and make is FixedWingController:  # its commands are held
         return inputs, outputs, []
+    if period > 0 and make is second_order_trajectory:
+        feedthrough = [*feedthrough, *((source, "carrier_reference") for source in _ORBIT)]
     if period > 0 and make in SAMPLED:
         return [*inputs, SAMPLED[make][0]], outputs, [*feedthrough, SAMPLED[make]]
     return inputs, outputs, feedthrough

@@ -52,10 +52,11 @@ def sampled_figure():
     return make_nonstop(Scenario(control_period=0.01))
 
 
-# What only blocks of aircraft make.
-OF_AIRCRAFT = {
+# What only blocks of aircraft, or of a plan, make.
+NOT_BY_DEFAULT = {
     "carrier_controller": ("aircraft_command", "command_saturation"),
     "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
+    "phase": ("planned",),
 }
 
 
@@ -108,7 +109,7 @@ def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
     hold = built.pop("sample_and_hold")
     assert hold == {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
     contract = {name: box.sizes(4, 4) for name, box in BOXES.items()}
-    for name, signals in OF_AIRCRAFT.items():
+    for name, signals in NOT_BY_DEFAULT.items():
         for signal in signals:
             del contract[name][signal]
     assert contract == built
@@ -123,6 +124,7 @@ def test_contract_asks_for_what_is_read_and_for_tensions_and_wind():
     }
     unread = {"cables.tensions", "wind.wind"}
     either = {f"carrier_controller.{signal}" for signal in COMMANDS}  # which the dynamics ask for
+    either |= {"internal_force.internal_force_higher_rates"}  # which accelerations ask for
     assert asked | either == {wire.split(" -> ")[0] for wire in figure_wires()} | unread | either
 
 
@@ -132,7 +134,10 @@ def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
         "carrier_reference_acceleration": 15,
         "carrier_reference_jerk": 15,
     }
-    assert BOXES["internal_force"].sizes(5, 3) == {"internal_force": 6}
+    assert BOXES["internal_force"].sizes(5, 3) == {
+        "internal_force": 6,
+        "internal_force_higher_rates": 6,
+    }
     assert BOXES["cables"].sizes(5, 3) == {"cable_forces": 15, "tensions": 5}
     assert BOXES["load_trajectory"].sizes(5, 3) == {"reference": 22}
 
@@ -290,7 +295,8 @@ LAYER = "expected parameters (2), optional diagnostics (7), solve_time (1), spee
         (
             "internal_force",
             {"internal_force": 4},
-            "internal_force (4): expected internal_force (8)",
+            "internal_force (4): expected internal_force (8), "
+            "optional internal_force_higher_rates (8)",
         ),
         (
             "wrench_controller",
@@ -354,7 +360,7 @@ def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wro
     assert message.startswith(start)
     assert message.endswith(end)
     absent = {"diagnostics", "solve_time"}  # of the optimizer, which is not there
-    absent |= {signal for signals in OF_AIRCRAFT.values() for signal in signals}
+    absent |= {signal for signals in NOT_BY_DEFAULT.values() for signal in signals}
     if period > 0:
         signals |= {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
     listed = [f"{signal} ({signals[signal]})" for signal in sorted(signals.keys() - absent)]

@@ -14,6 +14,8 @@ from drake_nonstop.mechanics.internal_force import (
     even_phases,
     hamiltonian_cycle,
     internal_force,
+    internal_force_acceleration,
+    internal_force_jerk,
 )
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.wrench import wrench_and_rate
@@ -79,12 +81,13 @@ class Orbits:
         )
 
     def higher_rates(self, time):
+        now = self.internal_force(time)
+        internal = [f(PARAMETERS, now) for f in (internal_force_acceleration, internal_force_jerk)]
         return second_and_third_force_rates(
             LOAD,
             reference(time),
             *self.forces(time),
-            self.internal_force(time),
-            PARAMETERS,
+            np.concatenate(internal),
             WIND,
             pseudo_inverse=self.pseudo_inverse,
             basis=self.basis,

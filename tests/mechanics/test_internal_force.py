@@ -10,6 +10,7 @@ from drake_nonstop.mechanics.internal_force import (
     internal_force,
     internal_force_acceleration,
     internal_force_jerk,
+    planned_internal_force,
 )
 
 shapes = pytest.mark.parametrize("attachments", SHAPES.values(), ids=SHAPES.keys())
@@ -80,6 +81,44 @@ def test_internal_force_rate_is_its_difference_at_constant_frequency(rng):
         )
         third = internal_force_jerk(parameters, now, orders=orders)
         np.testing.assert_allclose(third, -((1.7 * orders) ** 2) * now[5:], rtol=1e-13)
+
+
+def plan(time):
+    """`PlannedParameters` (8,) of a frequency and an amplitude that both swing."""
+    size, rate = 1.3, 0.8
+    angle = 0.2 + 1.7 * time + 0.5 * np.sin(size * time)
+    angle_rates = [0.5 * size**k * np.sin(size * time + k * np.pi / 2) for k in (1, 2, 3)]
+    sizes = [0.3 * rate**k * np.cos(rate * time + k * np.pi / 2) for k in range(4)]
+    frequency, amplitude = 1.7 + angle_rates[0], 0.9 + sizes[0]
+    rates = [angle_rates[1], sizes[1], angle_rates[2], sizes[2], sizes[3]]
+    return np.array([angle, frequency, amplitude, *rates])
+
+
+def test_planned_internal_force_has_the_differences_of_what_is_below_as_rates(rng):
+    phases, orders = rng.uniform(0, 6, 5), np.array([1.0, 2, 1, 2, 3])
+
+    def force(time):
+        return planned_internal_force(plan(time), phases=phases, orders=orders)
+
+    for time in (0.0, 0.7, 2.5):
+        expected = plan(time)[2] * np.cos(orders * plan(time)[0] + phases)
+        np.testing.assert_allclose(force(time)[0], expected, rtol=0, atol=1e-14)
+        for order in (1, 2, 3):
+            below = difference(lambda t, k=order: force(t)[k - 1], time)
+            np.testing.assert_allclose(force(time)[order], below, rtol=1e-8, atol=1e-8)
+
+
+def test_planned_internal_force_without_rates_is_that_of_constant_parameters(rng):
+    phases, orders = rng.uniform(0, 6, 5), np.array([1.0, 2, 1, 2, 3])
+    parameters = np.array([1.7, 0.8])
+    still = np.array([0.4, *parameters, 0, 0, 0, 0, 0])
+    force = planned_internal_force(still, phases=phases, orders=orders)
+    known = internal_force(parameters, np.array([0.4]), phases=phases, orders=orders)
+    np.testing.assert_allclose(force[:2], known, rtol=1e-14)
+    known = np.concatenate(known)
+    second = internal_force_acceleration(parameters, known, orders=orders)
+    third = internal_force_jerk(parameters, known, orders=orders)
+    np.testing.assert_allclose(force[2:], [second, third], rtol=1e-13)
 
 
 @shapes

@@ -95,6 +95,10 @@ EQUATIONS = {
         [2, 2 * N],
     ),
     "internal_force_jerk": (internal_force.internal_force_jerk, [2, 2 * N]),
+    "planned_internal_force": (
+        lambda planned: internal_force.planned_internal_force(planned, phases=PHASES),
+        [8],
+    ),
     "ellipse_axes": (
         lambda basis, phases: internal_force.ellipse_axes(basis.reshape(9, 3), phases),
         [27, 3],
@@ -160,7 +164,14 @@ EQUATIONS = {
             pseudo_inverse=GRASP["pseudo_inverse"],
             basis=BASIS,
         ),
-        [22, 3 * N, 3 * N, 2 * N, 2, 3],
+        [22, 3 * N, 3 * N, 2 * N, 3],
+    ),
+    "motion_after": (
+        lambda motion, time, acceleration: (
+            carrier.motion_after(motion, time),
+            carrier.motion_after(motion, time, acceleration),
+        ),
+        [6 * N, 1, 3 * N],
     ),
     "pid_forces": (
         lambda *a: carrier.pid_forces(

@@ -231,7 +231,7 @@ def test_blocks_that_are_out_of_the_ordinary_are_shown_too(monkeypatch, capsys):
     monkeypatch.setitem(BOXES, "phase", box)
     assert main(["blocks", "phase"]) == 0
     assert capsys.readouterr().out.partition("\n\n")[2] == (
-        "phase -> phase (2)\n\n"
+        "phase -> phase (2); optional planned (8)\n\n"
         "  Particular (default)\n"
         "    Stands for a block whose defaults make none.\n"
         "    not with its defaults: phase.file = '': give a file\n"
