@@ -111,11 +111,12 @@ BOXES: dict[str, Box] = {
         variants=optimization_layer.VARIANTS,
         signals={
             "parameters": PARAMETERS_SIZE,
+            "plan": PLANNED_SIZE,
             "diagnostics": DIAGNOSTICS_SIZE,
             "solve_time": 1,
             "speed_bound": 1,
         },
-        optional=("diagnostics", "solve_time", "speed_bound"),
+        optional=("plan", "diagnostics", "solve_time", "speed_bound"),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
         feeds_fused_plant=True,

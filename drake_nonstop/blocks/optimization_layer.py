@@ -11,6 +11,7 @@ from pydrake.systems.framework import (
     DiscreteValues,
 )
 
+from drake_nonstop.blocks.receding_horizon import RecedingHorizonOptimizer
 from drake_nonstop.blocks.speed_bound_layer import (
     BOX,
     COMMAND,
@@ -337,4 +338,4 @@ def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (NonstopOptimizer, ConstantParameters)
+VARIANTS = (NonstopOptimizer, RecedingHorizonOptimizer, ConstantParameters)
