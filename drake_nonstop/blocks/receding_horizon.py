@@ -21,6 +21,7 @@ from drake_nonstop.blocks.speed_bound_layer import (
     LayerNumbers,
     SpeedBoundLayer,
 )
+from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     PARAMETERS_SIZE,
@@ -38,7 +39,6 @@ from drake_nonstop.optimization.horizon_problem import (
     HorizonConfig,
     HorizonData,
     HorizonProblem,
-    Reference,
 )
 from drake_nonstop.optimization.horizon_solver import HorizonSolver, PlanAnswer
 from drake_nonstop.optimization.plan import Plan
@@ -210,7 +210,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             plan = state.plan(self._config.knot_spacing, numbers.nominal)
             discrete_state.set_value(self._values, plan.values(context.get_time()))
 
-    def _reference_ahead(self, context: Context) -> Reference:
+    def _reference_ahead(self, context: Context) -> ReferencePreview:
         """The load's reference at times from now on."""
         if self._config.preview and self._preview.HasValue(context):
             preview = self._preview.Eval(context)
@@ -224,14 +224,10 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             )
             return preview
         now, reference = context.get_time(), self._reference.Eval(context).copy()
-        return lambda time: continued_reference(reference, time - now)
-
-
-def continued_reference(reference: NDArray, dt: float) -> NDArray:
-    moved = reference.copy()
-    moved[4:7] += dt * reference[10:13]
-    moved[13:] = 0
-    return moved
+        return ReferencePreview(
+            lambda time: continued_reference(reference, time - now),
+            references=lambda times: continued_reference(reference, times - now),
+        )
 
 
 class _PlanState(NamedTuple):
@@ -266,22 +262,43 @@ class _Planned(NamedTuple):
 
 
 class _Planner:
-    """Makes plans; they depend on the arguments alone."""
+    """Makes plans; they depend on the arguments alone.
+
+    The last one is kept: a loop that looks for its equilibrium asks for the same again and again.
+    """
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig, name: Any):
         self._model, self._config, self._name = model, config, name
-        self._solvers: dict[bytes, HorizonSolver] = {}
+        self._solver: tuple[bytes, HorizonSolver] | None = None
+        self._last: tuple[tuple[Any, ...], _Planned] | None = None
 
     def plan(
         self,
         time: float,
-        reference: Reference,
+        reference: ReferencePreview,
         speed_bound: float,
         numbers: LayerNumbers,
         last: _PlanState,
         is_first: bool,
     ) -> _Planned:
         """The next plan, from a time in s on, which goes on from the last one."""
+        others = numbers.beliefs.tobytes(), last.flat().tobytes()
+        key = (reference, time, speed_bound, is_first, *others)
+        known = self._last
+        if known is None or known[0] != key:
+            made = self._make(time, reference, speed_bound, numbers, last, is_first)
+            self._last = known = key, made
+        return known[1]
+
+    def _make(
+        self,
+        time: float,
+        reference: ReferencePreview,
+        speed_bound: float,
+        numbers: LayerNumbers,
+        last: _PlanState,
+        is_first: bool,
+    ) -> _Planned:
         solver = self._solver_for(numbers)
         problem, spacing = solver.problem, self._config.knot_spacing
         start_time = spacing * np.floor(time / spacing + 1e-6)
@@ -320,7 +337,8 @@ class _Planner:
 
     def _solver_for(self, numbers: LayerNumbers) -> HorizonSolver:
         key = numbers.beliefs.tobytes()
-        if key not in self._solvers:
+        known = self._solver
+        if known is None or known[0] != key:
             problem = HorizonProblem(
                 self._model,
                 self._config,
@@ -328,8 +346,8 @@ class _Planner:
                 self._name,
                 beliefs=Beliefs.view(numbers.beliefs),
             )
-            self._solvers = {key: HorizonSolver(problem)}
-        return self._solvers[key]
+            self._solver = known = key, HorizonSolver(problem)
+        return known[1]
 
 
 def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> None:
