@@ -28,7 +28,7 @@ from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
-from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
 from drake_nonstop.optimization.terminal_set import LeastProducts, least_products
 from drake_nonstop.optimization.traced_problem import beliefs_of
 from drake_nonstop.optimization.update_data import Beliefs
@@ -171,7 +171,7 @@ class HorizonProblem:
         Where `last` is of the same bound, and began one interval between knots before, what both
         have in common is taken from it.
         """
-        bound = (1 + self.limits.tightening) * speed_bound
+        bound = tightened_bound(self.limits, speed_bound)
         spacing = self.config.knot_spacing
         known, known_terminal = None, None
         is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
