@@ -40,6 +40,7 @@ from drake_nonstop.blocks import (
 )
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.box import (
+    ABSTRACT,
     Box,
     Kind,
     Place,
@@ -87,7 +88,8 @@ from drake_nonstop.validation import (
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
-        signals={"reference": LOAD_REFERENCE_SIZE},
+        signals={"reference": LOAD_REFERENCE_SIZE, "reference_preview": ABSTRACT},
+        optional=("reference_preview",),
         place=Place(0, 1, 1, Kind.TRAJECTORY),
         swap_keeps_defaults=False,  # each task has times of its own
     ),
@@ -111,11 +113,12 @@ BOXES: dict[str, Box] = {
         variants=optimization_layer.VARIANTS,
         signals={
             "parameters": PARAMETERS_SIZE,
+            "plan": PLANNED_SIZE,
             "diagnostics": DIAGNOSTICS_SIZE,
             "solve_time": 1,
             "speed_bound": 1,
         },
-        optional=("diagnostics", "solve_time", "speed_bound"),
+        optional=("plan", "diagnostics", "solve_time", "speed_bound"),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
         feeds_fused_plant=True,
@@ -620,14 +623,14 @@ def _made(field: str, make: Any, model: Model, besides: str) -> System:
     return block
 
 
-def _check_others(name: str, block: System, made: set[str], sizes: Mapping[str, int]) -> None:
+def _check_others(name: str, block: System, made: set[str], sizes: wiring.Sizes) -> None:
     """Checks the sizes of those signals of the figure that a block makes in place of others."""
     known = {signal: size for signal, size in sizes.items() if signal in made}
     if known:
         wiring.check_outputs(name, block, known, {})
 
 
-def _figure_sizes(model: Model) -> dict[str, int]:
+def _figure_sizes(model: Model) -> dict[str, int | None]:
     """The sizes of all the figure's signals."""
     return {
         signal: size
@@ -636,7 +639,7 @@ def _figure_sizes(model: Model) -> dict[str, int]:
     }
 
 
-def _signals_left_out(model: Model, blocks: Mapping[str, System]) -> dict[str, int]:
+def _signals_left_out(model: Model, blocks: Mapping[str, System]) -> dict[str, int | None]:
     """The signals, with their sizes, of boxes left out that no block makes in their place."""
     if all(name in blocks for name in BOXES):
         return {}

@@ -1,24 +1,28 @@
 """Box "Load Desired Trajectory" of the figure."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue
 from pydrake.polynomial import Polynomial
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import TrajectorySource
+from pydrake.systems.primitives import ConstantValueSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.mechanics.circle import circular_motion
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_quaternion
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
 from drake_nonstop.model.pose_samples import read_samples, sample_array, split_samples
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import (
     StrictFields,
     is_number,
@@ -39,9 +43,11 @@ class LoadTrajectory(DiagramBlock):
         name: LoadTrajectory
         output_ports:
         - reference
+        - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
 
     Args:
         trajectory: the rows [roll, pitch, yaw (rad), x, y, z (m)], or other coordinates that
@@ -80,8 +86,40 @@ class LoadTrajectory(DiagramBlock):
         )
         builder.AddNamedSystem("reference", traced)
         builder.Connect(coordinates.get_output_port(), traced.get_input_port())
+        preview = builder.AddNamedSystem(
+            "preview",
+            ConstantValueSource(AbstractValue.Make(_preview(trajectory, reference, yaw_rate != 0))),
+        )
         builder.ExportOutput(traced.get_output_port(), "reference")
+        builder.ExportOutput(preview.get_output_port(), "reference_preview")
         builder.BuildInto(self)
+
+
+def _preview(
+    trajectory: PiecewisePolynomial, reference: Callable[..., NDArray], reads_time: bool
+) -> ReferencePreview:
+    """What makes the references of a trajectory, by the function that the block traces."""
+    rates = [trajectory]
+    for _ in range(3):
+        rates.append(rates[-1].MakeDerivative())
+    sizes = [4 * trajectory.rows(), *([1] if reads_time else [])]
+    start, end = trajectory.start_time(), trajectory.end_time()
+
+    @functools.cache  # most runs do not ask for any
+    def traced() -> TracedFunction:
+        return TracedFunction(reference, sizes, name=lambda: _BOX)
+
+    def references(times: NDArray) -> NDArray:
+        values = np.array([rate.vector_values(times) for rate in rates])
+        values[1:, :, (times < start) | (times > end)] = 0
+        vectors = values.reshape(-1, len(times)).T
+        if reads_time:
+            vectors = np.column_stack([vectors, times])
+        evaluate = traced().of_vector
+        rows = [evaluate(vector).copy() for vector in vectors]
+        return np.array(rows).reshape(-1, LOAD_REFERENCE_SIZE)
+
+    return ReferencePreview(lambda time: references(np.array([time]))[0], references=references)
 
 
 def _reference(values: NDArray) -> NDArray:
@@ -187,9 +225,11 @@ class RestToRest(LoadTrajectory):
         name: RestToRest
         output_ports:
         - reference
+        - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
 
     Parameters, the fields of `RestToRestConfig`:
         start_position: m
@@ -241,9 +281,11 @@ class ConstantVelocityMove(LoadTrajectory):
         name: ConstantVelocityMove
         output_ports:
         - reference
+        - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
 
     Parameters, the fields of `ConstantVelocityMoveConfig`:
         start_position: m
@@ -321,9 +363,11 @@ class Waypoints(LoadTrajectory):
         name: Waypoints
         output_ports:
         - reference
+        - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
 
     Parameters, the fields of `WaypointsConfig`:
         start_position: m
@@ -404,9 +448,11 @@ class Circle(LoadTrajectory):
         name: Circle
         output_ports:
         - reference
+        - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
 
     Parameters, the fields of `CircleConfig`:
         start_position: m
@@ -471,9 +517,11 @@ class SteadyTurn(LoadTrajectory):
         name: SteadyTurn
         output_ports:
         - reference
+        - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
 
     Parameters, the fields of `SteadyTurnConfig`:
         start_position: m
@@ -558,9 +606,11 @@ class SampledTrajectory(LoadTrajectory):
         name: SampledTrajectory
         output_ports:
         - reference
+        - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
 
     Parameters, the fields of `SampledTrajectoryConfig`:
         file: A CSV file with the samples, read as a scenario is loaded; its first line names the

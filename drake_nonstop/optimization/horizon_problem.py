@@ -28,7 +28,7 @@ from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
-from drake_nonstop.optimization.problem_config import NonstopProblemConfig, amplitude_range
+from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.terminal_set import LeastProducts, least_products
 from drake_nonstop.optimization.traced_problem import beliefs_of
 from drake_nonstop.optimization.update_data import Beliefs
@@ -95,27 +95,31 @@ class HorizonProblem:
         limits: ε, `tightening`, the nominal ξ and A, and their bounds.
         config: the horizon.
         name: tells what evaluates the terms, for the error of a value that is not finite.
+        beliefs: numbers in place of those of model and limits.
     """
 
     def __init__(
         self,
         model: Model,
-        limits: NonstopProblemConfig,
+        limits: LimitsConfig,
         config: HorizonConfig,
         name: Callable[[], str],
+        *,
+        beliefs: Beliefs | None = None,
     ):
         self.model, self.limits, self.config = model, limits, config
         self.intervals = round(config.horizon / config.knot_spacing)
         self.count = self.intervals + DEGREE  # of the coefficients of ξ, and of A
-        self.nominal = np.array([limits.frequency, limits.amplitude])
         self.slack_count = self.intervals + 1
-        beliefs = beliefs_of(model, limits)
+        beliefs = beliefs or beliefs_of(model, limits)
+        self.nominal = beliefs.nominal
+        self._bounds = np.stack([beliefs.lower, beliefs.upper])
         self._beliefs = np.concatenate(beliefs)
         self.rest_length = float(beliefs.rest_length[0])  # m
         self.compliance = float(beliefs.compliance[0])  # m/N
         self._cables = {"rest_length": self.rest_length, "compliance": self.compliance}
         self.axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
-        low, high = amplitude_range(limits, model)
+        low, high = self._bounds[:, 1]
         self.amplitudes = np.linspace(low, high, config.terminal_amplitudes)
         spacing = config.knot_spacing
         end = self.intervals * spacing
@@ -143,8 +147,7 @@ class HorizonProblem:
 
         A spline stays within the range of its coefficients.
         """
-        limits = [self.limits.frequency_bounds, amplitude_range(self.limits, self.model)]
-        low, high = np.transpose(limits)
+        low, high = self._bounds
         return (low / self.nominal)[:, None], (high / self.nominal)[:, None]
 
     def nominal_coefficients(self) -> NDArray:

@@ -55,15 +55,19 @@ class HorizonSolver:
     Args:
         problem: what all plans share.
         fixed: how many of the first coefficients are given; none: those of the config.
+
+    Attributes:
+        problem: as given.
+        fixed: how many of the first coefficients are given.
     """
 
     def __init__(self, problem: HorizonProblem, *, fixed: int | None = None):
-        self._problem = problem
-        self._fixed = problem.config.fixed_coefficients if fixed is None else fixed
+        self.problem = problem
+        self.fixed = problem.config.fixed_coefficients if fixed is None else fixed
         count = problem.count
-        free = np.arange(self._fixed, count)
+        free = np.arange(self.fixed, count)
         self._free = np.concatenate([free, count + free])  # among both splines' coefficients
-        self._angle_rows = problem.angle_rows()[:, self._fixed :]
+        self._angle_rows = problem.angle_rows()[:, self.fixed :]
         self._weights = problem.slack_weights
         self._solver = ClarabelSolver()
 
@@ -85,10 +89,10 @@ class HorizonSolver:
             tolerance: a predicted decrease of the merit below this, relative to it, is converged.
             scale: of the trust region at the start.
         """
-        problem = self._problem
+        problem = self.problem
         low, high = problem.bounds
         x = start.copy()
-        x[:, self._fixed :] = np.clip(x[:, self._fixed :], low, high)
+        x[:, self.fixed :] = np.clip(x[:, self.fixed :], low, high)
         merit, slack = self._merit(data, x)
         linearization: Linearization | None = None
         converged = False
@@ -129,23 +133,27 @@ class HorizonSolver:
             data: of the plan.
             fixed: the first coefficients (2, fixed); none: the nominal ones.
         """
-        problem = self._problem
+        problem = self.problem
         coefficients = problem.nominal_coefficients()
         constant = _constant_parameters(problem, data) / problem.nominal
-        coefficients[:, self._fixed :] = constant[:, None]
+        coefficients[:, self.fixed :] = constant[:, None]
         if fixed is not None:
-            coefficients[:, : self._fixed] = fixed
+            coefficients[:, : self.fixed] = fixed
         return coefficients
 
+    def merit(self, answer: PlanAnswer) -> float:
+        """What plans of the same data are compared by: the cost and the penalty of the slack."""
+        return answer.cost + float(self._weights.sum()) * answer.slack
+
     def _merit(self, data: HorizonData, x: NDArray) -> tuple[float, float]:
-        slacks = self._problem.slacks(self._problem.margins(data, x))
-        return self._problem.cost(x) + float(self._weights @ slacks), float(slacks.max())
+        slacks = self.problem.slacks(self.problem.margins(data, x))
+        return self.problem.cost(x) + float(self._weights @ slacks), float(slacks.max())
 
     def _step(
         self, x: NDArray, linearization: Linearization, scale: float
     ) -> tuple[NDArray, float] | None:
         """The next coefficients and the merit that is predicted; None where no step is found."""
-        problem, free = self._problem, self._free
+        problem, free = self.problem, self._free
         low, high = problem.bounds
         flat = x.ravel()
         hessian = problem.hessian[np.ix_(free, free)]
@@ -153,7 +161,7 @@ class HorizonSolver:
         rows = len(linearization.margins)
         slack_columns = np.zeros((rows, problem.slack_count))
         slack_columns[np.arange(rows), linearization.slack_of] = 1
-        part = x[:, self._fixed :]
+        part = x[:, self.fixed :]
         radius = scale * _COEFFICIENT_RADIUS
         program = MathematicalProgram()
         step = program.NewContinuousVariables(len(free), "step")
