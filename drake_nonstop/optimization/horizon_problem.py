@@ -157,6 +157,15 @@ class Linearization:
         return np.concatenate([np.flatnonzero(is_dip), last])
 
 
+    def with_neighbours(self, chosen: NDArray, margins: NDArray, largest: float) -> NDArray:
+        """The numbers of chosen margins, and of those before and after that are at most that."""
+        count, width = self.table
+        chosen_speeds = chosen[chosen < count * width]
+        near = np.concatenate([chosen_speeds - width, chosen_speeds + width])
+        near = near[(near >= 0) & (near < count * width)]
+        return np.concatenate([chosen, near[margins[near] <= largest]])
+
+
 class HorizonProblem:
     """What all plans of one model and config share.
 
