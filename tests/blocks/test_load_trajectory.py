@@ -1,5 +1,6 @@
 import dataclasses
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -99,6 +100,35 @@ def reference_of(block, config):
         return output(block, context, "reference")
 
     return reference
+
+
+EVERY_KIND = CASES | {"steady turn": (SteadyTurn, STEADY_TURN, [1, 10])}
+
+
+@pytest.mark.parametrize(("block", "config", "breaks"), EVERY_KIND.values(), ids=EVERY_KIND.keys())
+def test_preview_is_the_reference_to_the_bit_at_any_time(block, config, breaks):
+    made = block(model(), config)
+    preview = made.GetOutputPort("reference_preview").Eval(made.CreateDefaultContext())
+    times = np.sort([-1.0, 0.0, *breaks, *np.linspace(0.1, 12, 40), 1e3])
+    reference = reference_of(block, config)
+    expected = np.array([reference(time) for time in times])
+    np.testing.assert_array_equal(preview.at(times), expected)
+    np.testing.assert_array_equal([preview(time) for time in times], expected)
+    assert preview.end_time == np.inf
+    with ThreadPoolExecutor(2) as threads:
+        for result in threads.map(preview.at, [times, times[::-1]] * 10):
+            assert np.array_equal(result, expected) or np.array_equal(result, expected[::-1])
+
+
+def test_preview_is_the_same_object_in_every_context_and_scalar_type():
+    made = RestToRest(model(), REST_TO_REST)
+    context = made.CreateDefaultContext()
+    preview = made.GetOutputPort("reference_preview").Eval(context)
+    context.SetTime(3.0)
+    for block in (made, made.Clone(), made.ToAutoDiffXd(), made.ToSymbolic()):
+        for own in (block.CreateDefaultContext(), block.CreateDefaultContext().Clone()):
+            assert block.GetOutputPort("reference_preview").Eval(own) is preview
+    assert made.GetOutputPort("reference_preview").Eval(context) is preview
 
 
 def check_rates(reference, time):
