@@ -115,10 +115,11 @@ BOXES: dict[str, Box] = {
         signals={
             "parameters": PARAMETERS_SIZE,
             "diagnostics": DIAGNOSTICS_SIZE,
+            "plan": PLANNED_SIZE,
             "solve_time": 1,
             "speed_bound": 1,
         },
-        optional=("diagnostics", "solve_time", "speed_bound"),
+        optional=("diagnostics", "plan", "solve_time", "speed_bound"),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
         feeds_fused_plant=True,

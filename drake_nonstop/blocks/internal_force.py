@@ -105,6 +105,5 @@ class PlannedInternalForce(TracedBlock):
         )
 
 
-# The blocks that the box can be, the default first. `PlannedInternalForce` is for a loop with a
-# block of one's own that makes `planned`.
-VARIANTS = (InternalForceTrajectory,)
+# The blocks that the box can be, the default first.
+VARIANTS = (InternalForceTrajectory, PlannedInternalForce)
