@@ -131,6 +131,51 @@ def test_preview_is_the_same_object_in_every_context_and_scalar_type():
     assert made.GetOutputPort("reference_preview").Eval(context) is preview
 
 
+SEPTIC = {
+    name: (block, dataclasses.replace(config, blend="c4"), breaks)
+    for name, (block, config, breaks) in EVERY_KIND.items()
+    if name not in ("samples", "blend 0")
+}
+
+
+@pytest.mark.parametrize(("block", "config", "breaks"), SEPTIC.values(), ids=SEPTIC.keys())
+def test_with_c4_one_more_derivative_is_continuous_where_polynomials_meet(block, config, breaks):
+    """The jerk, and its rate where velocities are blended, by one-sided limits."""
+    smooth = reference_of(block, config)
+    quintic = reference_of(block, dataclasses.replace(config, blend="c3"))
+    step, is_velocity = 1e-5, block is ConstantVelocityMove
+
+    def jump(reference, time):
+        def rate(start):
+            return (reference(start + step)[19:] - reference(start)[19:]) / step
+
+        before, after = reference(time - 1e-7), reference(time + 1e-7)
+        if not is_velocity:
+            return np.max(np.abs(after - before))
+        return np.max(np.abs(rate(time) - rate(time - step)))
+
+    for time in breaks:
+        assert jump(quintic, time) > 0.02, time
+        assert jump(smooth, time) < 0.005, time
+        if not is_velocity:
+            np.testing.assert_allclose(smooth(time)[16:], 0, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("block", "config", "breaks"), SEPTIC.values(), ids=SEPTIC.keys())
+def test_with_c4_the_same_poses_are_reached(block, config, breaks):
+    smooth = reference_of(block, config)
+    quintic = reference_of(block, dataclasses.replace(config, blend="c3"))
+    for time in (0.0, *breaks, 20.0):
+        np.testing.assert_allclose(smooth(time)[:13], quintic(time)[:13], rtol=0, atol=1e-12)
+        check_rates(smooth, time + 0.35)
+
+
+def test_blend_names_a_polynomial():
+    with pytest.raises(ScenarioError) as error:
+        RestToRest(model(), RestToRestConfig(blend="c5"))
+    assert str(error.value) == "load_trajectory.blend = c5: give c3 or c4"
+
+
 def check_rates(reference, time):
     """The derivatives at a time around which the polynomials do not change."""
     now = reference(time)
