@@ -93,8 +93,7 @@ def plan_task(
     flown, _ = receding_coefficients(
         short, reference, intervals, limits.speed_bound, start_angle=start_angle
     )
-    # Every instant counts: a choice among neighbours that changes delays convergence.
-    whole = replace(config, horizon=intervals * config.knot_spacing, neighbours=1)
+    whole = replace(config, horizon=intervals * config.knot_spacing)
     problem = HorizonProblem(model, limits, whole, name)
     data: HorizonData = problem.data(0.0, start_angle, reference, limits.speed_bound)
     solver = HorizonSolver(problem)

@@ -65,7 +65,7 @@ from drake_nonstop.blocks.load_trajectory import (
     Waypoints,
 )
 from drake_nonstop.blocks.optimization_layer import ConstantParameters, NonstopOptimizer
-from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
+from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase, ShapedPhase
 from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
 from drake_nonstop.blocks.wind import (
     GustyWind,
@@ -235,6 +235,11 @@ BLOCKS = {
     ),
     AccumulatedPhase: (["parameters"], ["phase"], []),
     PaperPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
+    ShapedPhase: (
+        ["parameters", "plan"],
+        ["phase", "planned"],
+        [("parameters", "planned"), ("plan", "phase"), ("plan", "planned")],
+    ),
     InternalForceTrajectory: everything(
         ["parameters", "phase"], ["internal_force", "internal_force_higher_rates"]
     ),
@@ -483,6 +488,8 @@ def test_what_feeds_through_changes_the_output(make, period):
             continue  # made by one call with what it changes; a whole feedforward cancels its rate
         if target == "command_saturation":
             continue  # 0 or 1, whatever most inputs are
+        if source == "parameters" and "plan" in inputs:
+            continue  # the plan takes their place
         after = fresh(block, inputs | {source: values(source, 2, 4)}, 1, 5.5)
         assert not np.array_equal(before[target], after[target]), (source, target)
 
