@@ -40,13 +40,27 @@ TASKS: dict[str, Callable[[int], Scenario]] = {
 }
 
 # What each changes of a task, the one first that the others are compared with.
+_ONE_SAMPLE = ["optimization_layer=NonstopOptimizer", "optimization_layer.tightening=0.01"]
+_HORIZON = ["optimization_layer=RecedingHorizonOptimizer", "phase=ShapedPhase"]
+_FIXED_MARGIN = "optimization_layer.tightening=0.02"
+_HOLD = "carrier_trajectory.hold=second_order"
+_NO_HOLD = "carrier_trajectory.hold=velocity"
+_FEEDFORWARD = "carrier_controller=FeedforwardCarrierPid"
+_NO_FEEDFORWARD = "carrier_controller=CarrierPid"
 VARIANTS: dict[str, list[str]] = {
-    "one sample": [
-        "optimization_layer=NonstopOptimizer",
-        "phase=AccumulatedPhase",
-        "carrier_trajectory.hold=velocity",
-        "carrier_controller=CarrierPid",
+    "one sample": [*_ONE_SAMPLE, "phase=AccumulatedPhase", _NO_HOLD, _NO_FEEDFORWARD],
+    "filter": [*_ONE_SAMPLE, "phase=ShapedPhase", _HOLD, _FEEDFORWARD],
+    "horizon": [*_HORIZON, _FIXED_MARGIN, _HOLD, _FEEDFORWARD],
+    "without hold": [*_HORIZON, _FIXED_MARGIN, _NO_HOLD, _FEEDFORWARD],
+    "without feedforward": [*_HORIZON, _FIXED_MARGIN, _HOLD, _NO_FEEDFORWARD],
+    "without preview": [
+        *_HORIZON,
+        "optimization_layer.preview=false",
+        _FIXED_MARGIN,
+        _HOLD,
+        _FEEDFORWARD,
     ],
+    "automatic margin": [*_HORIZON, "optimization_layer.tightening=auto", _HOLD, _FEEDFORWARD],
 }
 
 
