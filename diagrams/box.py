@@ -13,6 +13,8 @@ from pydrake.systems.framework import System
 from drake_nonstop.model.system import Model
 from drake_nonstop.validation import require
 
+ABSTRACT = "abstract"  # in place of a signal's size
+
 
 class Kind(Enum):
     """What a box belongs to, which is its colour in the drawing."""
@@ -43,6 +45,7 @@ class Box:
             the dataclass of its parameters, XConfig, and is made by `X(model, config)`.
         signals: what its block makes, with sizes: numbers, or, for n carriers and m coordinates
             of the internal force, texts such as "3n" and "2m". The numbers become texts, too.
+            `ABSTRACT`: the signal is no vector.
         optional: the signals among them that a block may leave out; the figure's default blocks
             do not need them.
         recorded_where_read: the signals that take time to evaluate and are in a run's recorded
@@ -78,15 +81,22 @@ class Box:
         object.__setattr__(self, "signals", signals)
         object.__setattr__(self, "configs", tuple(map(config_class, self.variants)))
 
-    def sizes(self, n: int, m: int) -> dict[str, int]:
-        """The sizes of its signals for n carriers and m internal-force coordinates."""
+    def sizes(self, n: int, m: int) -> dict[str, int | None]:
+        """The sizes of its signals for n carriers and m internal-force coordinates.
+
+        None: the signal is abstract.
+        """
         numbers = {"n": n, "m": m}
         return {
-            signal: int(size.rstrip("nm") or 1) * numbers.get(size[-1], 1)
+            signal: None
+            if size == ABSTRACT
+            else int(size.rstrip("nm") or 1) * numbers.get(size[-1], 1)
             for signal, size in ((signal, str(size)) for signal, size in self.signals.items())
         }
 
-    def required_and_optional(self, model: Model) -> tuple[dict[str, int], dict[str, int]]:
+    def required_and_optional(
+        self, model: Model
+    ) -> tuple[dict[str, int | None], dict[str, int | None]]:
         """The signals that its block has to make and those that it may make, with their sizes."""
         sizes = self.sizes(model.n, model.m)
         optional = {signal: sizes.pop(signal) for signal in self.optional}

@@ -40,6 +40,7 @@ from drake_nonstop.blocks import (
 )
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.box import (
+    ABSTRACT,
     Box,
     Kind,
     Place,
@@ -52,6 +53,7 @@ from drake_nonstop.diagrams.box import (
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.fusing import fuse
 from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -87,7 +89,8 @@ from drake_nonstop.validation import (
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
-        signals={"reference": LOAD_REFERENCE_SIZE},
+        signals={"reference": LOAD_REFERENCE_SIZE, "reference_preview": ABSTRACT},
+        optional=("reference_preview",),
         place=Place(0, 1, 1, Kind.TRAJECTORY),
         swap_keeps_defaults=False,  # each task has times of its own
     ),
@@ -448,6 +451,7 @@ def _made_parts(
     _check_command(blocks)
     _check_plan(blocks)
     _check_accelerations(blocks)
+    _check_preview(blocks)
     return _Parts(believed, blocks, watched)
 
 
@@ -537,6 +541,28 @@ def _check_accelerations(blocks: Mapping[str, System]) -> None:
                 "which the references' accelerations follow; give it this output, the second and "
                 "third rates (2m) of the internal force, or internal_force=InternalForceTrajectory"
             )
+
+
+def _check_preview(blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where a user's own block does not tell the reference that it makes."""
+    for name, block in blocks.items():
+        if is_of_package(block) or "reference_preview" not in wiring.output_names(block):
+            continue
+        field = f"{name}.reference_preview"
+        if block.num_input_ports() > 0:
+            preview = block.GetOutputPort("reference_preview").Allocate().get_value()
+        else:
+            start = block.CreateDefaultContext()
+            preview = block.GetOutputPort("reference_preview").Eval(start)
+        remedy = "give a ReferencePreview, such as ReferencePreview(reference_at)"
+        require(isinstance(preview, ReferencePreview), field, type(preview).__name__, remedy)
+        reference = _start_of_reference({"load_trajectory": block})
+        if reference is None:
+            continue
+        told = np.asarray(preview(0.0), dtype=float)
+        is_equal = told.shape == reference.shape and np.allclose(told, reference, atol=1e-9)
+        remedy = f"at t = 0 it is not what {name} makes as reference; correct one of the two"
+        require(is_equal, field, told.tolist(), remedy)
 
 
 def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
@@ -644,14 +670,14 @@ def _made(field: str, make: Any, model: Model, besides: str) -> System:
     return block
 
 
-def _check_others(name: str, block: System, made: set[str], sizes: Mapping[str, int]) -> None:
+def _check_others(name: str, block: System, made: set[str], sizes: wiring.Sizes) -> None:
     """Checks the sizes of those signals of the figure that a block makes in place of others."""
     known = {signal: size for signal, size in sizes.items() if signal in made}
     if known:
         wiring.check_outputs(name, block, known, {})
 
 
-def _figure_sizes(model: Model) -> dict[str, int]:
+def _figure_sizes(model: Model) -> dict[str, int | None]:
     """The sizes of all the figure's signals."""
     return {
         signal: size
@@ -660,7 +686,7 @@ def _figure_sizes(model: Model) -> dict[str, int]:
     }
 
 
-def _signals_left_out(model: Model, blocks: Mapping[str, System]) -> dict[str, int]:
+def _signals_left_out(model: Model, blocks: Mapping[str, System]) -> dict[str, int | None]:
     """The signals, with their sizes, of boxes left out that no block makes in their place."""
     if all(name in blocks for name in BOXES):
         return {}

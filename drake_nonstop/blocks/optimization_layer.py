@@ -1,22 +1,23 @@
 """Box "Optimization Layer" of the figure."""
 
 import time
-from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import (
     BasicVector,
-    BasicVector_,
     Context,
     DiscreteValues,
-    InputPort,
-    ValueProducer,
 )
 
-from drake_nonstop.mechanics.cable import compliance_of
+from drake_nonstop.blocks.receding_horizon import RecedingHorizonOptimizer
+from drake_nonstop.blocks.speed_bound_layer import (
+    BOX,
+    COMMAND,
+    SpeedBoundLayer,
+    require_no_command,
+)
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -24,8 +25,8 @@ from drake_nonstop.mechanics.signals import (
     PHASE_SIZE,
     WRENCH_SIZE,
 )
-from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules
-from drake_nonstop.model.system import OFFSET, Model
+from drake_nonstop.model.block_parameters import BlockParameters, Rules
+from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
     Outcome,
@@ -36,18 +37,11 @@ from drake_nonstop.optimization.gradual_change import limit_step, raised_bound, 
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
     check_problem,
-    check_speed_bound,
-    highest_speed_bound,
-    range_for,
 )
-from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.optimization.update_solver import UpdateSolver
-from drake_nonstop.systems.block import LeafBlock, weakly
+from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
-
-_BOX = "optimization_layer"
-_COMMAND = "speed_bound_command"  # an optional input of the box
 
 
 @dataclass(kw_only=True)
@@ -58,7 +52,7 @@ class NonstopOptimizerConfig(NonstopProblemConfig):
     """
 
 
-class NonstopOptimizer(LeafBlock):
+class NonstopOptimizer(SpeedBoundLayer):
     """Changes ξ and A as little as keeps every carrier at or above ε (eqs. 23-26).
 
     At each update, with x = [ξ, A] and x⁻ the previous value,
@@ -111,11 +105,9 @@ class NonstopOptimizer(LeafBlock):
 
     Parameters, the fields of `NonstopOptimizerConfig`:
         speed_bound: m/s, ε
-        tightening: the solver aims at (1 + tightening) ε
-        look_ahead_points: instants from now to the next update; 1: now, as in the paper
-        orbit_points: phases of the orbit ahead; 1: the present one, as in the paper
-        orbit_updates: successive updates that share these phases
-        load_motion: of the carriers; "desired", or "measured" as in the paper
+        tightening: the solver aims at (1 + tightening) ε; "auto": computed
+        speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
+        model_error: share of the load's weight by which its wrench may be off
         frequency: rad/s, ξ at the start
         amplitude: N, A at the start
         frequency_bounds: rad/s
@@ -126,6 +118,10 @@ class NonstopOptimizer(LeafBlock):
         min_tension: N; 0: any
         max_tension: N
         min_separation: m, of two carriers over a whole orbit; 0: any
+        look_ahead_points: instants from now to the next update; 1: now, as in the paper
+        orbit_points: phases of the orbit ahead; 1: the present one, as in the paper
+        orbit_updates: successive updates that share these phases
+        load_motion: of the carriers; "desired", or "measured" as in the paper
         internal_force_weight: w_pos of eq. 26
         internal_force_rate_weight: w_vel of eq. 26
         anchor_weight: of the distance from the initial ξ and A, at rest
@@ -139,22 +135,9 @@ class NonstopOptimizer(LeafBlock):
             control period; during a run, the command is out of range.
     """
 
-    is_sampled = True
-    optional_inputs = (_COMMAND,)
-
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
-        super().__init__()
         config = config or NonstopOptimizerConfig()
-        check_problem(_BOX, config, model)
-        self.parameters = _parameters(model, config)
-        declare_parameters(self, self.parameters)
-        entry = self.DeclareCacheEntry(
-            "numbers",
-            ValueProducer(Value(()).Clone, weakly(self._calc_numbers)),
-            {self.all_parameters_ticket()},
-        )
-        self._numbers = entry.cache_index()  # the entry would keep this block alive
-        self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
+        super().__init__(model, config, check_problem)
         if self.scalar is float:
             self.solver = UpdateSolver(model, config, self.get_name)
         self._measured_load_state = self.DeclareVectorInputPort(
@@ -164,26 +147,19 @@ class NonstopOptimizer(LeafBlock):
         self._wrench = self.DeclareVectorInputPort("wrench", WRENCH_SIZE)
         self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", WRENCH_SIZE)
         self._phase = self.DeclareVectorInputPort("phase", PHASE_SIZE)
-        self._command = self.DeclareVectorInputPort(_COMMAND, 1)
         self._state = self.DeclareDiscreteState([config.frequency, config.amplitude])
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
         self._last_wrench_rate = self.DeclareDiscreteState(WRENCH_SIZE)
         self._bound_in_force = self.DeclareDiscreteState([config.speed_bound])
         self._is_changing = self.DeclareDiscreteState(1)
-        self.highest_speed_bound = highest_speed_bound(config)
         self._share_of_steps = config.period / config.change_time
         self._times = {"period": config.period, "change_time": config.change_time}
-        self._period, self._n = config.period, model.n
+        self._period = config.period
         self.DeclareStateOutputPort("parameters", self._state)
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
-        self.DeclareVectorOutputPort(
-            "speed_bound",
-            1,
-            self._calc_speed_bound,
-            {self.all_parameters_ticket(), self.input_port_ticket(self._command.get_index())},
-        )
+        self.declare_bound()
         # Offset = period: with offset 0 the periodic event would repeat the first one.
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         # An event at each sample of the controllers, of which every `_samples_per_update`-th is an
@@ -195,24 +171,6 @@ class NonstopOptimizer(LeafBlock):
             self._sample_period, self._sample_period, self._update_at_sample
         )
 
-    def set_speed_bound(self, context: Context, speed_bound: float) -> None:
-        """Sets another ε (m/s) from the next update on; the context is the block's own.
-
-        Raises:
-            ScenarioError: the bound is neither 0 nor at least 1e-3 m/s, or not below
-                `highest_speed_bound`; or `speed_bound_command` is connected.
-        """
-        self.require_effect(context, "speed_bound", speed_bound)
-        _check_bound(self.highest_speed_bound, speed_bound)
-        values = context.get_mutable_numeric_parameter(0)
-        values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
-        self.begin_anew(context)
-
-    def require_effect(self, context: Context, name: str, value: Any) -> None:
-        """Raises ScenarioError where a parameter that is set would have none in this context."""
-        if name == "speed_bound":
-            _require_no_command(self._command, context, value)
-
     def begin_anew(self, context: Context) -> None:
         """Lets what has not been updated begin with the parameters of the context, its own."""
         diagnostics = context.get_discrete_state(self._diagnostics).value()
@@ -222,36 +180,6 @@ class NonstopOptimizer(LeafBlock):
         numbers = self._numbers_in(context)
         context.SetDiscreteState(self._state, numbers.nominal)
         context.SetDiscreteState(self._bound_in_force, [numbers.speed_bound])
-
-    def set_enabled(self, context: Context, enabled: bool) -> None:
-        """Switches the layer on or off from the next update on; the context is the block's own."""
-        context.get_mutable_numeric_parameter(self._enabled).SetFromVector([float(enabled)])
-
-    def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        if self._command.HasValue(context):
-            output.SetFromVector(self._commanded_bound(context))
-            return
-        values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
-        output.SetFromVector(values["speed_bound"])
-
-    def _commanded_bound(self, context: Context) -> NDArray:
-        bound = self._command.Eval(context)
-        if self.scalar is float:
-            _check_bound(self.highest_speed_bound, float(bound[0]), _COMMAND)
-        return bound
-
-    def _wanted_bound(self, context: Context, numbers: "_Numbers") -> float:
-        """The ε (m/s) that is commanded, or else the one that was set."""
-        if self._command.HasValue(context):
-            return float(self._commanded_bound(context)[0])
-        return numbers.speed_bound
-
-    def _numbers_in(self, context: Context) -> "_Numbers":
-        return self.get_cache_entry(self._numbers).Eval(context)
-
-    def _calc_numbers(self, context: Context, value: AbstractValue) -> None:
-        vector = context.get_numeric_parameter(0).CopyToVector()
-        value.set_value(_numbers(self.parameters.view(vector), self._n))
 
     def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
         if round(context.get_time() / self._sample_period) % self._samples_per_update == 0:
@@ -266,7 +194,7 @@ class NonstopOptimizer(LeafBlock):
         numbers = self._numbers_in(context)
         wrench_rate = self._wrench_rate.Eval(context)
         bound = self._wanted_bound(context, numbers)
-        if not context.get_numeric_parameter(self._enabled).CopyToVector()[0]:
+        if not self.is_enabled(context):
             parameters = step_towards(previous, numbers.nominal, **self._times)
             discrete_state.set_value(self._state, parameters)
             discrete_state.set_value(self._bound_in_force, [0.0])
@@ -315,68 +243,6 @@ class NonstopOptimizer(LeafBlock):
         discrete_state.set_value(self._is_changing, [float(is_changing)])
 
 
-_OWN = ("speed_bound", "frequency", "amplitude", "frequency_bounds", "amplitude_bounds")
-
-
-def _parameters(model: Model, config: NonstopOptimizerConfig) -> BlockParameters:
-    """Those of a NonstopOptimizer; amplitude bounds of zero stand for those from the weight."""
-    return BlockParameters(
-        model,
-        (*LOAD, "cable_length", "cable_stiffness", *model.offset_parameter),
-        config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
-        own=_OWN,
-        rules=Rules(check=_check),
-    )
-
-
-def _check(model: Model, config: NonstopOptimizerConfig) -> None:
-    if not any(config.amplitude_bounds):
-        config = replace(config, amplitude_bounds=[])
-    check_problem(_BOX, config, model)
-    _check_bound(highest_speed_bound(config), config.speed_bound)
-
-
-def _check_bound(highest: float, speed_bound: float, name: str = "speed_bound") -> None:
-    check_speed_bound(_BOX, speed_bound, name)
-    require(
-        speed_bound < highest,
-        f"{_BOX}.{name}",
-        speed_bound,
-        f"give less than {highest:g} m/s, for the sake of max_speed",
-    )
-
-
-class _Numbers(NamedTuple):
-    """What an update takes of the parameters."""
-
-    speed_bound: float  # m/s
-    nominal: NDArray  # (2,), [ξ, A] at the start, rad/s and N
-    beliefs: NDArray  # a flat `Beliefs`
-
-
-def _numbers(values: dict[str, NDArray], n: int) -> _Numbers:
-    """Of the parameters by name, for n carriers."""
-    amplitudes = values["amplitude_bounds"]
-    if not amplitudes.any():
-        share = float(values["load_mass"][0] * values["gravity"][0]) / n
-        amplitudes = np.array(range_for(share, float(values["amplitude"][0])))
-    frequencies = values["frequency_bounds"]
-    beliefs = Beliefs(
-        load_mass=values["load_mass"],
-        load_inertia=values["load_inertia"].ravel(),
-        load_drag=values["load_drag"],
-        load_angular_drag=values["load_angular_drag"],
-        gravity=values["gravity"],
-        rest_length=values["cable_length"],
-        compliance=compliance_of(values["cable_stiffness"]),
-        nominal=np.concatenate([values["frequency"], values["amplitude"]]),
-        lower=np.array([frequencies[0], amplitudes[0]]),
-        upper=np.array([frequencies[1], amplitudes[1]]),
-        offset=values.get(OFFSET, np.zeros(0)),
-    )
-    return _Numbers(float(values["speed_bound"][0]), beliefs.nominal, np.concatenate(beliefs))
-
-
 @dataclass(kw_only=True)
 class ConstantParametersConfig(StrictFields):
     """The internal force's parameters, and the bound with which the metrics compare speeds."""
@@ -413,7 +279,7 @@ class ConstantParameters(LeafBlock):
     """
 
     is_sampled = True
-    optional_inputs = (_COMMAND,)
+    optional_inputs = (COMMAND,)
 
     def __init__(self, model: Model, config: ConstantParametersConfig | None = None):
         super().__init__()
@@ -425,7 +291,7 @@ class ConstantParameters(LeafBlock):
         declare_parameters(self, self.parameters)
         sources = {self.all_parameters_ticket()}
         self.DeclareVectorOutputPort("parameters", PARAMETERS_SIZE, self._calc_parameters, sources)
-        self._command = self.DeclareVectorInputPort(_COMMAND, 1)
+        self._command = self.DeclareVectorInputPort(COMMAND, 1)
         sources = sources | {self.input_port_ticket(self._command.get_index())}
         self.DeclareVectorOutputPort("speed_bound", 1, self._calc_speed_bound, sources)
 
@@ -436,14 +302,14 @@ class ConstantParameters(LeafBlock):
             ScenarioError: the bound is negative, or `speed_bound_command` is connected.
         """
         self.require_effect(context, "speed_bound", speed_bound)
-        require_non_negative(_BOX, speed_bound=speed_bound)
+        require_non_negative(BOX, speed_bound=speed_bound)
         values = context.get_mutable_numeric_parameter(0)
         values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
 
     def require_effect(self, context: Context, name: str, value: Any) -> None:
         """Raises ScenarioError where a parameter that is set would have none in this context."""
         if name == "speed_bound":
-            _require_no_command(self._command, context, value)
+            require_no_command(self._command, context, value)
 
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
@@ -455,34 +321,23 @@ class ConstantParameters(LeafBlock):
         if self._command.HasValue(context):
             bound = self._command.Eval(context)
             if self.scalar is float:
-                require_non_negative(_BOX, **{_COMMAND: float(bound[0])})
+                require_non_negative(BOX, **{COMMAND: float(bound[0])})
         output.SetFromVector(bound)
 
 
 def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
-    require_positive(_BOX, frequency=config.frequency)
+    require_positive(BOX, frequency=config.frequency)
     if model.pattern.is_constant:
         require(
             config.amplitude == 0,
-            f"{_BOX}.amplitude",
+            f"{BOX}.amplitude",
             config.amplitude,
             "the pattern has no orbits that it could size; give 0, or a pattern with orbits",
         )
     else:
-        require_positive(_BOX, amplitude=config.amplitude)
-    require_non_negative(_BOX, speed_bound=config.speed_bound)
-
-
-def _require_no_command(command: InputPort, context: Context, speed_bound: Any) -> None:
-    """Raises ScenarioError where a bound that is set would be overruled."""
-    require(
-        not command.HasValue(context),
-        f"{_BOX}.speed_bound",
-        speed_bound,
-        f"the signal {_COMMAND} sets the bound: change it in the block that makes that signal, or "
-        "take the signal away",
-    )
+        require_positive(BOX, amplitude=config.amplitude)
+    require_non_negative(BOX, speed_bound=config.speed_bound)
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (NonstopOptimizer, ConstantParameters)
+VARIANTS = (NonstopOptimizer, RecedingHorizonOptimizer, ConstantParameters)

@@ -7,7 +7,7 @@ of the other constraints, each with its tightened limit.
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.optimization.problem_config import NonstopProblemConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig, limit_tightening
 
 FEASIBILITY_TOLERANCE = 1e-6  # on a margin
 
@@ -25,8 +25,9 @@ class ConstraintMargins:
         speed_count: of the speeds, at all instants and phases.
     """
 
-    def __init__(self, config: NonstopProblemConfig, speed_count: int):
-        larger, smaller = 1 + config.tightening, 1 - config.tightening
+    def __init__(self, config: LimitsConfig, speed_count: int):
+        tightening = limit_tightening(config)
+        larger, smaller = 1 + tightening, 1 - tightening
         self.max_speed = smaller * config.max_speed
         self._min_tension = larger * config.min_tension
         self._max_tension = smaller * config.max_tension
@@ -37,6 +38,16 @@ class ConstraintMargins:
     def limit_tensions(self) -> bool:
         """Whether tensions have a limit."""
         return self._min_tension > 0 or bool(np.isfinite(self._max_tension))
+
+    @property
+    def tension_factors(self) -> list[float]:
+        """The slopes of the margins of tensions by their squares, for each limit of theirs."""
+        factors = []
+        if self._min_tension > 0:
+            factors.append(1 / self._min_tension**2)
+        if np.isfinite(self._max_tension):
+            factors.append(-1 / self._max_tension**2)
+        return factors
 
     @property
     def limit_high_speeds(self) -> bool:

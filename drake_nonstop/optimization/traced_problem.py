@@ -17,7 +17,11 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import ConstraintMargins
-from drake_nonstop.optimization.problem_config import NonstopProblemConfig, amplitude_range
+from drake_nonstop.optimization.problem_config import (
+    LimitsConfig,
+    NonstopProblemConfig,
+    amplitude_range,
+)
 from drake_nonstop.optimization.separation import SeparationConstraint
 from drake_nonstop.optimization.update_data import Beliefs, UpdateData, update_data_size
 from drake_nonstop.systems.tracing import TracedFunction
@@ -219,7 +223,7 @@ class TracedProblem:
         )
 
 
-def beliefs_of(model: Model, config: NonstopProblemConfig) -> Beliefs:
+def beliefs_of(model: Model, config: LimitsConfig) -> Beliefs:
     """Those of a model and a config."""
     system = model.system
     lower, upper = np.transpose([config.frequency_bounds, amplitude_range(config, model)])

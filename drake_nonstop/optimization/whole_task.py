@@ -12,10 +12,11 @@ from drake_nonstop.optimization.horizon_problem import (
     HorizonData,
     HorizonProblem,
     Reference,
+    timed,
 )
 from drake_nonstop.optimization.horizon_solver import HorizonSolver, PlanAnswer
 from drake_nonstop.optimization.plan import DEGREE
-from drake_nonstop.optimization.problem_config import NonstopProblemConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig
 
 _FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
 _LEAST_SCALE = 0.1  # of the trust region at the start of a plan
@@ -65,7 +66,7 @@ def receding_coefficients(
 
 def plan_task(
     model: Model,
-    limits: NonstopProblemConfig,
+    limits: LimitsConfig,
     reference: Reference,
     duration: float,
     *,
@@ -87,14 +88,13 @@ def plan_task(
         config: but for its horizon.
         start_angle: θ at the start, rad.
     """
-    config = config or HorizonConfig()
+    config = timed(config or HorizonConfig(), limits.frequency, model.control_period)
     intervals = round(duration / config.knot_spacing)
     short = HorizonProblem(model, limits, config, name)
     flown, _ = receding_coefficients(
         short, reference, intervals, limits.speed_bound, start_angle=start_angle
     )
-    # Every instant counts: a choice among neighbours that changes delays convergence.
-    whole = replace(config, horizon=intervals * config.knot_spacing, neighbours=1)
+    whole = replace(config, horizon=intervals * config.knot_spacing)
     problem = HorizonProblem(model, limits, whole, name)
     data: HorizonData = problem.data(0.0, start_angle, reference, limits.speed_bound)
     solver = HorizonSolver(problem)
@@ -103,5 +103,4 @@ def plan_task(
         solver.solve(data, start, max_iterations=_MAX_ITERATIONS, tolerance=_TOLERANCE)
         for start in starts
     ]
-    weight = float(problem.slack_weights.sum())
-    return sorted(answers, key=lambda answer: answer.cost + weight * answer.slack)
+    return sorted(answers, key=solver.merit)

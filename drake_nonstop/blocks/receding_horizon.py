@@ -1,0 +1,353 @@
+"""Plans of ξ and A over a receding horizon, for the box "Optimization Layer" of the figure."""
+
+import time as clock
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteStateIndex,
+    DiscreteValues,
+    ValueProducer,
+)
+
+from drake_nonstop.blocks.speed_bound_layer import (
+    BOX,
+    COMMAND,
+    LayerNumbers,
+    SpeedBoundLayer,
+)
+from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    PARAMETERS_SIZE,
+    PLANNED_SIZE,
+    PlannedParameters,
+)
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.diagnostics import (
+    DIAGNOSTICS_SIZE,
+    Outcome,
+    count_update,
+    update_count,
+)
+from drake_nonstop.optimization.horizon_problem import (
+    HorizonConfig,
+    HorizonData,
+    HorizonProblem,
+    timed,
+)
+from drake_nonstop.optimization.horizon_solver import HorizonSolver, PlanAnswer
+from drake_nonstop.optimization.plan import DEGREE, Plan
+from drake_nonstop.optimization.problem_config import LimitsConfig, check_limits, check_pattern
+from drake_nonstop.optimization.update_data import Beliefs
+from drake_nonstop.systems.block import weakly
+from drake_nonstop.validation import require
+
+_PREVIEW = "reference_preview"  # an optional input
+_MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
+_LEAST_SCALE = 0.1  # of the trust region at the start of a plan
+
+
+@dataclass(kw_only=True)
+class RecedingHorizonOptimizerConfig(LimitsConfig, HorizonConfig):
+    """The bound, the horizon, and how much time its plans get."""
+
+    preview: bool = True  # read the motion ahead; without it the motion goes on as it does
+    max_iterations: int = 3  # quadratic programs of a plan
+    time_limit: float = float("inf")  # s, of wall time, beyond which the plan that exists goes on
+
+
+class RecedingHorizonOptimizer(SpeedBoundLayer):
+    """Plans ξ and A over a horizon such that every carrier stays at or above ε.
+
+    Every `knot_spacing` a plan of smooth ξ and A over the `horizon` is made: splines of fourth
+    degree that go on from the last plan with three continuous rates, see
+    `optimization.horizon_problem`. The carriers' speeds along it follow from the load's reference,
+    which `reference_preview` tells ahead, and the wrench that moves the load along it in still air.
+    Where no preview is connected, or `preview` is false, the motion goes on as it does. The plan is
+    written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`.
+
+    An update ends as kept where the last plan, shifted, cannot be improved; as solved where a plan
+    fulfils all constraints; as relaxed where it is the least infeasible one that was found; and as
+    held where it took more than `time_limit`: the last plan then goes on. Without a limit runs are
+    repeatable to the bit.
+
+    `set_speed_bound` and `set_enabled` change parameters of the context during a run, which also
+    holds the initial ξ and A, their bounds and what is believed of load, cables and pattern. Where
+    `speed_bound_command` is connected it is ε, read at each plan. A layer that is switched off
+    leads ξ and A back to their initial values.
+
+    Converted to AutoDiffXd or Expression the layer goes on with its plan, and an update raises
+    ScenarioError: it solves with floating-point numbers only.
+
+    .. pydrake_system::
+
+        name: RecedingHorizonOptimizer
+        input_ports:
+        - reference
+        - reference_preview
+        - speed_bound_command
+        output_ports:
+        - parameters
+        - plan
+        - diagnostics
+        - solve_time
+        - speed_bound
+
+    `reference` (22) in W; `reference_preview`, abstract-valued, a `ReferencePreview`, and
+    `speed_bound_command` (1) in m/s may be left unconnected; `parameters` (2) = [ξ (rad/s), A (N)];
+    `plan` (8) = [θ (rad), ξ (rad/s), A (N), ξ̇ (rad/s²), Ȧ (N/s), ξ̈ (rad/s³), Ä (N/s²), A⃛
+    (N/s³)]; `diagnostics` (7), the fields of `Diagnostics`, whose speed margin is the smallest of
+    the whole horizon; `solve_time` (1) is the wall time in s that the last plan took; `speed_bound`
+    (1) is the ε that was set or is commanded, in m/s.
+
+    Parameters, the fields of `RecedingHorizonOptimizerConfig`:
+        horizon: s
+    """
+
+    optional_inputs = (_PREVIEW, COMMAND)
+
+    def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
+        config = config or RecedingHorizonOptimizerConfig()
+        super().__init__(model, config, _check, _structure)
+        config = timed(config, config.frequency, model.control_period)
+        self._model, self._config = model, config
+        self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
+        self._preview = self.DeclareAbstractInputPort(_PREVIEW, Value(object()))
+        self._planner = _Planner(model, config, self.get_name) if self.scalar is float else None
+        count = round(config.horizon / config.knot_spacing) + DEGREE
+        first = _PlanState(0.0, 0.0, 1.0, config.speed_bound, np.ones((2, count)))
+        self._plan = self.DeclareDiscreteState(first.flat())
+        entry = self.DeclareCacheEntry(
+            "plan",
+            ValueProducer(Value(()).Clone, weakly(self._calc_plan)),
+            {self.discrete_state_ticket(self._plan), self.all_parameters_ticket()},
+        )
+        self._plan_entry = entry.cache_index()
+        self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
+        self._solve_time = self.DeclareDiscreteState(1)
+        self._values: DiscreteStateIndex | None = None
+        if model.control_period > 0:
+            self._values = self.DeclareDiscreteState(
+                [0.0, config.frequency, config.amplitude, *np.zeros(PLANNED_SIZE - 3)]
+            )
+            sources = {self.discrete_state_ticket(self._values)}
+        else:
+            sources = {
+                self.time_ticket(),
+                self.discrete_state_ticket(self._plan),
+                self.all_parameters_ticket(),
+            }
+        self.DeclareVectorOutputPort("parameters", PARAMETERS_SIZE, self._calc_parameters, sources)
+        self.DeclareVectorOutputPort("plan", PLANNED_SIZE, self._calc_values, sources)
+        self.DeclareStateOutputPort("diagnostics", self._diagnostics)
+        self.DeclareStateOutputPort("solve_time", self._solve_time)
+        self.declare_bound()
+        self.DeclareInitializationDiscreteUpdateEvent(self._update)
+        self._sample_period = model.control_period or config.knot_spacing
+        self._samples_per_plan = round(config.knot_spacing / self._sample_period)
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            self._sample_period, self._sample_period, self._update_at_sample
+        )
+
+    def _calc_plan(self, context: Context, value: AbstractValue) -> None:
+        state = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
+        value.set_value(state.plan(self._config.knot_spacing, self._numbers_in(context).nominal))
+
+    def _plan_in(self, context: Context) -> Plan:
+        return self.get_cache_entry(self._plan_entry).Eval(context)
+
+    def _values_in(self, context: Context) -> NDArray:
+        if self._values is not None:
+            return context.get_discrete_state(self._values).value()
+        return np.array(self._plan_in(context).values(context.get_time()))
+
+    def _calc_values(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._values_in(context))
+
+    def _calc_parameters(self, context: Context, output: BasicVector) -> None:
+        planned = PlannedParameters.view(self._values_in(context))
+        output.SetFromVector(np.concatenate([planned.frequency, planned.amplitude]))
+
+    def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
+        samples = round(context.get_time() / self._sample_period)
+        if samples % self._samples_per_plan == 0:
+            self._update(context, discrete_state)
+        elif self._values is not None:
+            values = self._plan_in(context).values(context.get_time())
+            discrete_state.set_value(self._values, values)
+
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
+        self.require_floats(
+            "give ConstantParameters, with its frequency and amplitude, in place of "
+            "RecedingHorizonOptimizer"
+        )
+        assert self._planner is not None
+        numbers = self._numbers_in(context)
+        bound = self._wanted_bound(context, numbers)
+        if not self.is_enabled(context):
+            bound = 0.0
+        last = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
+        diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
+        is_first = update_count(diagnostics) == 0
+        start = clock.perf_counter()
+        planned = self._planner.plan(
+            context.get_time(), self._reference_ahead(context), bound, numbers, last, is_first
+        )
+        solve_time = clock.perf_counter() - start
+        outcome, state = planned.outcome, planned.state
+        if solve_time > self._config.time_limit and not is_first:
+            outcome, state = Outcome.HELD, last
+        if self.is_enabled(context):
+            count_update(diagnostics, outcome, planned.slowest_speed - bound)
+            discrete_state.set_value(self._diagnostics, diagnostics)
+        discrete_state.set_value(self._plan, state.flat())
+        discrete_state.set_value(self._solve_time, [solve_time])
+        if self._values is not None:
+            plan = state.plan(self._config.knot_spacing, numbers.nominal)
+            discrete_state.set_value(self._values, plan.values(context.get_time()))
+
+    def _reference_ahead(self, context: Context) -> ReferencePreview:
+        """The load's reference at times from now on."""
+        if self._config.preview and self._preview.HasValue(context):
+            preview = self._preview.Eval(context)
+            end = context.get_time() + self._config.horizon
+            require(
+                preview.end_time >= end,
+                f"{_PREVIEW}.end_time",
+                preview.end_time,
+                f"it ends before the horizon, at {end:g} s; let it tell more, or give a shorter "
+                f"{BOX}.horizon",
+            )
+            return preview
+        now, reference = context.get_time(), self._reference.Eval(context).copy()
+        return ReferencePreview(
+            lambda time: continued_reference(reference, time - now),
+            references=lambda times: continued_reference(reference, times - now),
+        )
+
+
+class _PlanState(NamedTuple):
+    """A plan as it is in the context."""
+
+    start_time: float  # s
+    start_angle: float  # rad
+    scale: float  # of the trust region
+    speed_bound: float  # m/s, ε
+    coefficients: NDArray  # (2, N), relative to the nominal ξ and A
+
+    @classmethod
+    def view(cls, vector: NDArray) -> "_PlanState":
+        """The parts of a vector (4 + 2N,)."""
+        return cls(*vector[:4], vector[4:].reshape(2, -1))
+
+    def flat(self) -> NDArray:
+        """The vector (4 + 2N,) of the parts."""
+        return np.concatenate([self[:4], self.coefficients.ravel()])
+
+    def plan(self, spacing: float, nominal: NDArray) -> Plan:
+        """The plan with knots every `spacing` s, for nominal [ξ, A] (2,)."""
+        return Plan(self.start_time, self.start_angle, spacing, nominal, self.coefficients)
+
+
+class _Planned(NamedTuple):
+    """What a plan is and how it came to be."""
+
+    state: _PlanState
+    outcome: Outcome
+    slowest_speed: float  # m/s, along the plan
+
+
+class _Planner:
+    """Makes plans; they depend on the arguments alone.
+
+    The last one is kept: a loop that looks for its equilibrium asks for the same again and again.
+    """
+
+    def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig, name: Any):
+        self._model, self._config, self._name = model, config, name
+        self._solver: tuple[bytes, HorizonSolver] | None = None
+        self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome]] | None = None
+
+    def plan(
+        self,
+        time: float,
+        reference: ReferencePreview,
+        speed_bound: float,
+        numbers: LayerNumbers,
+        last: _PlanState,
+        is_first: bool,
+    ) -> _Planned:
+        """The next plan, from a time in s on, which goes on from the last one."""
+        solver = self._solver_for(numbers)
+        problem, spacing = solver.problem, self._config.knot_spacing
+        start_time = spacing * np.floor(time / spacing + 1e-6)
+        if is_first:
+            angle = numbers.nominal[0] * (start_time - time)
+            start = problem.nominal_coefficients()
+        else:
+            before = last.plan(spacing, numbers.nominal)
+            knots = round((start_time - before.start_time) / spacing)
+            shifted = before.shifted(knots) if knots > 0 else before
+            angle, start = shifted.start_angle, shifted.coefficients
+        data = problem.data(start_time, angle, reference, speed_bound)
+        is_new = is_first or speed_bound != last.speed_bound
+        scale = 1.0 if is_new else max(last.scale, _LEAST_SCALE)
+        arrays = data.flat_terms, start, numbers.beliefs
+        key = (start_time, angle, speed_bound, is_new, scale, *(a.tobytes() for a in arrays))
+        known = self._last
+        if known is None or known[0] != key:
+            self._last = known = key, self._make(solver, data, start, scale, is_new)
+        answer, outcome = known[1]
+        speeds = problem.speeds(data, answer.coefficients)
+        state = _PlanState(start_time, angle, answer.scale, speed_bound, answer.coefficients)
+        return _Planned(state, outcome, float(np.sqrt(speeds.squares.min())))
+
+    def _make(
+        self,
+        solver: HorizonSolver,
+        data: HorizonData,
+        start: NDArray,
+        scale: float,
+        is_new: bool,
+    ) -> tuple[PlanAnswer, Outcome]:
+        iterations = _MANY_ITERATIONS if is_new else self._config.max_iterations
+        answer = solver.solve(data, start, max_iterations=iterations, scale=scale)
+        if is_new or not answer.is_feasible:
+            guess = solver.first_guess(data, start[:, : solver.fixed])
+            other = solver.solve(data, guess, max_iterations=iterations)
+            answer = min(answer, other, key=solver.merit)
+        if not answer.is_feasible:
+            return answer, Outcome.RELAXED
+        is_kept = np.array_equal(answer.coefficients, start)
+        return answer, Outcome.KEPT if is_kept else Outcome.SOLVED
+
+    def _solver_for(self, numbers: LayerNumbers) -> HorizonSolver:
+        key = numbers.beliefs.tobytes()
+        known = self._solver
+        if known is None or known[0] != key:
+            problem = HorizonProblem(
+                self._model,
+                self._config,
+                self._config,
+                self._name,
+                beliefs=Beliefs.view(numbers.beliefs),
+            )
+            self._solver = known = key, HorizonSolver(problem)
+        return known[1]
+
+
+def _structure(model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[float, float]:
+    times = timed(config, config.frequency, model.control_period)
+    return times.horizon, times.knot_spacing
+
+
+def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> None:
+    check_limits(box, config, model)
+    check_pattern(box, model, "RecedingHorizonOptimizer")
+    require(config.time_limit > 0, f"{box}.time_limit", config.time_limit, "give a time above zero")

@@ -1,0 +1,96 @@
+"""The load's reference to come: what is known of it, and what is assumed where nothing is."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drake_nonstop.mechanics.rotation import rotate_quaternion, rotation_matrix
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
+
+FADE_TIME = 0.5  # s, in which the accelerations of `continued_reference` fade
+
+
+@dataclass(frozen=True, eq=False)
+class ReferencePreview:
+    """What a trajectory tells of its reference to come, the value of `reference_preview`.
+
+    It holds no state and is not copied with a context: any thread may call it at any time.
+
+    Attributes:
+        reference: returns the reference (22,) at an absolute time in s, as the signal
+            `reference` has it then.
+        end_time: s, until which the reference is known; inf: for ever.
+        references: returns the references (k, 22) at times (k,), where that is faster than one
+            after the other.
+    """
+
+    reference: Callable[[float], NDArray]
+    end_time: float = math.inf
+    references: Callable[[NDArray], NDArray] | None = None
+
+    def __call__(self, time: float) -> NDArray:
+        """The reference (22,) at an absolute time in s, at most `end_time`."""
+        return self.reference(time)
+
+    def at(self, times: ArrayLike) -> NDArray:
+        """The references (k, 22) at absolute times (k,) in s."""
+        times = np.asarray(times, dtype=float)
+        if self.references is not None:
+            return self.references(times)
+        rows = [self.reference(time) for time in times.tolist()]
+        return np.array(rows).reshape(-1, LOAD_REFERENCE_SIZE)
+
+    def __deepcopy__(self, memo: dict) -> "ReferencePreview":
+        """Itself: nothing in it changes. Drake copies what contexts and ports hold."""
+        return self
+
+
+def continued_reference(reference: NDArray, time: ArrayLike) -> NDArray:
+    """How a reference goes on where nothing is known of it: velocity and turn rate stay.
+
+    At 0 it is the reference itself, with its accelerations and its jerk. These fade with the time
+    constant T = `FADE_TIME`, and so does what they add to the velocities:
+
+        v = v₀ + (a₀ t + (j₀/2 + a₀/T) t²) e^(−t/T),
+        R = exp(S(ω̇₀ g)) exp(S(ω₀ t)) R₀,   ġ = t e^(−t/T),   g(0) = 0,
+
+    so that v → v₀ and |ω| → |ω₀|. Position, acceleration, jerk, ω and ω̇ are exactly those of this
+    motion. Own derivation.
+
+    Args:
+        reference: (22,), the present one.
+        time: s from it on, (...,).
+
+    Returns:
+        The references (..., 22).
+    """
+    t = np.asarray(time, dtype=float)[..., None]
+    now = LoadReference.view(reference)
+    T = FADE_TIME
+    x = t / T
+    fade = np.exp(-x)
+    a, b = now.acceleration, now.jerk / 2 + now.acceleration / T
+    # ∫ t e^(−t/T) and ∫ t² e^(−t/T)
+    first = T**2 * (1 - (1 + x) * fade)
+    second = T**3 * (2 - (2 + 2 * x + x * x) * fade)
+    turn = now.angular_acceleration * first
+    turn_rate = now.angular_acceleration * (t * fade)
+    upright = np.broadcast_to(np.eye(4)[0], (*turn.shape[:-1], 4))
+    matrix = rotation_matrix(rotate_quaternion(upright, turn))
+    angular_velocity = np.einsum("...ij,j->...i", matrix, now.angular_velocity)
+    start = np.broadcast_to(now.quaternion, (*turn.shape[:-1], 4))
+    parts = LoadReference(
+        quaternion=rotate_quaternion(rotate_quaternion(start, now.angular_velocity * t), turn),
+        position=now.position + now.velocity * t + a * first + b * second,
+        angular_velocity=turn_rate + angular_velocity,
+        velocity=now.velocity + (a * t + b * t * t) * fade,
+        angular_acceleration=(
+            now.angular_acceleration * ((1 - x) * fade) + np.cross(turn_rate, angular_velocity)
+        ),
+        acceleration=(a * (1 - x) + b * (2 * t - t * x)) * fade,
+        jerk=(a * (x - 2) / T + b * (2 - 4 * x + x * x)) * fade,
+    )
+    return np.concatenate(parts, axis=-1)
