@@ -185,7 +185,9 @@ def require_type(field: str, value: Any, kind: Any) -> None:
     origin = typing.get_origin(kind)
     if origin in (typing.Union, types.UnionType):
         options = [option for option in typing.get_args(kind) if option is not types.NoneType]
-        if len(options) == 1 and value is not None:
+        if options == [float, str]:  # a number, or a word that stands for one
+            require_type(field, value, str if isinstance(value, str) else float)
+        elif len(options) == 1 and value is not None:
             require_type(field, value, options[0])
     elif origin is list:
         require(isinstance(value, list), field, value, "give a list in [ ]")

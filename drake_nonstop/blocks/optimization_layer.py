@@ -105,7 +105,9 @@ class NonstopOptimizer(SpeedBoundLayer):
 
     Parameters, the fields of `NonstopOptimizerConfig`:
         speed_bound: m/s, ε
-        tightening: the solver aims at (1 + tightening) ε
+        tightening: the solver aims at (1 + tightening) ε; "auto": computed
+        speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
+        model_error: share of the load's weight by which its wrench may be off
         frequency: rad/s, ξ at the start
         amplitude: N, A at the start
         frequency_bounds: rad/s

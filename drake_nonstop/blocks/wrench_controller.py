@@ -42,6 +42,9 @@ class _WrenchPid(TracedBlock):
         check: of the block.
         gains: takes the load and, by name, the fields of the config, numbers or symbols, and
             returns the gains of `mechanics.wrench.wrench_and_rate` and its `feedforward`.
+
+    Attributes:
+        gains: what `gains` returns of the model's load.
     """
 
     is_sampled = True
@@ -110,6 +113,7 @@ class _WrenchPid(TracedBlock):
             key=("wrench", integrates, gains.__module__, gains.__qualname__),
             is_one_call=True,  # a second one for what does not read the wind would take longer
         )
+        self.gains = gains(model.load, **asdict(config))
 
 
 def _check(model: Model, config: Any) -> None:

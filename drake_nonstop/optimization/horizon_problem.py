@@ -13,8 +13,8 @@ between carriers are constraints of the same kind, with slack of their own. Limi
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
-from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
 from drake_nonstop.optimization.separation import SeparationConstraint
 from drake_nonstop.optimization.terminal_set import (
     TerminalSet,
@@ -46,6 +46,7 @@ from drake_nonstop.systems.tracing import TracedFunction
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
 
+_Horizon = TypeVar("_Horizon", bound="HorizonConfig")
 Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time in s
 
 
@@ -53,17 +54,30 @@ Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time i
 class HorizonConfig:
     """The horizon, its cost and its constraints; with those of a `NonstopProblemConfig`."""
 
-    horizon: float = 6.0  # s
-    knot_spacing: float = 0.4  # s, also the time between two plans
-    instant_spacing: float = 0.02  # s, between instants at which speeds are constrained
-    terminal_time: float = 1.6  # s, the last part, with all phases of the orbit
-    terminal_spacing: float = 0.2  # s, between instants in it
+    horizon: float = 0.0  # s; 0: 15 intervals between knots, nearly two turns
+    knot_spacing: float = 0.0  # s, also the time between two plans; 0: an eighth of a turn
+    instants: int = 20  # between two knots, at which the carriers' flight is constrained
+    terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
+    terminal_instants: int = 2  # of it, between two knots
     terminal_phases: int = 24
     terminal_amplitudes: int = 33  # of the table
     amplitude_weight: float = 4.0  # w_A
-    smoothing_time: float = 0.4  # s, τ
+    smoothing: float = 0.4  # τ, in intervals between knots
     slack_weight: float = 100.0  # ρ
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
+
+
+def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon:
+    """The config with its times, as they follow from the nominal ξ (rad/s) where they are 0.
+
+    The knots then are whole control periods (s) apart; 0: there is none.
+    """
+    spacing = config.knot_spacing
+    if spacing == 0:
+        spacing = 2 * math.pi / frequency / 8
+        if control_period > 0:
+            spacing = max(round(spacing / control_period), 1) * control_period
+    return replace(config, knot_spacing=spacing, horizon=config.horizon or 15 * spacing)
 
 
 class HorizonData(NamedTuple):
@@ -201,11 +215,11 @@ class HorizonProblem:
         self.amplitudes = np.linspace(low, high, config.terminal_amplitudes)
         spacing = config.knot_spacing
         end = self.intervals * spacing
-        count = self.intervals * round(spacing / config.instant_spacing)
+        count = self.intervals * config.instants
         # The value at the start is given by the fixed coefficients: no instant is there.
         self.instants = end / count * np.arange(1, count + 1)
-        self._terminal_per_knot = max(1, round(spacing / config.terminal_spacing))
-        back = np.arange(self._terminal_per_knot * round(config.terminal_time / spacing))[::-1]
+        self._terminal_per_knot = config.terminal_instants
+        back = np.arange(self._terminal_per_knot * config.terminal_knots)[::-1]
         self._per_knot = count // self.intervals  # instants
         # Some of the instants, the same ones in each interval.
         self._terminal_at = count - 1 - back * self._per_knot // self._terminal_per_knot
@@ -274,7 +288,7 @@ class HorizonProblem:
         Where `last` is of the same bound, and began one interval between knots before, what both
         have in common is taken from it.
         """
-        bound = (1 + self.limits.tightening) * speed_bound
+        bound = tightened_bound(self.limits, speed_bound)
         spacing = self.config.knot_spacing
         known: NDArray | None = None
         is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
@@ -463,10 +477,13 @@ class HorizonProblem:
             [slack_of.ravel(), np.repeat(terminal_slack, len(terminal))]
         )
         self._instant_of = np.concatenate(
-            [np.repeat(np.arange(count), n + others), np.tile(count + terminal, len(terminal_slack))]
+            [
+                np.repeat(np.arange(count), n + others),
+                np.tile(count + terminal, len(terminal_slack)),
+            ]
         )
         weights = np.full(self.intervals + 1, self.config.knot_spacing)
-        weights[-1] = self.config.terminal_time
+        weights[-1] *= self.config.terminal_knots
         shares = [1.0, _OTHERS_SHARE] if others else [1.0]
         self.slack_weights = self.config.slack_weight * np.outer(shares, weights).ravel()
 
@@ -522,7 +539,7 @@ class HorizonProblem:
         times = (np.arange(self.intervals)[:, None] + (nodes + 1) / 2).ravel() * spacing
         weights = np.tile(weights, self.intervals)[:, None] * spacing / 2
         rows = spline_rows(times, self.intervals, spacing)
-        tau = config.smoothing_time
+        tau = config.smoothing * spacing
 
         def square(row: NDArray) -> NDArray:
             return row.T @ (weights * row)

@@ -17,6 +17,7 @@ from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.systems.tracing import NotFiniteError
 
+PLAN_TOLERANCE = 1e-4  # on the slack of a plan: 0.005 % of a speed
 _ANGLE_RADIUS = 0.4  # rad, of the trust region: how far the phases may move in a step
 _COEFFICIENT_RADIUS = 0.4  # likewise for the coefficients, relative to the nominal
 _LARGEST_MARGIN = 0.5  # of constraints that a step takes into account from the start
@@ -47,8 +48,8 @@ class PlanAnswer(NamedTuple):
 
     @property
     def is_feasible(self) -> bool:
-        """Whether the plan needs no slack."""
-        return self.slack <= FEASIBILITY_TOLERANCE
+        """Whether the plan needs no slack, but for what successive programs leave."""
+        return self.slack <= PLAN_TOLERANCE
 
 
 class HorizonSolver:
@@ -290,10 +291,8 @@ def _difference_rows(largest: NDArray, count: int, fixed: int) -> _DifferenceRow
 def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
     """The [ξ, A] (2,) nearest to the nominal ones that suit all instants and phases."""
     angles = 2 * np.pi * np.arange(_SEARCH_PHASES) / _SEARCH_PHASES
-    every = max(1, round(problem.config.knot_spacing / problem.config.instant_spacing))
-    polynomials = orbit_polynomials(
-        OrbitTerms.view(data.flat_terms[::every]), problem.axes, angles
-    )
+    every = problem.config.instants
+    polynomials = orbit_polynomials(OrbitTerms.view(data.flat_terms[::every]), problem.axes, angles)
     low, high = (bound[:, 0] * problem.nominal for bound in problem.bounds)
     search = SearchProblem(
         polynomials=polynomials.reshape(*polynomials.shape[:2], -1),

@@ -7,7 +7,7 @@ of the other constraints, each with its tightened limit.
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig, limit_tightening
 
 FEASIBILITY_TOLERANCE = 1e-6  # on a margin
 
@@ -26,7 +26,8 @@ class ConstraintMargins:
     """
 
     def __init__(self, config: LimitsConfig, speed_count: int):
-        larger, smaller = 1 + config.tightening, 1 - config.tightening
+        tightening = limit_tightening(config)
+        larger, smaller = 1 + tightening, 1 - tightening
         self.max_speed = smaller * config.max_speed
         self._min_tension = larger * config.min_tension
         self._max_tension = smaller * config.max_tension

@@ -17,6 +17,8 @@ from drake_nonstop.validation import (
 )
 
 LEAST_BOUND = 1e-3  # m/s, unless there is none at all: margins are relative to the bound
+AUTO = "auto"  # in the place of a tightening
+_UNCOMPUTED = 0.01  # the tightening of what has no margin computed for it
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
@@ -25,7 +27,9 @@ class LimitsConfig(StrictFields):
     """The bound, the nominal ξ and A, and what limits them and the carriers' flight."""
 
     speed_bound: float = 0.2  # m/s, ε
-    tightening: float = 0.01  # the solver aims at (1 + tightening) ε
+    tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε; "auto": computed
+    speed_margin: float = 0.0  # m/s above ε that "auto" aims at; 0: computed for the loop
+    model_error: float = 0.0  # share of the load's weight by which its wrench may be off
     frequency: float = 2.0  # rad/s, ξ at the start
     amplitude: float = 1.2  # N, A at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 20.0])  # rad/s
@@ -67,9 +71,33 @@ def range_for(share: float, amplitude: float) -> list[float]:
     return [min(0.004 * share, amplitude / 2), max(3 * share, 2 * amplitude)]
 
 
+def tightened_bound(config: LimitsConfig, speed_bound: float) -> float:
+    """The speed (m/s) that the solver aims at for ε in m/s; 0 where there is no bound.
+
+    A computed margin stays as it is where ε falls below the config's, and grows with ε above it.
+    """
+    if _has_margin(config) and speed_bound > 0:
+        growth = speed_bound / config.speed_bound if config.speed_bound > 0 else 1.0
+        return speed_bound + config.speed_margin * max(1.0, growth)
+    return (1 + limit_tightening(config)) * speed_bound
+
+
+def _has_margin(config: LimitsConfig) -> bool:
+    return config.tightening == AUTO and config.speed_margin > 0
+
+
+def limit_tightening(config: LimitsConfig) -> float:
+    """The share by which limits other than the speed bound are tightened."""
+    return _UNCOMPUTED if isinstance(config.tightening, str) else config.tightening
+
+
 def highest_speed_bound(config: LimitsConfig) -> float:
     """The speed bound (m/s) that `max_speed` leaves no room above."""
-    return config.max_speed / _least_ratio(config)
+    if not _has_margin(config) or config.max_speed == math.inf:
+        return config.max_speed / _least_ratio(config)
+    limit = (1 - limit_tightening(config)) * config.max_speed
+    own, margin = config.speed_bound, config.speed_margin
+    return limit - margin if own == 0 or own + margin > limit else limit / (1 + margin / own)
 
 
 def check_speed_bound(box: str, speed_bound: float, name: str = "speed_bound") -> None:
@@ -84,12 +112,18 @@ def check_speed_bound(box: str, speed_bound: float, name: str = "speed_bound") -
 
 def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
     """Raises ScenarioError for the first limit, of the config's `box`, that cannot be used."""
+    if isinstance(config.tightening, str):
+        remedy = f'give a number, without quotes, or "{AUTO}"'
+        require(config.tightening == AUTO, f"{box}.tightening", config.tightening, remedy)
     require_non_negative(
         box,
-        tightening=config.tightening,
+        tightening=limit_tightening(config),
+        speed_margin=config.speed_margin,
+        model_error=config.model_error,
         min_tension=config.min_tension,
         min_separation=config.min_separation,
     )
+    require(config.model_error < 1, f"{box}.model_error", config.model_error, "give less than 1")
     require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)
@@ -138,12 +172,13 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
             value,
             f"give at most {LARGEST:g}, in SI units",
         )
-    require(config.tightening < 1, f"{box}.tightening", config.tightening, "give less than 1")
+    tightening = limit_tightening(config)
+    require(tightening < 1, f"{box}.tightening", config.tightening, "give less than 1")
     least_ratio = _least_ratio(config)
     for name, least in (
         ("max_frequency_rate", 0.0),
         ("max_amplitude_rate", 0.0),
-        ("max_speed", least_ratio * config.speed_bound),
+        ("max_speed", tightened_bound(config, config.speed_bound) / (1 - tightening)),
         ("max_tension", least_ratio * config.min_tension),
     ):
         value = getattr(config, name)
@@ -210,4 +245,5 @@ def check_pattern(box: str, model: Model, block: str) -> None:
 
 def _least_ratio(config: LimitsConfig) -> float:
     """The least ratio of an upper to a lower bound on one quantity: both are tightened."""
-    return (1 + config.tightening) / (1 - config.tightening)
+    tightening = limit_tightening(config)
+    return (1 + tightening) / (1 - tightening)

@@ -13,7 +13,7 @@ from drake_nonstop.optimization.active_set_search import nearest_feasible
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.grid_search import cheapest_on_grid, least_infeasible_on_grid
 from drake_nonstop.optimization.local_solver import LocalSolver
-from drake_nonstop.optimization.problem_config import NonstopProblemConfig
+from drake_nonstop.optimization.problem_config import NonstopProblemConfig, tightened_bound
 from drake_nonstop.optimization.traced_problem import TracedProblem
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
@@ -92,7 +92,7 @@ class UpdateSolver:
         # A reference that moves switches the anchor off.
         if config.anchor_weight > 0 and _is_moving(reference):
             anchor_weight = self._no_anchor
-        bound = np.array([(1 + config.tightening) * speed_bound])
+        bound = np.array([tightened_bound(config, speed_bound)])
         return UpdateData(
             previous=previous,
             phase=phase,

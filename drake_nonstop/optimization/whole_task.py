@@ -12,6 +12,7 @@ from drake_nonstop.optimization.horizon_problem import (
     HorizonData,
     HorizonProblem,
     Reference,
+    timed,
 )
 from drake_nonstop.optimization.horizon_solver import HorizonSolver, PlanAnswer
 from drake_nonstop.optimization.plan import DEGREE
@@ -87,7 +88,7 @@ def plan_task(
         config: but for its horizon.
         start_angle: θ at the start, rad.
     """
-    config = config or HorizonConfig()
+    config = timed(config or HorizonConfig(), limits.frequency, model.control_period)
     intervals = round(duration / config.knot_spacing)
     short = HorizonProblem(model, limits, config, name)
     flown, _ = receding_coefficients(

@@ -263,5 +263,5 @@ def _without_none(kind: Any) -> Any:
     """The type of a field that may be None as well."""
     if typing.get_origin(kind) in (typing.Union, types.UnionType):
         options = [option for option in typing.get_args(kind) if option is not types.NoneType]
-        return options[0] if len(options) == 1 else kind
+        return options[0] if len(options) == 1 or options == [float, str] else kind
     return kind

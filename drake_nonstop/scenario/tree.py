@@ -124,7 +124,8 @@ def _plain(value: Any, kind: Any) -> Any:
     if isinstance(value, list):
         item_kind = typing.get_args(kind)[0] if typing.get_args(kind) else Any
         return [_plain(item, item_kind) for item in value]
-    return float(value) if kind is float else plain_value(value, "value")
+    is_number = kind is float and not isinstance(value, str)
+    return float(value) if is_number else plain_value(value, "value")
 
 
 def block_name(config_class: type) -> str:

@@ -15,7 +15,7 @@ from drake_nonstop.optimization.whole_task import plan_task, receding_coefficien
 
 PAIRED = HamiltonianCycleConfig(phases=[0.0, np.pi / 2, 0.0, np.pi / 2])
 MARGIN = 0.02
-COARSE = HorizonConfig(instant_spacing=0.04)  # faster, and enough for these
+COARSE = HorizonConfig(instants=10)  # faster, and enough for these
 
 
 def limits(speed_bound, **fields):
