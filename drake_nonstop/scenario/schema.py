@@ -246,6 +246,12 @@ def check(scenario: Scenario) -> None:
         elif kind in _PARTS:
             require(isinstance(value, kind), path, value, f"give a {kind.__name__}")
             require_fields(path, value)
+        elif path == "reference_governor":
+            remedy = "give a ReferenceGovernorConfig, or None"
+            is_part = value is None or isinstance(value, ReferenceGovernorConfig)
+            require(is_part, path, value, remedy)
+            if value is not None:
+                require_fields(path, value)
         else:
             require_type(f"{scenario.name}.{path}", value, kind)
     for owner in ("system", "simulated"):
