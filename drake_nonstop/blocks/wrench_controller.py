@@ -42,6 +42,9 @@ class _WrenchPid(TracedBlock):
         check: of the block.
         gains: takes the load and, by name, the fields of the config, numbers or symbols, and
             returns the gains of `mechanics.wrench.wrench_and_rate` and its `feedforward`.
+
+    Attributes:
+        gains: those that it was built with, and `feedforward`, by name.
     """
 
     is_sampled = True
@@ -54,6 +57,7 @@ class _WrenchPid(TracedBlock):
         gains: Callable[..., dict[str, Any]],
     ):
         check(model, config)
+        self.gains = gains(model.load, **asdict(config))
 
         def outputs(
             integrals: NDArray,
