@@ -35,7 +35,9 @@ from drake_nonstop.optimization.speed_margin import (
 )
 from drake_nonstop.systems import wiring
 
-_INSTANTS = 121  # of a task, at which its reference is looked at
+_INSTANTS = 301  # of a task, at which its reference is looked at
+_BETWEEN = 0.382  # of the interval
+_STEP = 0.002  # s, of the differences for higher rates
 _LONGEST = 600.0  # s, of a task that is looked at
 _CONTINUOUS = 0.002  # s, for which continuous controllers are taken as held
 _JUMP = 0.1  # of the largest jerk, from which on a change between two instants may be a jump
@@ -188,13 +190,15 @@ def _motion(
         preview = ReferencePreview(reference)
     end = min(duration, preview.end_time, _LONGEST)
     times = np.linspace(0.0, end, _INSTANTS)
-    references = preview.at(times)
-    return Motion(references=references, jerk_jump=_largest_jump(preview, times, references))
+    # Between them, where a motion hardly begins or ends.
+    between = times[:-1] + _BETWEEN * np.diff(times)
+    references = np.stack([preview.at(between + shift) for shift in (-_STEP, 0.0, _STEP)])
+    return Motion(references=references, step=_STEP, jerk_jump=_largest_jump(preview, times))
 
 
-def _largest_jump(preview: ReferencePreview, times: NDArray, references: NDArray) -> float:
+def _largest_jump(preview: ReferencePreview, times: NDArray) -> float:
     """The largest jump of the jerk, m/s³: a change that stays as its interval is halved."""
-    jerks = LoadReference.view(references).jerk
+    jerks = LoadReference.view(preview.at(times)).jerk
     changes = np.linalg.norm(np.diff(jerks, axis=0), axis=1)
     least = _JUMP * float(np.max(np.linalg.norm(jerks, axis=1), initial=0.0))
     largest = 0.0

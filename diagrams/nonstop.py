@@ -53,6 +53,7 @@ from drake_nonstop.diagrams.box import (
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.fusing import fuse
 from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -113,12 +114,12 @@ BOXES: dict[str, Box] = {
         variants=optimization_layer.VARIANTS,
         signals={
             "parameters": PARAMETERS_SIZE,
-            "plan": PLANNED_SIZE,
             "diagnostics": DIAGNOSTICS_SIZE,
+            "plan": PLANNED_SIZE,
             "solve_time": 1,
             "speed_bound": 1,
         },
-        optional=("plan", "diagnostics", "solve_time", "speed_bound"),
+        optional=("diagnostics", "plan", "solve_time", "speed_bound"),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
         feeds_fused_plant=True,
@@ -448,6 +449,7 @@ def _made_parts(
     _require_motion(believed, blocks)
     _check_command(blocks)
     _check_accelerations(blocks)
+    _check_preview(blocks)
     return _Parts(believed, blocks, watched)
 
 
@@ -516,6 +518,28 @@ def _check_accelerations(blocks: Mapping[str, System]) -> None:
                 "which the references' accelerations follow; give it this output, the second and "
                 "third rates (2m) of the internal force, or internal_force=InternalForceTrajectory"
             )
+
+
+def _check_preview(blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where a user's own block does not tell the reference that it makes."""
+    for name, block in blocks.items():
+        if is_of_package(block) or "reference_preview" not in wiring.output_names(block):
+            continue
+        field = f"{name}.reference_preview"
+        if block.num_input_ports() > 0:
+            preview = block.GetOutputPort("reference_preview").Allocate().get_value()
+        else:
+            start = block.CreateDefaultContext()
+            preview = block.GetOutputPort("reference_preview").Eval(start)
+        remedy = "give a ReferencePreview, such as ReferencePreview(reference_at)"
+        require(isinstance(preview, ReferencePreview), field, type(preview).__name__, remedy)
+        reference = _start_of_reference({"load_trajectory": block})
+        if reference is None:
+            continue
+        told = np.asarray(preview(0.0), dtype=float)
+        is_equal = told.shape == reference.shape and np.allclose(told, reference, atol=1e-9)
+        remedy = f"at t = 0 it is not what {name} makes as reference; correct one of the two"
+        require(is_equal, field, told.tolist(), remedy)
 
 
 def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:

@@ -1,15 +1,34 @@
 """Box "phase" of the internal forces, in the paper a part of their trajectories."""
 
+import functools
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, State
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    ContinuousState,
+    DiagramBuilder,
+    EventStatus,
+    State,
+)
 from pydrake.systems.primitives import Integrator, MatrixGain
 
-from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE
+from drake_nonstop.mechanics.shaping import (
+    Stages,
+    approach,
+    stage_rates,
+    stages_after,
+    third_stage_rates,
+)
+from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, PLANNED_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock, LeafBlock
-from drake_nonstop.validation import StrictFields
+from drake_nonstop.validation import StrictFields, require_positive
+
+_BOX = "phase"
 
 
 @dataclass(kw_only=True)
@@ -113,5 +132,202 @@ class PaperPhase(LeafBlock):
         output.SetFromVector([frequency * time, time])
 
 
+@dataclass(kw_only=True)
+class ShapedPhaseConfig(StrictFields):
+    """How fast ξ and A follow the parameters that a layer asks for."""
+
+    bandwidth: float = 40.0  # rad/s, of each of three equal poles
+    max_frequency_rate: float = math.inf  # rad/s², of ξ
+    max_amplitude_rate: float = math.inf  # N/s, of A
+
+
+class ShapedPhase(DiagramBlock):
+    """ξ and A that follow the parameters smoothly, their rates, and the phase θ̇ = ξ.
+
+    Where `plan` is connected ξ and A are those of the plan. Otherwise each follows its parameter
+    through three equal poles, see `mechanics.shaping`: it is continuous to its second rate, stays
+    between the parameters' least and largest values so far, and never moves faster than its
+    largest rate, whatever the parameters do. It starts at the parameters of the first sample, or
+    step, with rates of zero.
+
+    .. pydrake_system::
+
+        name: ShapedPhase
+        input_ports:
+        - parameters
+        - plan
+        output_ports:
+        - phase
+        - planned
+
+    `parameters` (2) = [ξ (rad/s), A (N)], what ξ and A are to become; `plan` (8), which may be
+    left unconnected, and `planned` (8) = [θ (rad), ξ (rad/s), A (N), ξ̇ (rad/s²), Ȧ (N/s),
+    ξ̈ (rad/s³), Ä (N/s²), A⃛ (N/s³)]; `phase` (2) = [θ (rad), ∂θ/∂ξ = 0 (s)]. θ, ξ, A and their
+    rates are the state: continuous, or stepped at each sample, exactly, where the model has a
+    control period.
+
+    Parameters, the fields of `ShapedPhaseConfig`:
+        bandwidth: rad/s, of each of three equal poles
+        max_frequency_rate: rad/s², of ξ
+        max_amplitude_rate: N/s, of A
+
+    Raises:
+        ScenarioError: a parameter is not positive, or the bandwidth is not finite.
+    """
+
+    is_sampled = True
+    optional_inputs = ("plan",)
+
+    def __init__(self, model: Model, config: ShapedPhaseConfig | None = None):
+        super().__init__()
+        config = config or ShapedPhaseConfig()
+        require_positive(_BOX, bandwidth=config.bandwidth)
+        max_rates = {
+            "max_frequency_rate": config.max_frequency_rate,
+            "max_amplitude_rate": config.max_amplitude_rate,
+        }
+        require_positive(_BOX, **{k: v for k, v in max_rates.items() if v != math.inf})
+        builder = DiagramBuilder()
+        kind = _SampledShape if model.control_period > 0 else _ContinuousShape
+        limits = tuple(max_rates.values())
+        shape = builder.AddNamedSystem(
+            "shape", kind(config.bandwidth, limits, model.control_period)
+        )
+        for name in ("parameters", "plan"):
+            builder.ExportInput(shape.GetInputPort(name), name)
+        for name in ("phase", "planned"):
+            builder.ExportOutput(shape.GetOutputPort(name), name)
+        builder.BuildInto(self)
+
+
+_STATE_SIZE = 7  # θ, and the stages of ξ and of A
+
+
+class _Shape(InnerBlock):
+    """What the sampled and the continuous shape have in common.
+
+    The state is θ with the stages of ξ and of A, and beside it whether they have started: 1, or,
+    before that, 0, where the stages are the parameters.
+
+    Args:
+        bandwidth: rad/s.
+        max_rates: of ξ (rad/s²) and A (N/s).
+        period: s, between samples; 0: continuous.
+    """
+
+    def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
+        super().__init__()
+        self._bandwidth, self._period = bandwidth, period
+        self._approaches = [
+            functools.partial(approach, bandwidth=bandwidth, period=period, max_rate=max_rate)
+            for max_rate in max_rates
+        ]
+        self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
+        self._plan = self.DeclareVectorInputPort("plan", PLANNED_SIZE)
+        plan, states = self.input_port_ticket(self._plan.get_index()), self.all_state_ticket()
+        self.DeclareVectorOutputPort("phase", PHASE_SIZE, self._calc_phase, {plan, states})
+        parameters = self.input_port_ticket(self._parameters.get_index())
+        self.DeclareVectorOutputPort(
+            "planned", PLANNED_SIZE, self._calc_planned, {plan, parameters, states}
+        )
+
+    def _state(self, context: Context) -> tuple[list[Any], Any]:
+        """θ and the stages (7), and whether they have started."""
+        raise NotImplementedError
+
+    def _motion(self, context: Context) -> tuple[Any, list[tuple[Stages, Any]]]:
+        """θ, and for each of ξ and A the stages and the first one's rate."""
+        (angle, *stages), started = self._state(context)
+        motion = []
+        targets = self._parameters.Eval(context).tolist()
+        for i, (target, rate) in enumerate(zip(targets, self._approaches, strict=True)):
+            start = (1 - started) * target
+            values = Stages(*(started * x + start for x in stages[3 * i : 3 * i + 3]))
+            motion.append((values, rate(values.first, target)))
+        return angle, motion
+
+    def _calc_phase(self, context: Context, output: BasicVector) -> None:
+        if self._plan.HasValue(context):
+            angle = self._plan.Eval(context)[0]
+        else:
+            angle = self._state(context)[0][0]
+        output.SetFromVector([angle, 0.0])
+
+    def _calc_planned(self, context: Context, output: BasicVector) -> None:
+        if self._plan.HasValue(context):
+            output.SetFromVector(self._plan.Eval(context))
+            return
+        angle, ((xi, xi_first), (size, size_first)) = self._motion(context)
+        frequency_rates = third_stage_rates(xi, xi_first, bandwidth=self._bandwidth)
+        amplitude_rates = third_stage_rates(size, size_first, bandwidth=self._bandwidth)
+        rates = [*zip(frequency_rates, amplitude_rates, strict=True)]
+        planned = [angle, xi.third, size.third, *rates[0], *rates[1], rates[2][1]]
+        output.SetFromVector(planned)
+
+
+class _SampledShape(_Shape):
+    """The shape at samples."""
+
+    def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
+        super().__init__(bandwidth, max_rates, period)
+        self.DeclareDiscreteState(_STATE_SIZE + 1)
+        # Unrestricted for the same reason as the step of an accumulated phase.
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._step)
+
+    def _state(self, context: Context) -> tuple[list[Any], Any]:
+        *state, started = context.get_discrete_state_vector().CopyToVector().tolist()
+        return state, started
+
+    def _step(self, context: Context, state: State) -> EventStatus:
+        if self._plan.HasValue(context):
+            return EventStatus.DidNothing()
+        angle, motion = self._motion(context)
+        stepped: list[Any] = []
+        for i, (stages, first_rate) in enumerate(motion):
+            after, integral = stages_after(
+                stages, first_rate, bandwidth=self._bandwidth, period=self._period
+            )
+            stepped += after
+            if i == 0:
+                angle = angle + integral
+        state.get_mutable_discrete_state().set_value([angle, *stepped, 1.0])
+        return EventStatus.Succeeded()
+
+
+class _ContinuousShape(_Shape):
+    """The shape where time is continuous."""
+
+    def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
+        super().__init__(bandwidth, max_rates, period)
+        self.DeclareContinuousState(_STATE_SIZE)
+        self.DeclareDiscreteState(1)
+        # At the first step, and not at the initialization, which a layer's first update is a
+        # part of.
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._start)
+
+    def _state(self, context: Context) -> tuple[list[Any], Any]:
+        state = context.get_continuous_state_vector().CopyToVector().tolist()
+        return state, context.get_discrete_state_vector().GetAtIndex(0)
+
+    def _start(self, context: Context, state: State) -> EventStatus:
+        _, started = self._state(context)
+        if started == 1 or self._plan.HasValue(context):
+            return EventStatus.DidNothing()
+        angle, motion = self._motion(context)
+        values = [angle, *motion[0][0], *motion[1][0]]
+        state.get_mutable_continuous_state().SetFromVector(values)
+        state.get_mutable_discrete_state().set_value([1.0])
+        return EventStatus.Succeeded()
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
+        """As LeafSystem's."""
+        if self._plan.HasValue(context):
+            derivatives.SetFromVector(np.zeros(_STATE_SIZE))
+            return
+        _, (xi, size) = self._motion(context)
+        rates = [stage_rates(*stages, bandwidth=self._bandwidth) for stages in (xi, size)]
+        derivatives.SetFromVector([xi[0].third, *rates[0], *rates[1]])
+
+
 # The blocks that the box can be, the default first.
-VARIANTS = (AccumulatedPhase, PaperPhase)
+VARIANTS = (AccumulatedPhase, PaperPhase, ShapedPhase)

@@ -44,7 +44,7 @@ class _WrenchPid(TracedBlock):
             returns the gains of `mechanics.wrench.wrench_and_rate` and its `feedforward`.
 
     Attributes:
-        gains: those that it was built with, and `feedforward`, by name.
+        gains: what `gains` returns of the model's load.
     """
 
     is_sampled = True
@@ -57,7 +57,6 @@ class _WrenchPid(TracedBlock):
         gains: Callable[..., dict[str, Any]],
     ):
         check(model, config)
-        self.gains = gains(model.load, **asdict(config))
 
         def outputs(
             integrals: NDArray,
@@ -114,6 +113,7 @@ class _WrenchPid(TracedBlock):
             key=("wrench", integrates, gains.__module__, gains.__qualname__),
             is_one_call=True,  # a second one for what does not read the wind would take longer
         )
+        self.gains = gains(model.load, **asdict(config))
 
 
 def _check(model: Model, config: Any) -> None:

@@ -6,13 +6,15 @@ With ξ = ξ₀ B(t) c and A = A₀ B(t) d, uniform splines of fourth degree, so
 
 such that ‖v_i(t_k)‖² ≥ ((1 + m) ε)² (1 − slack) at the predicted phases θ(t_k), and, in the last
 part of the horizon, A ξ ≥ s(t, A) (1 − slack), above which no phase of the orbit is too slow. The
-rates are those of ξ/ξ₀ and A/A₀.
+rates are those of ξ/ξ₀ and A/A₀. Limits on speeds from above, on tensions and on the distances
+between carriers are constraints of the same kind, with slack of their own. Limits on the rates of
+ξ and A, and their bounds, hold for the coefficients, and so at all times.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +24,29 @@ from drake_nonstop.mechanics.planned_orbit import (
     OrbitTerms,
     PlannedSpeeds,
     orbit_along_reference,
+    planned_gaps,
     planned_speeds,
 )
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
 from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
-from drake_nonstop.optimization.terminal_set import LeastProducts, least_products
+from drake_nonstop.optimization.separation import SeparationConstraint
+from drake_nonstop.optimization.terminal_set import (
+    TerminalSet,
+    least_distance_squares,
+    product_limits,
+)
 from drake_nonstop.optimization.traced_problem import beliefs_of
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.tracing import TracedFunction
 
+_OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
+
+_Horizon = TypeVar("_Horizon", bound="HorizonConfig")
 Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time in s
 
 
@@ -41,18 +54,30 @@ Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time i
 class HorizonConfig:
     """The horizon, its cost and its constraints; with those of a `NonstopProblemConfig`."""
 
-    horizon: float = 6.0  # s
-    knot_spacing: float = 0.4  # s, also the time between two plans
-    instant_spacing: float = 0.02  # s, between instants at which speeds are constrained
-    neighbours: int = 2  # instants of which a step of the solver constrains the slowest
-    terminal_time: float = 1.6  # s, the last part, with all phases of the orbit
-    terminal_spacing: float = 0.2  # s, between instants in it
+    horizon: float = 0.0  # s; 0: 15 intervals between knots, nearly two turns
+    knot_spacing: float = 0.0  # s, also the time between two plans; 0: an eighth of a turn
+    instants: int = 20  # between two knots, at which the carriers' flight is constrained
+    terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
+    terminal_instants: int = 2  # of it, between two knots
     terminal_phases: int = 24
     terminal_amplitudes: int = 33  # of the table
     amplitude_weight: float = 4.0  # w_A
-    smoothing_time: float = 0.4  # s, τ
+    smoothing: float = 0.4  # τ, in intervals between knots
     slack_weight: float = 100.0  # ρ
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
+
+
+def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon:
+    """The config with its times, as they follow from the nominal ξ (rad/s) where they are 0.
+
+    The knots then are whole control periods (s) apart; 0: there is none.
+    """
+    spacing = config.knot_spacing
+    if spacing == 0:
+        spacing = 2 * math.pi / frequency / 8
+        if control_period > 0:
+            spacing = max(round(spacing / control_period), 1) * control_period
+    return replace(config, knot_spacing=spacing, horizon=config.horizon or 15 * spacing)
 
 
 class HorizonData(NamedTuple):
@@ -61,7 +86,7 @@ class HorizonData(NamedTuple):
     start_time: float  # s
     start_angle: float  # θ, rad
     flat_terms: NDArray  # (k, 9n + 3), the `OrbitTerms` at the instants
-    terminal: LeastProducts  # at the terminal instants
+    terminal: TerminalSet  # at the terminal instants
     speed_bound: float  # m/s, tightened
 
     @property
@@ -75,16 +100,70 @@ class HorizonData(NamedTuple):
         return self.speed_bound**2 or 1.0
 
 
-class Linearization(NamedTuple):
-    """The constraints about a plan, as margins and their Jacobian by the free coefficients.
+class Slopes(NamedTuple):
+    """Matrices (p, N) of θ, ξ, A and Ȧ at p instants by the coefficients of ξ/ξ₀ or of A/A₀."""
 
-    A margin is negative where its constraint is not fulfilled without slack. `slack_of` tells the
-    slack of each: one per interval between knots, and a last one for the terminal set.
+    angle: NDArray  # rad
+    frequency: NDArray  # rad/s
+    amplitude: NDArray  # N
+    amplitude_rate: NDArray  # N/s
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """The constraints about a plan, as margins and their gradients.
+
+    A margin is negative where its constraint is not fulfilled without slack.
     """
 
     margins: NDArray  # (r,)
-    jacobian: NDArray  # (r, 2N)
-    slack_of: NDArray  # (r,), whole numbers
+    gradients: NDArray  # (4, r), by θ, ξ, A and Ȧ
+    instant_of: NDArray  # (r,), the row of the slopes
+    slack_of: NDArray  # (r,), the number of the slack
+    slopes: Slopes
+    table: tuple[int, int]  # the first margins are those of k instants and so many constraints
+
+    def changes(self, step: NDArray) -> NDArray:
+        """What a step (2, N) of the coefficients adds to the margins (r,), to first order."""
+        c, d = step
+        of_instants = np.stack(
+            [
+                self.slopes.angle @ c,
+                self.slopes.frequency @ c,
+                self.slopes.amplitude @ d,
+                self.slopes.amplitude_rate @ d,
+            ]
+        )
+        return (self.gradients * of_instants[:, self.instant_of]).sum(axis=0)
+
+    def jacobian(self, chosen: NDArray | slice = slice(None), fixed: int = 0) -> NDArray:
+        """The rows of chosen margins, by all but the first coefficients of ξ, then of A."""
+        gradients, instants = self.gradients[:, chosen, None], self.instant_of[chosen]
+        by = [g * slope[instants, fixed:] for g, slope in zip(gradients, self.slopes, strict=True)]
+        return np.hstack([by[0] + by[1], by[2] + by[3]])
+
+    def dips(self, margins: NDArray, largest: float) -> NDArray:
+        """The numbers of margins of at most `largest` that are the least of their neighbours.
+
+        Neighbours are those of the same constraint at the instants before and after. Those of the
+        terminal set have none. `margins` (r,) are about the same plan or of a step from it.
+        """
+        count, width = self.table
+        table = margins[: count * width].reshape(count, width)
+        is_dip = table <= largest
+        is_dip[1:] &= table[1:] <= table[:-1]
+        is_dip[:-1] &= table[:-1] < table[1:]
+        last = np.flatnonzero(margins[count * width :] <= largest) + count * width
+        return np.concatenate([np.flatnonzero(is_dip), last])
+
+
+    def with_neighbours(self, chosen: NDArray, margins: NDArray, largest: float) -> NDArray:
+        """The numbers of chosen margins, and of those before and after that are at most that."""
+        count, width = self.table
+        chosen_speeds = chosen[chosen < count * width]
+        near = np.concatenate([chosen_speeds - width, chosen_speeds + width])
+        near = near[(near >= 0) & (near < count * width)]
+        return np.concatenate([chosen, near[margins[near] <= largest]])
 
 
 class HorizonProblem:
@@ -107,10 +186,9 @@ class HorizonProblem:
         *,
         beliefs: Beliefs | None = None,
     ):
-        self.model, self.limits, self.config = model, limits, config
+        self.model, self.limits, self.config, self.name = model, limits, config, name
         self.intervals = round(config.horizon / config.knot_spacing)
         self.count = self.intervals + DEGREE  # of the coefficients of ξ, and of A
-        self.slack_count = self.intervals + 1
         beliefs = beliefs or beliefs_of(model, limits)
         self.nominal = beliefs.nominal
         self._bounds = np.stack([beliefs.lower, beliefs.upper])
@@ -123,16 +201,32 @@ class HorizonProblem:
         self.amplitudes = np.linspace(low, high, config.terminal_amplitudes)
         spacing = config.knot_spacing
         end = self.intervals * spacing
-        count = self.intervals * round(spacing / config.instant_spacing)
+        count = self.intervals * config.instants
         # The value at the start is given by the fixed coefficients: no instant is there.
         self.instants = end / count * np.arange(1, count + 1)
-        self._terminal_per_knot = max(1, round(spacing / config.terminal_spacing))
-        count = self._terminal_per_knot * round(config.terminal_time / spacing)
-        self.terminal_instants = end - spacing / self._terminal_per_knot * np.arange(count)[::-1]
-        self._rows = spline_rows(self.instants, self.intervals, spacing)
-        self._terminal_rows = spline_rows(self.terminal_instants, self.intervals, spacing).value
-        pieces = np.floor(self.instants / spacing - 1e-9).astype(int)
-        self._slack_of = np.repeat(pieces, model.n)
+        self._terminal_per_knot = config.terminal_instants
+        back = np.arange(self._terminal_per_knot * config.terminal_knots)[::-1]
+        self._per_knot = count // self.intervals  # instants
+        # Some of the instants, the same ones in each interval.
+        self._terminal_at = count - 1 - back * self._per_knot // self._terminal_per_knot
+        self.terminal_instants = self.instants[self._terminal_at]
+        self._limits = ConstraintMargins(limits, 0)
+        self.max_speed = self._limits.max_speed  # m/s, tightened
+        self._separation: SeparationConstraint | None = None
+        if self._limits.min_separation > 0:
+            self._separation = SeparationConstraint(self._limits.min_separation, self.axes)
+        self._pairs = np.array(np.triu_indices(model.n, 1))
+        rows = spline_rows(self.instants, self.intervals, spacing)
+        self._rows = rows
+        frequency, amplitude = self.nominal
+        every = np.concatenate([np.arange(count), self._terminal_at])
+        self._slopes = Slopes(
+            frequency * rows.integral[every],
+            frequency * rows.value[every],
+            amplitude * rows.value[every],
+            amplitude * rows.rate[every],
+        )
+        self._place_constraints()
         self.hessian = self._hessian()
         self._terms = TracedFunction(
             self._trace_terms,
@@ -140,6 +234,15 @@ class HorizonProblem:
             name=name,
             key=("orbit along reference", model.attachments, model.pseudo_inverse),
         )
+
+    @property
+    def largest_differences(self) -> NDArray:
+        """The limits (2, 1) on the differences of neighbouring coefficients: those of the rates.
+
+        The rate of a spline is a spline of such differences by the spacing.
+        """
+        rates = np.array([self.limits.max_frequency_rate, self.limits.max_amplitude_rate])
+        return (self.config.knot_spacing * rates / self.nominal)[:, None]
 
     @property
     def bounds(self) -> tuple[NDArray, NDArray]:
@@ -173,35 +276,89 @@ class HorizonProblem:
         """
         bound = tightened_bound(self.limits, speed_bound)
         spacing = self.config.knot_spacing
-        known, known_terminal = None, None
+        known: NDArray | None = None
         is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
         if last is not None and is_next and last.speed_bound == bound:
-            known = last.flat_terms[len(self.instants) // self.intervals :]
-            known_terminal = last.terminal.products[self._terminal_per_knot :]
+            known = last.flat_terms[self._per_knot :]
+        instants = self.instants if known is None else self.instants[len(known) :]
+        references = references_at(reference, start_time + instants)
+        flat = np.array([self.terms_at(values) for values in references])
+        if known is not None:
+            flat = np.concatenate([known, flat])
+        if last is None or known is None:
+            terminal = self.terminal_set(flat[self._terminal_at], bound)
+        else:
+            new = self.terminal_set(flat[self._terminal_at[-self._terminal_per_knot :]], bound)
+            terminal = last.terminal.continued(new, self._terminal_per_knot)
+        return HorizonData(start_time, start_angle, flat, terminal, bound)
 
-        def terms_at(instants: NDArray) -> NDArray:
-            return np.array([self.terms_at(reference(start_time + t)) for t in instants])
-
-        flat = _continued(known, self.instants, terms_at)
-        products = _continued(
-            known_terminal,
-            self.terminal_instants,
-            lambda instants: np.array([self.least_products(t, bound) for t in terms_at(instants)]),
-        )
-        return HorizonData(
-            start_time, start_angle, flat, LeastProducts(self.amplitudes, products), bound
-        )
-
-    def least_products(self, terms: NDArray, speed_bound: float) -> NDArray:
-        """Row (a,) of `LeastProducts` for flat terms and the tightened bound in m/s."""
-        return least_products(
-            OrbitTerms.view(terms),
+    def terminal_set(self, flat_terms: NDArray, speed_bound: float) -> TerminalSet:
+        """The terminal set of flat terms (k, 9n + 3), for the tightened bound in m/s."""
+        terms = OrbitTerms.view(flat_terms)
+        least, most, *tension_squares = product_limits(
+            terms,
             self.axes,
             self.amplitudes,
             speed_bound,
+            self._limits.max_speed,
             phase_count=self.config.terminal_phases,
             **self._cables,
         )
+        margins = np.full(least.shape, np.inf)
+        for squares in tension_squares:
+            for margin in self._limits.of_tensions(squares):
+                margins = np.minimum(margins, margin)
+        if self._separation is not None:
+            for row, forces in zip(margins, terms.forces, strict=True):
+                np.minimum(row, self._orbit_separation_margins(forces, self.amplitudes), out=row)
+        return TerminalSet(self.amplitudes, least, most, margins)
+
+    def amplitude_margins(
+        self, data: HorizonData, every: int
+    ) -> Callable[[NDArray], NDArray] | None:
+        """Tells the worst margin (a,) of A (a,) in what does not depend on ξ, over whole orbits.
+
+        At every so many instants of the horizon; None where there is no such limit.
+        """
+        if not self._limits.limit_tensions and self._separation is None:
+            return None
+        terms = OrbitTerms.view(data.flat_terms[::every])
+
+        def worst(amplitudes: NDArray) -> NDArray:
+            margins = np.full(len(amplitudes), np.inf)
+            if self._limits.limit_tensions:
+                limits = product_limits(
+                    terms,
+                    self.axes,
+                    amplitudes,
+                    0.0,
+                    np.inf,
+                    phase_count=self.config.terminal_phases,
+                    **self._cables,
+                )
+                for squares in limits[2:]:
+                    for margin in self._limits.of_tensions(squares):
+                        margins = np.minimum(margins, margin.min(axis=0))
+            if self._separation is not None:
+                for forces in terms.forces:
+                    found = self._orbit_separation_margins(forces, amplitudes)
+                    margins = np.minimum(margins, found)
+            return margins
+
+        return worst
+
+    def _orbit_separation_margins(self, forces: NDArray, amplitudes: NDArray) -> NDArray:
+        """The worst margin (a,) of the separation over a whole orbit at A (a,)."""
+        assert self._separation is not None
+        squares = least_distance_squares(
+            self._separation,
+            forces,
+            amplitudes,
+            attachments=self.model.attachments,
+            pairs=self._pairs,
+            **self._cables,
+        )
+        return squares / self._limits.min_separation**2 - 1
 
     def plan(self, data: HorizonData, coefficients: NDArray) -> Plan:
         """The plan of coefficients (2, N)."""
@@ -229,63 +386,53 @@ class HorizonProblem:
             **self._cables,
         )
 
+    def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
+        """The constraints about coefficients (2, N)."""
+        speeds = self.speeds(data, coefficients)
+        limits, bound, unit = self._limits, data.speed_bound, math.sqrt(data.speed_unit)
+        n = self.model.n
+        margins = limits.of_speeds(speeds.squares, bound, unit)
+        gradients = [speeds.gradients / unit**2]
+        if limits.limit_high_speeds:
+            gradients.append(-speeds.gradients / limits.max_speed**2)
+        if limits.limit_tensions:
+            margins += limits.of_tensions(speeds.tension_squares)
+            by_angle, by_amplitude = speeds.tension_gradients
+            for factor in limits.tension_factors:
+                zero = np.zeros(by_angle.shape)
+                gradients.append(factor * np.stack([by_angle, zero, by_amplitude, zero]))
+        if self._separation is not None:
+            squares, (by_angle, by_amplitude) = self._gaps(data, coefficients)
+            factor = 1 / limits.min_separation**2
+            margins.append(factor * squares - 1)
+            zero = np.zeros(by_angle.shape)
+            gradients.append(factor * np.stack([by_angle, zero, by_amplitude, zero]))
+        terminal, of_terminal = self._terminal_margins(data, coefficients)
+        of_instants = np.concatenate(margins, axis=1).reshape(-1)
+        return Linearization(
+            np.concatenate([of_instants, terminal]),
+            np.hstack([np.concatenate(gradients, axis=2).reshape(4, -1), of_terminal]),
+            self._instant_of,
+            self._slack_of,
+            self._slopes,
+            (len(self.instants), sum(columns.shape[1] for columns in margins)),
+        )
+
     def margins(self, data: HorizonData, coefficients: NDArray) -> NDArray:
         """The margins (r,) of `linearization`."""
-        squares = self.speeds(data, coefficients).squares
-        return np.concatenate(
-            [
-                ((squares - data.speed_bound**2) / data.speed_unit).ravel(),
-                self._terminal_margins(data, coefficients)[0],
-            ]
-        )
+        return self.linearization(data, coefficients).margins
 
-    def linearization(
-        self, data: HorizonData, coefficients: NDArray, largest: float = math.inf
-    ) -> Linearization:
-        """The constraints about coefficients (2, N), without those of margins above `largest`.
-
-        Of the speeds of a carrier at neighbouring instants it is the slowest.
-        """
-        speeds = self.speeds(data, coefficients)
-        unit = data.speed_unit
-        margins = ((speeds.squares - data.speed_bound**2) / unit).ravel()
-        near = self._least_of_neighbours(margins)
-        near = near[margins[near] <= largest]
-        by_angle, by_frequency, by_amplitude, by_rate = (speeds.gradients / unit).reshape(4, -1)[
-            :, near, None
-        ]
-        instant = near // self.model.n
-        rows = self._rows
-        frequency, amplitude = self.nominal
-        value = rows.value[instant]
-        of_speeds = np.hstack(
-            [
-                frequency * (by_angle * rows.integral[instant] + by_frequency * value),
-                amplitude * (by_amplitude * value + by_rate * rows.rate[instant]),
-            ]
-        )
-        terminal, of_terminal = self._terminal_margins(data, coefficients)
-        return Linearization(
-            np.concatenate([margins[near], terminal]),
-            np.vstack([of_speeds, of_terminal]),
-            np.concatenate([self._slack_of[near], np.full(len(terminal), self.intervals)]),
-        )
-
-    def slacks(self, margins: NDArray, slack_of: NDArray | None = None) -> NDArray:
+    def slacks(self, margins: NDArray) -> NDArray:
         """The least slacks (`slack_count`,) that margins (r,) need."""
-        if slack_of is None:
-            terminal = np.full(len(self.terminal_instants), self.intervals)
-            slack_of = np.concatenate([self._slack_of, terminal])
         slacks = np.zeros(self.slack_count)
-        np.maximum.at(slacks, slack_of, -margins)
+        violated = np.flatnonzero(~(margins >= 0))
+        np.maximum.at(slacks, self._slack_of[violated], -margins[violated])
         return slacks
 
     @property
-    def slack_weights(self) -> NDArray:
-        """The cost of each slack: ρ times the time of its constraints."""
-        weights = np.full(self.slack_count, self.config.knot_spacing)
-        weights[-1] = self.config.terminal_time
-        return self.config.slack_weight * weights
+    def slack_count(self) -> int:
+        """One per interval between knots and one of the terminal set, for each kind of limit."""
+        return len(self.slack_weights)
 
     def angle_rows(self) -> NDArray:
         """The matrix (intervals, N) of θ at the knots after the start, by the coefficients of ξ."""
@@ -293,26 +440,80 @@ class HorizonProblem:
         rows = spline_rows(knots, self.intervals, self.config.knot_spacing)
         return self.nominal[0] * rows.integral
 
-    def _least_of_neighbours(self, margins: NDArray) -> NDArray:
-        """The numbers of those margins of speeds (k n,) that are the least in their groups."""
-        n = self.model.n
-        size = math.gcd(self.config.neighbours, len(self.instants))
-        groups = margins.reshape(-1, size, n)
-        chosen = size * np.arange(len(groups))[:, None] + groups.argmin(axis=1)
-        return (chosen * n + np.arange(n)).ravel()
+    def _place_constraints(self) -> None:
+        """Tells where margins belong: their instants, and their slacks.
+
+        The bound on the speeds has slack of its own, and all other limits together.
+        """
+        limits, n, count = self._limits, self.model.n, len(self.instants)
+        others = n * (int(limits.limit_high_speeds) + len(limits.tension_factors))
+        if self._separation is not None:
+            others += self._pairs.shape[1]
+        kinds = np.repeat([0, 1], [n, others])
+        pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).astype(int)
+        slack_of = pieces[:, None] + (self.intervals + 1) * kinds
+        is_limited = [True, limits.limit_high_speeds, self._limits_amplitude]
+        self._terminal_kinds = np.flatnonzero(is_limited)
+        terminal_kinds = np.minimum(self._terminal_kinds, 1)
+        terminal_slack = self.intervals + (self.intervals + 1) * terminal_kinds
+        terminal = np.arange(len(self.terminal_instants))
+        self._slack_of = np.concatenate(
+            [slack_of.ravel(), np.repeat(terminal_slack, len(terminal))]
+        )
+        self._instant_of = np.concatenate(
+            [
+                np.repeat(np.arange(count), n + others),
+                np.tile(count + terminal, len(terminal_slack)),
+            ]
+        )
+        weights = np.full(self.intervals + 1, self.config.knot_spacing)
+        weights[-1] *= self.config.terminal_knots
+        shares = [1.0, _OTHERS_SHARE] if others else [1.0]
+        self.slack_weights = self.config.slack_weight * np.outer(shares, weights).ravel()
+
+    @property
+    def _limits_amplitude(self) -> bool:
+        return self._limits.limit_tensions or self._separation is not None
+
+    def _gaps(self, data: HorizonData, coefficients: NDArray) -> tuple[NDArray, NDArray]:
+        """The squared distances of all pairs at the instants, and their gradients."""
+        c, d = coefficients
+        frequency, amplitude = self.nominal
+        return planned_gaps(
+            data.terms,
+            self.axes,
+            data.start_angle + frequency * (self._rows.integral @ c),
+            amplitude * (self._rows.value @ d),
+            attachments=self.model.attachments,
+            pairs=self._pairs,
+            **self._cables,
+        )
 
     def _terminal_margins(
         self, data: HorizonData, coefficients: NDArray
     ) -> tuple[NDArray, NDArray]:
-        """A ξ/s − 1 at the terminal instants (k,), by a fixed unit of s, and its Jacobian."""
+        """The margins of the terminal set, and their gradients by θ, ξ, A and Ȧ.
+
+        A ξ/s − 1 by a fixed unit of s, the same from above, and what does not depend on ξ.
+        """
         c, d = coefficients
         frequency, amplitude = self.nominal
-        rows = self._terminal_rows
+        rows = self._rows.value[self._terminal_at]
         xi, A = frequency * (rows @ c), amplitude * (rows @ d)
-        least, slope = data.terminal.at(A)
-        unit = frequency * amplitude
-        jacobian = [A[:, None] * frequency * rows, (xi - slope)[:, None] * amplitude * rows]
-        return (A * xi - least) / unit, np.hstack(jacobian) / unit
+        (least, most, others), slopes = data.terminal.at(A)
+        unit, zero = frequency * amplitude, np.zeros(len(A))
+        with np.errstate(invalid="ignore"):
+            margins = np.stack([(A * xi - least) / unit, (most - A * xi) / unit, others])
+            gradients = np.stack(
+                [
+                    [zero, A / unit, (xi - slopes[0]) / unit, zero],
+                    [zero, -A / unit, (slopes[1] - xi) / unit, zero],
+                    [zero, zero, slopes[2], zero],
+                ],
+                axis=1,
+            )
+        kinds = self._terminal_kinds
+        return margins[kinds].ravel(), gradients[:, kinds].reshape(4, -1)
 
     def _hessian(self) -> NDArray:
         """That (2N, 2N) of the cost by both splines' coefficients."""
@@ -322,7 +523,7 @@ class HorizonProblem:
         times = (np.arange(self.intervals)[:, None] + (nodes + 1) / 2).ravel() * spacing
         weights = np.tile(weights, self.intervals)[:, None] * spacing / 2
         rows = spline_rows(times, self.intervals, spacing)
-        tau = config.smoothing_time
+        tau = config.smoothing * spacing
 
         def square(row: NDArray) -> NDArray:
             return row.T @ (weights * row)
@@ -354,10 +555,8 @@ class HorizonProblem:
         )
 
 
-def _continued(
-    known: NDArray | None, instants: NDArray, make: Callable[[NDArray], NDArray]
-) -> NDArray:
-    """Rows for instants (k,), of which the first are `known`."""
-    if known is None or len(known) == 0:
-        return make(instants)
-    return np.concatenate([known, make(instants[len(known) :])])
+def references_at(reference: Reference, times: NDArray) -> NDArray:
+    """The references (k, 22) at times (k,) in s."""
+    if isinstance(reference, ReferencePreview):
+        return reference.at(times)
+    return np.array([reference(time) for time in times])

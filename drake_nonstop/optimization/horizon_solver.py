@@ -1,11 +1,13 @@
 """Successive quadratic programs for the nonstop problem over a horizon."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
 
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.optimization.active_set_search import nearest_feasible
 from drake_nonstop.optimization.grid_search import least_infeasible_on_grid
 from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem, Linearization
@@ -13,13 +15,18 @@ from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
+from drake_nonstop.systems.tracing import NotFiniteError
 
+PLAN_TOLERANCE = 1e-4  # on the slack of a plan: 0.005 % of a speed
 _ANGLE_RADIUS = 0.4  # rad, of the trust region: how far the phases may move in a step
 _COEFFICIENT_RADIUS = 0.4  # likewise for the coefficients, relative to the nominal
-_LARGEST_MARGIN = 1.5  # above which a step is not expected to reach a constraint
+_LARGEST_MARGIN = 0.5  # of constraints that a step takes into account from the start
+_MOST_ROUNDS = 6  # of a step, each with those constraints that the one before it violates
 _LEAST_RATIO = 0.1  # of the decrease of the merit to the predicted one, to accept a step
 _GOOD_RATIO = 0.7  # above which the trust region grows
 _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 4.0  # of the trust region
+_ROW_TOLERANCE = 1e-6  # on a margin of a step
+_ACTIVE_MARGIN = 0.01  # below which a constraint is likely to decide
 _SEARCH_PHASES = 16
 
 
@@ -41,8 +48,8 @@ class PlanAnswer(NamedTuple):
 
     @property
     def is_feasible(self) -> bool:
-        """Whether the plan needs no slack."""
-        return self.slack <= FEASIBILITY_TOLERANCE
+        """Whether the plan needs no slack, but for what successive programs leave."""
+        return self.slack <= PLAN_TOLERANCE
 
 
 class HorizonSolver:
@@ -50,7 +57,9 @@ class HorizonSolver:
 
     Each step solves a quadratic program in a trust region, by Clarabel through
     MathematicalProgram: the cost is quadratic as it is, the constraints are linearized with exact
-    gradients. A step is accepted where cost and exact penalty of the slack fall.
+    gradients. Of thousands of constraints a few decide: a step begins with those that are near,
+    and is found anew with those that it violates. It is accepted where cost and exact penalty of
+    the slack fall.
 
     Args:
         problem: what all plans share.
@@ -67,9 +76,11 @@ class HorizonSolver:
         count = problem.count
         free = np.arange(self.fixed, count)
         self._free = np.concatenate([free, count + free])  # among both splines' coefficients
-        self._angle_rows = problem.angle_rows()[:, self.fixed :]
+        self._hessian = problem.hessian[np.ix_(self._free, self._free)]
         self._weights = problem.slack_weights
-        self._solver = ClarabelSolver()
+        angles = problem.angle_rows()[:, self.fixed :]
+        self._angle_rows = np.hstack([angles, np.zeros(angles.shape)])
+        self._rate_rows = _difference_rows(problem.largest_differences, count, self.fixed)
 
     def solve(
         self,
@@ -90,18 +101,17 @@ class HorizonSolver:
             scale: of the trust region at the start.
         """
         problem = self.problem
-        low, high = problem.bounds
-        x = start.copy()
-        x[:, self.fixed :] = np.clip(x[:, self.fixed :], low, high)
-        merit, slack = self._merit(data, x)
-        linearization: Linearization | None = None
+        x = self._within_limits(start)
+        linearization = problem.linearization(data, x)
+        merit, slack = self._merit(x, linearization)
+        if not math.isfinite(merit):
+            raise NotFiniteError(problem.name())
+        program = _StepProgram(self)
         converged = False
         iterations = 0
-        while iterations < max_iterations:
+        while iterations < max_iterations and scale >= _LEAST_SCALE:
             iterations += 1
-            if linearization is None:
-                linearization = problem.linearization(data, x, _LARGEST_MARGIN)
-            found = self._step(x, linearization, scale)
+            found = program.step(x, linearization, scale)
             if found is None:
                 scale /= 4
                 continue
@@ -110,16 +120,15 @@ class HorizonSolver:
             if decrease <= tolerance * (abs(merit) + 1e-6):
                 converged = True
                 break
-            new_merit, new_slack = self._merit(data, candidate)
-            ratio = (merit - new_merit) / decrease
+            there = problem.linearization(data, candidate)
+            new_merit, new_slack = self._merit(candidate, there)
+            ratio = (merit - new_merit) / decrease if math.isfinite(new_merit) else -math.inf
             if ratio > _LEAST_RATIO:
-                x, merit, slack, linearization = candidate, new_merit, new_slack, None
+                x, merit, slack, linearization = candidate, new_merit, new_slack, there
             if ratio > _GOOD_RATIO:
                 scale = min(2 * scale, _LARGEST_SCALE)
             elif ratio < 0.3:
                 scale /= 3
-            if scale < _LEAST_SCALE:
-                break
         return PlanAnswer(
             problem.plan(data, x), x, problem.cost(x), slack, iterations, scale, converged
         )
@@ -145,68 +154,151 @@ class HorizonSolver:
         """What plans of the same data are compared by: the cost and the penalty of the slack."""
         return answer.cost + float(self._weights.sum()) * answer.slack
 
-    def _merit(self, data: HorizonData, x: NDArray) -> tuple[float, float]:
-        slacks = self.problem.slacks(self.problem.margins(data, x))
+    def _merit(self, x: NDArray, linearization: Linearization) -> tuple[float, float]:
+        slacks = self.problem.slacks(linearization.margins)
         return self.problem.cost(x) + float(self._weights @ slacks), float(slacks.max())
 
-    def _step(
+    def _within_limits(self, start: NDArray) -> NDArray:
+        """The coefficients with the free ones within their bounds and those of their rates."""
+        problem, x = self.problem, start.copy()
+        low, high = problem.bounds
+        x[:, self.fixed :] = np.clip(x[:, self.fixed :], low, high)
+        difference = problem.largest_differences[:, 0]
+        if np.isfinite(difference).any():
+            for i in range(max(self.fixed, 1), problem.count):
+                before = x[:, i - 1]
+                x[:, i] = np.clip(x[:, i], before - difference, before + difference)
+        return x
+
+
+class _StepProgram:
+    """The quadratic program of a step, which is built once and changed from step to step."""
+
+    def __init__(self, solver: HorizonSolver):
+        self._owner, self._problem = solver, solver.problem
+        self._solver = ClarabelSolver()
+        self._program = program = MathematicalProgram()
+        self._step = program.NewContinuousVariables(len(solver._free), "step")
+        self._slack = program.NewContinuousVariables(self._problem.slack_count, "slack")
+        size = len(solver._free)
+        self._cost = program.AddQuadraticCost(
+            solver._hessian, np.zeros(size), self._step, is_convex=True
+        ).evaluator()
+        program.AddLinearCost(solver._weights, 0.0, self._slack)
+        program.AddBoundingBoxConstraint(0.0, np.inf, self._slack)
+        self._box = program.AddBoundingBoxConstraint(
+            np.zeros(size), np.zeros(size), self._step
+        ).evaluator()
+        self._fixed_rows = np.vstack([solver._angle_rows, solver._rate_rows.matrix])
+        zero = np.zeros(len(self._fixed_rows))
+        self._fixed_constraint = program.AddLinearConstraint(
+            self._fixed_rows, zero, zero, self._step
+        ).evaluator()
+        both = np.concatenate([self._step, self._slack])
+        self._rows = program.AddLinearConstraint(
+            np.zeros((1, len(both))), np.zeros(1), np.zeros(1), both
+        ).evaluator()
+        self._active = np.zeros(0, int)  # constraints that decided the last step
+
+    def step(
         self, x: NDArray, linearization: Linearization, scale: float
     ) -> tuple[NDArray, float] | None:
         """The next coefficients and the merit that is predicted; None where no step is found."""
-        problem, free = self.problem, self._free
+        problem, owner = self._problem, self._owner
+        free = owner._free
         low, high = problem.bounds
-        flat = x.ravel()
-        hessian = problem.hessian[np.ix_(free, free)]
-        gradient = (problem.hessian @ (flat - 1))[free]
-        rows = len(linearization.margins)
-        slack_columns = np.zeros((rows, problem.slack_count))
-        slack_columns[np.arange(rows), linearization.slack_of] = 1
-        part = x[:, self.fixed :]
+        flat, part = x.ravel(), x[:, owner.fixed :]
         radius = scale * _COEFFICIENT_RADIUS
-        program = MathematicalProgram()
-        step = program.NewContinuousVariables(len(free), "step")
-        slack = program.NewContinuousVariables(problem.slack_count, "slack")
-        program.AddQuadraticCost(hessian, gradient, step, is_convex=True)
-        program.AddLinearCost(self._weights, 0.0, slack)
-        program.AddBoundingBoxConstraint(
-            np.maximum(low - part, -radius).ravel(), np.minimum(high - part, radius).ravel(), step
+        self._cost.UpdateCoefficients(
+            owner._hessian, (problem.hessian @ (flat - 1))[free], 0.0, is_convex=True
         )
-        program.AddBoundingBoxConstraint(0.0, np.inf, slack)
-        program.AddLinearConstraint(
-            np.hstack([linearization.jacobian[:, free], slack_columns]),
-            -linearization.margins,
+        # No change at all is always allowed.
+        self._box.set_bounds(
+            np.clip(low - part, -radius, 0.0).ravel(), np.clip(high - part, 0.0, radius).ravel()
+        )
+        angle = np.full(len(owner._angle_rows), scale * _ANGLE_RADIUS)
+        below, above = owner._rate_rows.bounds_at(x)
+        self._fixed_constraint.set_bounds(
+            np.concatenate([-angle, below]), np.concatenate([angle, above])
+        )
+        dips = linearization.dips(linearization.margins, _LARGEST_MARGIN)
+        chosen = np.union1d(self._active, dips)
+        for _ in range(_MOST_ROUNDS):
+            found = self._solved(linearization, chosen)
+            if found is None:
+                return None
+            change, slack = found
+            step = np.zeros(flat.shape)
+            step[free] = change
+            step = step.reshape(x.shape)
+            margins = linearization.margins + linearization.changes(step)
+            excess = margins + slack[linearization.slack_of]
+            self._active = chosen[excess[chosen] < _ACTIVE_MARGIN]
+            violated = linearization.dips(excess, -_ROW_TOLERANCE)
+            new = np.setdiff1d(violated, chosen)
+            if len(new) == 0:
+                break
+            chosen = np.union1d(chosen, linearization.with_neighbours(new, excess, _ACTIVE_MARGIN))
+        slacks = problem.slacks(margins)
+        new = x + step
+        return new, problem.cost(new) + float(owner._weights @ slacks)
+
+    def _solved(
+        self, linearization: Linearization, chosen: NDArray
+    ) -> tuple[NDArray, NDArray] | None:
+        """The step and the slack under chosen constraints."""
+        rows = len(chosen)
+        slack_columns = np.zeros((rows, self._problem.slack_count))
+        slack_columns[np.arange(rows), linearization.slack_of[chosen]] = 1
+        self._rows.UpdateCoefficients(
+            np.hstack([linearization.jacobian(chosen, self._owner.fixed), slack_columns]),
+            -linearization.margins[chosen],
             np.full(rows, np.inf),
-            np.concatenate([step, slack]),
         )
-        angle = scale * _ANGLE_RADIUS * np.ones(len(self._angle_rows))
-        program.AddLinearConstraint(self._angle_rows, -angle, angle, step[: part.shape[1]])
-        result = self._solver.Solve(program)
+        result = self._solver.Solve(self._program)
         if not result.is_success():
             return None
-        change = result.GetSolution(step)
-        new = flat.copy()
-        new[free] += change
-        margins = linearization.margins + linearization.jacobian[:, free] @ change
-        slacks = problem.slacks(margins, linearization.slack_of)
-        new = new.reshape(x.shape)
-        return new, problem.cost(new) + float(self._weights @ slacks)
+        values = result.get_x_val()
+        count = len(self._step)
+        return values[:count], values[count:]
+
+
+class _DifferenceRows(NamedTuple):
+    """Rows of the differences of neighbouring coefficients, of which one at least is free."""
+
+    matrix: NDArray  # (r, free), of a step
+    whole: NDArray  # (r, 2N), of all coefficients
+    largest: NDArray  # (r,), of the differences
+
+    def bounds_at(self, x: NDArray) -> tuple[NDArray, NDArray]:
+        """The bounds (r,) of the rows of a step from coefficients x (2, N)."""
+        differences = self.whole @ x.ravel()
+        return np.minimum(-self.largest - differences, 0), np.maximum(self.largest - differences, 0)
+
+
+def _difference_rows(largest: NDArray, count: int, fixed: int) -> _DifferenceRows:
+    """The rows for the limits (2, 1) of both splines, of which only the finite ones have rows."""
+    free = np.arange(fixed, count)
+    one = (np.eye(count) - np.eye(count, k=-1))[max(fixed, 1) :]
+    rows = [np.kron(np.eye(2)[i], one) for i in range(2) if np.isfinite(largest[i, 0])]
+    whole = np.vstack([*rows, np.zeros((0, 2 * count))])
+    limits = [np.full(len(one), limit) for limit in largest[:, 0] if np.isfinite(limit)]
+    return _DifferenceRows(
+        whole[:, np.concatenate([free, count + free])], whole, np.concatenate([*limits, []])
+    )
 
 
 def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
     """The [ξ, A] (2,) nearest to the nominal ones that suit all instants and phases."""
     angles = 2 * np.pi * np.arange(_SEARCH_PHASES) / _SEARCH_PHASES
-    every = max(1, round(problem.config.knot_spacing / problem.config.instant_spacing))
-    chosen = range(0, len(data.terms.forces), every)
-    polynomials = [
-        orbit_polynomials(type(data.terms)(*(part[k] for part in data.terms)), problem.axes, angles)
-        for k in chosen
-    ]
+    every = problem.config.instants
+    polynomials = orbit_polynomials(OrbitTerms.view(data.flat_terms[::every]), problem.axes, angles)
     low, high = (bound[:, 0] * problem.nominal for bound in problem.bounds)
     search = SearchProblem(
-        polynomials=np.stack(polynomials, axis=2).reshape(*polynomials[0].shape[:2], -1),
+        polynomials=polynomials.reshape(*polynomials.shape[:2], -1),
         rest_length=problem.rest_length,
         compliance=problem.compliance,
-        amplitude_margins=None,
+        amplitude_margins=problem.amplitude_margins(data, every),
         angles=np.zeros(0),
         previous=problem.nominal,
         nominal=problem.nominal,
@@ -214,7 +306,7 @@ def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
         upper=high,
         speed_bound=data.speed_bound,
         speed_unit=data.speed_bound or 1.0,
-        max_speed=np.inf,
+        max_speed=problem.max_speed,
         internal_force_weight=0.0,
         internal_force_rate_weight=0.0,
         anchor_weight=0.0,

@@ -7,7 +7,7 @@ of the other constraints, each with its tightened limit.
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.optimization.problem_config import NonstopProblemConfig, limit_tightening
+from drake_nonstop.optimization.problem_config import LimitsConfig, limit_tightening
 
 FEASIBILITY_TOLERANCE = 1e-6  # on a margin
 
@@ -25,7 +25,7 @@ class ConstraintMargins:
         speed_count: of the speeds, at all instants and phases.
     """
 
-    def __init__(self, config: NonstopProblemConfig, speed_count: int):
+    def __init__(self, config: LimitsConfig, speed_count: int):
         tightening = limit_tightening(config)
         larger, smaller = 1 + tightening, 1 - tightening
         self.max_speed = smaller * config.max_speed
@@ -38,6 +38,16 @@ class ConstraintMargins:
     def limit_tensions(self) -> bool:
         """Whether tensions have a limit."""
         return self._min_tension > 0 or bool(np.isfinite(self._max_tension))
+
+    @property
+    def tension_factors(self) -> list[float]:
+        """The slopes of the margins of tensions by their squares, for each limit of theirs."""
+        factors = []
+        if self._min_tension > 0:
+            factors.append(1 / self._min_tension**2)
+        if np.isfinite(self._max_tension):
+            factors.append(-1 / self._max_tension**2)
+        return factors
 
     @property
     def limit_high_speeds(self) -> bool:

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk, carrier_motion
-from drake_nonstop.mechanics.nonstop import orbit_axes
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, orbit_along_reference
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
@@ -32,6 +31,7 @@ from drake_nonstop.mechanics.tethered_loop import (
     tethered_loop,
 )
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem
 from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range
 from drake_nonstop.optimization.terminal_set import least_products
 
@@ -73,11 +73,13 @@ class Motion:
     """The load's reference over a task.
 
     Attributes:
-        references: (k, 22) at evenly spaced instants.
+        references: (3, k, 22), at k instants, a `step` before, then, and a step after.
+        step: s.
         jerk_jump: m/s³, the largest jump of its jerk.
     """
 
     references: NDArray
+    step: float
     jerk_jump: float
 
 
@@ -156,21 +158,16 @@ class _Task:
 
     def __init__(self, model: Model, limits: LimitsConfig, motion: Motion):
         self.model, self.limits, self.motion = model, limits, motion
-        offset = model.pattern.offset
-        self.offset = offset if len(offset) else np.zeros(3 * model.n)
-        self.axes = orbit_axes(model.pattern.basis, model.pattern.phases)
-        flat = [
-            orbit_along_reference(
-                model.load,
-                reference,
-                pseudo_inverse=model.pseudo_inverse,
-                offset=self.offset,
-                attachments=model.attachments,
-            )
-            for reference in motion.references
-        ]
-        self.terms = OrbitTerms.view(np.array(flat))
-        desired = LoadReference.view(motion.references)
+        problem = HorizonProblem(model, limits, HorizonConfig(), lambda: "speed margin")
+        self.axes = problem.axes
+        before, now, after = (
+            OrbitTerms.view(np.array([problem.terms_at(row) for row in rows]))
+            for rows in motion.references
+        )
+        self.terms, step = now, motion.step
+        self.second_rates = (after.rates - before.rates) / (2 * step)
+        self.third_rates = (after.rates - 2 * now.rates + before.rates) / step**2
+        desired = LoadReference.view(motion.references[1])
         turned = rotation_matrix(desired.quaternion)  # (k, 3, 3)
         self.accelerations, self.jerks = (
             np.einsum("kji,kj->ki", turned, vectors)
@@ -205,8 +202,7 @@ class _Task:
     def derivatives(self, parameters: NDArray, extra: NDArray | None = None) -> _Derivatives:
         """The carriers' motion for constant [ξ, A] (2,); `extra` (n, 3) adds to their forces.
 
-        The orbits' forces but for the internal ones vary slowly beside these, whose rates are
-        exact; the load's acceleration and jerk are added.
+        Rates of forces are those in the load's frame, which turns slowly beside the orbits.
         """
         xi, A = parameters
         angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
@@ -214,6 +210,7 @@ class _Task:
         cosine, sine = np.cos(angles)[:, None, None], np.sin(angles)[:, None, None]
         u, along = cosine * p + sine * q, cosine * q - sine * p  # (h, n, 3)
         f0 = self.terms.forces[:, None] + (0.0 if extra is None else extra)
+        slow = self.second_rates[:, None], self.third_rates[:, None]
         f = f0 + A * u
         omega = self.terms.angular_velocity[:, None, None]
         r = self.terms.rates[:, None] + np.cross(omega, f) + A * xi * along
@@ -224,7 +221,8 @@ class _Task:
         def flat(values: NDArray) -> NDArray:
             return np.broadcast_to(values, shape).reshape(-1, 3)
 
-        forces = [flat(part) for part in (f, r, -A * xi**2 * u, -A * xi**3 * along)]
+        higher = slow[0] - A * xi**2 * u, slow[1] - A * xi**3 * along
+        forces = [flat(part) for part in (f, r, *higher)]
         cables = self.cables | {"attachments": np.zeros((count, 3))}
         _, swing = carrier_motion(rest, forces[0], forces[1], **cables)
         acceleration = carrier_acceleration(rest, *forces[:3], **cables)
@@ -330,7 +328,7 @@ def _shares(
             spread = noise_deviation(g[..., places.measurement], feedback.deviations)
             noise = max(noise, DEVIATIONS * spread)
         if feedback.delay:
-            late = bounded(places.measurement, 4, *_late(task.motion.references, feedback))
+            late = bounded(places.measurement, 4, *_late(task.motion.references[1], feedback))
             delay = max(delay, late)
     return SpeedMargin(
         tracking=tracking,

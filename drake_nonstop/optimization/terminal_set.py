@@ -1,4 +1,4 @@
-"""The set in which a plan ends: speeds above the bound at all phases of the orbit."""
+"""The set in which a plan ends: within the limits at all phases of the orbit."""
 
 from typing import NamedTuple
 
@@ -6,57 +6,137 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.nonstop import (
+    nearest_squares,
+    orbit_positions,
     polynomial_values,
     speed_polynomials,
     speed_products,
     speed_squares,
 )
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
+from drake_nonstop.optimization.separation import SeparationConstraint
+
+_MOST_DISTANCES = 2**18  # at a time: bounds the memory
 
 
-class LeastProducts(NamedTuple):
-    """The least s = A ξ with speeds above the bound at all phases, over a table of A."""
+class TerminalSet(NamedTuple):
+    """Limits at k instants on s = A ξ and on A, over a table of A, for constant ξ and A.
+
+    Below `least_products` a carrier is too slow at some phase, above `most_products`, inf where
+    there is no limit, too fast. `amplitude_margins`, inf likewise, are the worst of what does not
+    depend on ξ.
+    """
 
     amplitudes: NDArray  # (a,), N, evenly spaced
-    products: NDArray  # (k, a), N/s, at k instants; beyond the largest, no s is too slow
+    least_products: NDArray  # (k, a), N/s
+    most_products: NDArray  # (k, a), N/s
+    amplitude_margins: NDArray  # (k, a)
 
     def at(self, amplitudes: NDArray) -> tuple[NDArray, NDArray]:
-        """The products at A (k,), one per instant, and their slopes: linear between entries."""
+        """The three limits (3, k) at A (k,), one per instant, and their slopes by A.
+
+        They are linear between the entries of the table.
+        """
         low, step = self.amplitudes[0], self.amplitudes[1] - self.amplitudes[0]
         place = np.clip((amplitudes - low) / step, 0, len(self.amplitudes) - 1.000001)
         left = place.astype(int)
         rows = np.arange(len(amplitudes))
-        start, end = self.products[rows, left], self.products[rows, left + 1]
-        return start + (place - left) * (end - start), (end - start) / step
+        tables = np.stack(self[1:])
+        start, end = tables[:, rows, left], tables[:, rows, left + 1]
+        with np.errstate(invalid="ignore"):  # inf − inf, of a limit that there is not
+            return start + (place - left) * (end - start), (end - start) / step
+
+    def continued(self, later: "TerminalSet", count: int) -> "TerminalSet":
+        """The limits from the instant of number `count` on, and after them later ones."""
+        known = [table[count:] for table in self[1:]]
+        return TerminalSet(
+            self.amplitudes,
+            *(np.concatenate(tables) for tables in zip(known, later[1:], strict=True)),
+        )
 
 
 def orbit_polynomials(terms: OrbitTerms, axes: tuple[NDArray, NDArray], angles: NDArray) -> NDArray:
-    """`speed_polynomials` (10, 3, h, n) of one instant at phases (h,), in rad."""
+    """`speed_polynomials` (10, 3, h, k n) of k instants at phases (h,), in rad."""
+    count, n = terms.forces.shape[:2]
     products = speed_products(
-        terms.forces, terms.rates, terms.velocities, terms.angular_velocity, *axes
+        *(part.reshape(-1, 3) for part in terms[:3]),
+        np.repeat(terms.angular_velocity, n, axis=0),
+        *(np.tile(axis, (count, 1)) for axis in axes),
     )
     return speed_polynomials(np.cos(angles)[:, None], np.sin(angles)[:, None], products[:, None])
 
 
-def least_products(
+def product_limits(
     terms: OrbitTerms,
     axes: tuple[NDArray, NDArray],
     amplitudes: NDArray,
     speed_bound: float,
+    max_speed: float,
     *,
     phase_count: int,
     rest_length: float,
     compliance: float,
-) -> NDArray:
-    """The least s (a,) above which every carrier is faster than the bound, at all phases.
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """The limits on s = A ξ, and the range of the squared tensions, over all phases.
 
-    At amplitudes (a,) in N and one instant, for constant ξ and A: the largest upper root of
-    c + 2 b s + a s² = ε², see `speed_squares`; 0 where there is none.
+    At amplitudes (a,) in N and k instants, for constant ξ and A. By the upper roots of
+    c + 2 b s + a s² = ε² or v_max², see `speed_squares`. Where there are none s is not limited from
+    below; from above it is by what makes the carrier slowest.
+
+    Returns:
+        The least and the most s (k, a) in N/s, inf without a limit; the least and the largest
+        squared tension (k, a) in N².
     """
+    count, n = terms.forces.shape[:2]
     angles = 2 * np.pi * np.arange(phase_count) / phase_count
-    polynomials = orbit_polynomials(terms, axes, angles)
-    values = polynomial_values(polynomials[..., None], amplitudes)
-    c, b, a, _ = speed_squares(values, rest_length=rest_length, compliance=compliance)
-    square = b * b - a * (c - speed_bound**2)
-    roots = np.where(square > 0, (np.sqrt(np.maximum(square, 0)) - b) / a, 0.0)
-    return np.maximum(roots.max(axis=(0, 1)), 0.0)
+    polynomials = orbit_polynomials(terms, axes, angles).reshape(10, 3, phase_count, count, n, 1)
+    values = polynomial_values(polynomials, amplitudes)
+    c, b, a, tension_squares = speed_squares(values, rest_length=rest_length, compliance=compliance)
+
+    def upper_roots(speed: float) -> tuple[NDArray, NDArray]:
+        square = b * b - a * (c - speed**2)
+        return square, (np.sqrt(np.maximum(square, 0)) - b) / a
+
+    square, roots = upper_roots(speed_bound)
+    least = np.maximum(np.where(square > 0, roots, 0.0).max(axis=(0, 2)), 0.0)
+    most = np.full(least.shape, np.inf)
+    if np.isfinite(max_speed):
+        most = upper_roots(max_speed)[1].min(axis=(0, 2))
+    return least, most, tension_squares.min(axis=(0, 2)), tension_squares.max(axis=(0, 2))
+
+
+def least_distance_squares(
+    constraint: SeparationConstraint,
+    forces: NDArray,
+    amplitudes: NDArray,
+    *,
+    attachments: NDArray,
+    pairs: NDArray,
+    rest_length: float,
+    compliance: float,
+) -> NDArray:
+    """The least squared distance (a,), m², of the pairs (2, m) of carriers over a whole orbit.
+
+    At amplitudes (a,) in N and an instant of `OrbitTerms.forces` (n, 3), for constant A.
+    """
+    phase_count = constraint.directions.shape[1]
+    first, second = pairs
+    size = max(1, _MOST_DISTANCES // (phase_count * max(len(first), 1)))
+    found = []
+    for start in range(0, len(amplitudes), size):
+        positions, rates = orbit_positions(
+            amplitudes[start : start + size, None, None],
+            forces.T[:, None, None],
+            attachments.T[:, None, None],
+            constraint.directions[:, None],
+            constraint.direction_rates[:, None],
+            rest_length=rest_length,
+            compliance=compliance,
+        )  # (3, amplitudes, phases, n)
+        squares = nearest_squares(
+            positions[..., first] - positions[..., second],
+            rates[..., first] - rates[..., second],
+            np.pi / phase_count,
+        )
+        found.append(squares.min(axis=(1, 2)))
+    return np.concatenate(found)

@@ -12,6 +12,7 @@ from drake_nonstop.optimization.horizon_problem import (
     HorizonData,
     HorizonProblem,
     Reference,
+    timed,
 )
 from drake_nonstop.optimization.horizon_solver import HorizonSolver, PlanAnswer
 from drake_nonstop.optimization.plan import DEGREE
@@ -87,14 +88,13 @@ def plan_task(
         config: but for its horizon.
         start_angle: θ at the start, rad.
     """
-    config = config or HorizonConfig()
+    config = timed(config or HorizonConfig(), limits.frequency, model.control_period)
     intervals = round(duration / config.knot_spacing)
     short = HorizonProblem(model, limits, config, name)
     flown, _ = receding_coefficients(
         short, reference, intervals, limits.speed_bound, start_angle=start_angle
     )
-    # Every instant counts: a choice among neighbours that changes delays convergence.
-    whole = replace(config, horizon=intervals * config.knot_spacing, neighbours=1)
+    whole = replace(config, horizon=intervals * config.knot_spacing)
     problem = HorizonProblem(model, limits, whole, name)
     data: HorizonData = problem.data(0.0, start_angle, reference, limits.speed_bound)
     solver = HorizonSolver(problem)

@@ -6,7 +6,13 @@ from helpers import fix, model, output
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
+from drake_nonstop.blocks.phase import (
+    AccumulatedPhase,
+    PaperPhase,
+    ShapedPhase,
+    ShapedPhaseConfig,
+)
+from drake_nonstop.validation import ScenarioError
 
 PARAMETERS = np.array([1.7, 0.9])
 
@@ -78,3 +84,122 @@ def test_sampled_phase_of_the_paper_is_constant_between_samples():
     fix(block, context, parameters=PARAMETERS, sample_time=np.array([2.0]))
     context.SetTime(2.009)
     np.testing.assert_allclose(output(block, context, "phase"), [3.4, 2], rtol=1e-15)
+
+
+class Layer(LeafSystem):
+    """Parameters that are set at the initialization, and again at each of some samples."""
+
+    def __init__(self, values, period=0.01):
+        super().__init__()
+        self._values, self._period = values, period
+        self.DeclareStateOutputPort("parameters", self.DeclareDiscreteState([7.0, 8.0]))
+        self.DeclareInitializationDiscreteUpdateEvent(self._set)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._set)
+
+    def _set(self, context, discrete_state):
+        step = round(context.get_time() / self._period)
+        discrete_state.set_value(self._values[min(step, len(self._values) - 1)])
+
+
+def planned(values, *, period=0.01, times, config=None):
+    """What a shape makes of a layer's parameters, just after these times: (times, 8)."""
+    builder = DiagramBuilder()
+    layer = builder.AddSystem(Layer(values))
+    shape = builder.AddSystem(ShapedPhase(model(4, period), config))
+    builder.Connect(layer.get_output_port(), shape.GetInputPort("parameters"))
+    for name in ("phase", "planned"):
+        builder.ExportOutput(shape.GetOutputPort(name), name)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    integrator = simulator.get_mutable_integrator()
+    integrator.set_target_accuracy(1e-8)
+    found = []
+    for time in times:
+        simulator.AdvanceTo(time)
+        simulator.AdvancePendingEvents()
+        found.append(output(diagram, simulator.get_context(), "planned"))
+        phase = output(diagram, simulator.get_context(), "phase")
+        np.testing.assert_array_equal(phase, [found[-1][0], 0.0])
+    return np.array(found)
+
+
+def step_response(time, bandwidth=40.0):
+    """Of three equal poles, from 0 to 1: the value and three rates, and the integral."""
+    x = bandwidth * time
+    decay = np.exp(-x)
+    value = 1 - decay * (1 + x + x**2 / 2)
+    rates = [x**2 / 2, x - x**2 / 2, 1 - 2 * x + x**2 / 2]
+    rates = [decay * rate * bandwidth ** (k + 1) for k, rate in enumerate(rates)]
+    integral = time - (3 - decay * (3 + 2 * x + x**2 / 2)) / bandwidth
+    return value, *rates, integral
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_a_shape_starts_at_what_a_layer_has_set_at_the_start(period):
+    found = planned([[1.7, 0.9]], period=period, times=[0.0, 0.01, 0.25])
+    expected = [[1.7 * time, 1.7, 0.9, *np.zeros(5)] for time in (0.0, 0.01, 0.25)]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_continuous_parameters_follow_through_three_equal_poles():
+    times = 0.02 + np.array([0.013, 0.041, 0.13])
+    found = planned([[1.7, 0.9], [1.7, 0.9], [2.7, 1.4]], period=0.0, times=times)
+    for row, time in zip(found, times - 0.02, strict=True):
+        value, first, second, third, integral = step_response(time)
+        expected = [1.7 * (time + 0.02) + integral, 1.7 + value, 0.9 + value / 2]
+        expected += [first, first / 2, second, second / 2, third / 2]
+        np.testing.assert_allclose(row, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_sampled_parameters_follow_almost_so():
+    """The first stage moves along chords of its exponential."""
+    period, steps = 1e-3, 60
+    times = 0.02 + period * np.arange(1, steps)
+    values = [[1.7, 0.9], [1.7, 0.9], [2.7, 1.4]]
+    found = planned(values, period=period, times=times + period / 2)
+    expected = np.array([step_response(time - 0.02) for time in times])
+    np.testing.assert_allclose(found[:, 1] - 1.7, expected[:, 0], atol=3e-4)
+    np.testing.assert_allclose(found[:, 3], expected[:, 1], atol=0.02)
+    # Each sample follows of the last one, by the constant third rate of a chord's motion.
+    slopes = np.diff(found[:, 1]) / period
+    middle = (found[1:, 3] + found[:-1, 3]) / 2
+    np.testing.assert_allclose(slopes, middle, atol=40.0**3 * period**2 / 6)
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_no_rate_is_above_its_bound_and_no_value_outside_the_targets(period):
+    values = np.random.default_rng(1).uniform([1.0, 0.5], [3.0, 2.0], (40, 2))
+    values[20:30] = [1.0, 2.0]
+    config = ShapedPhaseConfig(max_frequency_rate=4.0, max_amplitude_rate=1.5)
+    times = np.arange(0.0, 0.4, 0.005)
+    found = planned(values, period=period, times=times, config=config)
+    assert np.max(np.abs(found[:, 3])) <= 4.0 + 1e-9
+    assert np.max(np.abs(found[:, 4])) <= 1.5 + 1e-9
+    assert np.max(np.abs(found[:, 3])) > 3.5
+    assert np.all((found[:, 1:3] >= values.min(axis=0)) & (found[:, 1:3] <= values.max(axis=0)))
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_a_plan_takes_the_place_of_the_parameters(period):
+    block = ShapedPhase(model(4, period))
+    simulator = Simulator(block)
+    plan = np.arange(8.0)
+    fix(block, simulator.get_context(), parameters=PARAMETERS, plan=plan)
+    simulator.AdvanceTo(0.05)
+    np.testing.assert_array_equal(output(block, simulator.get_context(), "planned"), plan)
+    np.testing.assert_array_equal(output(block, simulator.get_context(), "phase"), [plan[0], 0.0])
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "remedy"),
+    [
+        ("bandwidth", np.inf, "give a finite number greater than zero"),
+        ("bandwidth", 0.0, "give a finite number greater than zero"),
+        ("max_frequency_rate", -1.0, "give a finite number greater than zero"),
+        ("max_amplitude_rate", np.nan, "give a finite number greater than zero"),
+    ],
+)
+def test_what_cannot_shape_is_refused(field, value, remedy):
+    with pytest.raises(ScenarioError) as error:
+        ShapedPhase(model(), ShapedPhaseConfig(**{field: value}))
+    assert str(error.value) == f"phase.{field} = {value}: {remedy}"

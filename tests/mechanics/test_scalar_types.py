@@ -17,6 +17,7 @@ from drake_nonstop.mechanics import (
     nonstop,
     rigid_load,
     rotation,
+    shaping,
     wrench,
 )
 from drake_nonstop.systems.tracing import TracedFunction
@@ -68,6 +69,21 @@ def separations(x, state, motion, *wrenches):
     return positions, rates, nonstop.nearest_squares(gaps, gap_rates, 0.1)
 
 
+def smoothed(stages, target):
+    """Three stages, their rates, and their values at the next sample, at a limit and without."""
+    stages = shaping.Stages(*(stages[i : i + 1] for i in range(3)))
+    bandwidth, period = 40.0, 0.01
+    results = []
+    for max_rate in (np.inf, 0.3):
+        rate = shaping.approach(
+            stages.first, target, bandwidth=bandwidth, period=period, max_rate=max_rate
+        )
+        after, integral = shaping.stages_after(stages, rate, bandwidth=bandwidth, period=period)
+        results += [*shaping.stage_rates(stages, rate, bandwidth=bandwidth), *after, integral]
+        results += shaping.third_stage_rates(stages, rate, bandwidth=bandwidth)
+    return tuple(results)
+
+
 # name: (function of flat arrays, their lengths)
 EQUATIONS = {
     "cross": (rotation.cross, [3, 3]),
@@ -99,6 +115,7 @@ EQUATIONS = {
         lambda planned: internal_force.planned_internal_force(planned, phases=PHASES),
         [8],
     ),
+    "smoothed": (smoothed, [3, 1]),
     "ellipse_axes": (
         lambda basis, phases: internal_force.ellipse_axes(basis.reshape(9, 3), phases),
         [27, 3],

@@ -1,0 +1,66 @@
+"""Numbers smoothed by three equal poles."""
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.primitives import LinearSystem
+
+from drake_nonstop.mechanics.shaping import (
+    Stages,
+    approach,
+    stage_rates,
+    stages_after,
+    third_stage_rates,
+)
+
+CASES = pytest.mark.parametrize(("bandwidth", "period"), [(40.0, 0.01), (3.0, 0.05), (200.0, 0.02)])
+START = Stages(0.7, 0.4, -0.3)
+
+
+@CASES
+def test_a_step_is_that_of_drakes_linear_system(bandwidth, period):
+    w = bandwidth
+    A = np.array([[0, 0, 0, 0], [w, -w, 0, 0], [0, w, -w, 0], [0, 0, 1, 0]])
+    chain = LinearSystem(A, np.eye(4)[:, :1], np.eye(4), np.zeros((4, 1)))
+    simulator = Simulator(chain)
+    chain.get_input_port().FixValue(simulator.get_context(), 1.7)
+    simulator.get_mutable_context().SetContinuousState([*START, 0.0])
+    simulator.get_mutable_integrator().set_target_accuracy(1e-9)
+    simulator.AdvanceTo(period)
+    expected = simulator.get_context().get_continuous_state_vector().CopyToVector()
+    after, integral = stages_after(START, 1.7, bandwidth=bandwidth, period=period)
+    np.testing.assert_allclose([*after, integral], expected, rtol=0, atol=1e-9)
+
+
+@CASES
+def test_the_first_stage_has_a_pole_at_the_samples(bandwidth, period):
+    stages, time = Stages(0.0, 0.0, 0.0), 0.0
+    for _ in range(20):
+        rate = approach(stages.first, 2.0, bandwidth=bandwidth, period=period)
+        stages, _ = stages_after(stages, rate, bandwidth=bandwidth, period=period)
+        time += period
+        assert stages.first == pytest.approx(2 * (1 - np.exp(-bandwidth * time)), abs=1e-12)
+
+
+@CASES
+def test_rates_are_the_slopes_of_the_smoothed_number(bandwidth, period):
+    first_rate, step = 1.7, 1e-3 / bandwidth
+
+    def third(time):
+        return stages_after(START, first_rate, bandwidth=bandwidth, period=time)[0].third
+
+    found = third_stage_rates(START, first_rate, bandwidth=bandwidth)
+    # The Taylor series of the exact motion ahead, fitted to polynomials of sixth order.
+    times = step * np.arange(1, 60)
+    fitted = np.polynomial.polynomial.polyfit(times / times[-1], [*map(third, times)], 8)
+    expected = [fitted[k] * np.prod(np.arange(1, k + 1)) / times[-1] ** k for k in (1, 2, 3)]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    assert stage_rates(START, first_rate, bandwidth=bandwidth).third == found[0]
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_a_limit_holds_and_leaves_smaller_rates_alone(period):
+    given = {"bandwidth": 40.0, "period": period}
+    for target in (-3.0, 0.69, 0.7, 0.702, 4.0):
+        free, limited = (approach(0.7, target, max_rate=r, **given) for r in (np.inf, 1.5))
+        assert limited == pytest.approx(np.clip(free, -1.5, 1.5), abs=1e-14)
