@@ -59,7 +59,7 @@ class HorizonConfig:
     instants: int = 20  # between two knots, at which the carriers' flight is constrained
     terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
     terminal_instants: int = 2  # of it, between two knots
-    terminal_phases: int = 24
+    terminal_phases: int = 24  # of the orbit
     terminal_amplitudes: int = 33  # of the table
     amplitude_weight: float = 4.0  # w_A
     smoothing: float = 0.4  # τ, in intervals between knots
