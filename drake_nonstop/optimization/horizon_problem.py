@@ -411,7 +411,6 @@ class HorizonProblem:
         """The constraints about coefficients (2, N)."""
         speeds = self.speeds(data, coefficients)
         limits, bound, unit = self._limits, data.speed_bound, math.sqrt(data.speed_unit)
-        n = self.model.n
         margins = limits.of_speeds(speeds.squares, bound, unit)
         gradients = [speeds.gradients / unit**2]
         if limits.limit_high_speeds:

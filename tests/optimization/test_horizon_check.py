@@ -48,7 +48,7 @@ def test_a_value_that_cannot_be_used_is_named_with_its_remedy(fields, remedy):
 
 
 def test_knots_are_multiples_of_the_control_period():
-    with pytest.raises(ScenarioError, match="layer.knot_spacing = 0.394: .* 0.004, such as 0.392"):
+    with pytest.raises(ScenarioError, match=r"layer.knot_spacing = 0.394: .* 0.004, such as 0.392"):
         check(control_period=0.004, knot_spacing=0.394, horizon=3.94)
     check(control_period=0.004, knot_spacing=0.392)
     check(control_period=0.004)
