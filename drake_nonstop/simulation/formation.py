@@ -127,7 +127,9 @@ def formation_at(
     )
 
 
-def find_formation(task: Task, parameters: Parameters | None = None, *, count: int = 8) -> Formation:
+def find_formation(
+    task: Task, parameters: Parameters | None = None, *, count: int = 8
+) -> Formation:
     """The formation at the start and at `count` instants of a task.
 
     Args:
