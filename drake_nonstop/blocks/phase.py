@@ -223,14 +223,14 @@ class ShapedPhase(DiagramBlock):
         builder.BuildInto(self)
 
 
-_STATE_SIZE = 7  # θ, and the stages of ξ and of A
+_STATE_SIZE = 8  # θ, the stages of ξ and of A, and whether they have started
 
 
 class _Shape(InnerBlock):
     """What the sampled and the continuous shape have in common.
 
-    The state is θ with the stages of ξ and of A, and beside it whether they have started: 1, or,
-    before that, 0, where the stages are the parameters.
+    The state is θ with the stages of ξ and of A, and whether these have started: 1, or, before
+    that, 0, where they are the parameters.
 
     Args:
         bandwidth: rad/s.
@@ -254,13 +254,13 @@ class _Shape(InnerBlock):
             "planned", PLANNED_SIZE, self._calc_planned, {plan, parameters, states}
         )
 
-    def _state(self, context: Context) -> tuple[list[Any], Any]:
-        """θ and the stages (7), and whether they have started."""
+    def _state(self, context: Context) -> list[Any]:
+        """The state (8)."""
         raise NotImplementedError
 
     def _motion(self, context: Context) -> tuple[Any, list[tuple[Stages, Any]]]:
         """θ, and for each of ξ and A the stages and the first one's rate."""
-        (angle, *stages), started = self._state(context)
+        angle, *stages, started = self._state(context)
         motion = []
         targets = self._parameters.Eval(context).tolist()
         for i, (target, rate) in enumerate(zip(targets, self._approaches, strict=True)):
@@ -273,7 +273,7 @@ class _Shape(InnerBlock):
         if self._plan.HasValue(context):
             angle = self._plan.Eval(context)[0]
         else:
-            angle = self._state(context)[0][0]
+            angle = self._state(context)[0]
         output.SetFromVector([angle, 0.0])
 
     def _calc_planned(self, context: Context, output: BasicVector) -> None:
@@ -293,13 +293,12 @@ class _SampledShape(_Shape):
 
     def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
         super().__init__(bandwidth, max_rates, period)
-        self.DeclareDiscreteState(_STATE_SIZE + 1)
+        self.DeclareDiscreteState(_STATE_SIZE)
         # Unrestricted for the same reason as the step of an accumulated phase.
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._step)
 
-    def _state(self, context: Context) -> tuple[list[Any], Any]:
-        *state, started = context.get_discrete_state_vector().CopyToVector().tolist()
-        return state, started
+    def _state(self, context: Context) -> list[Any]:
+        return context.get_discrete_state_vector().CopyToVector().tolist()
 
     def _step(self, context: Context, state: State) -> EventStatus:
         if self._plan.HasValue(context):
@@ -323,23 +322,20 @@ class _ContinuousShape(_Shape):
     def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
         super().__init__(bandwidth, max_rates, period)
         self.DeclareContinuousState(_STATE_SIZE)
-        self.DeclareDiscreteState(1)
         # At the first step, and not at the initialization, which a layer's first update is a
         # part of.
         self.DeclarePerStepUnrestrictedUpdateEvent(self._start)
 
-    def _state(self, context: Context) -> tuple[list[Any], Any]:
-        state = context.get_continuous_state_vector().CopyToVector().tolist()
-        return state, context.get_discrete_state_vector().GetAtIndex(0)
+    def _state(self, context: Context) -> list[Any]:
+        return context.get_continuous_state_vector().CopyToVector().tolist()
 
     def _start(self, context: Context, state: State) -> EventStatus:
-        _, started = self._state(context)
-        if started == 1 or self._plan.HasValue(context):
+        has_started = self._state(context)[-1] == 1
+        if has_started or self._plan.HasValue(context):
             return EventStatus.DidNothing()
         angle, motion = self._motion(context)
-        values = [angle, *motion[0][0], *motion[1][0]]
+        values = [angle, *motion[0][0], *motion[1][0], 1.0]
         state.get_mutable_continuous_state().SetFromVector(values)
-        state.get_mutable_discrete_state().set_value([1.0])
         return EventStatus.Succeeded()
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
@@ -349,7 +345,7 @@ class _ContinuousShape(_Shape):
             return
         _, (xi, size) = self._motion(context)
         rates = [stage_rates(*stages, bandwidth=self._bandwidth) for stages in (xi, size)]
-        derivatives.SetFromVector([xi[0].third, *rates[0], *rates[1]])
+        derivatives.SetFromVector([xi[0].third, *rates[0], *rates[1], 0.0])
 
 
 # The blocks that the box can be, the default first.
