@@ -207,7 +207,7 @@ BOXES: dict[str, Box] = {
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
 # What commands carriers; the controller makes one. The blocks that make it and read it.
 COMMANDS = {
-    "carrier_forces": ("FeedforwardCarrierPid", "CarrierDynamics"),
+    "carrier_forces": ("CarrierPid", "CarrierDynamics"),
     "aircraft_command": ("FixedWingController", "FixedWingDynamics"),
 }
 EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
