@@ -327,7 +327,7 @@ BY_DEFAULT = {
     "carrier_forces": r"reads carrier_forces, which carrier_co",
     "planned": r"PlannedInternalForce: it reads planned, which phase = Ports does not make; give ",
     "internal_force_higher_rates": r"Ports: it does not make internal_force_higher_rates",
-    "carrier_reference_acceleration": r"which carrier_trajectory = Ports does not make; give .*Pid$",
+    "carrier_reference_acceleration": r"carrier_trajectory = Ports does not make; give .*Pid$",
 }
 
 
@@ -521,7 +521,8 @@ def test_replacement_that_is_no_block_is_named(entry):
 def test_config_of_another_box_is_reported_with_the_choices():
     config = CarrierDynamicsConfig()
     with pytest.raises(
-        ScenarioError, match="phase = CarrierDynamics: give one of ShapedPhase, AccumulatedPhase, PaperPhase"
+        ScenarioError,
+        match="phase = CarrierDynamics: give one of ShapedPhase, AccumulatedPhase, PaperPhase",
     ):
         make_nonstop(plain(), phase=config)
 
