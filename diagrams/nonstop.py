@@ -212,7 +212,7 @@ BOXES: dict[str, Box] = {
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
 # What commands carriers; the controller makes one. The blocks that make it and read it.
 COMMANDS = {
-    "carrier_forces": ("FeedforwardCarrierPid", "CarrierDynamics"),
+    "carrier_forces": ("CarrierPid", "CarrierDynamics"),
     "aircraft_command": ("FixedWingController", "FixedWingDynamics"),
 }
 EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
@@ -543,13 +543,13 @@ def _check_accelerations(blocks: Mapping[str, System]) -> None:
         for signal in BOXES["carrier_trajectory"].optional:
             needs |= signal in read
             if signal in read and signal not in made and trajectory is not None:
-                other = "another block for"
+                other = f"another block for {name}"
                 if "carrier_forces" in wiring.output_names(block):
-                    other = "CarrierPid for"
+                    other = f"{name}=CarrierPid"
                 raise wiring.WiringError(
                     f"{name} = {type(block).__name__}: it reads {signal}, which "
                     f"carrier_trajectory = {type(trajectory).__name__} does not make; give "
-                    f"carrier_trajectory=CarrierTrajectory, or {other} {name}"
+                    f"carrier_trajectory=CarrierTrajectory, or {other}"
                 )
     internal_force = blocks.get("internal_force")
     for signal in BOXES["internal_force"].optional:
@@ -588,6 +588,7 @@ def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     """The blocks, which may be fused, with the hold in front of sampled ones."""
     believed, blocks, _ = parts
     _warn_of_unread_wind(blocks)
+    _warn_of_unshaped_parameters(blocks)
     _warn_of_unflown_aircraft(scenario, blocks)
     _warn_of_unknown_aircraft(blocks)
     if scenario.fused_plant:
@@ -612,6 +613,22 @@ def _warn_of_unread_wind(blocks: Mapping[str, System]) -> None:
             f"{load} = {type(blocks[load]).__name__}: no wind acts on the load, since this block "
             "does not read it; give it an input port load_wind (3), the air's velocity in m/s, in "
             "W, or have still air by wind=StillAir",
+            ScenarioWarning,
+            stacklevel=5,
+        )
+
+
+def _warn_of_unshaped_parameters(blocks: Mapping[str, System]) -> None:
+    """Tells of an internal force of other ξ and A than the phase has."""
+    layer, internal = blocks.get("optimization_layer"), blocks.get("internal_force")
+    if internal is None or not isinstance(blocks.get("phase"), phase.ShapedPhase):
+        return
+    changes = not isinstance(layer, optimization_layer.ConstantParameters)
+    if changes and "parameters" in wiring.input_names(internal):
+        warnings.warn(
+            f"internal_force = {type(internal).__name__}: it reads parameters, which phase = "
+            "ShapedPhase smooths, so that its rates are others than those that are flown; have it "
+            "read planned, as PlannedInternalForce does, or give phase=AccumulatedPhase",
             ScenarioWarning,
             stacklevel=5,
         )
@@ -706,15 +723,26 @@ def _figure_sizes(model: Model) -> dict[str, int | None]:
 
 
 def _signals_left_out(model: Model, blocks: Mapping[str, System]) -> dict[str, int | None]:
-    """The signals, with their sizes, of boxes left out that no block makes in their place."""
+    """The signals, with their sizes, of boxes left out that no block makes in their place.
+
+    Of the optional ones those of commands, and those that other blocks need.
+    """
     if all(name in blocks for name in BOXES):
         return {}
-    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    made = _signals_made(blocks)
+    needed: set[str] = set()
+    for block in blocks.values():
+        needed |= {*wiring.input_names(block)} - wiring.optional_inputs(block)
     missing = [
         signal
-        for box in BOXES.values()
+        for name, box in BOXES.items()
         for signal in box.signals
-        if (signal not in box.optional or signal in COMMANDS) and signal not in made
+        if signal not in made
+        and (
+            signal not in box.optional
+            or signal in COMMANDS
+            or (name not in blocks and signal in needed)
+        )
     ]
     sizes = _figure_sizes(model)
     return {signal: sizes[signal] for signal in missing}
