@@ -18,6 +18,7 @@ from drake_nonstop.diagrams.parameters import (
     parameters,
     set_parameter,
 )
+from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -86,6 +87,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "LinearPatternConfig",
     "Model",
     "LoadTrajectory",
+    "ReferencePreview",
+    "continued_reference",
     "Equations",
     "FusedPlant",
     "Outcome",

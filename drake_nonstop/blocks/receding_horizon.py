@@ -39,9 +39,10 @@ from drake_nonstop.optimization.horizon_problem import (
     HorizonConfig,
     HorizonData,
     HorizonProblem,
+    timed,
 )
 from drake_nonstop.optimization.horizon_solver import HorizonSolver, PlanAnswer
-from drake_nonstop.optimization.plan import Plan
+from drake_nonstop.optimization.plan import DEGREE, Plan
 from drake_nonstop.optimization.problem_config import LimitsConfig, check_limits, check_pattern
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
@@ -113,12 +114,13 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
         config = config or RecedingHorizonOptimizerConfig()
-        super().__init__(model, config, _check)
+        super().__init__(model, config, _check, _structure)
+        config = timed(config, config.frequency, model.control_period)
         self._model, self._config = model, config
         self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
         self._preview = self.DeclareAbstractInputPort(_PREVIEW, Value(object()))
         self._planner = _Planner(model, config, self.get_name) if self.scalar is float else None
-        count = round(config.horizon / config.knot_spacing) + 4
+        count = round(config.horizon / config.knot_spacing) + DEGREE
         first = _PlanState(0.0, 0.0, 1.0, config.speed_bound, np.ones((2, count)))
         self._plan = self.DeclareDiscreteState(first.flat())
         entry = self.DeclareCacheEntry(
@@ -270,7 +272,7 @@ class _Planner:
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig, name: Any):
         self._model, self._config, self._name = model, config, name
         self._solver: tuple[bytes, HorizonSolver] | None = None
-        self._last: tuple[tuple[Any, ...], _Planned] | None = None
+        self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome]] | None = None
 
     def plan(
         self,
@@ -282,23 +284,6 @@ class _Planner:
         is_first: bool,
     ) -> _Planned:
         """The next plan, from a time in s on, which goes on from the last one."""
-        others = numbers.beliefs.tobytes(), last.flat().tobytes()
-        key = (reference, time, speed_bound, is_first, *others)
-        known = self._last
-        if known is None or known[0] != key:
-            made = self._make(time, reference, speed_bound, numbers, last, is_first)
-            self._last = known = key, made
-        return known[1]
-
-    def _make(
-        self,
-        time: float,
-        reference: ReferencePreview,
-        speed_bound: float,
-        numbers: LayerNumbers,
-        last: _PlanState,
-        is_first: bool,
-    ) -> _Planned:
         solver = self._solver_for(numbers)
         problem, spacing = solver.problem, self._config.knot_spacing
         start_time = spacing * np.floor(time / spacing + 1e-6)
@@ -312,28 +297,35 @@ class _Planner:
             angle, start = shifted.start_angle, shifted.coefficients
         data = problem.data(start_time, angle, reference, speed_bound)
         is_new = is_first or speed_bound != last.speed_bound
-        answer = solver.solve(
-            data,
-            start,
-            max_iterations=_MANY_ITERATIONS if is_new else self._config.max_iterations,
-            scale=1.0 if is_new else max(last.scale, _LEAST_SCALE),
-        )
-        if is_new or not answer.is_feasible:
-            answer = self._better(solver, data, answer, start)
+        scale = 1.0 if is_new else max(last.scale, _LEAST_SCALE)
+        arrays = data.flat_terms, start, numbers.beliefs
+        key = (start_time, angle, speed_bound, is_new, scale, *(a.tobytes() for a in arrays))
+        known = self._last
+        if known is None or known[0] != key:
+            self._last = known = key, self._make(solver, data, start, scale, is_new)
+        answer, outcome = known[1]
         speeds = problem.speeds(data, answer.coefficients)
-        outcome = Outcome.SOLVED if answer.is_feasible else Outcome.RELAXED
-        if answer.is_feasible and np.array_equal(answer.coefficients, start):
-            outcome = Outcome.KEPT
         state = _PlanState(start_time, angle, answer.scale, speed_bound, answer.coefficients)
         return _Planned(state, outcome, float(np.sqrt(speeds.squares.min())))
 
-    def _better(
-        self, solver: HorizonSolver, data: HorizonData, answer: PlanAnswer, start: NDArray
-    ) -> PlanAnswer:
-        """The better of an answer and what is found from the global search's ξ and A."""
-        fixed = start[:, : solver.fixed]
-        other = solver.solve(data, solver.first_guess(data, fixed), max_iterations=_MANY_ITERATIONS)
-        return min(answer, other, key=solver.merit)
+    def _make(
+        self,
+        solver: HorizonSolver,
+        data: HorizonData,
+        start: NDArray,
+        scale: float,
+        is_new: bool,
+    ) -> tuple[PlanAnswer, Outcome]:
+        iterations = _MANY_ITERATIONS if is_new else self._config.max_iterations
+        answer = solver.solve(data, start, max_iterations=iterations, scale=scale)
+        if is_new or not answer.is_feasible:
+            guess = solver.first_guess(data, start[:, : solver.fixed])
+            other = solver.solve(data, guess, max_iterations=iterations)
+            answer = min(answer, other, key=solver.merit)
+        if not answer.is_feasible:
+            return answer, Outcome.RELAXED
+        is_kept = np.array_equal(answer.coefficients, start)
+        return answer, Outcome.KEPT if is_kept else Outcome.SOLVED
 
     def _solver_for(self, numbers: LayerNumbers) -> HorizonSolver:
         key = numbers.beliefs.tobytes()
@@ -348,6 +340,11 @@ class _Planner:
             )
             self._solver = known = key, HorizonSolver(problem)
         return known[1]
+
+
+def _structure(model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[float, float]:
+    times = timed(config, config.frequency, model.control_period)
+    return times.horizon, times.knot_spacing
 
 
 def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> None:

@@ -17,6 +17,7 @@ from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.systems.tracing import NotFiniteError
 
+PLAN_TOLERANCE = 1e-4  # on the slack of a plan: 0.005 % of a speed
 _ANGLE_RADIUS = 0.4  # rad, of the trust region: how far the phases may move in a step
 _COEFFICIENT_RADIUS = 0.4  # likewise for the coefficients, relative to the nominal
 _LARGEST_MARGIN = 0.5  # of constraints that a step takes into account from the start
@@ -25,6 +26,7 @@ _LEAST_RATIO = 0.1  # of the decrease of the merit to the predicted one, to acce
 _GOOD_RATIO = 0.7  # above which the trust region grows
 _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 4.0  # of the trust region
 _ROW_TOLERANCE = 1e-6  # on a margin of a step
+_ACTIVE_MARGIN = 0.01  # below which a constraint is likely to decide
 _SEARCH_PHASES = 16
 
 
@@ -46,8 +48,8 @@ class PlanAnswer(NamedTuple):
 
     @property
     def is_feasible(self) -> bool:
-        """Whether the plan needs no slack."""
-        return self.slack <= FEASIBILITY_TOLERANCE
+        """Whether the plan needs no slack, but for what successive programs leave."""
+        return self.slack <= PLAN_TOLERANCE
 
 
 class HorizonSolver:
@@ -192,6 +194,11 @@ class _StepProgram:
         self._fixed_constraint = program.AddLinearConstraint(
             self._fixed_rows, zero, zero, self._step
         ).evaluator()
+        both = np.concatenate([self._step, self._slack])
+        self._rows = program.AddLinearConstraint(
+            np.zeros((1, len(both))), np.zeros(1), np.zeros(1), both
+        ).evaluator()
+        self._active = np.zeros(0, int)  # constraints that decided the last step
 
     def step(
         self, x: NDArray, linearization: Linearization, scale: float
@@ -214,7 +221,8 @@ class _StepProgram:
         self._fixed_constraint.set_bounds(
             np.concatenate([-angle, below]), np.concatenate([angle, above])
         )
-        chosen = linearization.dips(linearization.margins, _LARGEST_MARGIN)
+        dips = linearization.dips(linearization.margins, _LARGEST_MARGIN)
+        chosen = np.union1d(self._active, dips)
         for _ in range(_MOST_ROUNDS):
             found = self._solved(linearization, chosen)
             if found is None:
@@ -225,10 +233,12 @@ class _StepProgram:
             step = step.reshape(x.shape)
             margins = linearization.margins + linearization.changes(step)
             excess = margins + slack[linearization.slack_of]
-            violated = np.setdiff1d(linearization.dips(excess, -_ROW_TOLERANCE), chosen)
-            if len(violated) == 0:
+            self._active = chosen[excess[chosen] < _ACTIVE_MARGIN]
+            violated = linearization.dips(excess, -_ROW_TOLERANCE)
+            new = np.setdiff1d(violated, chosen)
+            if len(new) == 0:
                 break
-            chosen = np.concatenate([chosen, violated])
+            chosen = np.union1d(chosen, linearization.with_neighbours(new, excess, _ACTIVE_MARGIN))
         slacks = problem.slacks(margins)
         new = x + step
         return new, problem.cost(new) + float(owner._weights @ slacks)
@@ -240,14 +250,12 @@ class _StepProgram:
         rows = len(chosen)
         slack_columns = np.zeros((rows, self._problem.slack_count))
         slack_columns[np.arange(rows), linearization.slack_of[chosen]] = 1
-        constraint = self._program.AddLinearConstraint(
+        self._rows.UpdateCoefficients(
             np.hstack([linearization.jacobian(chosen, self._owner.fixed), slack_columns]),
             -linearization.margins[chosen],
             np.full(rows, np.inf),
-            np.concatenate([self._step, self._slack]),
         )
         result = self._solver.Solve(self._program)
-        self._program.RemoveConstraint(constraint)
         if not result.is_success():
             return None
         values = result.get_x_val()
@@ -283,10 +291,8 @@ def _difference_rows(largest: NDArray, count: int, fixed: int) -> _DifferenceRow
 def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
     """The [ξ, A] (2,) nearest to the nominal ones that suit all instants and phases."""
     angles = 2 * np.pi * np.arange(_SEARCH_PHASES) / _SEARCH_PHASES
-    every = max(1, round(problem.config.knot_spacing / problem.config.instant_spacing))
-    polynomials = orbit_polynomials(
-        OrbitTerms.view(data.flat_terms[::every]), problem.axes, angles
-    )
+    every = problem.config.instants
+    polynomials = orbit_polynomials(OrbitTerms.view(data.flat_terms[::every]), problem.axes, angles)
     low, high = (bound[:, 0] * problem.nominal for bound in problem.bounds)
     search = SearchProblem(
         polynomials=polynomials.reshape(*polynomials.shape[:2], -1),

@@ -20,7 +20,6 @@ from drake_nonstop.mechanics.rotation import quaternion_product, skew
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
-    TRACKING_ERROR_SIZE,
     WIND_SIZE,
     WRENCH_SIZE,
     LoadReference,
@@ -41,9 +40,9 @@ GAINS = (  # of `mechanics.wrench.wrench_and_rate`, but for its feedforward
 )
 NO_GAINS: dict[str, Any] = dict.fromkeys(GAINS, 0.0)
 
-_PHASES = 48  # of a turn at which the Jacobian is evaluated
-_TURN_OF_FASTEST = 1.0  # rad, that the fastest mode turns in a step, which a series integrates
-_LEAST_STEPS, _MOST_STEPS = 64, 4096  # of a turn
+_PHASES = 32  # of a turn at which the Jacobian is evaluated
+_TURN_OF_FASTEST = 2.0  # rad, that the fastest mode turns in a step, which a series integrates
+_LEAST_STEPS, _MOST_STEPS = 48, 4096  # of a turn
 _STIFF = 1e6  # N/m, of cables that do not stretch
 _TERMS = 10  # of the exponential's series, for matrices of norm 1/2
 _LARGEST = 1e100  # of a Jacobian's entries, which are in mixed units
@@ -77,6 +76,8 @@ class LoadDeviations:
         carrier_stiffness: N/m, by which carriers give way along their cables; inf: not at all.
         is_above_load: whether the carriers' references are above the measured load, as those of
             `MeasuredCarrierTrajectory`, instead of above the load's reference.
+        measures_attitude: whether the controllers get the load's attitude; if not, the desired one,
+            as from `DesiredAttitudeFeedback`.
     """
 
     def __init__(
@@ -85,10 +86,11 @@ class LoadDeviations:
         *,
         carrier_stiffness: float = math.inf,
         is_above_load: bool = False,
+        measures_attitude: bool = True,
     ):
         self.model = model
         self._stiffness = 1 / (max(model.cable_compliance, 1 / _STIFF) + 1 / carrier_stiffness)
-        self._is_above_load = is_above_load
+        self._is_above_load, self._measures_attitude = is_above_load, measures_attitude
         n, m = model.n, model.m
         load = model.load
         self._constants = np.concatenate(
@@ -117,7 +119,7 @@ class LoadDeviations:
             name=lambda: "the stability of the load",
             largest=_LARGEST,
             jacobian_of=0,
-            key=("load deviations", n, m, is_above_load),
+            key=("load deviations", n, m, is_above_load, measures_attitude),
         )
 
     def jacobians(
@@ -176,6 +178,13 @@ class LoadDeviations:
         order = np.argsort(-np.abs(multipliers), kind="stable")
         return Growth(period, multipliers[order])
 
+    def _measured(self, state: NDArray, reference: NDArray) -> NDArray:
+        """What the controllers get of a load's state."""
+        if self._measures_attitude:
+            return state
+        (_, position, _, velocity), desired = LoadState.view(state), LoadState.view(reference)
+        return np.concatenate([desired.quaternion, position, desired.angular_velocity, velocity])
+
     def _trace(
         self,
         n: int,
@@ -220,6 +229,7 @@ class LoadDeviations:
         }
 
         def commanded(state: NDArray, integrals: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+            state = self._measured(state, reference)
             wrench, rate = wrench_and_rate(
                 load, state, reference, integrals, wind, feedforward=1.0, **given
             )
@@ -250,8 +260,7 @@ class LoadDeviations:
             load, state, on_load.ravel(), np.zeros(WRENCH_SIZE), wind, attachments=attachments
         )
         of_state = LoadState.view(rate)
-        error = TrackingError.view(tracking_error(state, reference))
-        assert TRACKING_ERROR_SIZE == 12
+        error = TrackingError.view(tracking_error(self._measured(state, reference), reference))
         return (
             of_state.angular_velocity,
             of_state.velocity,

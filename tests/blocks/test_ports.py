@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 import yaml
-from helpers import Motion, difference, fix, model, output
+from helpers import Motion, difference, fix, model, output, vector_outputs
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import DiagramBuilder
@@ -86,6 +86,7 @@ from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.scenario.describe import parameters
+from drake_nonstop.systems.wiring import output_sizes
 from drake_nonstop.validation import ScenarioError
 
 
@@ -168,8 +169,8 @@ _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
 BLOCKS = {
-    moving_reference: ([], ["reference"], []),
-    ConstantVelocityMove: ([], ["reference"], []),
+    moving_reference: ([], ["reference", "reference_preview"], []),
+    ConstantVelocityMove: ([], ["reference", "reference_preview"], []),
     **dict.fromkeys(
         (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController),
         everything(
@@ -202,9 +203,9 @@ BLOCKS = {
         ),
     ),
     IdealCarriers: everything(["carrier_reference"], ["carrier_state"]),
-    Waypoints: ([], ["reference"], []),
-    Circle: ([], ["reference"], []),
-    SampledTrajectory: ([], ["reference"], []),
+    Waypoints: ([], ["reference", "reference_preview"], []),
+    Circle: ([], ["reference", "reference_preview"], []),
+    SampledTrajectory: ([], ["reference", "reference_preview"], []),
     IdealFeedback: (
         ["load_state"],
         ["measured_load_state"],
@@ -401,7 +402,7 @@ def test_ports_have_the_names_and_sizes_of_the_contract(make, period, n):
     for name in inputs:
         assert block.GetInputPort(name).size() == size(name, n, n), name
     for name in outputs:
-        assert block.GetOutputPort(name).size() == size(name, n, n), name
+        assert output_sizes(block)[name] == size(name, n, n), name
 
 
 def feedthrough(block):
@@ -431,7 +432,7 @@ def set_states(context, seed):
 
 
 def evaluated(block, context):
-    return {name: output(block, context, name) for name in output_names(block)}
+    return {name: output(block, context, name) for name in vector_outputs(block)}
 
 
 def fresh(block, inputs, state, time):
@@ -505,7 +506,7 @@ def made_values(block, scalar, vary):
         context.SetDiscreteState(i, vary(rng.uniform(0.2, 1.0, size)))
     for name in input_names(block):
         block.GetInputPort(name).FixValue(context, vary(values(name, 1, 4)))
-    parts = [block.GetOutputPort(name).Eval(context) for name in output_names(block)]
+    parts = [block.GetOutputPort(name).Eval(context) for name in vector_outputs(block)]
     if context.num_continuous_states() > 0:
         parts.append(block.EvalTimeDerivatives(context).CopyToVector())
     return np.concatenate(parts)

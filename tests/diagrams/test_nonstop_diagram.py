@@ -66,7 +66,7 @@ def block_names(diagram):
 
 def test_figure_as_listed_is_the_figure_as_built(figure):
     assert set(wiring.connections(figure)) == figure_wires()
-    assert len(figure_wires()) == 30
+    assert len(figure_wires()) == 29
 
 
 def test_every_box_is_there_under_its_name_with_its_default_block(figure):
@@ -101,6 +101,7 @@ def test_every_signal_is_read_but_those_that_only_report(figure):
         "wind",
         "carrier_reference_acceleration",
         "carrier_reference_jerk",
+        "reference_preview",
     }
 
 
@@ -139,7 +140,10 @@ def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
         "internal_force_higher_rates": 6,
     }
     assert BOXES["cables"].sizes(5, 3) == {"cable_forces": 15, "tensions": 5}
-    assert BOXES["load_trajectory"].sizes(5, 3) == {"reference": 22}
+    assert BOXES["load_trajectory"].sizes(5, 3) == {
+        "reference": 22,
+        "reference_preview": None,
+    }
 
 
 def test_wire_that_differs_from_the_list_is_an_error(monkeypatch):
@@ -316,11 +320,12 @@ def test_block_with_other_outputs_is_reported_with_those_of_its_box(box, outputs
 def test_every_box_asks_for_its_signals_at_their_sizes(box):
     sizes = BOXES[box].sizes(4, 4)
     build = partial(make_nonstop, plain(), at_equilibrium=False)  # which these blocks do not hold
-    build(**{box: with_ports({}, sizes)})
+    vectors = {name: size for name, size in sizes.items() if size is not None}
+    build(**{box: with_ports({}, vectors)})
     for signal in sizes:
-        others = {name: size for name, size in sizes.items() if name != signal}
+        others = {name: size for name, size in vectors.items() if name != signal}
         with pytest.raises(wiring.WiringError, match=f"^{box} = Ports with outputs .*: expected"):
-            build(**{box: with_ports({}, others | {signal: sizes[signal] + 1})})
+            build(**{box: with_ports({}, others | {signal: (sizes[signal] or 0) + 1})})
         if signal == "carrier_forces":
             with pytest.raises(wiring.WiringError, match=r"reads carrier_forces, which carrier_co"):
                 build(**{box: with_ports({}, others)})
@@ -363,7 +368,8 @@ def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wro
     absent |= {signal for signals in NOT_BY_DEFAULT.values() for signal in signals}
     if period > 0:
         signals |= {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
-    listed = [f"{signal} ({signals[signal]})" for signal in sorted(signals.keys() - absent)]
+    texts = {signal: size or "abstract" for signal, size in signals.items()}
+    listed = [f"{signal} ({texts[signal]})" for signal in sorted(texts.keys() - absent)]
     assert message[len(start) : -len(end)] == ", ".join(listed)
 
 

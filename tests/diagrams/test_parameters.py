@@ -8,6 +8,7 @@ import copy
 
 import numpy as np
 import pytest
+from helpers import output, vector_outputs
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
@@ -107,12 +108,9 @@ def signals(scenario, changes):
     set_equilibrium(loop, context)
     ApplySimulatorConfig(scenario.simulator_config, simulator)
     simulator.AdvanceTo(DURATION)
-    ports = [loop.get_output_port(i) for i in range(loop.num_output_ports())]
     energies = {"kinetic": loop.CalcKineticEnergy, "potential": loop.CalcPotentialEnergy}
     return {name: calculate(context) for name, calculate in energies.items()} | {
-        port.get_name(): port.Eval(context).copy()
-        for port in ports
-        if port.get_name() != "solve_time"
+        name: output(loop, context, name) for name in vector_outputs(loop) if name != "solve_time"
     }
 
 

@@ -1,0 +1,223 @@
+"""What a scenario asks of its load and its carriers, for analyses that do not simulate it."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import System
+
+from drake_nonstop.blocks.carrier_controller import CarrierPidConfig, FeedforwardCarrierPidConfig
+from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectoryConfig
+from drake_nonstop.blocks.load_feedback import (
+    DesiredAttitudeFeedbackConfig,
+    DesiredStateFeedbackConfig,
+)
+from drake_nonstop.diagrams.box import block_class
+from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.model.system import Model, given_fields, overridden
+from drake_nonstop.optimization.horizon_problem import HorizonConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.scenario.schema import Scenario, check
+from drake_nonstop.simulation.load_stability import NO_GAINS, LoadDeviations
+from drake_nonstop.validation import require
+
+_HORIZON_OF_TURNS = 1.1  # the least horizon of a plan, in turns of the carriers
+_OF_TIME = (  # the fields of a `HorizonConfig` in s
+    "horizon",
+    "knot_spacing",
+    "instant_spacing",
+    "terminal_time",
+    "terminal_spacing",
+    "smoothing_time",
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """A load's motion, and what carries it.
+
+    Attributes:
+        name: of the scenario.
+        model: what the controllers believe.
+        flown: the simulated plant's.
+        limits: ε, the nominal ξ and A, and their bounds.
+        changes_parameters: whether the scenario's layer may change ξ and A.
+        reference: the load's (22,) at a time in s.
+        duration: s.
+        gains: of the wrench controller, as of `LoadDeviations.growth`; None: they are not known.
+        feeds_back: whether the controllers get the load's state.
+        measures_attitude: as of `LoadDeviations`.
+        is_above_load: as of `LoadDeviations`.
+        carrier_stiffness: as of `LoadDeviations`, N/m.
+        wind: at the load (3,), m/s, in W, without gusts.
+        horizon: of plans of ξ and A.
+    """
+
+    name: str
+    model: Model
+    flown: Model
+    limits: LimitsConfig
+    changes_parameters: bool
+    reference: Callable[[float], NDArray]
+    duration: float
+    gains: Mapping[str, Any] | None
+    feeds_back: bool
+    measures_attitude: bool
+    is_above_load: bool
+    carrier_stiffness: float
+    wind: NDArray
+    horizon: HorizonConfig
+
+    @property
+    def nominal(self) -> NDArray:
+        """[ξ (rad/s), A (N)] (2,) at the start."""
+        return np.array([self.limits.frequency, self.limits.amplitude])
+
+    @property
+    def effective_gains(self) -> Mapping[str, Any] | None:
+        """The gains on what is measured: none where nothing is fed back; None: not known."""
+        return self.gains if self.feeds_back else NO_GAINS
+
+    def deviations(self) -> LoadDeviations:
+        """Those of the load."""
+        return LoadDeviations(
+            self.flown,
+            carrier_stiffness=self.carrier_stiffness,
+            is_above_load=self.is_above_load,
+            measures_attitude=self.measures_attitude,
+        )
+
+    def slowed(self, factor: float) -> "Task":
+        """The same motion in a longer time; a factor of 2 takes twice as long."""
+
+        def reference(time: float) -> NDArray:
+            values = self.reference(time / factor).copy()
+            parts = LoadReference.view(values)
+            for part, order in (
+                (parts.angular_velocity, 1),
+                (parts.velocity, 1),
+                (parts.angular_acceleration, 2),
+                (parts.acceleration, 2),
+                (parts.jerk, 3),
+            ):
+                part /= factor**order
+            return values
+
+        return dataclasses.replace(self, reference=reference, duration=factor * self.duration)
+
+    def with_system(self, **fields: Any) -> "Task":
+        """The same with other fields of the `SystemParameters`, of model and plant.
+
+        Raises:
+            ScenarioError: as of `Model`.
+        """
+        return dataclasses.replace(
+            self, model=_changed(self.model, **fields), flown=_changed(self.flown, **fields)
+        )
+
+
+def task_of(scenario: Scenario) -> Task:
+    """The task of a scenario; numbers are drawn for its distributions.
+
+    Raises:
+        ScenarioError: the scenario cannot be built, or its trajectory does not tell its motion.
+    """
+    check(scenario)
+    scenario = scenario.sampled()
+    period = scenario.control_period
+    model = Model(scenario.system, scenario.pattern, period)
+    given = [name for name, value in vars(scenario.simulated).items() if value is not None]
+    flown = model
+    if given:
+        flown = Model(
+            overridden(scenario.system, scenario.simulated),
+            scenario.pattern,
+            period,
+            field="simulated",
+            overridden=given_fields(scenario.simulated),
+        )
+    layer = scenario.optimization_layer
+    limits = _limits(layer)
+    trajectory = _block("load_trajectory", scenario.load_trajectory, model)
+    names = [trajectory.get_output_port(i).get_name() for i in range(trajectory.num_output_ports())]
+    require(
+        "reference" in names and trajectory.num_input_ports() == 0,
+        "load_trajectory",
+        type(trajectory).__name__,
+        "give one without inputs, whose motion is known beforehand",
+    )
+    controller = _block("wrench_controller", scenario.wrench_controller, model)
+    feedback = scenario.load_feedback
+    return Task(
+        name=scenario.name,
+        model=model,
+        flown=flown,
+        limits=limits,
+        changes_parameters=hasattr(layer, "frequency_bounds") and not model.pattern.is_constant,
+        reference=_reference_of(trajectory),
+        duration=scenario.simulation_duration,
+        gains=getattr(controller, "gains", None),
+        feeds_back=not isinstance(feedback, DesiredStateFeedbackConfig),
+        measures_attitude=not isinstance(feedback, DesiredAttitudeFeedbackConfig),
+        is_above_load=isinstance(scenario.carrier_trajectory, MeasuredCarrierTrajectoryConfig),
+        carrier_stiffness=_carrier_stiffness(scenario.carrier_controller),
+        wind=np.array(getattr(scenario.wind, "velocity", np.zeros(3)), dtype=float),
+        horizon=_horizon(layer, limits),
+    )
+
+
+def _block(box: str, config: Any, model: Model) -> System:
+    block: Any = block_class(box, type(config))
+    made: System = block(model, config)
+    return made
+
+
+def _reference_of(block: System) -> Callable[[float], NDArray]:
+    context, port = block.CreateDefaultContext(), block.GetOutputPort("reference")
+
+    def reference(time: float) -> NDArray:
+        context.SetTime(time)
+        values: NDArray = port.Eval(context).copy()
+        return values
+
+    return reference
+
+
+def _limits(layer: Any) -> LimitsConfig:
+    """Those of a layer's config; of one that has no bounds, the default ones."""
+    names = [field.name for field in dataclasses.fields(LimitsConfig)]
+    return LimitsConfig(**{name: getattr(layer, name) for name in names if hasattr(layer, name)})
+
+
+def _horizon(layer: Any, limits: LimitsConfig) -> HorizonConfig:
+    """That of a layer's config, or one of the default's shape that is longer than a turn."""
+    names = [field.name for field in dataclasses.fields(HorizonConfig)]
+    if all(hasattr(layer, name) for name in names):
+        return HorizonConfig(**{name: getattr(layer, name) for name in names})
+    default = HorizonConfig()
+    turn = 2 * math.pi / limits.frequency
+    factor = max(1.0, _HORIZON_OF_TURNS * turn / default.horizon)
+    times = {name: factor * getattr(default, name) for name in _OF_TIME}
+    return dataclasses.replace(default, **times)
+
+
+def _carrier_stiffness(controller: Any) -> float:
+    """N/m, by which a controller holds its carrier against a constant force."""
+    is_given = isinstance(controller, (CarrierPidConfig, FeedforwardCarrierPidConfig))
+    return controller.position_gain or math.inf if is_given else math.inf
+
+
+def _changed(model: Model, **fields: Any) -> Model:
+    """A model with other fields of its system."""
+    system = dataclasses.replace(model.system, **fields)
+    return Model(
+        system,
+        model.pattern_config,
+        model.control_period,
+        field=model.field,
+        overridden=model.overridden,
+    )
