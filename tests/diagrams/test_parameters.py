@@ -32,7 +32,7 @@ from drake_nonstop.mechanics.internal_force import carousel, spread
 from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.system import WatchedModel
 from drake_nonstop.systems import traced_block
-from drake_nonstop.systems.parameters import declared
+from drake_nonstop.systems.parameters import declared, parameters_in
 from drake_nonstop.systems.wiring import output_names
 
 DURATION = 0.03  # s
@@ -199,19 +199,18 @@ def test_gains_that_are_auto_follow_unless_they_have_a_value_of_their_own():
 
 
 def test_gains_that_are_auto_have_the_derivatives_of_what_they_follow():
-    loop, context = quintic(
-        "load_plant=MultibodyLoadPlant", "optimization_layer=ConstantParameters"
-    )
+    loop, context = quintic("optimization_layer=ConstantParameters")
     inertia = np.array([[0.03, 2e-3, 0.0], [2e-3, 0.02, 1e-3], [0.0, 1e-3, 0.04]])
     set_parameter(loop, context, "system.load_inertia", inertia)
     step = 1e-5
 
     def along(entry):
-        """All three in one direction."""
+        """All four in one direction."""
         return {
             "system.load_inertia": [[entry(x, 0.3 * x) for x in row] for row in inertia],
+            "system.load_mass": entry(1.0, 0.7),
             "system.cable_length": entry(0.8, 0.5),
-            "system.load_drag": entry(0.7, 1.0),
+            "system.gravity": entry(9.81, 1.0),
         }
 
     def gains(entry):
@@ -220,15 +219,13 @@ def test_gains_that_are_auto_have_the_derivatives_of_what_they_follow():
         return wrench_gains(loop, context)
 
     above, below = (gains(lambda x, d, s=side: x + s * step * d) for side in (1, -1))
-    converted = loop.ToAutoDiffXd().CreateDefaultContext()
+    converted = loop.ToAutoDiffXd()
+    start = converted.CreateDefaultContext()
     for path, value in along(lambda x, d: AutoDiffXd(x, [d])).items():
-        set_parameter(loop, converted, path, np.array(value) if np.ndim(value) else value)
-    [(holder, group)] = [
-        (own, group)
-        for block, own, group in declared(loop)
-        if block.get_name() == "wrench_controller"
-    ]
-    values = holder.view(converted.get_numeric_parameter(group).CopyToVector())
+        set_parameter(loop, start, path, np.array(value) if np.ndim(value) else value)
+    controller = converted.GetSubsystemByName("wrench_controller")
+    own = controller.GetMyContextFromRoot(start)
+    values = parameters_in(loop.GetSubsystemByName("wrench_controller"), own)
     for path, upper in above.items():
         [value] = np.ravel(values[path.split(".")[1]])
         slope = value.derivatives()[0] if len(value.derivatives()) else 0.0
