@@ -37,6 +37,7 @@ _MAX_ITERATIONS, _TOLERANCE = 40, 1e-4
 _FACTORS = (1.1, 1.25, 1.5, 2.0, 3.0)
 _WIDER = 4.0  # bounds, at most
 _BISECTIONS = 6
+_SHOWN = 2.5  # times the plan's largest value, of the set over time
 
 
 class SpeedCheck(NamedTuple):
@@ -134,6 +135,31 @@ def feasible_speeds(
         s = frequency[:, None, None] * amplitudes[:, None, :]
         least.append((c + s * (2 * b + s * a)).min(axis=(0, 2)))
     return np.sqrt(np.maximum(np.stack(least, axis=1), 0.0))
+
+
+def set_over_time(
+    task: Task, found: SpeedCheck, column: int, count: int = 120
+) -> tuple[NDArray, NDArray, NDArray] | None:
+    """Times (k,), ξ or A (c,), and the least v/ε (k, c) over an orbit beside the plan's other one.
+
+    `column` is 0 for ξ and 1 for A. None: there is no bound, or the pattern has no such set.
+    """
+    if task.limits.speed_bound == 0 or not _can_plan(task):
+        return None
+    times = np.linspace(0, task.duration, count)
+    used = np.stack(
+        [np.interp(times, found.plan_times, values) for values in found.parameters.T], axis=1
+    )
+    bounds = [task.limits.frequency_bounds, amplitude_range(task.limits, task.model)][column]
+    most = min(bounds[1], _SHOWN * found.parameters[:, column].max())
+    values = np.linspace(bounds[0], max(most, bounds[0] * 1.01), count)
+    tried, others = np.tile(values, (count, 1)), used[:, 1 - column, None]
+    problem = _problem(task, task.horizon)
+    if column == 0:
+        ratios = feasible_speeds(problem, task, times, tried, others)[:, :, 0]
+    else:
+        ratios = feasible_speeds(problem, task, times, others, tried)[:, 0]
+    return times, values, ratios / task.limits.speed_bound
 
 
 def constant_speeds(task: Task, times: NDArray) -> NDArray:
