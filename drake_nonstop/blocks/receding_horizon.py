@@ -34,6 +34,7 @@ from drake_nonstop.optimization.diagnostics import (
     Outcome,
     count_update,
 )
+from drake_nonstop.optimization.horizon_check import check_horizon
 from drake_nonstop.optimization.horizon_problem import (
     HorizonConfig,
     HorizonData,
@@ -394,5 +395,6 @@ def _structure(model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[fl
 
 def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> None:
     check_limits(box, config, model)
+    check_horizon(box, config, config, model)
     check_pattern(box, model, "RecedingHorizonOptimizer")
     require(config.time_limit > 0, f"{box}.time_limit", config.time_limit, "give a time above zero")
