@@ -1,8 +1,8 @@
 """The paper's control figure, as data.
 
 load_trajectory ──────────┬──> optimization_layer ──> phase
-                          │             │               │
-                          │             └──> internal_force
+                          │                             │
+                          │                  internal_force
                           v                       │
 load_feedback ──> wrench_controller ──> force_distribution ──> carrier_trajectory
       ^                                                              │
@@ -38,6 +38,7 @@ from drake_nonstop.blocks import (
     wind,
     wrench_controller,
 )
+from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.box import (
     ABSTRACT,
@@ -89,8 +90,12 @@ from drake_nonstop.validation import (
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
-        signals={"reference": LOAD_REFERENCE_SIZE, "reference_preview": ABSTRACT},
-        optional=("reference_preview",),
+        signals={
+            "reference": LOAD_REFERENCE_SIZE,
+            "reference_preview": ABSTRACT,
+            "reference_delay": 1,
+        },
+        optional=("reference_preview", "reference_delay"),
         place=Place(0, 1, 1, Kind.TRAJECTORY),
         swap_keeps_defaults=False,  # each task has times of its own
     ),
@@ -128,6 +133,7 @@ BOXES: dict[str, Box] = {
         variants=phase.VARIANTS,
         signals={"phase": PHASE_SIZE, "planned": PLANNED_SIZE},
         optional=("planned",),
+        recorded_where_read=("planned",),
         place=Place(4, 0, 1, Kind.TRAJECTORY),
         feeds_fused_plant=True,
         is_linearized=False,  # nothing drives it: its multiplier is 1 in any loop
@@ -206,7 +212,7 @@ BOXES: dict[str, Box] = {
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
 # What commands carriers; the controller makes one. The blocks that make it and read it.
 COMMANDS = {
-    "carrier_forces": ("CarrierPid", "CarrierDynamics"),
+    "carrier_forces": ("FeedforwardCarrierPid", "CarrierDynamics"),
     "aircraft_command": ("FixedWingController", "FixedWingDynamics"),
 }
 EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
@@ -234,15 +240,15 @@ wrench_controller.wrench -> force_distribution.wrench
 wrench_controller.wrench_rate -> force_distribution.wrench_rate
 
 optimization_layer.parameters -> phase.parameters
-optimization_layer.parameters -> internal_force.parameters
 phase.phase -> optimization_layer.phase
-phase.phase -> internal_force.phase
+phase.planned -> internal_force.planned
 internal_force.internal_force -> force_distribution.internal_force
 
 internal_force.internal_force_higher_rates -> carrier_trajectory.internal_force_higher_rates
 force_distribution.desired_cable_forces -> carrier_trajectory.desired_cable_forces
 force_distribution.desired_cable_force_rates -> carrier_trajectory.desired_cable_force_rates
 carrier_trajectory.carrier_reference -> carrier_controller.carrier_reference
+carrier_trajectory.carrier_reference_acceleration -> carrier_controller.carrier_reference_acceleration
 carrier_controller.carrier_forces -> carrier_dynamics.carrier_forces
 carrier_dynamics.carrier_state -> carrier_controller.carrier_state
 
@@ -254,7 +260,7 @@ load_disturbance.disturbance_wrench -> load_plant.disturbance_wrench
 wind.load_wind -> load_plant.load_wind
 wind.wind_estimate -> wrench_controller.wind_estimate
 wind.wind_estimate -> carrier_trajectory.wind_estimate
-"""
+"""  # noqa: E501
 
 
 def box_of(signal: str) -> str:
@@ -275,6 +281,9 @@ class LoopConfig(Protocol):
     pattern: PatternConfig
     control_period: float
     fused_plant: bool
+    simulation_duration: float
+    reference_governor: ReferenceGovernorConfig | None
+    optimization_layer: Any  # a config
     simulator_config: SimulatorConfig
 
     def sampled(self) -> Any:
@@ -448,8 +457,20 @@ def _made_parts(
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
     _require_motion(believed, blocks)
     _check_command(blocks)
+    _check_plan(blocks)
     _check_accelerations(blocks)
     _check_preview(blocks)
+    if scenario.reference_governor is not None:
+        trajectory = blocks.get("load_trajectory")
+        remedy = "give a block for load_trajectory, or leave reference_governor out"
+        require(trajectory is not None, "load_trajectory", None, remedy)
+        blocks["load_trajectory"] = governed(
+            believed,
+            scenario.reference_governor,
+            trajectory,
+            scenario.optimization_layer,
+            scenario.simulation_duration,
+        )
     return _Parts(believed, blocks, watched)
 
 
@@ -494,20 +515,41 @@ def _check_command(blocks: Mapping[str, System]) -> None:
             )
 
 
+def _check_plan(blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where the rates of ξ and A are read, and not made."""
+    phase, made = blocks.get("phase"), _signals_made(blocks)
+    for name, block in blocks.items():
+        read = {*wiring.input_names(block)} - wiring.optional_inputs(block)
+        if "planned" in read - made and phase is not None:
+            other = f", or {name}=InternalForceTrajectory" if name == "internal_force" else ""
+            raise wiring.WiringError(
+                f"{name} = {type(block).__name__}: it reads planned, which "
+                f"phase = {type(phase).__name__} does not make; give that this output, θ, ξ, A "
+                f"and their rates (8){other}"
+            )
+
+
+def _signals_made(blocks: Mapping[str, System]) -> set[str]:
+    return {signal for block in blocks.values() for signal in wiring.output_names(block)}
+
+
 def _check_accelerations(blocks: Mapping[str, System]) -> None:
     """Raises ScenarioError where what is read of the references' accelerations is not made."""
     trajectory = blocks.get("carrier_trajectory")
-    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    made = _signals_made(blocks)
     needs = getattr(trajectory, "holds_acceleration", False)
     for name, block in blocks.items():
         read = {*wiring.input_names(block)} - wiring.optional_inputs(block)
         for signal in BOXES["carrier_trajectory"].optional:
             needs |= signal in read
             if signal in read and signal not in made and trajectory is not None:
+                other = "another block for"
+                if "carrier_forces" in wiring.output_names(block):
+                    other = "CarrierPid for"
                 raise wiring.WiringError(
                     f"{name} = {type(block).__name__}: it reads {signal}, which "
                     f"carrier_trajectory = {type(trajectory).__name__} does not make; give "
-                    f"carrier_trajectory=CarrierTrajectory, or another block for {name}"
+                    f"carrier_trajectory=CarrierTrajectory, or {other} {name}"
                 )
     internal_force = blocks.get("internal_force")
     for signal in BOXES["internal_force"].optional:

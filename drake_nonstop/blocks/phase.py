@@ -26,9 +26,13 @@ from drake_nonstop.mechanics.shaping import (
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, PLANNED_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock, LeafBlock
+from drake_nonstop.systems.linear_block import LinearBlock
 from drake_nonstop.validation import StrictFields, require_positive
 
 _BOX = "phase"
+# [θ, ξ, A] and rates of zero, of `phase` and `parameters`.
+_OF_PLANNED = {"phase": PHASE_SIZE, "parameters": PARAMETERS_SIZE}
+_WITHOUT_RATES = np.vstack([np.eye(4)[[0, 2, 3]], np.zeros((5, 4))])
 
 
 @dataclass(kw_only=True)
@@ -48,9 +52,11 @@ class AccumulatedPhase(DiagramBlock):
         - parameters
         output_ports:
         - phase
+        - planned
 
     `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ (rad), ∂θ/∂ξ = 0 (s)] is
     the state: continuous, or stepped at each sample where the model has a control period.
+    `planned` (8) = [θ, ξ, A, 0, 0, 0, 0, 0] tells no rates: those of constant ξ and A.
     """
 
     is_sampled = True
@@ -66,8 +72,12 @@ class AccumulatedPhase(DiagramBlock):
             state = builder.AddNamedSystem("state", Integrator(PHASE_SIZE))
             builder.Connect(rate.get_output_port(), state.get_input_port())
             parameters = rate.get_input_port()
-        builder.ExportInput(parameters, "parameters")
+        planned = builder.AddNamedSystem("planned", LinearBlock(_WITHOUT_RATES, _OF_PLANNED))
+        builder.Connect(state.get_output_port(), planned.GetInputPort("phase"))
+        exported = builder.ExportInput(parameters, "parameters")
+        builder.ConnectInput(exported, planned.GetInputPort("parameters"))
         builder.ExportOutput(state.get_output_port(), "phase")
+        builder.ExportOutput(planned.get_output_port(), "planned")
         builder.BuildInto(self)
 
 
@@ -106,9 +116,11 @@ class PaperPhase(LeafBlock):
         - sample_time (where the model has a control period)
         output_ports:
         - phase
+        - planned
 
     `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ = ξ t (rad), ∂θ/∂ξ = t (s)].
-    Behind a sampled controller t is the `sample_time` (1), in s.
+    Behind a sampled controller t is the `sample_time` (1), in s. `planned` (8) =
+    [θ, ξ, A, 0, 0, 0, 0, 0] tells no rates: those of constant ξ and A.
     """
 
     is_sampled = True
@@ -122,14 +134,25 @@ class PaperPhase(LeafBlock):
             self._sample_time = self.DeclareVectorInputPort("sample_time", 1)
         else:
             prerequisites.add(self.time_ticket())
-        self.DeclareVectorOutputPort("phase", PHASE_SIZE, self._calc_phase, prerequisites)
+        for name, size, calc in (
+            ("phase", PHASE_SIZE, self._calc_phase),
+            ("planned", PLANNED_SIZE, self._calc_planned),
+        ):
+            self.DeclareVectorOutputPort(name, size, calc, prerequisites)
+
+    def _time(self, context: Context) -> Any:
+        if self._sample_time is not None:
+            return self._sample_time.Eval(context)[0]
+        return context.get_time()
 
     def _calc_phase(self, context: Context, output: BasicVector) -> None:
-        time = context.get_time()
-        if self._sample_time is not None:
-            time = self._sample_time.Eval(context)[0]
+        time = self._time(context)
         frequency, _ = self._parameters.Eval(context)
         output.SetFromVector([frequency * time, time])
+
+    def _calc_planned(self, context: Context, output: BasicVector) -> None:
+        frequency, amplitude = self._parameters.Eval(context)
+        output.SetFromVector([frequency * self._time(context), frequency, amplitude, *[0.0] * 5])
 
 
 @dataclass(kw_only=True)
@@ -330,4 +353,4 @@ class _ContinuousShape(_Shape):
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (AccumulatedPhase, PaperPhase, ShapedPhase)
+VARIANTS = (ShapedPhase, AccumulatedPhase, PaperPhase)
