@@ -38,6 +38,7 @@ from drake_nonstop.blocks import (
     wind,
     wrench_controller,
 )
+from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.box import (
     ABSTRACT,
@@ -89,8 +90,12 @@ from drake_nonstop.validation import (
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
-        signals={"reference": LOAD_REFERENCE_SIZE, "reference_preview": ABSTRACT},
-        optional=("reference_preview",),
+        signals={
+            "reference": LOAD_REFERENCE_SIZE,
+            "reference_preview": ABSTRACT,
+            "reference_delay": 1,
+        },
+        optional=("reference_preview", "reference_delay"),
         place=Place(0, 1, 1, Kind.TRAJECTORY),
         swap_keeps_defaults=False,  # each task has times of its own
     ),
@@ -276,6 +281,9 @@ class LoopConfig(Protocol):
     pattern: PatternConfig
     control_period: float
     fused_plant: bool
+    simulation_duration: float
+    reference_governor: ReferenceGovernorConfig | None
+    optimization_layer: Any  # a config
     simulator_config: SimulatorConfig
 
     def sampled(self) -> Any:
@@ -452,6 +460,17 @@ def _made_parts(
     _check_plan(blocks)
     _check_accelerations(blocks)
     _check_preview(blocks)
+    if scenario.reference_governor is not None:
+        trajectory = blocks.get("load_trajectory")
+        remedy = "give a block for load_trajectory, or leave reference_governor out"
+        require(trajectory is not None, "load_trajectory", None, remedy)
+        blocks["load_trajectory"] = governed(
+            believed,
+            scenario.reference_governor,
+            trajectory,
+            scenario.optimization_layer,
+            scenario.simulation_duration,
+        )
     return _Parts(believed, blocks, watched)
 
 

@@ -1,6 +1,6 @@
 """Box "Load Wrench Controller" of the figure."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -19,15 +19,17 @@ from drake_nonstop.mechanics.signals import (
     WRENCH_SIZE,
     TrackingError,
 )
-from drake_nonstop.mechanics.tuning import pid_gains
-from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules, rigid_load
+from drake_nonstop.mechanics.tuning import load_gains, pid_gains
+from drake_nonstop.model.block_parameters import AUTO, LOAD, BlockParameters, Rules, rigid_load
 from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import number
 from drake_nonstop.systems.sampled_integrator import SampledIntegrator
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
 _BOX = "wrench_controller"
 _INTEGRALS_SIZE = 6  # of the errors of orientation and position
+_FOLLOWED = ("load_mass", "load_inertia", "cable_length", "gravity")  # by gains that are `AUTO`
 
 
 class _WrenchPid(TracedBlock):
@@ -57,6 +59,12 @@ class _WrenchPid(TracedBlock):
         gains: Callable[..., dict[str, Any]],
     ):
         check(model, config)
+        can_follow = AUTO in asdict(type(config)()).values()
+
+        def numbers_of(model: Model, config: Any) -> dict[str, Any]:
+            following = _following({name: model.number(name) for name in _FOLLOWED})
+            fields = asdict(config)
+            return {k: following[k] if v == AUTO else v for k, v in fields.items()}
 
         def outputs(
             integrals: NDArray,
@@ -66,6 +74,7 @@ class _WrenchPid(TracedBlock):
             **numbers: NDArray,
         ) -> tuple:
             load = rigid_load(**{name: numbers.pop(name) for name in LOAD})
+            numbers.pop("cable_length", None)
             error = wrench.tracking_error(state, reference)
             return (
                 np.concatenate(TrackingError.view(error)[:2]),  # e_R and e_p
@@ -76,7 +85,7 @@ class _WrenchPid(TracedBlock):
             )
 
         def has_integral(model: Model, config: Any) -> bool:
-            found = gains(model.load, **asdict(config))
+            found = gains(model.load, **numbers_of(model, config))
             names = ("position_integral_gain", "orientation_integral_gain")
             return any(np.any(found[name]) for name in names)
 
@@ -105,19 +114,41 @@ class _WrenchPid(TracedBlock):
             state=state,
             parameters=BlockParameters(
                 model,
-                LOAD,
+                (*LOAD, "cable_length") if can_follow else LOAD,
                 config=config,
                 own=asdict(config),
-                rules=Rules(check=check, structure=has_integral),
+                rules=Rules(
+                    check=check,
+                    structure=has_integral,
+                    **({"follow": _following} if can_follow else {}),
+                ),
             ),
             key=("wrench", integrates, gains.__module__, gains.__qualname__),
             is_one_call=True,  # a second one for what does not read the wind would take longer
         )
-        self.gains = gains(model.load, **asdict(config))
+        self.gains = gains(model.load, **numbers_of(model, config))
 
 
 def _check(model: Model, config: Any) -> None:
-    require_non_negative(_BOX, **asdict(config))
+    for name, value in asdict(config).items():
+        if isinstance(value, str):
+            remedy = f'give a number, without quotes, or "{AUTO}"'
+            require(value == AUTO, f"{_BOX}.{name}", value, remedy)
+        else:
+            require_non_negative(_BOX, **{name: value})
+
+
+def _following(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """The gains of a load and cables, with the least of the load's principal moments of inertia.
+
+    Turned about another axis, the load is slower than with that.
+    """
+    inertia = np.asarray(numbers["load_inertia"])
+    _, axes = np.linalg.eigh([[number(entry) for entry in row] for row in inertia])
+    least = axes[:, 0] @ inertia @ axes[:, 0]
+    return load_gains(
+        numbers["load_mass"], least, numbers["cable_length"], numbers["gravity"]
+    )
 
 
 def _as_given(load: RigidLoad, **gains: Any) -> dict[str, Any]:
@@ -128,12 +159,12 @@ def _as_given(load: RigidLoad, **gains: Any) -> dict[str, Any]:
 class _PaperGains(StrictFields):
     """The paper's gains (Table I)."""
 
-    position_gain: float = 5.0  # N/m, K_p
-    velocity_gain: float = 2.0  # N s/m, K_v
-    position_integral_gain: float = 0.9  # N/(m s), K_i
-    orientation_gain: float = 0.5  # N m, K_R
-    angular_velocity_gain: float = 0.06  # N m s, K_omega
-    orientation_integral_gain: float = 0.1  # N m/s, K_iR
+    position_gain: float | str = AUTO  # N/m, K_p
+    velocity_gain: float | str = AUTO  # N s/m, K_v
+    position_integral_gain: float | str = AUTO  # N/(m s), K_i
+    orientation_gain: float | str = AUTO  # N m, K_R
+    angular_velocity_gain: float | str = AUTO  # N m s, K_omega
+    orientation_integral_gain: float | str = AUTO  # N m/s, K_iR
 
 
 @dataclass(kw_only=True)
@@ -240,10 +271,10 @@ def _papers(load: RigidLoad, **gains: Any) -> dict[str, Any]:
 class GeometricPdConfig(StrictFields):
     """The paper's gains (Table I) but for those of the integrals."""
 
-    position_gain: float = 5.0  # N/m, K_p
-    velocity_gain: float = 2.0  # N s/m, K_v
-    orientation_gain: float = 0.5  # N m, K_R
-    angular_velocity_gain: float = 0.06  # N m s, K_omega
+    position_gain: float | str = AUTO  # N/m, K_p
+    velocity_gain: float | str = AUTO  # N s/m, K_v
+    orientation_gain: float | str = AUTO  # N m, K_R
+    angular_velocity_gain: float | str = AUTO  # N m s, K_omega
 
 
 class GeometricPd(_WrenchPid):

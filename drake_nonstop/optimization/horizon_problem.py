@@ -59,7 +59,7 @@ class HorizonConfig:
     instants: int = 20  # between two knots, at which the carriers' flight is constrained
     terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
     terminal_instants: int = 2  # of it, between two knots
-    terminal_phases: int = 24
+    terminal_phases: int = 24  # of the orbit
     terminal_amplitudes: int = 33  # of the table
     amplitude_weight: float = 4.0  # w_A
     smoothing: float = 0.4  # τ, in intervals between knots
@@ -113,7 +113,10 @@ class Slopes(NamedTuple):
 class Linearization:
     """The constraints about a plan, as margins and their gradients.
 
-    A margin is negative where its constraint is not fulfilled without slack.
+    A margin is negative where its constraint is not fulfilled without slack. One that is less than
+    those at the instants before and after is replaced by the least of the parabola through the
+    three: speeds dip between instants, too. That is a mean of the three with fixed weights, since
+    the least does not change with its place to first order.
     """
 
     margins: NDArray  # (r,)
@@ -122,22 +125,33 @@ class Linearization:
     slack_of: NDArray  # (r,), the number of the slack
     slopes: Slopes
     table: tuple[int, int]  # the first margins are those of k instants and so many constraints
+    weights: NDArray  # (2, r), of the same constraint before and after
 
     def changes(self, step: NDArray) -> NDArray:
         """What a step (2, N) of the coefficients adds to the margins (r,), to first order."""
         c, d = step
+        slopes = self.slopes
         of_instants = np.stack(
-            [
-                self.slopes.angle @ c,
-                self.slopes.frequency @ c,
-                self.slopes.amplitude @ d,
-                self.slopes.amplitude_rate @ d,
-            ]
+            [slopes.angle @ c, slopes.frequency @ c, slopes.amplitude @ d, slopes.amplitude_rate @ d]
         )
-        return (self.gradients * of_instants[:, self.instant_of]).sum(axis=0)
+        changes = (self.gradients * of_instants[:, self.instant_of]).sum(axis=0)
+        found = changes.copy()
+        for weights, shift in zip(self.weights, (-1, 1), strict=True):
+            dips = np.flatnonzero(weights)
+            found[dips] += weights[dips] * (changes[dips + shift * self.table[1]] - changes[dips])
+        return found
 
-    def jacobian(self, chosen: NDArray | slice = slice(None), fixed: int = 0) -> NDArray:
+    def jacobian(self, chosen: NDArray, fixed: int = 0) -> NDArray:
         """The rows of chosen margins, by all but the first coefficients of ξ, then of A."""
+        found = self._rows(chosen, fixed)
+        own = found.copy()
+        for weights, shift in zip(self.weights, (-1, 1), strict=True):
+            dips = np.flatnonzero(weights[chosen])
+            neighbours = self._rows(chosen[dips] + shift * self.table[1], fixed)
+            found[dips] += weights[chosen[dips], None] * (neighbours - own[dips])
+        return found
+
+    def _rows(self, chosen: NDArray, fixed: int) -> NDArray:
         gradients, instants = self.gradients[:, chosen, None], self.instant_of[chosen]
         by = [g * slope[instants, fixed:] for g, slope in zip(gradients, self.slopes, strict=True)]
         return np.hstack([by[0] + by[1], by[2] + by[3]])
@@ -408,14 +422,16 @@ class HorizonProblem:
             zero = np.zeros(by_angle.shape)
             gradients.append(factor * np.stack([by_angle, zero, by_amplitude, zero]))
         terminal, of_terminal = self._terminal_margins(data, coefficients)
-        of_instants = np.concatenate(margins, axis=1).reshape(-1)
+        of_instants, weights = _with_dips(np.concatenate(margins, axis=1))
+        none = np.zeros((2, len(terminal)))
         return Linearization(
-            np.concatenate([of_instants, terminal]),
+            np.concatenate([of_instants.reshape(-1), terminal]),
             np.hstack([np.concatenate(gradients, axis=2).reshape(4, -1), of_terminal]),
             self._instant_of,
             self._slack_of,
             self._slopes,
-            (len(self.instants), sum(columns.shape[1] for columns in margins)),
+            of_instants.shape,
+            np.hstack([weights.reshape(2, -1), none]),
         )
 
     def margins(self, data: HorizonData, coefficients: NDArray) -> NDArray:
@@ -553,6 +569,19 @@ class HorizonProblem:
             offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
             attachments=model.attachments,
         )
+
+
+def _with_dips(margins: NDArray) -> tuple[NDArray, NDArray]:
+    """Margins (k, m) with those of `Linearization` between instants, and the weights (2, k, m)."""
+    before, here, after = margins[:-2], margins[1:-1], margins[2:]
+    is_dip = (here <= before) & (here < after)
+    curvature = before - 2 * here + after
+    place = np.where(is_dip, (before - after) / (2 * np.where(is_dip, curvature, 1.0)), 0.0)
+    weights = np.zeros((2, *margins.shape))
+    weights[:, 1:-1] = place * (place - 1) / 2, place * (place + 1) / 2
+    found = margins.copy()
+    found[1:-1] += weights[0, 1:-1] * (before - here) + weights[1, 1:-1] * (after - here)
+    return found, weights
 
 
 def references_at(reference: Reference, times: NDArray) -> NDArray:

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.grasp import cable_forces_and_rates
+from drake_nonstop.mechanics.grasp import in_load_frame
 from drake_nonstop.mechanics.internal_force import internal_force
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, WRENCH_SIZE
 from drake_nonstop.mechanics.wrench import wrench_and_rate
 from drake_nonstop.model.system import Model
 from drake_nonstop.simulation.load_stability import NO_GAINS, Growth, LoadDeviations
@@ -79,33 +79,22 @@ def cable_loads(
     """
     pattern = model.pattern
     state = reference[:LOAD_STATE_SIZE]
+    calm = np.zeros(WIND_SIZE)
     wrench, rate = wrench_and_rate(
         model.load,
         state,
         reference,
         np.zeros(WRENCH_SIZE),
-        np.zeros(3) if wind is None else wind,
+        calm if wind is None else wind,
         feedforward=1.0,
         **NO_GAINS,
     )
-    forces = np.array(
-        [
-            cable_forces_and_rates(
-                state,
-                wrench,
-                rate,
-                np.concatenate(
-                    internal_force(
-                        parameters, angle[None], phases=pattern.phases, orders=pattern.orders
-                    )
-                ),
-                pseudo_inverse=model.pseudo_inverse,
-                basis=pattern.basis,
-                offset=pattern.offset,
-            )[0]
-            for angle in _ANGLES
-        ]
+    R_LW, _, wrench_L, _ = in_load_frame(state, wrench, rate)
+    values, _ = internal_force(
+        parameters, _ANGLES[:, None], phases=pattern.phases, orders=pattern.orders
     )
+    forces = model.pseudo_inverse @ wrench_L + pattern.offset + values @ pattern.basis.T
+    forces = forces.reshape(len(_ANGLES), model.n, 3) @ R_LW
     vertical = forces[..., 2]
     shares = vertical * model.n / (model.load_mass * model.gravity)
     elevations = np.arctan2(vertical, np.hypot(forces[..., 0], forces[..., 1]))

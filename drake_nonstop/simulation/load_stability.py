@@ -40,9 +40,9 @@ GAINS = (  # of `mechanics.wrench.wrench_and_rate`, but for its feedforward
 )
 NO_GAINS: dict[str, Any] = dict.fromkeys(GAINS, 0.0)
 
-_PHASES = 48  # of a turn at which the Jacobian is evaluated
-_TURN_OF_FASTEST = 1.0  # rad, that the fastest mode turns in a step, which a series integrates
-_LEAST_STEPS, _MOST_STEPS = 64, 4096  # of a turn
+_PHASES = 32  # of a turn at which the Jacobian is evaluated
+_TURN_OF_FASTEST = 2.0  # rad, that the fastest mode turns in a step, which a series integrates
+_LEAST_STEPS, _MOST_STEPS = 48, 4096  # of a turn
 _STIFF = 1e6  # N/m, of cables that do not stretch
 _TERMS = 10  # of the exponential's series, for matrices of norm 1/2
 _LARGEST = 1e100  # of a Jacobian's entries, which are in mixed units
