@@ -343,4 +343,4 @@ def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (NonstopOptimizer, RecedingHorizonOptimizer, ConstantParameters)
+VARIANTS = (RecedingHorizonOptimizer, NonstopOptimizer, ConstantParameters)

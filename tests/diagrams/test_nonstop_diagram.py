@@ -60,6 +60,7 @@ def sampled_figure():
 
 # What only blocks of aircraft, or of a plan, make.
 NOT_BY_DEFAULT = {
+    "load_trajectory": ("reference_delay",),
     "carrier_controller": ("aircraft_command", "command_saturation"),
     "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
     "optimization_layer": ("plan",),
@@ -151,6 +152,7 @@ def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
     assert BOXES["load_trajectory"].sizes(5, 3) == {
         "reference": 22,
         "reference_preview": None,
+        "reference_delay": 1,
     }
 
 
