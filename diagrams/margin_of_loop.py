@@ -22,6 +22,7 @@ from drake_nonstop.blocks.load_feedback import (
     NoisyFeedback,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
+from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadReference, TrackingError
 from drake_nonstop.mechanics.tethered_loop import LOAD_ERRORS, Carriers
 from drake_nonstop.model.system import Model
@@ -215,16 +216,19 @@ def _motion(
     # Between them, where a motion hardly begins or ends.
     between = times[:-1] + _BETWEEN * np.diff(times)
     references = np.stack([preview.at(between + shift) for shift in (-_STEP, 0.0, _STEP)])
-    return Motion(references=references, step=_STEP, jerk_jump=_largest_jump(preview, times))
+    return Motion(references=references, step=_STEP, jerk_jumps=_jerk_jumps(preview, times))
 
 
-def _largest_jump(preview: ReferencePreview, times: NDArray) -> float:
-    """The largest jump of the jerk, m/s³: a change that stays as its interval is halved."""
+def _jerk_jumps(preview: ReferencePreview, times: NDArray) -> NDArray:
+    """The jumps (m, 3) of the jerk, m/s³, in the load's frame.
+
+    A jump is a change that stays as its interval is halved.
+    """
     jerks = LoadReference.view(preview.at(times)).jerk
     changes = np.linalg.norm(np.diff(jerks, axis=0), axis=1)
     least = _JUMP * float(np.max(np.linalg.norm(jerks, axis=1), initial=0.0))
-    largest = 0.0
-    for k in np.flatnonzero(changes > max(least, largest)):
+    jumps = []
+    for k in np.flatnonzero(changes > least):
         (start, end), (before, after) = times[k : k + 2], jerks[k : k + 2]
         for _ in range(_HALVINGS):
             time = (start + end) / 2
@@ -233,7 +237,7 @@ def _largest_jump(preview: ReferencePreview, times: NDArray) -> float:
                 end, after = time, middle
             else:
                 start, before = time, middle
-        change = float(np.linalg.norm(after - before))
-        if change > changes[k] / 4:
-            largest = max(largest, change)
-    return largest
+        if np.linalg.norm(after - before) > changes[k] / 4:
+            turned = rotation_matrix(LoadReference.view(preview(start)).quaternion)
+            jumps.append((after - before) @ turned)
+    return np.reshape(jumps, (-1, 3))

@@ -77,7 +77,7 @@ class Inputs(NamedTuple):
     acceleration: slice  # (3n,), m/s², of the planned motion at a sample
     jerk: slice  # (3n,), m/s³
     measurement: slice  # (12,), errors of the measured load: rad, m, rad/s and m/s
-    velocity: slice  # (3n,), m/s, by which the planned velocities jump
+    velocity: slice  # (3n,), m/s, by which the planned velocities jumped just after a sample
 
     @classmethod
     def of(cls, n: int) -> "Inputs":
@@ -228,6 +228,7 @@ def tethered_loop(
         B[at["missing_feedforward"], places.acceleration] = unit
     B[at["jerk"], places.jerk] = unit
     B[velocity, places.velocity] = -unit
+    B[position, places.velocity] = -period * unit  # of the time that it is not noticed
     outputs = np.zeros((n, ends[-1]))
     for i, v in enumerate(orbit.velocities):
         outputs[i, velocity.start + 3 * i : velocity.start + 3 * i + 3] = -v / np.linalg.norm(v)

@@ -17,12 +17,17 @@ from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.simulation.run import Run, UnknownSignalError
 
 
+_SETTLING = 5  # samples at 100 Hz, in which a carrier goes from one planned speed to another
+_AHEAD = (56.0, -140.0, 120.0, -35.0)  # of the values 5, 6, 7 and 8 samples before: a cubic's value
+
+
 def largest_shortfall(run: Run) -> float | None:
     """The largest difference (m/s) of a planned speed and the one that was flown, at 100 Hz.
 
     The planned speeds are those along the reference, in still air, of the ξ, A and θ that the loop
-    flies: the signal `planned`, or `parameters` and `phase`. None where there is no such signal, or
-    the layer keeps no speed bound.
+    flies: the signal `planned`, or `parameters` and `phase`. Where they jump, the lower one of
+    before and after counts for 50 ms. None where there is no such signal, or the layer keeps no
+    speed bound.
     """
     limits = run.scenario.optimization_layer
     if not isinstance(limits, LimitsConfig):
@@ -51,7 +56,18 @@ def largest_shortfall(run: Run) -> float | None:
         rest_length=problem.rest_length,
         compliance=problem.compliance,
     )
-    return float(np.max(np.sqrt(speeds.squares) - flown[1:]))
+    planned_speed = np.sqrt(speeds.squares)
+    later = max(_SETTLING, 1)
+    wanted = planned_speed.copy()
+    if len(wanted) > later + len(_AHEAD):
+        # Of a plan that jumps at an instant, as where the reference's jerk does, what it was before.
+        count = len(wanted) - later - len(_AHEAD) + 1
+        before = sum(
+            weight * planned_speed[len(_AHEAD) - 1 - i : len(_AHEAD) - 1 - i + count]
+            for i, weight in enumerate(_AHEAD)
+        )
+        wanted[-count:] = np.minimum(wanted[-count:], before)
+    return float(np.max(wanted - flown[1:]))
 
 
 def _planned(run: Run) -> NDArray:
