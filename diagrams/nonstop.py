@@ -1,8 +1,8 @@
 """The paper's control figure, as data.
 
 load_trajectory ──────────┬──> optimization_layer ──> phase
-                          │             │               │
-                          │             └──> internal_force
+                          │                             │
+                          │                  internal_force
                           v                       │
 load_feedback ──> wrench_controller ──> force_distribution ──> carrier_trajectory
       ^                                                              │
@@ -38,6 +38,7 @@ from drake_nonstop.blocks import (
     wind,
     wrench_controller,
 )
+from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.box import (
     ABSTRACT,
@@ -92,8 +93,12 @@ from drake_nonstop.validation import (
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
-        signals={"reference": LOAD_REFERENCE_SIZE, "reference_preview": ABSTRACT},
-        optional=("reference_preview",),
+        signals={
+            "reference": LOAD_REFERENCE_SIZE,
+            "reference_preview": ABSTRACT,
+            "reference_delay": 1,
+        },
+        optional=("reference_preview", "reference_delay"),
         place=Place(0, 1, 1, Kind.TRAJECTORY),
         swap_keeps_defaults=False,  # each task has times of its own
     ),
@@ -131,6 +136,7 @@ BOXES: dict[str, Box] = {
         variants=phase.VARIANTS,
         signals={"phase": PHASE_SIZE, "planned": PLANNED_SIZE},
         optional=("planned",),
+        recorded_where_read=("planned",),
         place=Place(4, 0, 1, Kind.TRAJECTORY),
         feeds_fused_plant=True,
         is_linearized=False,  # nothing drives it: its multiplier is 1 in any loop
@@ -238,15 +244,15 @@ wrench_controller.wrench -> force_distribution.wrench
 wrench_controller.wrench_rate -> force_distribution.wrench_rate
 
 optimization_layer.parameters -> phase.parameters
-optimization_layer.parameters -> internal_force.parameters
 phase.phase -> optimization_layer.phase
-phase.phase -> internal_force.phase
+phase.planned -> internal_force.planned
 internal_force.internal_force -> force_distribution.internal_force
 
 internal_force.internal_force_higher_rates -> carrier_trajectory.internal_force_higher_rates
 force_distribution.desired_cable_forces -> carrier_trajectory.desired_cable_forces
 force_distribution.desired_cable_force_rates -> carrier_trajectory.desired_cable_force_rates
 carrier_trajectory.carrier_reference -> carrier_controller.carrier_reference
+carrier_trajectory.carrier_reference_acceleration -> carrier_controller.carrier_reference_acceleration
 carrier_controller.carrier_forces -> carrier_dynamics.carrier_forces
 carrier_dynamics.carrier_state -> carrier_controller.carrier_state
 
@@ -258,7 +264,7 @@ load_disturbance.disturbance_wrench -> load_plant.disturbance_wrench
 wind.load_wind -> load_plant.load_wind
 wind.wind_estimate -> wrench_controller.wind_estimate
 wind.wind_estimate -> carrier_trajectory.wind_estimate
-"""
+"""  # noqa: E501
 
 
 def box_of(signal: str) -> str:
@@ -280,6 +286,8 @@ class LoopConfig(Protocol):
     simulation_duration: float
     control_period: float
     fused_plant: bool
+    reference_governor: ReferenceGovernorConfig | None
+    optimization_layer: Any  # a config
     simulator_config: SimulatorConfig
 
     def sampled(self) -> Any:
@@ -463,8 +471,20 @@ def _made_parts(
     blocks = {name: blocks[name] for name in [*BOXES, *blocks] if name in blocks}
     _require_motion(believed, blocks)
     _check_command(blocks)
+    _check_plan(blocks)
     _check_accelerations(blocks)
     _check_preview(blocks)
+    if scenario.reference_governor is not None:
+        trajectory = blocks.get("load_trajectory")
+        remedy = "give a block for load_trajectory, or leave reference_governor out"
+        require(trajectory is not None, "load_trajectory", None, remedy)
+        blocks["load_trajectory"] = governed(
+            believed,
+            scenario.reference_governor,
+            trajectory,
+            scenario.optimization_layer,
+            scenario.simulation_duration,
+        )
     return _Parts(believed, blocks, watched, margin)
 
 
@@ -515,20 +535,41 @@ def _check_command(blocks: Mapping[str, System]) -> None:
             )
 
 
+def _check_plan(blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where the rates of ξ and A are read, and not made."""
+    phase, made = blocks.get("phase"), _signals_made(blocks)
+    for name, block in blocks.items():
+        read = {*wiring.input_names(block)} - wiring.optional_inputs(block)
+        if "planned" in read - made and phase is not None:
+            other = f", or {name}=InternalForceTrajectory" if name == "internal_force" else ""
+            raise wiring.WiringError(
+                f"{name} = {type(block).__name__}: it reads planned, which "
+                f"phase = {type(phase).__name__} does not make; give that this output, θ, ξ, A "
+                f"and their rates (8){other}"
+            )
+
+
+def _signals_made(blocks: Mapping[str, System]) -> set[str]:
+    return {signal for block in blocks.values() for signal in wiring.output_names(block)}
+
+
 def _check_accelerations(blocks: Mapping[str, System]) -> None:
     """Raises ScenarioError where what is read of the references' accelerations is not made."""
     trajectory = blocks.get("carrier_trajectory")
-    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    made = _signals_made(blocks)
     needs = getattr(trajectory, "holds_acceleration", False)
     for name, block in blocks.items():
         read = {*wiring.input_names(block)} - wiring.optional_inputs(block)
         for signal in BOXES["carrier_trajectory"].optional:
             needs |= signal in read
             if signal in read and signal not in made and trajectory is not None:
+                other = f"another block for {name}"
+                if "carrier_forces" in wiring.output_names(block):
+                    other = f"{name}=CarrierPid"
                 raise wiring.WiringError(
                     f"{name} = {type(block).__name__}: it reads {signal}, which "
                     f"carrier_trajectory = {type(trajectory).__name__} does not make; give "
-                    f"carrier_trajectory=CarrierTrajectory, or another block for {name}"
+                    f"carrier_trajectory=CarrierTrajectory, or {other}"
                 )
     internal_force = blocks.get("internal_force")
     for signal in BOXES["internal_force"].optional:
@@ -567,6 +608,7 @@ def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     """The blocks, which may be fused, with the hold in front of sampled ones."""
     believed, blocks, *_ = parts
     _warn_of_unread_wind(blocks)
+    _warn_of_unshaped_parameters(blocks)
     _warn_of_unflown_aircraft(scenario, blocks)
     _warn_of_unknown_aircraft(blocks)
     if scenario.fused_plant:
@@ -591,6 +633,22 @@ def _warn_of_unread_wind(blocks: Mapping[str, System]) -> None:
             f"{load} = {type(blocks[load]).__name__}: no wind acts on the load, since this block "
             "does not read it; give it an input port load_wind (3), the air's velocity in m/s, in "
             "W, or have still air by wind=StillAir",
+            ScenarioWarning,
+            stacklevel=5,
+        )
+
+
+def _warn_of_unshaped_parameters(blocks: Mapping[str, System]) -> None:
+    """Tells of an internal force of other ξ and A than the phase has."""
+    layer, internal = blocks.get("optimization_layer"), blocks.get("internal_force")
+    if internal is None or not isinstance(blocks.get("phase"), phase.ShapedPhase):
+        return
+    changes = not isinstance(layer, optimization_layer.ConstantParameters)
+    if changes and "parameters" in wiring.input_names(internal):
+        warnings.warn(
+            f"internal_force = {type(internal).__name__}: it reads parameters, which phase = "
+            "ShapedPhase smooths, so that its rates are others than those that are flown; have it "
+            "read planned, as PlannedInternalForce does, or give phase=AccumulatedPhase",
             ScenarioWarning,
             stacklevel=5,
         )
@@ -686,15 +744,26 @@ def _figure_sizes(model: Model) -> dict[str, int | None]:
 
 
 def _signals_left_out(model: Model, blocks: Mapping[str, System]) -> dict[str, int | None]:
-    """The signals, with their sizes, of boxes left out that no block makes in their place."""
+    """The signals, with their sizes, of boxes left out that no block makes in their place.
+
+    Of the optional ones those of commands, and those that other blocks need.
+    """
     if all(name in blocks for name in BOXES):
         return {}
-    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    made = _signals_made(blocks)
+    needed: set[str] = set()
+    for block in blocks.values():
+        needed |= {*wiring.input_names(block)} - wiring.optional_inputs(block)
     missing = [
         signal
-        for box in BOXES.values()
+        for name, box in BOXES.items()
         for signal in box.signals
-        if (signal not in box.optional or signal in COMMANDS) and signal not in made
+        if signal not in made
+        and (
+            signal not in box.optional
+            or signal in COMMANDS
+            or (name not in blocks and signal in needed)
+        )
     ]
     sizes = _figure_sizes(model)
     return {signal: sizes[signal] for signal in missing}

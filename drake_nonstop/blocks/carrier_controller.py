@@ -420,8 +420,8 @@ class LoadedCarrierPid(TracedBlock):
 
 # The blocks that the box can be, the default first.
 VARIANTS = (
-    CarrierPid,
     FeedforwardCarrierPid,
+    CarrierPid,
     TunedCarrierPid,
     TunedFeedforwardCarrierPid,
     LoadedCarrierPid,

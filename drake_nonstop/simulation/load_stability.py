@@ -40,9 +40,9 @@ GAINS = (  # of `mechanics.wrench.wrench_and_rate`, but for its feedforward
 )
 NO_GAINS: dict[str, Any] = dict.fromkeys(GAINS, 0.0)
 
-_PHASES = 48  # of a turn at which the Jacobian is evaluated
-_TURN_OF_FASTEST = 1.0  # rad, that the fastest mode turns in a step, which a series integrates
-_LEAST_STEPS, _MOST_STEPS = 64, 4096  # of a turn
+_PHASES = 32  # of a turn at which the Jacobian is evaluated
+_TURN_OF_FASTEST = 2.0  # rad, that the fastest mode turns in a step, which a series integrates
+_LEAST_STEPS, _MOST_STEPS = 48, 4096  # of a turn
 _STIFF = 1e6  # N/m, of cables that do not stretch
 _TERMS = 10  # of the exponential's series, for matrices of norm 1/2
 _LARGEST = 1e100  # of a Jacobian's entries, which are in mixed units
@@ -68,8 +68,8 @@ class LoadDeviations:
 
     The carriers are where their references are, which move with what the wrench controller commands
     to the feedback of the load's state. The deviations (18,) are those of the load's attitude, as a
-    rotation vector, and position, of its angular velocity and velocity, in W, and of the
-    controller's integrals; in still air that is calm or a steady wind. Jacobians are exact.
+    rotation vector, and position, of its angular velocity and velocity, and of the controller's
+    integrals, in axes that are those of W at an instant and turn with the load's reference; in still air that is calm or a steady wind. Jacobians are exact.
 
     Args:
         model: of the load, the cables and the pattern.
@@ -138,8 +138,7 @@ class LoadDeviations:
         calm = np.zeros(WIND_SIZE) if wind is None else wind
         desired = LoadReference.view(reference)
         jacobians = np.zeros((len(angles), _SIZE, _SIZE))
-        jacobians[:, :3, :3] = skew(desired.angular_velocity)
-        jacobians[:, :6, 6:12] += np.eye(6)
+        jacobians[:, :6, 6:12] = np.eye(6)
         pattern = self.model.pattern
         for k, angle in enumerate(angles):
             internal = np.concatenate(
@@ -151,6 +150,10 @@ class LoadDeviations:
                 np.zeros(_SIZE), internal, reference, calm, packed, self._constants
             )
             jacobians[k, 6:] = jacobian
+        # In axes that turn with the load; there the deviation of the attitude has the rate δω.
+        turning = skew(desired.angular_velocity)
+        for start in (3, 6, 9, 15):
+            jacobians[:, start : start + 3, start : start + 3] -= turning
         return jacobians
 
     def growth(

@@ -80,6 +80,16 @@ class RunQuantities:
         return np.linalg.norm(self._load_errors[1], axis=1)
 
     @cached_property
+    def reference_delays(self) -> tuple[float, float] | None:
+        """How late a governor has the reference at most, and at the end, s; None: there is none."""
+        if self.run.scenario.reference_governor is None:
+            return None
+        if not any(name.endswith(".reference_delay") for name in self.run.signals):
+            return 0.0, 0.0  # the trajectory is left as it is
+        delays = self.run.signal("reference_delay")
+        return float(np.max(delays)), float(delays[-1, 0])
+
+    @cached_property
     def _load_errors(self) -> tuple[NDArray, NDArray]:
         return load_errors(self.run)
 
