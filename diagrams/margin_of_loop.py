@@ -40,7 +40,6 @@ from drake_nonstop.validation import ScenarioWarning
 
 _INSTANTS = 301  # of a task, at which its reference is looked at
 _BETWEEN = 0.382  # of the interval
-_STEP = 0.002  # s, of the differences for higher rates
 _LONGEST = 600.0  # s, of a task that is looked at
 _CONTINUOUS = 0.002  # s, for which continuous controllers are taken as held
 _JUMP = 0.1  # of the largest jerk, from which on a change between two instants may be a jump
@@ -215,19 +214,23 @@ def _motion(
     times = np.linspace(0.0, end, _INSTANTS)
     # Between them, where a motion hardly begins or ends.
     between = times[:-1] + _BETWEEN * np.diff(times)
-    references = np.stack([preview.at(between + shift) for shift in (-_STEP, 0.0, _STEP)])
-    return Motion(references=references, step=_STEP, jerk_jumps=_jerk_jumps(preview, times))
+    step = (model.control_period or _CONTINUOUS) / 2  # rates are averages over a sample
+    instants, jumps = _jerk_jumps(preview, times)
+    apart = np.abs(between[:, None] - instants).min(axis=1, initial=np.inf)
+    between = np.clip(between[apart > 2 * step], step, max(end - step, step))
+    references = np.stack([preview.at(between + shift) for shift in (-step, 0.0, step)])
+    return Motion(references=references, step=step, jerk_jumps=jumps)
 
 
-def _jerk_jumps(preview: ReferencePreview, times: NDArray) -> NDArray:
-    """The jumps (m, 3) of the jerk, m/s³, in the load's frame.
+def _jerk_jumps(preview: ReferencePreview, times: NDArray) -> tuple[NDArray, NDArray]:
+    """The instants (m,), s, and the jumps (m, 3) of the jerk, m/s³, in the load's frame.
 
     A jump is a change that stays as its interval is halved.
     """
     jerks = LoadReference.view(preview.at(times)).jerk
     changes = np.linalg.norm(np.diff(jerks, axis=0), axis=1)
     least = _JUMP * float(np.max(np.linalg.norm(jerks, axis=1), initial=0.0))
-    jumps = []
+    jumps, instants = [], []
     for k in np.flatnonzero(changes > least):
         (start, end), (before, after) = times[k : k + 2], jerks[k : k + 2]
         for _ in range(_HALVINGS):
@@ -240,4 +243,5 @@ def _jerk_jumps(preview: ReferencePreview, times: NDArray) -> NDArray:
         if np.linalg.norm(after - before) > changes[k] / 4:
             turned = rotation_matrix(LoadReference.view(preview(start)).quaternion)
             jumps.append((after - before) @ turned)
-    return np.reshape(jumps, (-1, 3))
+            instants.append(start)
+    return np.array(instants), np.reshape(jumps, (-1, 3))
