@@ -15,6 +15,7 @@ from drake_nonstop.blocks.carrier_trajectory import (
     CarrierTrajectory,
     InextensibleCarrierTrajectory,
 )
+from drake_nonstop.blocks.force_distribution import CableForceDistribution
 from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedback,
     DesiredStateFeedback,
@@ -130,9 +131,7 @@ def _name(blocks: Mapping[str, System], box: str) -> str:
     return f"{box} = {type(blocks[box]).__name__}" if box in blocks else f"{box} = None"
 
 
-def _carriers(
-    model: Model, blocks: Mapping[str, System], left_out: list[str]
-) -> Carriers | None:
+def _carriers(model: Model, blocks: Mapping[str, System], left_out: list[str]) -> Carriers | None:
     """The carriers' loops; None where they are not known."""
     controller: Any = blocks.get("carrier_controller")
     dynamics, trajectory = blocks.get("carrier_dynamics"), blocks.get("carrier_trajectory")
@@ -146,6 +145,8 @@ def _carriers(
     if not isinstance(trajectory, (CarrierTrajectory, InextensibleCarrierTrajectory)):
         left_out.append(f"{_name(blocks, 'carrier_trajectory')}: its references are not known")
         return None
+    if not isinstance(blocks.get("force_distribution"), CableForceDistribution):
+        left_out.append(f"{_name(blocks, 'force_distribution')}: what it changes of the forces")
     holds = 2 if trajectory.holds_acceleration else 1
     mass = model.carrier_mass
     return Carriers(
@@ -158,9 +159,7 @@ def _carriers(
     )
 
 
-def _feedback(
-    model: Model, blocks: Mapping[str, System], left_out: list[str]
-) -> Feedback | None:
+def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -> Feedback | None:
     """The load's feedback; None where the wrench controller is not known."""
     gains = getattr(blocks.get("wrench_controller"), "gains", None)
     if gains is None:

@@ -192,9 +192,8 @@ class _Task:
             some, self.axes, amplitudes, speed, math.inf, phase_count=_PHASES, **self.cables
         )
         products = least.max(axis=0)
-        frequencies = np.clip(
-            np.maximum(products / amplitudes, self.limits.frequency), *self.limits.frequency_bounds
-        )
+        frequencies = np.maximum(products / amplitudes, self.limits.frequency)
+        frequencies = np.minimum(frequencies, self.limits.frequency_bounds[1])
         change = (frequencies / self.limits.frequency - 1) ** 2
         change += _AMPLITUDE_WEIGHT * (amplitudes / self.limits.amplitude - 1) ** 2
         change += 1e3 * np.maximum(products / (amplitudes * frequencies) - 1, 0)
@@ -239,7 +238,10 @@ class _Task:
         """The orbits' phase at an angle (rad) above the load as at the start, at rest."""
         xi, A = parameters
         p, q = self.axes
-        u, along = math.cos(angle) * p + math.sin(angle) * q, math.cos(angle) * q - math.sin(angle) * p
+        u, along = (
+            math.cos(angle) * p + math.sin(angle) * q,
+            math.cos(angle) * q - math.sin(angle) * p,
+        )
         forces, rates = self.terms.forces[0] + A * u, A * xi * along
         rest = np.zeros(LOAD_REFERENCE_SIZE)
         rest[0] = 1.0
@@ -341,9 +343,7 @@ def _shares(
     )
 
 
-def grid_dip(
-    motion: _Derivatives, speeds: NDArray, speed: float, instant_spacing: float
-) -> float:
+def grid_dip(motion: _Derivatives, speeds: NDArray, speed: float, instant_spacing: float) -> float:
     """By how much (m/s) speeds that are kept at instants may be lower between two of them.
 
     A function that is kept at two instants Δ apart is at most Δ²/8 times the largest of its second

@@ -16,7 +16,6 @@ from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonPro
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.simulation.run import Run, UnknownSignalError
 
-
 _SETTLING = 5  # samples at 100 Hz, in which a carrier goes from one planned speed to another
 _AHEAD = (56.0, -140.0, 120.0, -35.0)  # of the values 5, 6, 7 and 8 samples before: a cubic's value
 
@@ -57,11 +56,10 @@ def largest_shortfall(run: Run) -> float | None:
         compliance=problem.compliance,
     )
     planned_speed = np.sqrt(speeds.squares)
-    later = max(_SETTLING, 1)
     wanted = planned_speed.copy()
-    if len(wanted) > later + len(_AHEAD):
-        # Of a plan that jumps at an instant, as where the reference's jerk does, what it was before.
-        count = len(wanted) - later - len(_AHEAD) + 1
+    if len(wanted) > _SETTLING + len(_AHEAD):
+        # Where a plan jumps, as where the reference's jerk does, what it was before.
+        count = len(wanted) - _SETTLING - len(_AHEAD) + 1
         before = sum(
             weight * planned_speed[len(_AHEAD) - 1 - i : len(_AHEAD) - 1 - i + count]
             for i, weight in enumerate(_AHEAD)
@@ -96,8 +94,7 @@ def _planned(run: Run) -> NDArray:
         now.frequency_rate + T / 2 * now.frequency_second_rate
     )
     parts.amplitude[:] = now.amplitude + T * (
-        now.amplitude_rate
-        + T / 2 * (now.amplitude_second_rate + T / 3 * now.amplitude_third_rate)
+        now.amplitude_rate + T / 2 * (now.amplitude_second_rate + T / 3 * now.amplitude_third_rate)
     )
     parts.amplitude_rate[:] = now.amplitude_rate + T * (
         now.amplitude_second_rate + T / 2 * now.amplitude_third_rate

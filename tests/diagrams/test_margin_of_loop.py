@@ -205,7 +205,9 @@ def test_what_is_not_known_is_said_in_one_sentence():
         del block.gains
         return block
 
-    with pytest.warns(ScenarioWarning, match="carrier_controller = CarrierPid: its response") as said:
+    with pytest.warns(
+        ScenarioWarning, match="carrier_controller = CarrierPid: its response"
+    ) as said:
         make_nonstop(scenario, carrier_controller=own)
     assert len([w for w in said if "tightening" in str(w.message)]) == 1
 
