@@ -1,6 +1,7 @@
 """The speed margin of a loop as configured, from its blocks."""
 
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -24,16 +25,17 @@ from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import LoadReference, TrackingError
 from drake_nonstop.mechanics.tethered_loop import LOAD_ERRORS, Carriers
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.horizon_problem import HorizonConfig
-from drake_nonstop.optimization.problem_config import LimitsConfig, NonstopProblemConfig
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
+from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig, NonstopProblemConfig
 from drake_nonstop.optimization.speed_margin import (
     Feedback,
     Motion,
+    NoMarginError,
     SpeedMargin,
-    UnstableLoopError,
     speed_margin,
 )
 from drake_nonstop.systems import wiring
+from drake_nonstop.validation import ScenarioWarning
 
 _INSTANTS = 301  # of a task, at which its reference is looked at
 _BETWEEN = 0.382  # of the interval
@@ -87,18 +89,38 @@ def margin_of_loop(
             carriers,
             feedback,
             motion,
-            instant_spacing=_spacing(limits),
+            instant_spacing=_spacing(limits, model.control_period),
         )
-    except UnstableLoopError as error:
-        left_out.append(f"the loop as linearized about the orbits at the start grows by {error}")
+    except NoMarginError as error:
+        left_out.append(str(error))
         return LoopMargin(None, tuple(left_out))
     return LoopMargin(margin, tuple(left_out))
 
 
-def _spacing(limits: LimitsConfig) -> float:
+def computed_margin(
+    model: Model,
+    plant: Model,
+    limits: LimitsConfig,
+    blocks: Mapping[str, System],
+    duration: float,
+) -> SpeedMargin | None:
+    """The margin as of `margin_of_loop`; a ScenarioWarning tells what it leaves out."""
+    found = margin_of_loop(model, plant, limits, blocks, duration)
+    if found.left_out:
+        causes = "; ".join(found.left_out)
+        what = f"the margin leaves out: {causes}; give it as speed_margin, in m/s, if it matters"
+        if found.margin is None:
+            what = f"no margin is computed, and 1 % of the bound is kept ({causes}); give a number"
+        warnings.warn(
+            f"optimization_layer.tightening = {AUTO}: {what}", ScenarioWarning, stacklevel=5
+        )
+    return found.margin
+
+
+def _spacing(limits: LimitsConfig, control_period: float) -> float:
     """Between the instants of the constraints, s."""
     if isinstance(limits, HorizonConfig):
-        return limits.instant_spacing
+        return timed(limits, limits.frequency, control_period).knot_spacing / limits.instants
     if isinstance(limits, NonstopProblemConfig):
         return limits.period / max(limits.look_ahead_points - 1, 1)
     return 0.0

@@ -46,6 +46,8 @@ from drake_nonstop.systems.tracing import TracedFunction
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
 
+_NEIGHBOURS = (-1, 1, 2)  # of an instant, which tell how low a speed is between two
+
 _Horizon = TypeVar("_Horizon", bound="HorizonConfig")
 Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time in s
 
@@ -59,10 +61,10 @@ class HorizonConfig:
     instants: int = 20  # between two knots, at which the carriers' flight is constrained
     terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
     terminal_instants: int = 2  # of it, between two knots
-    terminal_phases: int = 24
+    terminal_phases: int = 24  # of the orbit
     terminal_amplitudes: int = 33  # of the table
     amplitude_weight: float = 4.0  # w_A
-    smoothing: float = 0.4  # τ, in intervals between knots
+    smoothing: float = 0.35  # τ, in intervals between knots
     slack_weight: float = 100.0  # ρ
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
 
@@ -113,10 +115,10 @@ class Slopes(NamedTuple):
 class Linearization:
     """The constraints about a plan, as margins and their gradients.
 
-    A margin is negative where its constraint is not fulfilled without slack. One that is less than
-    those at the instants before and after is replaced by the least of the parabola through the
-    three: speeds dip between instants, too. That is a mean of the three with fixed weights, since
-    the least does not change with its place to first order.
+    A margin is negative where its constraint is not fulfilled without slack. Speeds dip between
+    instants, too: where the cubic Hermite spline through the margins has a minimum between two
+    instants, the margin at the first of them is that minimum. It is a mean of four neighbours, with
+    weights that are fixed to first order, since there the spline does not change with its place.
     """
 
     margins: NDArray  # (r,)
@@ -125,18 +127,23 @@ class Linearization:
     slack_of: NDArray  # (r,), the number of the slack
     slopes: Slopes
     table: tuple[int, int]  # the first margins are those of k instants and so many constraints
-    weights: NDArray  # (2, r), of the same constraint before and after
+    weights: NDArray  # (3, r), of the same constraint at the instants `_NEIGHBOURS` from it
 
     def changes(self, step: NDArray) -> NDArray:
         """What a step (2, N) of the coefficients adds to the margins (r,), to first order."""
         c, d = step
         slopes = self.slopes
         of_instants = np.stack(
-            [slopes.angle @ c, slopes.frequency @ c, slopes.amplitude @ d, slopes.amplitude_rate @ d]
+            [
+                slopes.angle @ c,
+                slopes.frequency @ c,
+                slopes.amplitude @ d,
+                slopes.amplitude_rate @ d,
+            ]
         )
         changes = (self.gradients * of_instants[:, self.instant_of]).sum(axis=0)
         found = changes.copy()
-        for weights, shift in zip(self.weights, (-1, 1), strict=True):
+        for weights, shift in zip(self.weights, _NEIGHBOURS, strict=True):
             dips = np.flatnonzero(weights)
             found[dips] += weights[dips] * (changes[dips + shift * self.table[1]] - changes[dips])
         return found
@@ -145,7 +152,7 @@ class Linearization:
         """The rows of chosen margins, by all but the first coefficients of ξ, then of A."""
         found = self._rows(chosen, fixed)
         own = found.copy()
-        for weights, shift in zip(self.weights, (-1, 1), strict=True):
+        for weights, shift in zip(self.weights, _NEIGHBOURS, strict=True):
             dips = np.flatnonzero(weights[chosen])
             neighbours = self._rows(chosen[dips] + shift * self.table[1], fixed)
             found[dips] += weights[chosen[dips], None] * (neighbours - own[dips])
@@ -169,7 +176,6 @@ class Linearization:
         is_dip[:-1] &= table[:-1] < table[1:]
         last = np.flatnonzero(margins[count * width :] <= largest) + count * width
         return np.concatenate([np.flatnonzero(is_dip), last])
-
 
     def with_neighbours(self, chosen: NDArray, margins: NDArray, largest: float) -> NDArray:
         """The numbers of chosen margins, and of those before and after that are at most that."""
@@ -200,6 +206,7 @@ class HorizonProblem:
         *,
         beliefs: Beliefs | None = None,
     ):
+        config = timed(config, limits.frequency, model.control_period)
         self.model, self.limits, self.config, self.name = model, limits, config, name
         self.intervals = round(config.horizon / config.knot_spacing)
         self.count = self.intervals + DEGREE  # of the coefficients of ξ, and of A
@@ -404,7 +411,6 @@ class HorizonProblem:
         """The constraints about coefficients (2, N)."""
         speeds = self.speeds(data, coefficients)
         limits, bound, unit = self._limits, data.speed_bound, math.sqrt(data.speed_unit)
-        n = self.model.n
         margins = limits.of_speeds(speeds.squares, bound, unit)
         gradients = [speeds.gradients / unit**2]
         if limits.limit_high_speeds:
@@ -423,7 +429,7 @@ class HorizonProblem:
             gradients.append(factor * np.stack([by_angle, zero, by_amplitude, zero]))
         terminal, of_terminal = self._terminal_margins(data, coefficients)
         of_instants, weights = _with_dips(np.concatenate(margins, axis=1))
-        none = np.zeros((2, len(terminal)))
+        none = np.zeros((len(_NEIGHBOURS), len(terminal)))
         return Linearization(
             np.concatenate([of_instants.reshape(-1), terminal]),
             np.hstack([np.concatenate(gradients, axis=2).reshape(4, -1), of_terminal]),
@@ -431,7 +437,7 @@ class HorizonProblem:
             self._slack_of,
             self._slopes,
             of_instants.shape,
-            np.hstack([weights.reshape(2, -1), none]),
+            np.hstack([weights.reshape(len(_NEIGHBOURS), -1), none]),
         )
 
     def margins(self, data: HorizonData, coefficients: NDArray) -> NDArray:
@@ -572,15 +578,28 @@ class HorizonProblem:
 
 
 def _with_dips(margins: NDArray) -> tuple[NDArray, NDArray]:
-    """Margins (k, m) with those of `Linearization` between instants, and the weights (2, k, m)."""
-    before, here, after = margins[:-2], margins[1:-1], margins[2:]
-    is_dip = (here <= before) & (here < after)
-    curvature = before - 2 * here + after
-    place = np.where(is_dip, (before - after) / (2 * np.where(is_dip, curvature, 1.0)), 0.0)
-    weights = np.zeros((2, *margins.shape))
-    weights[:, 1:-1] = place * (place - 1) / 2, place * (place + 1) / 2
+    """Margins (k, m) with the minima of `Linearization`, and the weights (3, k, m)."""
+    slopes = (margins[2:] - margins[:-2]) / 2
+    instants, columns = np.nonzero((slopes[:-1] < 0) & (slopes[1:] > 0))
+    start, end = slopes[instants, columns], slopes[instants + 1, columns]
+    instants += 1
+    rise = margins[instants + 1, columns] - margins[instants, columns]
+    # The root x of the derivative start + b x + a x², which is positive at 1.
+    a, b = 3 * (start + end - 2 * rise), 2 * (3 * rise - 2 * start - end)
+    x = -2 * start / (b + np.sqrt(b * b - 4 * a * start))
+    of_end = x * x * (3 - 2 * x)
+    of_start_slope, of_end_slope = x * (1 - x) ** 2, -x * x * (1 - x)
+    weights = np.zeros((len(_NEIGHBOURS), *margins.shape))
+    weights[:, instants, columns] = (
+        -of_start_slope / 2,
+        of_end + of_start_slope / 2,
+        of_end_slope / 2,
+    )
     found = margins.copy()
-    found[1:-1] += weights[0, 1:-1] * (before - here) + weights[1, 1:-1] * (after - here)
+    here = margins[instants, columns]
+    for weight, shift in zip(weights, _NEIGHBOURS, strict=True):
+        difference = margins[instants + shift, columns] - here
+        found[instants, columns] += weight[instants, columns] * difference
     return found, weights
 
 

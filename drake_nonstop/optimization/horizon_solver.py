@@ -1,6 +1,7 @@
 """Successive quadratic programs for the nonstop problem over a horizon."""
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +60,8 @@ class HorizonSolver:
     MathematicalProgram: the cost is quadratic as it is, the constraints are linearized with exact
     gradients. Of thousands of constraints a few decide: a step begins with those that are near,
     and is found anew with those that it violates. It is accepted where cost and exact penalty of
-    the slack fall.
+    the slack fall; where they fall less than predicted, a second-order correction is tried
+    (Nocedal and Wright, Numerical Optimization, 2006, section 18.3).
 
     Args:
         problem: what all plans share.
@@ -122,6 +124,16 @@ class HorizonSolver:
                 break
             there = problem.linearization(data, candidate)
             new_merit, new_slack = self._merit(candidate, there)
+            if not merit - new_merit > _GOOD_RATIO * decrease and math.isfinite(new_merit):
+                # The step again, with the curvature of the constraints along it.
+                margins = there.margins - linearization.changes(candidate - x)
+                found = program.step(x, replace(linearization, margins=margins), scale)
+                if found is not None:
+                    again = problem.linearization(data, found[0])
+                    again_merit, again_slack = self._merit(found[0], again)
+                    if again_merit < new_merit:
+                        candidate, there = found[0], again
+                        new_merit, new_slack = again_merit, again_slack
             ratio = (merit - new_merit) / decrease if math.isfinite(new_merit) else -math.inf
             if ratio > _LEAST_RATIO:
                 x, merit, slack, linearization = candidate, new_merit, new_slack, there
@@ -152,7 +164,8 @@ class HorizonSolver:
 
     def merit(self, answer: PlanAnswer) -> float:
         """What plans of the same data are compared by: the cost and the penalty of the slack."""
-        return answer.cost + float(self._weights.sum()) * answer.slack
+        slack = 0.0 if answer.is_feasible else answer.slack
+        return answer.cost + float(self._weights.sum()) * slack
 
     def _merit(self, x: NDArray, linearization: Linearization) -> tuple[float, float]:
         slacks = self.problem.slacks(linearization.margins)

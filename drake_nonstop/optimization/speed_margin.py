@@ -31,9 +31,9 @@ from drake_nonstop.mechanics.tethered_loop import (
     tethered_loop,
 )
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range
-from drake_nonstop.optimization.terminal_set import least_products
+from drake_nonstop.optimization.terminal_set import product_limits
 
 DEVIATIONS = 5.0  # standard deviations of noise: a normal value falls below with 2.9e-7
 _PHASES = 24  # of the orbits, at which speeds and their rates are looked at
@@ -42,6 +42,7 @@ _SEEN = 3  # of these phases, at which the shortfalls are looked at
 _MEMORY = 10.0  # s, of the inputs that matter for a shortfall
 _LARGEST_GROWTH = 0.2  # per s, beyond which there is no margin
 _AMPLITUDES = 25  # among which the plan's is looked for
+_SPARSE = 5  # of the instants, one at which it is
 _NEAR = 1.5  # of the speed that is aimed at, up to which a speed may dip below it
 _AMPLITUDE_WEIGHT = 4.0  # of (A/A₀ − 1)² beside (ξ/ξ₀ − 1)², as plans weigh them
 _FIRST = 0.02  # of ε, a margin to begin with
@@ -100,8 +101,8 @@ class SpeedMargin:
         return math.fsum(vars(self).values())
 
 
-class UnstableLoopError(RuntimeError):
-    """The loop grows along the orbits: nothing bounds its errors."""
+class NoMarginError(RuntimeError):
+    """Nothing bounds the errors; the message says why."""
 
 
 def speed_margin(
@@ -129,19 +130,21 @@ def speed_margin(
         instant_spacing: s, between the instants of the constraints.
 
     Raises:
-        UnstableLoopError: a deviation of the loop grows from turn to turn.
+        NoMarginError: a deviation of the loop grows from turn to turn, or a margin asks for orbits
+            that need a larger one.
     """
     task = _Task(model, limits, motion)
     loops = _Loops(model, plant, carriers, feedback)
-    margin, last = _FIRST * limits.speed_bound, None
+    margin = _FIRST * limits.speed_bound
     for _ in range(_REPEATS):
         chosen = task.parameters_for(limits.speed_bound + margin)
-        last = _shares(task, loops, chosen, limits, instant_spacing, margin)
-        if last.total <= margin:
-            break
-        margin = _SAME * last.total
-    assert last is not None
-    return last
+        shares = _shares(task, loops, chosen, limits, instant_spacing, margin)
+        if shares.total <= margin:
+            return shares
+        margin = _SAME * shares.total
+    raise NoMarginError(
+        f"a speed {margin:.3g} m/s above the bound needs orbits whose errors are larger still"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +161,8 @@ class _Task:
 
     def __init__(self, model: Model, limits: LimitsConfig, motion: Motion):
         self.model, self.limits, self.motion = model, limits, motion
-        problem = HorizonProblem(model, limits, HorizonConfig(), lambda: "speed margin")
+        horizon = timed(HorizonConfig(), limits.frequency, model.control_period)
+        problem = HorizonProblem(model, limits, horizon, lambda: "speed margin")
         self.axes = problem.axes
         before, now, after = (
             OrbitTerms.view(np.array([problem.terms_at(row) for row in rows]))
@@ -183,13 +187,11 @@ class _Task:
         low, high = amplitude_range(self.limits, self.model)
         amplitudes = np.linspace(low, high, _AMPLITUDES)
         amplitudes = np.sort(np.append(amplitudes, self.limits.amplitude))
-        products = np.zeros(len(amplitudes))
-        for k in range(0, len(self.accelerations), 2):
-            terms = OrbitTerms(*(part[k] for part in self.terms))
-            at_instant = least_products(
-                terms, self.axes, amplitudes, speed, phase_count=_PHASES, **self.cables
-            )
-            products = np.maximum(products, at_instant)
+        some = OrbitTerms(*(part[::_SPARSE] for part in self.terms))
+        least, *_ = product_limits(
+            some, self.axes, amplitudes, speed, math.inf, phase_count=_PHASES, **self.cables
+        )
+        products = least.max(axis=0)
         frequencies = np.clip(
             np.maximum(products / amplitudes, self.limits.frequency), *self.limits.frequency_bounds
         )
@@ -265,7 +267,7 @@ class _Loops:
         """Phases, and how shortfalls there depend on inputs, for [ξ, A] (2,).
 
         Raises:
-            UnstableLoopError: a deviation grows from turn to turn.
+            NoMarginError: a deviation grows from turn to turn.
         """
         feedback = self.feedback
         turn = 2 * math.pi / parameters[0]
@@ -288,7 +290,7 @@ class _Loops:
         grown = growth(loops, samples)
         rate = math.log(grown) / turn
         if rate > _LARGEST_GROWTH:
-            raise UnstableLoopError(f"{rate:.3g} per s")
+            raise NoMarginError(f"the linear loop grows by {rate:.3g} per s along the orbits")
         lags = math.ceil(_MEMORY / feedback.period)
         for i in range(0, _LOOPS, _LOOPS // _SEEN):
             yield orbits[i], responses(loops, samples, i, lags)
@@ -414,6 +416,6 @@ def _of_model_error(
     return fall
 
 
-def with_margin(config: Any, margin: SpeedMargin) -> Any:
-    """The config of a layer with what is computed for it."""
-    return replace(config, speed_margin=margin.total)
+def with_margin(config: Any, margin: SpeedMargin | None) -> Any:
+    """The config of a layer with what is computed for it, if there is anything."""
+    return config if margin is None else replace(config, speed_margin=margin.total)

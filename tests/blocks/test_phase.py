@@ -60,7 +60,7 @@ def test_phase_is_the_integral_of_a_changing_frequency(period):
     source = builder.AddSystem(DoublingFrequency())
     phase = builder.AddSystem(AccumulatedPhase(model(4, period)))
     builder.Connect(source.get_output_port(), phase.get_input_port())
-    builder.ExportOutput(phase.get_output_port(), "phase")
+    builder.ExportOutput(phase.GetOutputPort("phase"), "phase")
     diagram = builder.Build()
     simulator = Simulator(diagram)
     simulator.AdvanceTo(0.04 - 1e-9)

@@ -15,7 +15,7 @@ from drake_nonstop.optimization.whole_task import plan_task, receding_coefficien
 
 PAIRED = HamiltonianCycleConfig(phases=[0.0, np.pi / 2, 0.0, np.pi / 2])
 MARGIN = 0.02
-COARSE = HorizonConfig(instants=10)  # faster, and enough for these
+COARSE = HorizonConfig(knot_spacing=0.4, instants=10)  # faster, and enough for these
 
 
 def limits(speed_bound, **fields):
@@ -85,7 +85,9 @@ def plans_of(name):
 
 @functools.cache
 def moving_problem():
-    problem = HorizonProblem(model(), limits(0.5), HorizonConfig(horizon=4.0), lambda: "moving")
+    problem = HorizonProblem(
+        model(), limits(0.5), HorizonConfig(horizon=4.0, knot_spacing=0.4), lambda: "moving"
+    )
     return problem, problem.data(1.0, 0.3, Motion(2).reference, 0.5)
 
 
@@ -106,7 +108,7 @@ def test_jacobian_of_the_constraints_is_that_of_central_differences():
 def test_cost_is_that_of_a_fine_sum():
     problem, data = moving_problem()
     x = 1 + 0.2 * np.random.default_rng(5).normal(size=(2, problem.count))
-    plan, step, tau = problem.plan(data, x), 1e-3, 0.4
+    plan, step, tau = problem.plan(data, x), 1e-3, 0.16
     times = data.start_time + step * (np.arange(4000) + 0.5)
     values = np.array([plan.values(time) for time in times])
     xi, A = values[:, 1] / problem.nominal[0], values[:, 2] / problem.nominal[1]
@@ -124,7 +126,9 @@ def test_data_that_continue_the_last_are_those_made_anew():
     again = problem.data(start, 0.9, Motion(2).reference, 0.5, data)
     anew = problem.data(start, 0.9, Motion(2).reference, 0.5)
     np.testing.assert_allclose(again.flat_terms, anew.flat_terms, atol=1e-9)
-    np.testing.assert_allclose(again.terminal.least_products, anew.terminal.least_products, atol=1e-9)
+    np.testing.assert_allclose(
+        again.terminal.least_products, anew.terminal.least_products, atol=1e-9
+    )
 
 
 def least_speed(system, problem, plan, reference, times):
@@ -161,7 +165,9 @@ def test_the_receding_horizon_is_close_to_the_best_plan():
     problem = HorizonProblem(system, limits(bound), COARSE, lambda: "quintic")
     flown, plans = receding_coefficients(problem, reference, 30, bound)
     assert all(plan.slack < 1e-3 for plan in plans)
-    whole = HorizonProblem(system, limits(bound), HorizonConfig(horizon=12.0), lambda: "quintic")
+    whole = HorizonProblem(
+        system, limits(bound), HorizonConfig(horizon=12.0, knot_spacing=0.4), lambda: "quintic"
+    )
     assert whole.cost(flown) <= 1.05 * plans_of("quintic")[0].cost
 
 

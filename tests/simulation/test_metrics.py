@@ -41,6 +41,8 @@ KEYS = {
         "position_error_mean_m",
         "position_error_max_m",
         "position_error_final_m",
+        "reference_delay_max_s",
+        "reference_delay_final_s",
         "orientation_error_mean_rad",
         "orientation_error_max_rad",
     },

@@ -17,7 +17,11 @@ CONSTANT = "optimization_layer=ConstantParameters"
 SWAPS = [
     [],
     ["control_period=0", CONSTANT, "phase=PaperPhase"],
-    ["control_period=0", "carrier_trajectory=MeasuredCarrierTrajectory"],
+    [
+        "control_period=0",
+        "carrier_trajectory=MeasuredCarrierTrajectory",
+        "carrier_controller=CarrierPid",
+    ],
     ["load_plant=MultibodyLoadPlant", "load_disturbance=!DisturbanceForce {gust_force: 1.0}"],
     ["load_feedback=!NoisyFeedback {delay: 0.02, position_noise: 0.01}"],
     [
