@@ -370,8 +370,9 @@ class _Loop:
         found = parameters.rules.follow(self._numbers(holder))
         return [
             name
-            for name, value in found.items()
-            if parameters.is_auto(name) and _floats(np.ravel(value)) == self._value(holder, name)
+            for name in parameters.own
+            if parameters.is_auto(name)
+            and _floats(np.ravel(found[name])) == self._value(holder, name)
         ]
 
     def _numbers(self, holder: _Holder) -> dict[str, NDArray]:

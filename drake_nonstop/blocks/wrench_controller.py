@@ -146,9 +146,7 @@ def _following(numbers: Mapping[str, Any]) -> dict[str, Any]:
     inertia = np.asarray(numbers["load_inertia"])
     _, axes = np.linalg.eigh([[number(entry) for entry in row] for row in inertia])
     least = axes[:, 0] @ inertia @ axes[:, 0]
-    return load_gains(
-        numbers["load_mass"], least, numbers["cable_length"], numbers["gravity"]
-    )
+    return load_gains(numbers["load_mass"], least, numbers["cable_length"], numbers["gravity"])
 
 
 def _as_given(load: RigidLoad, **gains: Any) -> dict[str, Any]:
@@ -156,26 +154,29 @@ def _as_given(load: RigidLoad, **gains: Any) -> dict[str, Any]:
 
 
 @dataclass(kw_only=True)
-class _PaperGains(StrictFields):
-    """The paper's gains (Table I)."""
+class _Gains(StrictFields):
+    """The gains."""
 
-    position_gain: float | str = AUTO  # N/m, K_p
-    velocity_gain: float | str = AUTO  # N s/m, K_v
-    position_integral_gain: float | str = AUTO  # N/(m s), K_i
-    orientation_gain: float | str = AUTO  # N m, K_R
-    angular_velocity_gain: float | str = AUTO  # N m s, K_omega
-    orientation_integral_gain: float | str = AUTO  # N m/s, K_iR
+    position_gain: float | str = AUTO  # N/m, K_p; auto: by mass and cables
+    velocity_gain: float | str = AUTO  # N s/m, K_v; auto: by mass and cables
+    position_integral_gain: float | str = AUTO  # N/(m s), K_i; auto: by mass and cables
+    orientation_gain: float | str = AUTO  # N m, K_R; auto: by inertia and cables
+    angular_velocity_gain: float | str = AUTO  # N m s, K_omega; auto: by inertia and cables
+    orientation_integral_gain: float | str = AUTO  # N m/s, K_iR; auto: by inertia and cables
 
 
 @dataclass(kw_only=True)
-class WrenchControllerConfig(_PaperGains):
-    """The paper's gains (Table I), and the feedforward that its equations leave out."""
+class WrenchControllerConfig(_Gains):
+    """The gains, and the feedforward that the paper's equations leave out."""
 
     feedforward: float = 1.0  # weight of the reference's own wrench; 0: as in the paper
 
 
 class WrenchController(_WrenchPid):
     """PID with feedforward: equations 14-15 with the sign of e_ω that damps.
+
+    Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
+    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
 
     .. pydrake_system::
 
@@ -197,16 +198,16 @@ class WrenchController(_WrenchPid):
     discrete where the model has a control period.
 
     Parameters, the fields of `WrenchControllerConfig`:
-        position_gain: N/m, K_p
-        velocity_gain: N s/m, K_v
-        position_integral_gain: N/(m s), K_i
-        orientation_gain: N m, K_R
-        angular_velocity_gain: N m s, K_omega
-        orientation_integral_gain: N m/s, K_iR
+        position_gain: N/m, K_p; auto: by mass and cables
+        velocity_gain: N s/m, K_v; auto: by mass and cables
+        position_integral_gain: N/(m s), K_i; auto: by mass and cables
+        orientation_gain: N m, K_R; auto: by inertia and cables
+        angular_velocity_gain: N m s, K_omega; auto: by inertia and cables
+        orientation_integral_gain: N m/s, K_iR; auto: by inertia and cables
         feedforward: weight of the reference's own wrench; 0: as in the paper
 
     Raises:
-        ScenarioError: a gain is negative or not finite.
+        ScenarioError: a gain is negative or not finite, or another word than "auto".
     """
 
     def __init__(self, model: Model, config: WrenchControllerConfig | None = None):
@@ -214,8 +215,8 @@ class WrenchController(_WrenchPid):
 
 
 @dataclass(kw_only=True)
-class PaperWrenchControllerConfig(_PaperGains):
-    """The paper's gains (Table I)."""
+class PaperWrenchControllerConfig(_Gains):
+    """The gains."""
 
     feedforward: float = 0.0  # weight of the reference's own wrench; 0: as in the paper
 
@@ -226,6 +227,9 @@ class PaperWrenchController(_WrenchPid):
     A free load under this wrench would tumble. On cables to carriers that follow the desired
     pose it has little effect: they hold the load upright by themselves. The `tracking_error` has
     the e_ω of the other controllers.
+
+    Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
+    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
 
     .. pydrake_system::
 
@@ -247,16 +251,16 @@ class PaperWrenchController(_WrenchPid):
     discrete where the model has a control period.
 
     Parameters, the fields of `PaperWrenchControllerConfig`:
-        position_gain: N/m, K_p
-        velocity_gain: N s/m, K_v
-        position_integral_gain: N/(m s), K_i
-        orientation_gain: N m, K_R
-        angular_velocity_gain: N m s, K_omega
-        orientation_integral_gain: N m/s, K_iR
+        position_gain: N/m, K_p; auto: by mass and cables
+        velocity_gain: N s/m, K_v; auto: by mass and cables
+        position_integral_gain: N/(m s), K_i; auto: by mass and cables
+        orientation_gain: N m, K_R; auto: by inertia and cables
+        angular_velocity_gain: N m s, K_omega; auto: by inertia and cables
+        orientation_integral_gain: N m/s, K_iR; auto: by inertia and cables
         feedforward: weight of the reference's own wrench; 0: as in the paper
 
     Raises:
-        ScenarioError: a gain is negative or not finite.
+        ScenarioError: a gain is negative or not finite, or another word than "auto".
     """
 
     def __init__(self, model: Model, config: PaperWrenchControllerConfig | None = None):
@@ -269,16 +273,19 @@ def _papers(load: RigidLoad, **gains: Any) -> dict[str, Any]:
 
 @dataclass(kw_only=True)
 class GeometricPdConfig(StrictFields):
-    """The paper's gains (Table I) but for those of the integrals."""
+    """The gains but for those of the integrals."""
 
-    position_gain: float | str = AUTO  # N/m, K_p
-    velocity_gain: float | str = AUTO  # N s/m, K_v
-    orientation_gain: float | str = AUTO  # N m, K_R
-    angular_velocity_gain: float | str = AUTO  # N m s, K_omega
+    position_gain: float | str = AUTO  # N/m, K_p; auto: by mass and cables
+    velocity_gain: float | str = AUTO  # N s/m, K_v; auto: by mass and cables
+    orientation_gain: float | str = AUTO  # N m, K_R; auto: by inertia and cables
+    angular_velocity_gain: float | str = AUTO  # N m s, K_omega; auto: by inertia and cables
 
 
 class GeometricPd(_WrenchPid):
     """Geometric PD that carries the weight, without integrals and feedforward.
+
+    Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
+    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
 
     .. pydrake_system::
 
@@ -298,13 +305,13 @@ class GeometricPd(_WrenchPid):
     (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W.
 
     Parameters, the fields of `GeometricPdConfig`:
-        position_gain: N/m, K_p
-        velocity_gain: N s/m, K_v
-        orientation_gain: N m, K_R
-        angular_velocity_gain: N m s, K_omega
+        position_gain: N/m, K_p; auto: by mass and cables
+        velocity_gain: N s/m, K_v; auto: by mass and cables
+        orientation_gain: N m, K_R; auto: by inertia and cables
+        angular_velocity_gain: N m s, K_omega; auto: by inertia and cables
 
     Raises:
-        ScenarioError: a gain is negative or not finite.
+        ScenarioError: a gain is negative or not finite, or another word than "auto".
     """
 
     def __init__(self, model: Model, config: GeometricPdConfig | None = None):

@@ -17,23 +17,17 @@ def stretched_reference(reference: NDArray, rates: NDArray) -> NDArray:
         reference: (..., 22), at s.
         rates: ṡ, s̈ (1/s), s⃛ (1/s²), (..., 3).
     """
+    # Pose, twist and its rate, each angular part beside the linear one, and the jerk.
+    pose, twist, twist_rate, jerk = np.split(reference, [7, 13, 19], axis=-1)
     at = LoadReference.view(reference)
     rate, second, third = rates[..., :1], rates[..., 1:2], rates[..., 2:]
+    square = rate * rate
     return np.concatenate(
-        LoadReference(
-            quaternion=at.quaternion,
-            position=at.position,
-            angular_velocity=at.angular_velocity * rate,
-            velocity=at.velocity * rate,
-            angular_acceleration=(
-                at.angular_acceleration * (rate * rate) + at.angular_velocity * second
-            ),
-            acceleration=at.acceleration * (rate * rate) + at.velocity * second,
-            jerk=(
-                at.jerk * (rate * rate * rate)
-                + 3 * at.acceleration * (rate * second)
-                + at.velocity * third
-            ),
-        ),
+        [
+            pose,
+            twist * rate,
+            twist_rate * square + twist * second,
+            jerk * (square * rate) + at.acceleration * (3 * rate * second) + at.velocity * third,
+        ],
         axis=-1,
     )

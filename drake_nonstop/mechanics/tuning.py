@@ -29,12 +29,12 @@ def load_gains(mass: Any, moment: Any, cable_length: Any, gravity: Any) -> dict[
         K_p = 5 m s²,   K_v = 2 m s,  K_i = 0.9 m s³,
         K_R = 50 j s²,  K_ω = 6 j s,  K_iR = 10 j s³,  s² = 11/(10 + (L/0.8 m)/(g/9.81 m/s²)),
 
-    with the load's mass m in kg and a moment of inertia j in kg m², cables of the length L in m, and
-    g in m/s². They are the paper's (Table I) for its load, 1 kg and 0.01 kg m² on cables of 0.8 m.
-    Without integrals a free load has natural frequencies of √5 s and √50 s rad/s and damping ratios
-    of 0.45 and 0.42; with them, all its poles are s times those of the paper's load. To push a
-    hanging load back, carriers move by K_p L/(m g) of its error: s bounds that to 4.5, as cables
-    get longer. Own derivation, checked by Floquet multipliers over drawn formations.
+    of the load's mass m in kg, a moment of inertia j in kg m², the cables' length L and gravity g.
+    They are the paper's (Table I) for its load, 1 kg and 0.01 kg m² on cables of 0.8 m. Without
+    integrals a free load has the natural frequencies √5 s and √50 s rad/s and damping ratios of
+    0.45 and 0.42; with them, its poles are s times those of the paper's load. For an error of its
+    position a hanging load's carriers move by K_p L/(m g) of it, which s keeps below 4.5, however
+    long the cables. Own derivation, checked by Floquet multipliers over drawn formations.
     """
     scale = np.sqrt(11 / (10 + (cable_length / _LENGTH) / (gravity / _GRAVITY)))
     return {

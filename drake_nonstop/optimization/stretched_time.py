@@ -94,7 +94,7 @@ class PathDelay:
         self.end_time = delay.end_time()
 
     def at(self, times: NDArray) -> NDArray:
-        """d and three rates (k, 4) at times (k,) in s."""
+        """The delay d and three rates (k, 4) at times (k,) in s."""
         clipped = np.clip(times, 0.0, self.end_time)
         return np.column_stack([d.vector_values(clipped).ravel() for d in self._delays])
 

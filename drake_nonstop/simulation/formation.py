@@ -1,22 +1,29 @@
 """Whether the formation that carries a load is stable, at rest and on its way."""
 
-import math
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.grasp import in_load_frame
+from drake_nonstop.mechanics.grasp import grasp_matrix, in_load_frame
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, WRENCH_SIZE
 from drake_nonstop.mechanics.wrench import wrench_and_rate
+from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
-from drake_nonstop.simulation.load_stability import NO_GAINS, Growth, LoadDeviations
+from drake_nonstop.simulation.load_stability import GAINS, NO_GAINS, Growth, LoadDeviations
 from drake_nonstop.simulation.task import Task
+from drake_nonstop.validation import ScenarioError
 
 Parameters = Callable[[float], NDArray]  # [ξ (rad/s), A (N)] (2,) at a time in s
 
+_MOST_GROWN = 1.0  # logarithm of what becomes of a deviation of 1, of a sound task
+_GAIN_FACTORS = (2.0, 4.0, 8.0, 0.5, 0.25)
+_HALVINGS = 6  # of the range of A
+_LEAST_AMPLITUDE = 0.05  # of the nominal A
+_HORIZONTAL_WEIGHT = 1e-3  # of an offset's horizontal forces beside the shares that it evens out
 _ANGLES = 2 * np.pi * np.arange(72) / 72  # rad, of the orbit
 
 
@@ -53,7 +60,12 @@ class Formation(NamedTuple):
 
     at_rest: FormationInstant  # at the start, with the first ξ and A
     on_the_way: tuple[FormationInstant, ...]
-    growth: float  # ∫ of the rate, of the logarithm of a deviation, at most, from any instant on
+    growth: float  # at most, of the logarithm of a deviation, from any instant on: ∫ of the rate
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether no deviation grows beyond e times its size until the task's end."""
+        return self.growth < _MOST_GROWN
 
     @property
     def instants(self) -> tuple[FormationInstant, ...]:
@@ -150,3 +162,100 @@ def find_formation(
         total = max(0.0, total + part * instant.rate)
         largest = max(largest, total)
     return Formation(at_rest, instants, largest)
+
+
+def find_formation_remedies(
+    task: Task, found: Formation, parameters: Parameters | None = None
+) -> list[str]:
+    """What makes an unstable formation stable, at rest and where it is least so: each was tried.
+
+    Those are a smaller A, an offset in the null space that evens the shares out, other gains, and
+    other attachments.
+    """
+    at = parameters or (lambda time: task.nominal)
+    times = sorted({0.0, found.worst.time, *(i.time for i in found.on_the_way[:: 3])})
+
+    def is_stable(task: Task, gains: Mapping[str, Any] | None = None, of_amplitude: float = 1.0):
+        deviations = task.deviations()
+        used = task.effective_gains if gains is None else gains
+        for time in times:
+            instant = formation_at(
+                task, deviations, time, at(time) * np.array([1.0, of_amplitude]), used
+            )
+            if instant.rate * task.duration >= _MOST_GROWN:
+                return False
+        return True
+
+    remedies = []
+    if (amplitude := _largest_amplitude(task, is_stable)) is not None:
+        remedies.append(f"optimization_layer.amplitude={amplitude:.3g}")
+    remedies += _other_gains(task, is_stable)
+    for name, changed in _other_formations(task):
+        with contextlib.suppress(ScenarioError):  # a formation that cannot be
+            if is_stable(changed()):
+                remedies.append(name)
+    return remedies
+
+
+_IsStable = Callable[..., bool]
+
+
+def _largest_amplitude(task: Task, is_stable: _IsStable) -> float | None:
+    """N, by bisection; None: no amplitude down to a small one helps."""
+    low, high = _LEAST_AMPLITUDE, 1.0
+    if not is_stable(task, of_amplitude=low):
+        return None
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if is_stable(task, of_amplitude=middle) else (low, middle)
+    return low * task.limits.amplitude
+
+
+def _other_gains(task: Task, is_stable: _IsStable) -> list[str]:
+    gains = task.effective_gains
+    if gains is None or not any(np.any(gain) for gain in gains.values()):
+        return []
+    for factor in _GAIN_FACTORS:
+        if is_stable(task, {name: factor * np.asarray(gains[name]) for name in GAINS}):
+            return [f"gains of the wrench controller {factor:g} times as large"]
+    return []
+
+
+def _other_formations(task: Task) -> Iterator[tuple[str, Callable[[], Task]]]:
+    """Formations whose cables share the weight more evenly, and how to ask for them."""
+    model = task.flown
+    attachments = model.attachments
+    offset = _evening_offset(model)
+    if offset is not None and all(order == 1 for order in model.pattern.harmonics):
+        pattern = model.pattern
+        config = LinearPatternConfig(
+            basis=pattern.basis.tolist(),
+            phases=pattern.phases.tolist(),
+            offset=np.round(pattern.offset + offset, 12).tolist(),
+        )
+        said = f"pattern=LinearPattern with the offset {np.round(config.offset, 3).tolist()} N"
+        yield said, lambda: task.with_pattern(config)
+    centred = attachments - attachments.mean(axis=0) * [1, 1, 0]
+    angles = np.arctan2(centred[:, 1], centred[:, 0])
+    first, radius = angles[0], np.linalg.norm(centred[:, :2], axis=1).mean()
+    side = 1 if np.sin(np.diff(angles)).sum() >= 0 else -1
+    even = first + side * 2 * np.pi * np.arange(model.n) / model.n
+    polygon = np.stack([radius * np.cos(even), radius * np.sin(even), centred[:, 2]], axis=1)
+    for places, what in ((centred, "about the centre of mass"), (polygon, "a regular polygon")):
+        rounded = np.round(places, 3).tolist()
+        said = f"system.attachments={rounded}, {what}"
+        yield said, lambda rounded=rounded: task.with_system(attachments=rounded)
+
+
+def _evening_offset(model: Model) -> NDArray | None:
+    """Forces (3n,), N, in L, without a wrench that even the vertical shares out, if any do."""
+    weight = np.array([0.0, 0.0, 0.0, 0.0, 0.0, model.load_mass * model.gravity])
+    held = model.pseudo_inverse @ weight + model.pattern.offset
+    _, values, rows = np.linalg.svd(grasp_matrix(model.attachments))
+    null_space = rows[len(values) :].T
+    is_vertical = np.arange(3 * model.n) % 3 == 2
+    weights = np.where(is_vertical, 1.0, _HORIZONTAL_WEIGHT)
+    wanted = np.where(is_vertical, weight[-1] / model.n - held, 0.0)
+    found = np.linalg.lstsq(weights[:, None] * null_space, weights * wanted, rcond=None)[0]
+    offset: NDArray = null_space @ found
+    return offset if np.max(np.abs(offset[is_vertical])) > 1e-3 * weight[-1] / model.n else None

@@ -68,8 +68,8 @@ class LoadDeviations:
 
     The carriers are where their references are, which move with what the wrench controller commands
     to the feedback of the load's state. The deviations (18,) are those of the load's attitude, as a
-    rotation vector, and position, of its angular velocity and velocity, in W, and of the
-    controller's integrals; in still air that is calm or a steady wind. Jacobians are exact.
+    rotation vector, and position, of its angular velocity and velocity, and of the controller's
+    integrals, in axes that are those of W at an instant and turn with the load's reference; in still air that is calm or a steady wind. Jacobians are exact.
 
     Args:
         model: of the load, the cables and the pattern.
@@ -138,8 +138,7 @@ class LoadDeviations:
         calm = np.zeros(WIND_SIZE) if wind is None else wind
         desired = LoadReference.view(reference)
         jacobians = np.zeros((len(angles), _SIZE, _SIZE))
-        jacobians[:, :3, :3] = skew(desired.angular_velocity)
-        jacobians[:, :6, 6:12] += np.eye(6)
+        jacobians[:, :6, 6:12] = np.eye(6)
         pattern = self.model.pattern
         for k, angle in enumerate(angles):
             internal = np.concatenate(
@@ -151,6 +150,10 @@ class LoadDeviations:
                 np.zeros(_SIZE), internal, reference, calm, packed, self._constants
             )
             jacobians[k, 6:] = jacobian
+        # In axes that turn with the load; there the deviation of the attitude has the rate δω.
+        turning = skew(desired.angular_velocity)
+        for start in (3, 6, 9, 15):
+            jacobians[:, start : start + 3, start : start + 3] -= turning
         return jacobians
 
     def growth(

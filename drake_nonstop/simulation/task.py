@@ -119,6 +119,16 @@ class Task:
             self, model=_changed(self.model, **fields), flown=_changed(self.flown, **fields)
         )
 
+    def with_pattern(self, pattern: Any) -> "Task":
+        """The same with another pattern's config, of model and plant.
+
+        Raises:
+            ScenarioError: as of `Model`.
+        """
+        return dataclasses.replace(
+            self, model=_patterned(self.model, pattern), flown=_patterned(self.flown, pattern)
+        )
+
 
 def task_of(scenario: Scenario) -> Task:
     """The task of a scenario; numbers are drawn for its distributions.
@@ -214,10 +224,9 @@ def _carrier_stiffness(controller: Any) -> float:
 def _changed(model: Model, **fields: Any) -> Model:
     """A model with other fields of its system."""
     system = dataclasses.replace(model.system, **fields)
-    return Model(
-        system,
-        model.pattern_config,
-        model.control_period,
-        field=model.field,
-        overridden=model.overridden,
-    )
+    return Model(system, model.pattern_config, model.control_period, overridden=model.overridden)
+
+
+def _patterned(model: Model, pattern: Any) -> Model:
+    """A model with another pattern."""
+    return Model(model.system, pattern, model.control_period, overridden=model.overridden)

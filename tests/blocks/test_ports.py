@@ -128,8 +128,8 @@ def bounded_distribution(model):
     return BoundedTensionDistribution(model, BoundedTensionDistributionConfig(min_tension=2.9))
 
 
-def second_order_trajectory(model):
-    return CarrierTrajectory(model, CarrierTrajectoryConfig(hold="second_order"))
+def first_order_trajectory(model):
+    return CarrierTrajectory(model, CarrierTrajectoryConfig(hold="velocity"))
 
 
 def everything(inputs, outputs):
@@ -180,7 +180,7 @@ BLOCKS = {
     ),
     bounded_distribution: DISTRIBUTION,
     **dict.fromkeys(
-        (CarrierTrajectory, InextensibleCarrierTrajectory, second_order_trajectory),
+        (CarrierTrajectory, InextensibleCarrierTrajectory, first_order_trajectory),
         (
             [*_PULLED, *_ORBIT],
             ["carrier_reference", *_DERIVATIVES],
@@ -234,8 +234,8 @@ BLOCKS = {
         ["parameters", "speed_bound"],
         [("speed_bound_command", "speed_bound")],
     ),
-    AccumulatedPhase: (["parameters"], ["phase"], []),
-    PaperPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
+    AccumulatedPhase: (["parameters"], ["phase", "planned"], [("parameters", "planned")]),
+    PaperPhase: everything(["parameters"], ["phase", "planned"]),
     ShapedPhase: (
         ["parameters", "plan"],
         ["phase", "planned"],
@@ -329,10 +329,10 @@ BLOCKS = {
 
 # What a control period adds: the time of the sample.
 SAMPLED = {
-    PaperPhase: ("sample_time", "phase"),
+    PaperPhase: ("sample_time", "phase", "planned"),
     CarrierTrajectory: ("sample_time", "carrier_reference"),
     InextensibleCarrierTrajectory: ("sample_time", "carrier_reference"),
-    second_order_trajectory: ("sample_time", "carrier_reference"),
+    first_order_trajectory: ("sample_time", "carrier_reference"),
     MeasuredCarrierTrajectory: ("sample_time", "carrier_reference"),
 }
 
@@ -354,10 +354,12 @@ def expected_ports(make, period):
     inputs, outputs, feedthrough = BLOCKS[make]
     if period > 0 and make is FixedWingController:  # its commands are held
         return inputs, outputs, []
-    if period > 0 and make is second_order_trajectory:
+    if period > 0 and make in (CarrierTrajectory, InextensibleCarrierTrajectory):
         feedthrough = [*feedthrough, *((source, "carrier_reference") for source in _ORBIT)]
     if period > 0 and make in SAMPLED:
-        return [*inputs, SAMPLED[make][0]], outputs, [*feedthrough, SAMPLED[make]]
+        source, *targets = SAMPLED[make]
+        times = [(source, target) for target in targets]
+        return [*inputs, source], outputs, [*feedthrough, *times]
     return inputs, outputs, feedthrough
 
 

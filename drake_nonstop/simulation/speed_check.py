@@ -1,0 +1,424 @@
+"""Whether any ξ and A keep all carriers of a task above their speed bound, and what else would."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.carrier import carrier_motion
+from drake_nonstop.mechanics.grasp import cable_forces_and_rates
+from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, WRENCH_SIZE
+from drake_nonstop.mechanics.wrench import wrench_and_rate
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonData, HorizonProblem
+from drake_nonstop.optimization.horizon_solver import HorizonSolver
+from drake_nonstop.optimization.plan import Plan
+from drake_nonstop.optimization.problem_config import amplitude_range
+from drake_nonstop.optimization.terminal_set import orbit_polynomials
+from drake_nonstop.optimization.whole_task import receding_coefficients
+from drake_nonstop.simulation.load_stability import NO_GAINS
+from drake_nonstop.simulation.task import Task
+from drake_nonstop.validation import ScenarioError
+
+_TIMES = 60  # of a task, at which constant ξ and A are tried
+_GRID = (24, 12)  # values of ξ and of A among them
+_PHASES = 24  # of an orbit
+_FINE = 0.01  # s, at least, between instants at which a plan's speeds are judged
+_COARSE = 2  # of the spacing of a plan's constraints, at first
+_FURTHER_STARTS = ((2.0, 1.0), (1.0, 2.0), (3.0, 0.5), (1.5, 1.5))  # of nominal ξ and A
+_QUICK_STARTS = 2
+_MAX_ITERATIONS, _TOLERANCE = 40, 1e-4
+_FACTORS = (1.1, 1.25, 1.5, 2.0, 3.0)
+_WIDER = 4.0  # bounds, at most
+_BISECTIONS = 6
+_SHOWN = 2.5  # times the plan's largest value, of the set over time
+
+
+class SpeedCheck(NamedTuple):
+    """What a task's speeds can be, in units of the bound ε; inf where there is no bound."""
+
+    speed_bound: float  # m/s, ε
+    times: NDArray  # (k,), s
+    constant: NDArray  # (k,), the best of all constant ξ, A, of the least speed over an orbit
+    plan: Plan | None  # the best one; None where ξ and A are constant
+    plan_times: NDArray  # (l,), s
+    parameters: NDArray  # (l, 2), [ξ (rad/s), A (N)] of the plan
+    ratios: NDArray  # (l, n), of the carriers along it
+    starts: tuple[float, ...]  # the least ratio of what the optimization made of each start
+
+    @property
+    def least(self) -> float:
+        """The least ratio along the plan."""
+        return float(self.ratios.min())
+
+    @property
+    def least_at(self) -> tuple[float, int]:
+        """When that is, s, and of which carrier, from 1 on."""
+        instant, carrier = np.unravel_index(np.argmin(self.ratios), self.ratios.shape)
+        return float(self.plan_times[instant]), int(carrier) + 1
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether the plan keeps the bound."""
+        return self.least >= 1
+
+    @property
+    def tight_times(self) -> NDArray:
+        """The times (j,), s, at which no constant ξ and A keep the bound at all phases."""
+        return self.times[self.constant < 1]
+
+
+class SpeedRemedy(NamedTuple):
+    """A change with which the bound was found to be kept."""
+
+    text: str
+    least: float  # v/ε that is reached
+
+
+def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
+    """The least speeds that a task can be flown with.
+
+    At each of some instants all constant ξ and A within the bounds are tried, at all phases of the
+    orbit: what they keep is on the safe side. The judge is a plan of the whole task, smooth and with
+    phases that are predicted: of what the optimization makes of several starts it is the one with
+    the largest least speed. Where ξ and A are constant, that is all there is.
+
+    Args:
+        task: what is flown.
+        is_quick: to try two starts only, for changes of a task of which any may help.
+
+    Raises:
+        ScenarioError: a carrier's speed is not finite.
+    """
+    bound = task.limits.speed_bound
+    times = np.linspace(0, task.duration, _TIMES)
+    if not task.changes_parameters or bound == 0:
+        fine = _fine_times(task)
+        parameters = np.broadcast_to(task.nominal, (len(fine), 2))
+        speeds = constant_speeds(task, fine)
+        none = np.full(speeds.shape, np.inf)
+        ratios = speeds / bound if bound > 0 else none
+        least = np.interp(times, fine, ratios.min(axis=1))
+        return SpeedCheck(
+            bound, times, least, None, fine, parameters, ratios, (float(ratios.min()),)
+        )
+    problem = _problem(task, task.horizon)
+    constant = feasible_speeds(problem, task, times, *_grid(task, *_GRID)).max(axis=(1, 2)) / bound
+    found = _planned(task, most=_QUICK_STARTS if is_quick else None)
+    best = max(found, key=lambda each: each.least)
+    starts = tuple(each.least for each in found)
+    return SpeedCheck(
+        bound, times, constant, best.plan, best.times, best.parameters, best.ratios, starts
+    )
+
+
+def feasible_speeds(
+    problem: HorizonProblem, task: Task, times: NDArray, frequencies: NDArray, amplitudes: NDArray
+) -> NDArray:
+    """The least speed (k, x, a), m/s, over an orbit, of constant ξ (k, x) and A (k, a) at times."""
+    terms = OrbitTerms.view(np.array([problem.terms_at(task.reference(time)) for time in times]))
+    angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
+    shape = (10, 3, _PHASES, len(times), task.model.n, 1)
+    polynomials = orbit_polynomials(terms, problem.axes, angles).reshape(shape)
+    values = polynomial_values(polynomials, amplitudes[:, None, :])
+    c, b, a, _ = speed_squares(
+        values, rest_length=problem.rest_length, compliance=problem.compliance
+    )
+    least = []
+    for frequency in frequencies.T:
+        s = frequency[:, None, None] * amplitudes[:, None, :]
+        least.append((c + s * (2 * b + s * a)).min(axis=(0, 2)))
+    return np.sqrt(np.maximum(np.stack(least, axis=1), 0.0))
+
+
+def set_over_time(
+    task: Task, found: SpeedCheck, column: int, count: int = 120
+) -> tuple[NDArray, NDArray, NDArray] | None:
+    """Times (k,), ξ or A (c,), and the least v/ε (k, c) over an orbit beside the plan's other one.
+
+    `column` is 0 for ξ and 1 for A. None: there is no bound, or the pattern has no such set.
+    """
+    if task.limits.speed_bound == 0 or not _can_plan(task):
+        return None
+    times = np.linspace(0, task.duration, count)
+    used = np.stack(
+        [np.interp(times, found.plan_times, values) for values in found.parameters.T], axis=1
+    )
+    bounds = [task.limits.frequency_bounds, amplitude_range(task.limits, task.model)][column]
+    most = min(bounds[1], _SHOWN * found.parameters[:, column].max())
+    values = np.linspace(bounds[0], max(most, bounds[0] * 1.01), count)
+    tried, others = np.tile(values, (count, 1)), used[:, 1 - column, None]
+    problem = _problem(task, task.horizon)
+    if column == 0:
+        ratios = feasible_speeds(problem, task, times, tried, others)[:, :, 0]
+    else:
+        ratios = feasible_speeds(problem, task, times, others, tried)[:, 0]
+    return times, values, ratios / task.limits.speed_bound
+
+
+def constant_speeds(task: Task, times: NDArray) -> NDArray:
+    """The carriers' speeds (k, n), m/s, at times (k,), with the nominal ξ and A; any pattern."""
+    model, pattern = task.model, task.model.pattern
+    speeds = []
+    for time in times:
+        reference = task.reference(time)
+        state = reference[:LOAD_STATE_SIZE]
+        wrench, rate = wrench_and_rate(
+            model.load,
+            state,
+            reference,
+            np.zeros(WRENCH_SIZE),
+            task.wind,
+            feedforward=1.0,
+            **NO_GAINS,
+        )
+        angle = np.array([task.limits.frequency * time])
+        internal = internal_force(
+            task.nominal, angle, phases=pattern.phases, orders=pattern.orders
+        )
+        forces, rates = cable_forces_and_rates(
+            state,
+            wrench,
+            rate,
+            np.concatenate(internal),
+            pseudo_inverse=model.pseudo_inverse,
+            basis=pattern.basis,
+            offset=pattern.offset,
+        )
+        _, velocities = carrier_motion(
+            reference,
+            forces,
+            rates,
+            attachments=model.attachments,
+            rest_length=model.cable_length,
+            compliance=model.cable_compliance,
+        )
+        speeds.append(np.linalg.norm(velocities, axis=1))
+    return np.array(speeds)
+
+
+def find_speed_remedies(task: Task, found: SpeedCheck) -> list[SpeedRemedy]:
+    """What keeps the bound of a task that is infeasible: each was tried.
+
+    That are a layer that changes ξ and A, other bounds of them, a faster orbit at the start, longer
+    cables, slower motion, and the largest ε that can be kept.
+    """
+    remedies = []
+    if not task.changes_parameters and _can_plan(task):
+        layer = replace(task, changes_parameters=True)
+        least = check_speeds(layer, is_quick=True).least
+        if least >= 1:
+            said = "a layer that changes xi and A: optimization_layer=RecedingHorizonOptimizer"
+            remedies.append(SpeedRemedy(said, least))
+        task = layer if least >= 1 else task
+    for attempt in (_wider_bounds, _faster_start, _longer_cables, _slower_motion):
+        for remedy in attempt(task):
+            remedies.append(remedy)
+            break
+    remedies += _lower_bound(task, found)
+    return remedies
+
+
+def _grid(task: Task, count: int, amplitude_count: int) -> tuple[NDArray, NDArray]:
+    """ξ and A within their bounds, the nominal ones among them, the same (1, x) and (1, a)."""
+    low, high = task.limits.frequency_bounds
+    frequencies = np.append(np.geomspace(low, high, count - 1), task.limits.frequency)
+    low, high = amplitude_range(task.limits, task.model)
+    amplitudes = np.append(np.linspace(low, high, amplitude_count - 1), task.limits.amplitude)
+    return np.tile(frequencies, (_TIMES, 1)), np.tile(amplitudes, (_TIMES, 1))
+
+
+def _fine_times(task: Task) -> NDArray:
+    spacing = max(_FINE, task.horizon.instant_spacing / 2)
+    return np.linspace(0, task.duration, max(2, math.ceil(task.duration / spacing) + 1))
+
+
+def _can_plan(task: Task) -> bool:
+    pattern = task.model.pattern
+    return not pattern.is_constant and all(order == 1 for order in pattern.harmonics)
+
+
+def _problem(task: Task, config: HorizonConfig) -> HorizonProblem:
+    return HorizonProblem(task.model, task.limits, config, lambda: "the check of a task")
+
+
+class _Planned(NamedTuple):
+    """A plan, and the speeds along it."""
+
+    least: float  # v/ε
+    plan: Plan
+    times: NDArray  # (l,), s
+    parameters: NDArray  # (l, 2)
+    ratios: NDArray  # (l, n), v/ε
+
+
+def _planned(task: Task, *, most: int | None) -> list[_Planned]:
+    """What the optimization makes of one start after the other, until a plan keeps the bound."""
+    spacing = task.horizon.knot_spacing
+    intervals = max(1, round(task.duration / spacing))
+    whole = replace(task.horizon, horizon=intervals * spacing)
+    coarse = replace(whole, instant_spacing=_COARSE * whole.instant_spacing)
+    bound, fine = task.limits.speed_bound, _fine_times(task)
+    terms: OrbitTerms | None = None
+    found: list[_Planned] = []
+    for config in (coarse, whole):
+        problem = _problem(task, config)
+        if terms is None:
+            flat = [problem.terms_at(task.reference(time)) for time in fine]
+            terms = OrbitTerms.view(np.array(flat))
+        solver = HorizonSolver(problem)
+        data = problem.data(0.0, 0.0, task.reference, bound)
+        for start in _starts(task, solver, data, intervals):
+            answer = solver.solve(
+                data, start, max_iterations=_MAX_ITERATIONS, tolerance=_TOLERANCE
+            )
+            plan = answer.plan
+            values = np.array([plan.values(time) for time in fine])
+            speeds = planned_speeds(
+                terms,
+                problem.axes,
+                *values[:, :3].T,
+                values[:, 4],
+                rest_length=problem.rest_length,
+                compliance=problem.compliance,
+            )
+            ratios = np.sqrt(speeds.squares) / bound
+            least = float(ratios.min())
+            found.append(_Planned(least, plan, fine, values[:, 1:3], ratios))
+            if least >= 1 or len(found) == most:
+                return found
+    return found
+
+
+def _starts(
+    task: Task, solver: HorizonSolver, data: HorizonData, intervals: int
+) -> Iterator[NDArray]:
+    """Coefficients to begin with: constant ones, what a receding horizon makes, and others."""
+    problem = solver.problem
+    yield solver.first_guess(data)
+    yield problem.nominal_coefficients()
+    receding = _problem(task, task.horizon)
+    yield receding_coefficients(receding, task.reference, intervals, task.limits.speed_bound)[0]
+    for factors in _FURTHER_STARTS:
+        start = problem.nominal_coefficients()
+        start[:, solver.fixed :] *= np.array(factors)[:, None]
+        yield start
+
+
+def _tried(task: Task, text: str) -> SpeedRemedy | None:
+    """The remedy, if the task keeps its bound."""
+    try:
+        least = check_speeds(task, is_quick=True).least
+    except ScenarioError:  # a formation that cannot be
+        return None
+    return SpeedRemedy(text, least) if least >= 1 else None
+
+
+def _with_limits(task: Task, **fields: object) -> Task:
+    return replace(task, limits=dataclasses.replace(task.limits, **fields))  # type: ignore[arg-type]
+
+
+def _wider_bounds(task: Task) -> Iterator[SpeedRemedy]:
+    """Bounds of ξ and A as far as a plan with much wider ones needs them."""
+    if not task.changes_parameters:
+        return
+    of_amplitude = amplitude_range(task.limits, task.model)
+    low, high = task.limits.frequency_bounds
+    wide = _with_limits(
+        task,
+        frequency_bounds=[low / _WIDER, high * _WIDER],
+        amplitude_bounds=[of_amplitude[0] / _WIDER, of_amplitude[1] * _WIDER],
+    )
+    found = check_speeds(wide, is_quick=True)
+    if not found.is_feasible:
+        return
+    assert found.plan is not None
+    used = found.plan.coefficients * found.plan.nominal[:, None]
+    bounds = [
+        [_rounded(min(low, row.min()), -1), _rounded(max(high, row.max()), 1)]
+        for row, (low, high) in zip(used, [(low, high), of_amplitude], strict=True)
+    ]
+    text = (
+        f"optimization_layer.frequency_bounds={bounds[0]} and "
+        f"optimization_layer.amplitude_bounds={bounds[1]}"
+    )
+    remedy = _tried(
+        _with_limits(task, frequency_bounds=bounds[0], amplitude_bounds=bounds[1]), text
+    )
+    if remedy is not None:
+        yield remedy
+
+
+def _rounded(value: float, side: int) -> float:
+    """To three digits, towards a side."""
+    digits = 2 - math.floor(math.log10(abs(value)))
+    scaled = value * 10.0**digits
+    return float(f"{(math.ceil if side > 0 else math.floor)(scaled) / 10.0**digits:.3g}")
+
+
+def _of_factors(
+    make: Callable[[float], tuple[Task, str] | None], factors: tuple[float, ...] = _FACTORS
+) -> Iterator[SpeedRemedy]:
+    for factor in factors:
+        try:
+            made = make(factor)
+        except ScenarioError:
+            continue
+        if made is not None and (remedy := _tried(*made)) is not None:
+            yield remedy
+
+
+def _faster_start(task: Task) -> Iterator[SpeedRemedy]:
+    def faster(factor: float) -> tuple[Task, str] | None:
+        frequency = _rounded(factor * task.limits.frequency, 1)
+        if task.changes_parameters and frequency > task.limits.frequency_bounds[1]:
+            return None
+        changed = _with_limits(task, frequency=frequency)
+        return changed, f"optimization_layer.frequency={frequency:g}"
+
+    return _of_factors(faster)
+
+
+def _longer_cables(task: Task) -> Iterator[SpeedRemedy]:
+    def longer(factor: float) -> tuple[Task, str]:
+        length = _rounded(factor * task.model.cable_length, 1)
+        return task.with_system(cable_length=length), f"system.cable_length={length:g}"
+
+    return _of_factors(longer)
+
+
+def _slower_motion(task: Task) -> Iterator[SpeedRemedy]:
+    return _of_factors(
+        lambda factor: (task.slowed(factor), f"a motion of the load {factor:g} times as slow")
+    )
+
+
+def _lower_bound(task: Task, found: SpeedCheck) -> Iterator[SpeedRemedy]:
+    """The largest ε that is kept, by bisection."""
+    bound = task.limits.speed_bound
+
+    def least(speed_bound: float) -> float:
+        return check_speeds(_with_limits(task, speed_bound=speed_bound), is_quick=True).least
+
+    low, high, reached = 0.98 * min(found.least, 1.0) * bound, bound, 0.0
+    if low < 1e-3 or (reached := least(low)) < 1:
+        return
+    if not task.changes_parameters:
+        low = found.least * bound
+        reached = 1.0
+    else:
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            value = least(middle)
+            if value >= 1:
+                low, reached = middle, value
+            else:
+                high = middle
+    shown = math.floor(low * 1e4) / 1e4
+    yield SpeedRemedy(f"optimization_layer.speed_bound={shown:g}", reached)

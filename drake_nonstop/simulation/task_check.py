@@ -1,0 +1,208 @@
+"""Whether a task can be flown: its speed bound and the stability of its formation, with remedies."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.formation import (
+    Formation,
+    FormationInstant,
+    find_formation,
+    find_formation_remedies,
+)
+from drake_nonstop.simulation.speed_check import (
+    SpeedCheck,
+    SpeedRemedy,
+    check_speeds,
+    find_speed_remedies,
+)
+from drake_nonstop.simulation.task import Task, task_of
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TaskCheck:
+    """What is known of a task before it is flown.
+
+    Attributes:
+        task: the task.
+        speeds: what speeds it can be flown with.
+        formation: at rest and at instants of the best plan.
+        speed_remedies: of a task that is infeasible, each tried.
+        formation_remedies: of an unstable formation, each tried.
+    """
+
+    task: Task
+    speeds: SpeedCheck
+    formation: Formation
+    speed_remedies: tuple[SpeedRemedy, ...] = ()
+    formation_remedies: tuple[str, ...] = ()
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether the bound can be kept and the formation is stable."""
+        return self.speeds.is_feasible and self.formation.is_stable
+
+    @property
+    def verdicts(self) -> tuple[str, str]:
+        """A sentence about the speed bound, and one about the formation."""
+        return self._of_speeds(), self._of_formation()
+
+    def _of_speeds(self) -> str:
+        found = self.speeds
+        if found.speed_bound == 0:
+            return "there is no speed bound"
+        time, carrier = found.least_at
+        where = f"at t = {time:.2f} s, carrier {carrier}"
+        if found.is_feasible:
+            return f"the speed bound can be kept: at least {found.least:.3f} of it, {where}"
+        tried = (
+            f"no plan of xi and A from {len(found.starts)} starts keeps the bound"
+            if self.task.changes_parameters
+            else "the constant xi and A do not keep the bound"
+        )
+        remedy = "; ".join(
+            f"{remedy.text} (then {remedy.least:.3f})" for remedy in self.speed_remedies
+        )
+        return (
+            f"optimization_layer.speed_bound = {found.speed_bound:g}: {tried}: at most "
+            f"{found.least:.3f} of it is reached, {where}; "
+            f"{'give ' + remedy if remedy else 'nothing that was tried helps'}"
+        )
+
+    def _of_formation(self) -> str:
+        worst = self.formation.worst
+        if self.formation.is_stable:
+            return (
+                "the formation is stable: a small deviation grows by at most "
+                f"{math.exp(self.formation.growth):.3g} times on the way"
+            )
+        helps = "; or ".join(self.formation_remedies)
+        return (
+            f"formation = unstable: at t = {worst.time:.1f} s a small deviation grows by "
+            f"{worst.rate:.2g} 1/s{_without(worst)}; "
+            f"{'give ' + helps if helps else 'nothing that was tried helps'}"
+        )
+
+
+def _without(instant: FormationInstant) -> str:
+    return "" if instant.controlled is None else f", and by {instant.free.rate:.2g} without control"
+
+
+def check_task(scenario: Scenario) -> TaskCheck:
+    """Whether a scenario's task can be flown, and what would help where it cannot.
+
+    Raises:
+        ScenarioError: as of `task_of`.
+    """
+    task = task_of(scenario)
+    speeds = check_speeds(task)
+    plan = speeds.plan
+
+    def parameters(time: float) -> NDArray:
+        return task.nominal if plan is None else np.array(plan.values(time)[1:3])
+
+    formation = find_formation(task, parameters)
+    remedies: list[SpeedRemedy] = []
+    if not speeds.is_feasible:
+        remedies = find_speed_remedies(task, speeds)
+    stabilizing: list[str] = []
+    if not formation.is_stable:
+        stabilizing = find_formation_remedies(task, formation, parameters)
+    return TaskCheck(
+        task=task,
+        speeds=speeds,
+        formation=formation,
+        speed_remedies=tuple(remedies),
+        formation_remedies=tuple(stabilizing),
+    )
+
+
+def task_table(found: TaskCheck) -> str:
+    """What was found, a line each, for a terminal."""
+    speeds, formation = found.speeds, found.formation
+    rows = [("quantity", "value", "where")]
+    if speeds.speed_bound > 0:
+        time, carrier = speeds.least_at
+        what = "best plan" if speeds.plan is not None else "constant xi and A"
+        rows.append(
+            (f"least v / bound, {what}", f"{speeds.least:.3f}", f"t = {time:.2f} s, {carrier}")
+        )
+        rows.append(("instants at which no constant xi and A do", _share_of(speeds), ""))
+        low, high = speeds.parameters.min(axis=0), speeds.parameters.max(axis=0)
+        rows.append(("xi", f"{low[0]:.3g} to {high[0]:.3g} rad/s", ""))
+        rows.append(("A", f"{low[1]:.3g} to {high[1]:.3g} N", ""))
+    loads = [(instant, instant.loads) for instant in formation.instants]
+    instant, least = min(loads, key=lambda pair: pair[1].shares.min())
+    cable = int(np.argmin(least.shares)) + 1
+    rows.append(
+        ("least share of the weight / equal share", f"{least.shares.min():.2f}", _at(instant, cable))
+    )
+    instant, least = min(loads, key=lambda pair: pair[1].elevations.min())
+    cable = int(np.argmin(least.elevations)) + 1
+    elevation = math.degrees(least.elevations.min())
+    rows.append(("least elevation of a cable", f"{elevation:.1f} deg", _at(instant, cable)))
+    for name, instant in (("at rest", formation.at_rest), ("largest", formation.worst)):
+        rates = [f"{instant.free.rate:+.3g} 1/s without control"]
+        if instant.controlled is not None:
+            rates.insert(0, f"{instant.controlled.rate:+.3g} 1/s")
+        rows.append((f"growth of a deviation, {name}", ", ".join(rates), _at(instant)))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+
+
+def _share_of(speeds: SpeedCheck) -> str:
+    tight = speeds.tight_times
+    if len(tight) == 0:
+        return "none"
+    return f"{len(tight)} of {len(speeds.times)}, {tight[0]:.1f} to {tight[-1]:.1f} s"
+
+
+def _at(instant: FormationInstant, cable: int | None = None) -> str:
+    said = f"t = {instant.time:.2f} s"
+    return said if cable is None else f"{said}, {cable}"
+
+
+def task_dictionary(found: TaskCheck) -> dict[str, Any]:
+    """The same for a JSON file; keys end in their units."""
+    speeds, formation = found.speeds, found.formation
+    of_speeds, of_formation = found.verdicts
+    has_bound = speeds.speed_bound > 0
+    return {
+        "speed_bound": {
+            "verdict": of_speeds,
+            "is_feasible": speeds.is_feasible,
+            "speed_bound_m_s": speeds.speed_bound,
+            "least_ratio": speeds.least if has_bound else None,
+            "least_at_s": speeds.least_at[0] if has_bound else None,
+            "least_carrier": speeds.least_at[1] if has_bound else None,
+            "ratios_of_starts": [*speeds.starts] if has_bound else [],
+            "tight_times_s": speeds.tight_times.tolist(),
+            "remedies": [remedy._asdict() for remedy in found.speed_remedies],
+        },
+        "formation": {
+            "verdict": of_formation,
+            "is_stable": formation.is_stable,
+            "growth": formation.growth,
+            "remedies": [*found.formation_remedies],
+            "instants": [
+                {
+                    "time_s": instant.time,
+                    "frequency_rad_s": float(instant.parameters[0]),
+                    "amplitude_N": float(instant.parameters[1]),
+                    "rate_1_s": instant.controlled and instant.controlled.rate,
+                    "rate_without_control_1_s": instant.free.rate,
+                    "largest_multiplier": float(
+                        abs((instant.controlled or instant.free).multipliers[0])
+                    ),
+                    "least_shares": instant.loads.shares.tolist(),
+                    "mean_shares": instant.loads.mean_shares.tolist(),
+                    "least_elevations_rad": instant.loads.elevations.tolist(),
+                }
+                for instant in formation.instants
+            ],
+        },
+    }
