@@ -141,7 +141,13 @@ class Linearization:
                 slopes.amplitude_rate @ d,
             ]
         )
-        changes = (self.gradients * of_instants[:, self.instant_of]).sum(axis=0)
+        count, width = self.table
+        end = count * width
+        table = self.gradients[:, :end].reshape(4, count, width)
+        last = (self.gradients[:, end:] * of_instants[:, self.instant_of[end:]]).sum(axis=0)
+        changes = np.concatenate(
+            [np.einsum("ikm,ik->km", table, of_instants[:, :count]).reshape(-1), last]
+        )
         found = changes.copy()
         for weights, shift in zip(self.weights, _NEIGHBOURS, strict=True):
             dips = np.flatnonzero(weights)
