@@ -53,6 +53,7 @@ from drake_nonstop.diagrams.box import (
 )
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.fusing import fuse
+from drake_nonstop.diagrams.margin_of_loop import computed_margin
 from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import (
@@ -75,6 +76,8 @@ from drake_nonstop.model.system import (
     overridden,
 )
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
+from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig
+from drake_nonstop.optimization.speed_margin import SpeedMargin, with_margin
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.energy import LoopDiagram
@@ -210,6 +213,7 @@ BOXES: dict[str, Box] = {
 # Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
 # plant in place of its boxes.
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
+LAYER = "optimization_layer"
 # What commands carriers; the controller makes one. The blocks that make it and read it.
 COMMANDS = {
     "carrier_forces": ("CarrierPid", "CarrierDynamics"),
@@ -227,20 +231,18 @@ PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
 WIRES = """
 load_trajectory.reference -> wrench_controller.reference
 load_trajectory.reference -> optimization_layer.reference
+load_trajectory.reference_preview -> optimization_layer.reference_preview
 load_trajectory.reference -> carrier_trajectory.reference
 
 load_plant.load_state -> load_feedback.load_state
 load_feedback.measured_load_state -> wrench_controller.measured_load_state
-load_feedback.measured_load_state -> optimization_layer.measured_load_state
 load_feedback.measured_load_state -> force_distribution.measured_load_state
 
-wrench_controller.wrench -> optimization_layer.wrench
-wrench_controller.wrench_rate -> optimization_layer.wrench_rate
 wrench_controller.wrench -> force_distribution.wrench
 wrench_controller.wrench_rate -> force_distribution.wrench_rate
 
 optimization_layer.parameters -> phase.parameters
-phase.phase -> optimization_layer.phase
+optimization_layer.plan -> phase.plan
 phase.planned -> internal_force.planned
 internal_force.internal_force -> force_distribution.internal_force
 
@@ -279,9 +281,9 @@ class LoopConfig(Protocol):
     system: SystemParameters
     simulated: Any  # `SystemOverrides`
     pattern: PatternConfig
+    simulation_duration: float
     control_period: float
     fused_plant: bool
-    simulation_duration: float
     reference_governor: ReferenceGovernorConfig | None
     optimization_layer: Any  # a config
     simulator_config: SimulatorConfig
@@ -353,7 +355,8 @@ def make_nonstop(
     set_equilibrium(diagram, context)
     if not plant_states(diagram).declare_defaults(context):
         return diagram
-    again = _made_parts(scenario, others, extra, plant_states(diagram).states(context))
+    states = plant_states(diagram).states(context)
+    again = _made_parts(scenario, others, extra, states, parts.margin)
     taken = [*parts.blocks.values()]
     if not any(block is other for block in again.blocks.values() for other in taken):
         with warnings.catch_warnings():
@@ -406,6 +409,7 @@ class _Parts(NamedTuple):
     model: Model  # that the controllers believe
     blocks: dict[str, System]  # by the names of their boxes
     watched: dict[str, WatchedModel]  # what blocks read of their models
+    margin: SpeedMargin | None = None  # that was computed for the optimization layer
 
 
 def _made_parts(
@@ -413,6 +417,7 @@ def _made_parts(
     others: Mapping[str, Any],
     extra: Mapping[str, Any] | None,
     initial_states: Mapping[str, NDArray] | None = None,
+    margin: SpeedMargin | None = None,
 ) -> _Parts:
     """The blocks of a scenario that has been checked.
 
@@ -421,6 +426,7 @@ def _made_parts(
         others: the replacements that are no configs.
         extra: blocks beyond the figure's.
         initial_states: of the plant, by the names of the signals that show them.
+        margin: of the layer, where it was computed before.
     """
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
     plant = overridden(scenario.system, scenario.simulated)
@@ -442,10 +448,15 @@ def _made_parts(
     sizes = _figure_sizes(believed)
     blocks: dict[str, System] = {}
     watched: dict[str, WatchedModel] = {}  # what blocks read of their models
-    for name, box in BOXES.items():
+    for name, box in sorted(BOXES.items(), key=lambda item: item[0] == LAYER):  # it comes last
         entry = others.get(name, getattr(scenario, name))
         if entry is None:
             continue
+        if name == LAYER and _wants_margin(entry):
+            duration = scenario.simulation_duration
+            if margin is None:
+                margin = computed_margin(believed, simulated, entry, blocks, duration)
+            entry = with_margin(entry, margin)
         make = _constructor(name, entry) if is_dataclass(entry) else entry
         model = watched[name] = WatchedModel(simulated if box.is_simulated else believed)
         blocks[name] = _made(f"replacement {name}", make, model, ", or None to leave the box out")
@@ -455,6 +466,7 @@ def _made_parts(
         model = watched[name] = WatchedModel(believed)
         blocks[name] = _made(f"extra {name}", _maker(name, entry), model, "")
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
+    blocks = {name: blocks[name] for name in [*BOXES, *blocks] if name in blocks}
     _require_motion(believed, blocks)
     _check_command(blocks)
     _check_plan(blocks)
@@ -471,7 +483,13 @@ def _made_parts(
             scenario.optimization_layer,
             scenario.simulation_duration,
         )
-    return _Parts(believed, blocks, watched)
+    return _Parts(believed, blocks, watched, margin)
+
+
+def _wants_margin(entry: Any) -> bool:
+    """Whether a layer's entry has a margin computed for it."""
+    is_auto = isinstance(entry, LimitsConfig) and entry.tightening == AUTO
+    return is_auto and entry.speed_margin == 0
 
 
 def _require_motion(model: Model, blocks: Mapping[str, System]) -> None:
@@ -586,7 +604,7 @@ def _check_preview(blocks: Mapping[str, System]) -> None:
 
 def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     """The blocks, which may be fused, with the hold in front of sampled ones."""
-    believed, blocks, _ = parts
+    believed, blocks, *_ = parts
     _warn_of_unread_wind(blocks)
     _warn_of_unshaped_parameters(blocks)
     _warn_of_unflown_aircraft(scenario, blocks)
@@ -677,6 +695,7 @@ def _connected(
     diagram = LoopDiagram()
     builder.BuildInto(diagram)
     diagram.set_name(LOOP)
+    diagram.speed_margin = parts.margin
     diagram.watched_models = {
         name: model for name, model in parts.watched.items() if not is_of_package(blocks.get(name))
     }

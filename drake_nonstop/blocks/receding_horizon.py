@@ -34,6 +34,7 @@ from drake_nonstop.optimization.diagnostics import (
     Outcome,
     count_update,
 )
+from drake_nonstop.optimization.horizon_check import check_horizon
 from drake_nonstop.optimization.horizon_problem import (
     HorizonConfig,
     HorizonData,
@@ -57,6 +58,7 @@ _NO_PLAN = 0.0  # in place of a scale
 class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
     """The bound, the horizon, and how much time its plans get."""
 
+    tightening: float | str = 0.02  # the solver aims at (1 + tightening) ε; "auto": computed
     preview: bool = True  # read the motion ahead; without it the motion goes on as it does
     max_iterations: int = 3  # quadratic programs of a plan
     time_limit: float = float("inf")  # s, of wall time, beyond which the plan that exists goes on
@@ -394,5 +396,6 @@ def _structure(model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[fl
 
 def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> None:
     check_limits(box, config, model)
+    check_horizon(box, config, config, model)
     check_pattern(box, model, "RecedingHorizonOptimizer")
     require(config.time_limit > 0, f"{box}.time_limit", config.time_limit, "give a time above zero")

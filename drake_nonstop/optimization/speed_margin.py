@@ -19,7 +19,7 @@ from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
     growth,
     noise_deviation,
-    peak_response,
+    overshoot,
     responses,
 )
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
@@ -31,9 +31,9 @@ from drake_nonstop.mechanics.tethered_loop import (
     tethered_loop,
 )
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range
-from drake_nonstop.optimization.terminal_set import least_products
+from drake_nonstop.optimization.terminal_set import product_limits
 
 DEVIATIONS = 5.0  # standard deviations of noise: a normal value falls below with 2.9e-7
 _PHASES = 24  # of the orbits, at which speeds and their rates are looked at
@@ -42,6 +42,7 @@ _SEEN = 3  # of these phases, at which the shortfalls are looked at
 _MEMORY = 10.0  # s, of the inputs that matter for a shortfall
 _LARGEST_GROWTH = 0.2  # per s, beyond which there is no margin
 _AMPLITUDES = 25  # among which the plan's is looked for
+_SPARSE = 5  # of the instants, one at which it is
 _NEAR = 1.5  # of the speed that is aimed at, up to which a speed may dip below it
 _AMPLITUDE_WEIGHT = 4.0  # of (A/A₀ − 1)² beside (ξ/ξ₀ − 1)², as plans weigh them
 _FIRST = 0.02  # of ε, a margin to begin with
@@ -75,12 +76,12 @@ class Motion:
     Attributes:
         references: (3, k, 22), at k instants, a `step` before, then, and a step after.
         step: s.
-        jerk_jump: m/s³, the largest jump of its jerk.
+        jerk_jumps: (m, 3), m/s³, jumps of its jerk, in the load's frame; m may be 0.
     """
 
     references: NDArray
     step: float
-    jerk_jump: float
+    jerk_jumps: NDArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +89,7 @@ class SpeedMargin:
     """The shares of a margin, each m/s, of the largest shortfall of a speed."""
 
     tracking: float  # of the carriers behind held references
-    jumps: float  # of the planned velocities, where the reference's jerk jumps
+    jumps: float  # beyond the planned velocities, where the reference's jerk jumps
     grid: float  # between the instants of the constraints
     noise: float  # of the feedback, `DEVIATIONS` standard deviations
     delay: float  # of the feedback
@@ -100,8 +101,8 @@ class SpeedMargin:
         return math.fsum(vars(self).values())
 
 
-class UnstableLoopError(RuntimeError):
-    """The loop grows along the orbits: nothing bounds its errors."""
+class NoMarginError(RuntimeError):
+    """Nothing bounds the errors; the message says why."""
 
 
 def speed_margin(
@@ -129,19 +130,21 @@ def speed_margin(
         instant_spacing: s, between the instants of the constraints.
 
     Raises:
-        UnstableLoopError: a deviation of the loop grows from turn to turn.
+        NoMarginError: a deviation of the loop grows from turn to turn, or a margin asks for orbits
+            that need a larger one.
     """
     task = _Task(model, limits, motion)
     loops = _Loops(model, plant, carriers, feedback)
-    margin, last = _FIRST * limits.speed_bound, None
+    margin = _FIRST * limits.speed_bound
     for _ in range(_REPEATS):
         chosen = task.parameters_for(limits.speed_bound + margin)
-        last = _shares(task, loops, chosen, limits, instant_spacing, margin)
-        if last.total <= margin:
-            break
-        margin = _SAME * last.total
-    assert last is not None
-    return last
+        shares = _shares(task, loops, chosen, limits, instant_spacing, margin)
+        if shares.total <= margin:
+            return shares
+        margin = _SAME * shares.total
+    raise NoMarginError(
+        f"a speed {margin:.3g} m/s above the bound needs orbits whose errors are larger still"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +161,8 @@ class _Task:
 
     def __init__(self, model: Model, limits: LimitsConfig, motion: Motion):
         self.model, self.limits, self.motion = model, limits, motion
-        problem = HorizonProblem(model, limits, HorizonConfig(), lambda: "speed margin")
+        horizon = timed(HorizonConfig(), limits.frequency, model.control_period)
+        problem = HorizonProblem(model, limits, horizon, lambda: "speed margin")
         self.axes = problem.axes
         before, now, after = (
             OrbitTerms.view(np.array([problem.terms_at(row) for row in rows]))
@@ -183,16 +187,13 @@ class _Task:
         low, high = amplitude_range(self.limits, self.model)
         amplitudes = np.linspace(low, high, _AMPLITUDES)
         amplitudes = np.sort(np.append(amplitudes, self.limits.amplitude))
-        products = np.zeros(len(amplitudes))
-        for k in range(0, len(self.accelerations), 2):
-            terms = OrbitTerms(*(part[k] for part in self.terms))
-            at_instant = least_products(
-                terms, self.axes, amplitudes, speed, phase_count=_PHASES, **self.cables
-            )
-            products = np.maximum(products, at_instant)
-        frequencies = np.clip(
-            np.maximum(products / amplitudes, self.limits.frequency), *self.limits.frequency_bounds
+        some = OrbitTerms(*(part[::_SPARSE] for part in self.terms))
+        least, *_ = product_limits(
+            some, self.axes, amplitudes, speed, math.inf, phase_count=_PHASES, **self.cables
         )
+        products = least.max(axis=0)
+        frequencies = np.maximum(products / amplitudes, self.limits.frequency)
+        frequencies = np.minimum(frequencies, self.limits.frequency_bounds[1])
         change = (frequencies / self.limits.frequency - 1) ** 2
         change += _AMPLITUDE_WEIGHT * (amplitudes / self.limits.amplitude - 1) ** 2
         change += 1e3 * np.maximum(products / (amplitudes * frequencies) - 1, 0)
@@ -237,7 +238,10 @@ class _Task:
         """The orbits' phase at an angle (rad) above the load as at the start, at rest."""
         xi, A = parameters
         p, q = self.axes
-        u, along = math.cos(angle) * p + math.sin(angle) * q, math.cos(angle) * q - math.sin(angle) * p
+        u, along = (
+            math.cos(angle) * p + math.sin(angle) * q,
+            math.cos(angle) * q - math.sin(angle) * p,
+        )
         forces, rates = self.terms.forces[0] + A * u, A * xi * along
         rest = np.zeros(LOAD_REFERENCE_SIZE)
         rest[0] = 1.0
@@ -265,7 +269,7 @@ class _Loops:
         """Phases, and how shortfalls there depend on inputs, for [ξ, A] (2,).
 
         Raises:
-            UnstableLoopError: a deviation grows from turn to turn.
+            NoMarginError: a deviation grows from turn to turn.
         """
         feedback = self.feedback
         turn = 2 * math.pi / parameters[0]
@@ -288,7 +292,7 @@ class _Loops:
         grown = growth(loops, samples)
         rate = math.log(grown) / turn
         if rate > _LARGEST_GROWTH:
-            raise UnstableLoopError(f"{rate:.3g} per s")
+            raise NoMarginError(f"the linear loop grows by {rate:.3g} per s along the orbits")
         lags = math.ceil(_MEMORY / feedback.period)
         for i in range(0, _LOOPS, _LOOPS // _SEEN):
             yield orbits[i], responses(loops, samples, i, lags)
@@ -321,9 +325,8 @@ def _shares(
         held = bounded(places.acceleration, n, acceleration, jerk)
         held += bounded(places.jerk, n, jerk, snap)
         tracking = max(tracking, held)
-        if task.motion.jerk_jump > 0:
-            of_jump = g[..., places.velocity] @ _velocity_jumps(task, orbit)
-            jumps = max(jumps, task.motion.jerk_jump * peak_response(of_jump))
+        if len(task.motion.jerk_jumps) > 0:
+            jumps = max(jumps, _of_jump(g[..., places.velocity], task, orbit, limits))
         if np.any(feedback.deviations):
             spread = noise_deviation(g[..., places.measurement], feedback.deviations)
             noise = max(noise, DEVIATIONS * spread)
@@ -340,9 +343,7 @@ def _shares(
     )
 
 
-def grid_dip(
-    motion: _Derivatives, speeds: NDArray, speed: float, instant_spacing: float
-) -> float:
+def grid_dip(motion: _Derivatives, speeds: NDArray, speed: float, instant_spacing: float) -> float:
     """By how much (m/s) speeds that are kept at instants may be lower between two of them.
 
     A function that is kept at two instants Δ apart is at most Δ²/8 times the largest of its second
@@ -355,6 +356,21 @@ def grid_dip(
     second = ((a * a).sum(axis=-1) + (v * j).sum(axis=-1)) / slow - along**2 / slow**3
     near = speeds < _NEAR * speed
     return float(instant_spacing**2 / 8 * np.max(second, initial=0.0, where=near))
+
+
+def _of_jump(g: NDArray, task: "_Task", orbit: Orbit, limits: LimitsConfig) -> float:
+    """By how much (m/s) a carrier is slower than both speeds before and after a planned jump.
+
+    Its velocity goes from one to the other, on a chord Δv long, which is Δv²/(8 v) below two speeds
+    v, and overshoots. `g` (lags, j n, 3n) are the responses to jumps of the planned velocities.
+    """
+    columns = _velocity_jumps(task, orbit) @ task.motion.jerk_jumps.T
+    n = task.model.n
+    # The first output, just after the jump, is the jump itself.
+    steps = (g.reshape(len(g), -1, n, g.shape[-1]) @ columns).reshape(-1, n, columns.shape[1])
+    largest = np.max(np.linalg.norm(columns.reshape(n, 3, -1), axis=1))
+    chord = largest**2 / (8 * limits.speed_bound) if limits.speed_bound > 0 else 0.0
+    return overshoot(steps) + min(float(chord), float(largest))
 
 
 def _velocity_jumps(task: _Task, orbit: Orbit) -> NDArray:
@@ -414,6 +430,6 @@ def _of_model_error(
     return fall
 
 
-def with_margin(config: Any, margin: SpeedMargin) -> Any:
-    """The config of a layer with what is computed for it."""
-    return replace(config, speed_margin=margin.total)
+def with_margin(config: Any, margin: SpeedMargin | None) -> Any:
+    """The config of a layer with what is computed for it, if there is anything."""
+    return config if margin is None else replace(config, speed_margin=margin.total)
