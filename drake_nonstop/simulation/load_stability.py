@@ -43,8 +43,8 @@ NO_GAINS: dict[str, Any] = dict.fromkeys(GAINS, 0.0)
 
 _PHASES = 32  # of a turn at which the Jacobian is evaluated
 _TURN_OF_FASTEST = 2.0  # rad, that the fastest mode turns in a step, which a series integrates
-_LEAST_STEPS, _MOST_STEPS = 48, 16384  # of a turn
-_STIFF = 1e6  # N/m, of cables that do not stretch
+_LEAST_STEPS, _MOST_STEPS = 48, 4096  # of a turn
+_STRETCH = 1e-3  # of their length, at an equal share of the weight: cables taken not to stretch
 _TERMS = 10  # of the exponential's series, for matrices of norm 1/2
 _LARGEST = 1e100  # of a Jacobian's entries, which are in mixed units
 
@@ -90,7 +90,9 @@ class LoadDeviations:
         measures_attitude: bool = True,
     ):
         self.model = model
-        self._stiffness = 1 / (max(model.cable_compliance, 1 / _STIFF) + 1 / carrier_stiffness)
+        share = model.load_mass * model.gravity / model.n
+        compliance = model.cable_compliance or _STRETCH * model.cable_length / share
+        self._stiffness = 1 / (compliance + 1 / carrier_stiffness)
         self._is_above_load, self._measures_attitude = is_above_load, measures_attitude
         n, m = model.n, model.m
         load = model.load
@@ -187,8 +189,8 @@ class LoadDeviations:
             period * fastest <= _MOST_STEPS * _TURN_OF_FASTEST,
             "fastest mode",
             f"{fastest:.3g} rad/s",
-            "give less stiffness, gain or frequency of the orbit's turns to a load that is so "
-            "light, or a heavier one: the stability of the formation cannot be told",
+            "give a heavier load, softer cables or smaller gains: with so many oscillations in a "
+            "turn the stability of the formation is not told",
         )
         multipliers = np.linalg.eigvals(_monodromy(jacobians, period, fastest))
         order = np.argsort(-np.abs(multipliers), kind="stable")

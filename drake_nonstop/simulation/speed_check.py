@@ -261,7 +261,8 @@ class _Planned(NamedTuple):
 def _planned(task: Task, *, most: int | None) -> list[_Planned]:
     """What the optimization makes of one start after the other, until a plan keeps the bound."""
     spacing = task.horizon.knot_spacing
-    intervals = max(1, round(task.duration / spacing))
+    least = round(task.horizon.terminal_time / spacing)
+    intervals = max(least, round(task.duration / spacing))
     whole = replace(task.horizon, horizon=intervals * spacing)
     coarse = replace(whole, instant_spacing=_COARSE * whole.instant_spacing)
     bound, fine = task.limits.speed_bound, _fine_times(task)
@@ -289,9 +290,9 @@ def _planned(task: Task, *, most: int | None) -> list[_Planned]:
                 compliance=problem.compliance,
             )
             ratios = np.sqrt(speeds.squares) / bound
-            least = float(ratios.min())
-            found.append(_Planned(least, plan, fine, values[:, 1:3], ratios))
-            if least >= 1 or len(found) == most:
+            reached = float(ratios.min())
+            found.append(_Planned(reached, plan, fine, values[:, 1:3], ratios))
+            if reached >= 1 or len(found) == most:
                 return found
     return found
 
