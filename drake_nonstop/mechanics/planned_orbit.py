@@ -113,7 +113,6 @@ def planned_speeds(
         rest_length: L₀, m.
         compliance: 1/K_c, m/N.
     """
-
     A, xi, rate = amplitude[:, None], frequency[:, None], amplitude_rate[:, None]
     f, u, along = _planned_forces(terms, axes, angle, amplitude)
     rates, v_b = _by_component(terms.rates), _by_component(terms.velocities)

@@ -438,7 +438,10 @@ class HorizonProblem:
             [slack_of.ravel(), np.repeat(terminal_slack, len(terminal))]
         )
         self._instant_of = np.concatenate(
-            [np.repeat(np.arange(count), n + others), np.tile(count + terminal, len(terminal_slack))]
+            [
+                np.repeat(np.arange(count), n + others),
+                np.tile(count + terminal, len(terminal_slack)),
+            ]
         )
         weights = np.full(self.intervals + 1, self.config.knot_spacing)
         weights[-1] = self.config.terminal_time

@@ -284,9 +284,7 @@ def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
     """The [ξ, A] (2,) nearest to the nominal ones that suit all instants and phases."""
     angles = 2 * np.pi * np.arange(_SEARCH_PHASES) / _SEARCH_PHASES
     every = max(1, round(problem.config.knot_spacing / problem.config.instant_spacing))
-    polynomials = orbit_polynomials(
-        OrbitTerms.view(data.flat_terms[::every]), problem.axes, angles
-    )
+    polynomials = orbit_polynomials(OrbitTerms.view(data.flat_terms[::every]), problem.axes, angles)
     low, high = (bound[:, 0] * problem.nominal for bound in problem.bounds)
     search = SearchProblem(
         polynomials=polynomials.reshape(*polynomials.shape[:2], -1),

@@ -91,9 +91,7 @@ def product_limits(
     angles = 2 * np.pi * np.arange(phase_count) / phase_count
     polynomials = orbit_polynomials(terms, axes, angles).reshape(10, 3, phase_count, count, n, 1)
     values = polynomial_values(polynomials, amplitudes)
-    c, b, a, tension_squares = speed_squares(
-        values, rest_length=rest_length, compliance=compliance
-    )
+    c, b, a, tension_squares = speed_squares(values, rest_length=rest_length, compliance=compliance)
 
     def upper_roots(speed: float) -> tuple[NDArray, NDArray]:
         square = b * b - a * (c - speed**2)

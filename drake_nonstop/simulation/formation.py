@@ -140,7 +140,9 @@ def formation_at(
     )
 
 
-def find_formation(task: Task, parameters: Parameters | None = None, *, count: int = 8) -> Formation:
+def find_formation(
+    task: Task, parameters: Parameters | None = None, *, count: int = 8
+) -> Formation:
     """The formation at the start and at `count` instants of a task.
 
     Args:
@@ -204,7 +206,7 @@ def find_formation_remedies(
     other attachments.
     """
     at = parameters or (lambda time: task.nominal)
-    times = sorted({0.0, found.worst.time, *(i.time for i in found.on_the_way[:: 3])})
+    times = sorted({0.0, found.worst.time, *(i.time for i in found.on_the_way[::3])})
 
     def is_stable(task: Task, gains: Mapping[str, Any] | None = None, of_amplitude: float = 1.0):
         deviations = task.deviations()

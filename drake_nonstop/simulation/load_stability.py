@@ -70,7 +70,8 @@ class LoadDeviations:
     The carriers are where their references are, which move with what the wrench controller commands
     to the feedback of the load's state. The deviations (18,) are those of the load's attitude, as a
     rotation vector, and position, of its angular velocity and velocity, and of the controller's
-    integrals, in axes that are those of W at an instant and turn with the load's reference; in still air that is calm or a steady wind. Jacobians are exact.
+    integrals, in axes that are those of W at an instant and turn with the load's reference; their
+    Jacobians are exact.
 
     Args:
         model: of the load, the cables and the pattern.

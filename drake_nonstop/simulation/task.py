@@ -201,7 +201,9 @@ def _task(
             scenario.pattern,
             scenario.control_period,
             field="simulated",
-            overridden=[name for name, value in vars(scenario.simulated).items() if value is not None],
+            overridden=[
+                name for name, value in vars(scenario.simulated).items() if value is not None
+            ],
         )
     layer, feedback = scenario.optimization_layer, scenario.load_feedback
     limits = _limits(layer)

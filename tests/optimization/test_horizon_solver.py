@@ -124,7 +124,9 @@ def test_data_that_continue_the_last_are_those_made_anew():
     again = problem.data(start, 0.9, Motion(2).reference, 0.5, data)
     anew = problem.data(start, 0.9, Motion(2).reference, 0.5)
     np.testing.assert_allclose(again.flat_terms, anew.flat_terms, atol=1e-9)
-    np.testing.assert_allclose(again.terminal.least_products, anew.terminal.least_products, atol=1e-9)
+    np.testing.assert_allclose(
+        again.terminal.least_products, anew.terminal.least_products, atol=1e-9
+    )
 
 
 def least_speed(system, problem, plan, reference, times):

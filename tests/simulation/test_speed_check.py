@@ -9,8 +9,8 @@ from drake_nonstop.simulation.speed_check import (
     constant_speeds,
     feasible_speeds,
     find_speed_remedies,
+    problem_of,
 )
-from drake_nonstop.simulation.speed_check import _problem as problem_of
 from drake_nonstop.simulation.task import task_of
 
 
@@ -21,12 +21,12 @@ def test_speeds_over_an_orbit_are_those_of_the_carriers_there():
     least = constant_speeds(task, np.linspace(0, turn, 25)).min()
     times = np.zeros(1)
     found = feasible_speeds(
-        problem_of(task, task.horizon), task, times, task.nominal[:1, None], task.nominal[1:, None]
+        problem_of(task), task, times, task.nominal[:1, None], task.nominal[1:, None]
     )
     assert found[0, 0, 0] == pytest.approx(least, rel=2e-3)
 
 
-def test_a_bound_that_is_kept_and_one_beyond_all_bounds_of_xi_and_A():
+def test_a_bound_that_is_kept_and_one_out_of_reach():
     tight = [
         "optimization_layer.frequency_bounds=[0.1, 2.2]",
         "optimization_layer.amplitude_bounds=[0.1, 1.3]",
