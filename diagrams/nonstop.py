@@ -1,8 +1,8 @@
 """The paper's control figure, as data.
 
 load_trajectory ──────────┬──> optimization_layer ──> phase
-                          │             │               │
-                          │             └──> internal_force
+                          │                             │
+                          │                  internal_force
                           v                       │
 load_feedback ──> wrench_controller ──> force_distribution ──> carrier_trajectory
       ^                                                              │
@@ -38,6 +38,7 @@ from drake_nonstop.blocks import (
     wind,
     wrench_controller,
 )
+from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.box import (
     ABSTRACT,
@@ -52,7 +53,9 @@ from drake_nonstop.diagrams.box import (
 )
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.fusing import fuse
+from drake_nonstop.diagrams.margin_of_loop import computed_margin
 from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -73,6 +76,8 @@ from drake_nonstop.model.system import (
     overridden,
 )
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
+from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig
+from drake_nonstop.optimization.speed_margin import SpeedMargin, with_margin
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.energy import LoopDiagram
@@ -88,8 +93,12 @@ from drake_nonstop.validation import (
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
-        signals={"reference": LOAD_REFERENCE_SIZE, "reference_preview": ABSTRACT},
-        optional=("reference_preview",),
+        signals={
+            "reference": LOAD_REFERENCE_SIZE,
+            "reference_preview": ABSTRACT,
+            "reference_delay": 1,
+        },
+        optional=("reference_preview", "reference_delay"),
         place=Place(0, 1, 1, Kind.TRAJECTORY),
         swap_keeps_defaults=False,  # each task has times of its own
     ),
@@ -127,6 +136,7 @@ BOXES: dict[str, Box] = {
         variants=phase.VARIANTS,
         signals={"phase": PHASE_SIZE, "planned": PLANNED_SIZE},
         optional=("planned",),
+        recorded_where_read=("planned",),
         place=Place(4, 0, 1, Kind.TRAJECTORY),
         feeds_fused_plant=True,
         is_linearized=False,  # nothing drives it: its multiplier is 1 in any loop
@@ -203,6 +213,7 @@ BOXES: dict[str, Box] = {
 # Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
 # plant in place of its boxes.
 SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
+LAYER = "optimization_layer"
 # What commands carriers; the controller makes one. The blocks that make it and read it.
 COMMANDS = {
     "carrier_forces": ("CarrierPid", "CarrierDynamics"),
@@ -220,28 +231,26 @@ PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
 WIRES = """
 load_trajectory.reference -> wrench_controller.reference
 load_trajectory.reference -> optimization_layer.reference
+load_trajectory.reference_preview -> optimization_layer.reference_preview
 load_trajectory.reference -> carrier_trajectory.reference
 
 load_plant.load_state -> load_feedback.load_state
 load_feedback.measured_load_state -> wrench_controller.measured_load_state
-load_feedback.measured_load_state -> optimization_layer.measured_load_state
 load_feedback.measured_load_state -> force_distribution.measured_load_state
 
-wrench_controller.wrench -> optimization_layer.wrench
-wrench_controller.wrench_rate -> optimization_layer.wrench_rate
 wrench_controller.wrench -> force_distribution.wrench
 wrench_controller.wrench_rate -> force_distribution.wrench_rate
 
 optimization_layer.parameters -> phase.parameters
-optimization_layer.parameters -> internal_force.parameters
-phase.phase -> optimization_layer.phase
-phase.phase -> internal_force.phase
+optimization_layer.plan -> phase.plan
+phase.planned -> internal_force.planned
 internal_force.internal_force -> force_distribution.internal_force
 
 internal_force.internal_force_higher_rates -> carrier_trajectory.internal_force_higher_rates
 force_distribution.desired_cable_forces -> carrier_trajectory.desired_cable_forces
 force_distribution.desired_cable_force_rates -> carrier_trajectory.desired_cable_force_rates
 carrier_trajectory.carrier_reference -> carrier_controller.carrier_reference
+carrier_trajectory.carrier_reference_acceleration -> carrier_controller.carrier_reference_acceleration
 carrier_controller.carrier_forces -> carrier_dynamics.carrier_forces
 carrier_dynamics.carrier_state -> carrier_controller.carrier_state
 
@@ -253,7 +262,7 @@ load_disturbance.disturbance_wrench -> load_plant.disturbance_wrench
 wind.load_wind -> load_plant.load_wind
 wind.wind_estimate -> wrench_controller.wind_estimate
 wind.wind_estimate -> carrier_trajectory.wind_estimate
-"""
+"""  # noqa: E501
 
 
 def box_of(signal: str) -> str:
@@ -272,8 +281,11 @@ class LoopConfig(Protocol):
     system: SystemParameters
     simulated: Any  # `SystemOverrides`
     pattern: PatternConfig
+    simulation_duration: float
     control_period: float
     fused_plant: bool
+    reference_governor: ReferenceGovernorConfig | None
+    optimization_layer: Any  # a config
     simulator_config: SimulatorConfig
 
     def sampled(self) -> Any:
@@ -343,7 +355,8 @@ def make_nonstop(
     set_equilibrium(diagram, context)
     if not plant_states(diagram).declare_defaults(context):
         return diagram
-    again = _made_parts(scenario, others, extra, plant_states(diagram).states(context))
+    states = plant_states(diagram).states(context)
+    again = _made_parts(scenario, others, extra, states, parts.margin)
     taken = [*parts.blocks.values()]
     if not any(block is other for block in again.blocks.values() for other in taken):
         with warnings.catch_warnings():
@@ -396,6 +409,7 @@ class _Parts(NamedTuple):
     model: Model  # that the controllers believe
     blocks: dict[str, System]  # by the names of their boxes
     watched: dict[str, WatchedModel]  # what blocks read of their models
+    margin: SpeedMargin | None = None  # that was computed for the optimization layer
 
 
 def _made_parts(
@@ -403,6 +417,7 @@ def _made_parts(
     others: Mapping[str, Any],
     extra: Mapping[str, Any] | None,
     initial_states: Mapping[str, NDArray] | None = None,
+    margin: SpeedMargin | None = None,
 ) -> _Parts:
     """The blocks of a scenario that has been checked.
 
@@ -411,6 +426,7 @@ def _made_parts(
         others: the replacements that are no configs.
         extra: blocks beyond the figure's.
         initial_states: of the plant, by the names of the signals that show them.
+        margin: of the layer, where it was computed before.
     """
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
     plant = overridden(scenario.system, scenario.simulated)
@@ -432,10 +448,15 @@ def _made_parts(
     sizes = _figure_sizes(believed)
     blocks: dict[str, System] = {}
     watched: dict[str, WatchedModel] = {}  # what blocks read of their models
-    for name, box in BOXES.items():
+    for name, box in sorted(BOXES.items(), key=lambda item: item[0] == LAYER):  # it comes last
         entry = others.get(name, getattr(scenario, name))
         if entry is None:
             continue
+        if name == LAYER and _wants_margin(entry):
+            duration = scenario.simulation_duration
+            if margin is None:
+                margin = computed_margin(believed, simulated, entry, blocks, duration)
+            entry = with_margin(entry, margin)
         make = _constructor(name, entry) if is_dataclass(entry) else entry
         model = watched[name] = WatchedModel(simulated if box.is_simulated else believed)
         blocks[name] = _made(f"replacement {name}", make, model, ", or None to leave the box out")
@@ -445,10 +466,30 @@ def _made_parts(
         model = watched[name] = WatchedModel(believed)
         blocks[name] = _made(f"extra {name}", _maker(name, entry), model, "")
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
+    blocks = {name: blocks[name] for name in [*BOXES, *blocks] if name in blocks}
     _require_motion(believed, blocks)
     _check_command(blocks)
+    _check_plan(blocks)
     _check_accelerations(blocks)
-    return _Parts(believed, blocks, watched)
+    _check_preview(blocks)
+    if scenario.reference_governor is not None:
+        trajectory = blocks.get("load_trajectory")
+        remedy = "give a block for load_trajectory, or leave reference_governor out"
+        require(trajectory is not None, "load_trajectory", None, remedy)
+        blocks["load_trajectory"] = governed(
+            believed,
+            scenario.reference_governor,
+            trajectory,
+            scenario.optimization_layer,
+            scenario.simulation_duration,
+        )
+    return _Parts(believed, blocks, watched, margin)
+
+
+def _wants_margin(entry: Any) -> bool:
+    """Whether a layer's entry has a margin computed for it."""
+    is_auto = isinstance(entry, LimitsConfig) and entry.tightening == AUTO
+    return is_auto and entry.speed_margin == 0
 
 
 def _require_motion(model: Model, blocks: Mapping[str, System]) -> None:
@@ -492,20 +533,41 @@ def _check_command(blocks: Mapping[str, System]) -> None:
             )
 
 
+def _check_plan(blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where the rates of ξ and A are read, and not made."""
+    phase, made = blocks.get("phase"), _signals_made(blocks)
+    for name, block in blocks.items():
+        read = {*wiring.input_names(block)} - wiring.optional_inputs(block)
+        if "planned" in read - made and phase is not None:
+            other = f", or {name}=InternalForceTrajectory" if name == "internal_force" else ""
+            raise wiring.WiringError(
+                f"{name} = {type(block).__name__}: it reads planned, which "
+                f"phase = {type(phase).__name__} does not make; give that this output, θ, ξ, A "
+                f"and their rates (8){other}"
+            )
+
+
+def _signals_made(blocks: Mapping[str, System]) -> set[str]:
+    return {signal for block in blocks.values() for signal in wiring.output_names(block)}
+
+
 def _check_accelerations(blocks: Mapping[str, System]) -> None:
     """Raises ScenarioError where what is read of the references' accelerations is not made."""
     trajectory = blocks.get("carrier_trajectory")
-    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    made = _signals_made(blocks)
     needs = getattr(trajectory, "holds_acceleration", False)
     for name, block in blocks.items():
         read = {*wiring.input_names(block)} - wiring.optional_inputs(block)
         for signal in BOXES["carrier_trajectory"].optional:
             needs |= signal in read
             if signal in read and signal not in made and trajectory is not None:
+                other = f"another block for {name}"
+                if "carrier_forces" in wiring.output_names(block):
+                    other = f"{name}=CarrierPid"
                 raise wiring.WiringError(
                     f"{name} = {type(block).__name__}: it reads {signal}, which "
                     f"carrier_trajectory = {type(trajectory).__name__} does not make; give "
-                    f"carrier_trajectory=CarrierTrajectory, or another block for {name}"
+                    f"carrier_trajectory=CarrierTrajectory, or {other}"
                 )
     internal_force = blocks.get("internal_force")
     for signal in BOXES["internal_force"].optional:
@@ -518,10 +580,33 @@ def _check_accelerations(blocks: Mapping[str, System]) -> None:
             )
 
 
+def _check_preview(blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where a user's own block does not tell the reference that it makes."""
+    for name, block in blocks.items():
+        if is_of_package(block) or "reference_preview" not in wiring.output_names(block):
+            continue
+        field = f"{name}.reference_preview"
+        if block.num_input_ports() > 0:
+            preview = block.GetOutputPort("reference_preview").Allocate().get_value()
+        else:
+            start = block.CreateDefaultContext()
+            preview = block.GetOutputPort("reference_preview").Eval(start)
+        remedy = "give a ReferencePreview, such as ReferencePreview(reference_at)"
+        require(isinstance(preview, ReferencePreview), field, type(preview).__name__, remedy)
+        reference = _start_of_reference({"load_trajectory": block})
+        if reference is None:
+            continue
+        told = np.asarray(preview(0.0), dtype=float)
+        is_equal = told.shape == reference.shape and np.allclose(told, reference, atol=1e-9)
+        remedy = f"at t = 0 it is not what {name} makes as reference; correct one of the two"
+        require(is_equal, field, told.tolist(), remedy)
+
+
 def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     """The blocks, which may be fused, with the hold in front of sampled ones."""
-    believed, blocks, _ = parts
+    believed, blocks, *_ = parts
     _warn_of_unread_wind(blocks)
+    _warn_of_unshaped_parameters(blocks)
     _warn_of_unflown_aircraft(scenario, blocks)
     _warn_of_unknown_aircraft(blocks)
     if scenario.fused_plant:
@@ -546,6 +631,22 @@ def _warn_of_unread_wind(blocks: Mapping[str, System]) -> None:
             f"{load} = {type(blocks[load]).__name__}: no wind acts on the load, since this block "
             "does not read it; give it an input port load_wind (3), the air's velocity in m/s, in "
             "W, or have still air by wind=StillAir",
+            ScenarioWarning,
+            stacklevel=5,
+        )
+
+
+def _warn_of_unshaped_parameters(blocks: Mapping[str, System]) -> None:
+    """Tells of an internal force of other ξ and A than the phase has."""
+    layer, internal = blocks.get("optimization_layer"), blocks.get("internal_force")
+    if internal is None or not isinstance(blocks.get("phase"), phase.ShapedPhase):
+        return
+    changes = not isinstance(layer, optimization_layer.ConstantParameters)
+    if changes and "parameters" in wiring.input_names(internal):
+        warnings.warn(
+            f"internal_force = {type(internal).__name__}: it reads parameters, which phase = "
+            "ShapedPhase smooths, so that its rates are others than those that are flown; have it "
+            "read planned, as PlannedInternalForce does, or give phase=AccumulatedPhase",
             ScenarioWarning,
             stacklevel=5,
         )
@@ -594,6 +695,7 @@ def _connected(
     diagram = LoopDiagram()
     builder.BuildInto(diagram)
     diagram.set_name(LOOP)
+    diagram.speed_margin = parts.margin
     diagram.watched_models = {
         name: model for name, model in parts.watched.items() if not is_of_package(blocks.get(name))
     }
@@ -640,15 +742,26 @@ def _figure_sizes(model: Model) -> dict[str, int | None]:
 
 
 def _signals_left_out(model: Model, blocks: Mapping[str, System]) -> dict[str, int | None]:
-    """The signals, with their sizes, of boxes left out that no block makes in their place."""
+    """The signals, with their sizes, of boxes left out that no block makes in their place.
+
+    Of the optional ones those of commands, and those that other blocks need.
+    """
     if all(name in blocks for name in BOXES):
         return {}
-    made = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    made = _signals_made(blocks)
+    needed: set[str] = set()
+    for block in blocks.values():
+        needed |= {*wiring.input_names(block)} - wiring.optional_inputs(block)
     missing = [
         signal
-        for box in BOXES.values()
+        for name, box in BOXES.items()
         for signal in box.signals
-        if (signal not in box.optional or signal in COMMANDS) and signal not in made
+        if signal not in made
+        and (
+            signal not in box.optional
+            or signal in COMMANDS
+            or (name not in blocks and signal in needed)
+        )
     ]
     sizes = _figure_sizes(model)
     return {signal: sizes[signal] for signal in missing}

@@ -19,7 +19,7 @@ from pydrake.systems.framework import Context, Context_, Diagram, System
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.equilibrium import LOOP_SIGNALS
 from drake_nonstop.model.aircraft import AircraftParameters, values_of
-from drake_nonstop.model.block_parameters import BlockParameters
+from drake_nonstop.model.block_parameters import AUTO, BlockParameters
 from drake_nonstop.model.pattern import InternalForcePattern
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model, SystemParameters
 from drake_nonstop.systems.block import is_converted
@@ -105,7 +105,8 @@ def set_parameter(loop: Diagram, context: Context, path: str, value: Any) -> Non
     """Sets a parameter of a loop in all blocks that go by it, without building or tracing anew.
 
     With `system.<field>` the plant follows unless the scenario's `simulated` gives the field, or
-    the plant has another value by now; with `simulated.<field>` the plant is set alone. The state
+    the plant has another value by now; with `simulated.<field>` the plant is set alone. What is
+    "auto" in a block's config follows, too, unless it has another value by now. The state
     stays: for another mass or cable `set_equilibrium` finds the start anew. An optimization layer
     that has not been updated yet begins with the values set.
 
@@ -205,7 +206,11 @@ class _Loop:
             f"{_BUILD}",
         )
         for holder, new in writes:
+            following = [own for own in self._following(holder) if own != name]
             self._write(holder, name, new)
+            found = holder.parameters.rules.follow(self._numbers(holder))
+            for own in following:
+                self._write(holder, own, found[own])
         self._begin_anew({holder.box: holder.block for holder, _ in writes})
 
     def _changed_models(self, scope: str, field: str, path: str, value: Any) -> dict[str, Model]:
@@ -247,7 +252,11 @@ class _Loop:
         model = changed or self._model(holder.role) or parameters.model
         config, rules = parameters.config, parameters.rules
         if parameters.own:
-            present = {name: self._value(holder, name) for name in parameters.own}
+            following = self._following(holder)
+            present = {
+                name: AUTO if name in following else self._value(holder, name)
+                for name in parameters.own
+            }
             for name, plain in own.items():
                 kind = {f.name: f.type for f in dataclasses.fields(config)}[name]
                 require_type(path, plain, kind)
@@ -354,6 +363,24 @@ class _Loop:
                 values[holder.role].append(self._value(holder, field))
         pairs = ((a, b) for a in values[_SYSTEM][:1] for b in values[_SIMULATED])
         return all(a == b for a, b in pairs)
+
+    def _following(self, holder: _Holder) -> list[str]:
+        """The fields of the config that are "auto", but for those set to another value since."""
+        parameters = holder.parameters
+        found = parameters.rules.follow(self._numbers(holder))
+        return [
+            name
+            for name in parameters.own
+            if parameters.is_auto(name)
+            and _floats(np.ravel(found[name])) == self._value(holder, name)
+        ]
+
+    def _numbers(self, holder: _Holder) -> dict[str, NDArray]:
+        """All parameters of a block by name, with derivatives where the context has them."""
+        vector = holder.parameters.vector
+        if holder.group is not None:
+            vector = self._context.get_numeric_parameter(holder.group).CopyToVector()
+        return holder.parameters.view(vector)
 
     def _value(self, holder: _Holder, name: str) -> Any:
         """A number, or a list as in a scenario."""

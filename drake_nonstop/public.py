@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
+from drake_nonstop.blocks.reference_governor import ReferenceGovernor, ReferenceGovernorConfig
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, make_blocks, make_nonstop
@@ -18,6 +19,7 @@ from drake_nonstop.diagrams.parameters import (
     parameters,
     set_parameter,
 )
+from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -86,6 +88,10 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "LinearPatternConfig",
     "Model",
     "LoadTrajectory",
+    "ReferenceGovernor",
+    "ReferenceGovernorConfig",
+    "ReferencePreview",
+    "continued_reference",
     "Equations",
     "FusedPlant",
     "Outcome",

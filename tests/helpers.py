@@ -9,13 +9,14 @@ from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.common.value import Value
 from pydrake.math import RollPitchYaw_, RotationMatrix
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, LeafSystem, System
 
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.systems.wiring import output_sizes
 
 INERTIA = np.array([[0.014, 0.001, -0.0005], [0.001, 0.011, 0.002], [-0.0005, 0.002, 0.017]])
 
@@ -131,6 +132,11 @@ def output(block: LeafSystem, context: Context, name: str) -> NDArray:
     return block.GetOutputPort(name).Eval(context).copy()
 
 
+def vector_outputs(block: System) -> list[str]:
+    """The names of the output ports, but for abstract ones."""
+    return [name for name, size in output_sizes(block).items() if size is not None]
+
+
 def outputs(
     block: LeafSystem, state: NDArray | None = None, time: float = 0.0, **inputs: NDArray
 ) -> dict[str, NDArray]:
@@ -140,12 +146,7 @@ def outputs(
     if state is not None:
         context.SetContinuousState(state)
     fix(block, context, **inputs)
-    return {
-        block.get_output_port(i).get_name(): output(
-            block, context, block.get_output_port(i).get_name()
-        )
-        for i in range(block.num_output_ports())
-    }
+    return {name: output(block, context, name) for name in vector_outputs(block)}
 
 
 def circling_run(n=4, duration=0.5, cable_length=0.8):

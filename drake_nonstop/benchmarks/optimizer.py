@@ -1,9 +1,9 @@
-"""How fast and how good the solvers of the optimization layer are, on the same problems."""
+"""How fast and how good the solvers of the optimization layer are, and the layers themselves."""
 
 import importlib.util
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from drake_nonstop.benchmarks import instances as drawn
 from drake_nonstop.benchmarks.instances import Instance, Truth
 from drake_nonstop.benchmarks.peers import Solve, casadi_ipopt, scipy_slsqp
+from drake_nonstop.benchmarks.whole_tasks import benchmark_tasks, tasks_table
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizer, NonstopOptimizerConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
@@ -58,14 +59,16 @@ def benchmark_optimizer(
     count: int = 1000,
     seed: int = 0,
     names: list[str] | None = None,
+    tasks: Sequence[str] = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> dict[str, Any]:
-    """Runs the solvers on random instances and on the updates of `quintic`.
+    """Runs the solvers on random instances and on the updates of `quintic`, and layers on tasks.
 
     Args:
         count: how many instances.
         seed: of the instances.
         names: of the solvers, out of `SOLVERS` and `PEERS`; none: all that are installed.
+        tasks: scenarios that layers fly, compared with the offline optimum, see `whole_tasks`.
         progress: called with the name of a part and the share of it that is done.
 
     Returns:
@@ -113,6 +116,7 @@ def benchmark_optimizer(
             "layer_share_of_wall_time": share,
             "solvers": sequence,
         },
+        "whole_tasks": benchmark_tasks(tasks, progress=progress),
         "times": f"each the median of {_REPEATS} solves, of one where that took over {_SLOW} s",
         "versions": versions(),
     }
@@ -139,6 +143,7 @@ def table(results: dict[str, Any]) -> str:
             "",
             f"times in ms: p50 / p99 / max; {results['times']}",
             "feasible, optimal: of the solved ones; best: of those without a feasible point",
+            *(["", tasks_table(results["whole_tasks"])] if results["whole_tasks"] else []),
         ]
     )
 

@@ -36,6 +36,10 @@ class _PositionPid(DiagramBlock):
         model: the number of carriers.
         config: the block's.
         law: how the gains follow from its fields, and whether there is feedforward m_c a_d.
+
+    Attributes:
+        gains: those that it was built with, by name: position_gain, velocity_gain, integral_gain.
+        has_feedforward: whether there is feedforward m_c a_d.
     """
 
     def __init__(self, model: Model, config: Any, law: "_Law"):
@@ -46,6 +50,7 @@ class _PositionPid(DiagramBlock):
         minus = builder.AddNamedSystem("minus", Gain(-1.0, 2 * size))
         error = builder.AddNamedSystem("error", Adder(2, 2 * size))
         has_integral = law.has_integral(model, config)
+        self.gains, self.has_feedforward = law.gains_of(model, config), law.has_feedforward
         parameters = BlockParameters(
             model,
             law.of_system,
@@ -98,8 +103,12 @@ class _Law:
 
     def has_integral(self, model: Model, config: Any) -> bool:
         """Whether the integral has a gain."""
+        return bool(self.gains_of(model, config)["integral_gain"] != 0)
+
+    def gains_of(self, model: Model, config: Any) -> dict[str, Any]:
+        """The gains of a config."""
         values = {name: model.number(name) for name in self.of_system} | asdict(config)
-        return bool(self.gains(**values)["integral_gain"] != 0)
+        return self.gains(**values)
 
 
 def _pid(
@@ -386,6 +395,7 @@ class LoadedCarrierPid(TracedBlock):
     def __init__(self, model: Model, config: LoadedCarrierPidConfig | None = None):
         config = config or LoadedCarrierPidConfig()
         _check(model, config)
+        self.gains = asdict(config) | {"integral_gain": 0.0}
         n = model.n
         super().__init__(
             lambda *values, carrier_mass, gravity, **gains: loaded_pid_forces(
@@ -410,8 +420,8 @@ class LoadedCarrierPid(TracedBlock):
 
 # The blocks that the box can be, the default first.
 VARIANTS = (
-    CarrierPid,
     FeedforwardCarrierPid,
+    CarrierPid,
     TunedCarrierPid,
     TunedFeedforwardCarrierPid,
     LoadedCarrierPid,

@@ -28,7 +28,7 @@ from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import StrictFields, require
 
 _BOX = "carrier_trajectory"
-_HOLDS = ("velocity", "second_order")
+_HOLDS = ("second_order", "velocity")
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 _FOR_DERIVATIVES = ("internal_force_higher_rates", "wind_estimate")
 
@@ -224,7 +224,7 @@ def _compliance(stiffness: NDArray | None) -> NDArray:
 
 @dataclass(kw_only=True)
 class _Hold(StrictFields):
-    hold: str = "velocity"  # of the references between samples; or "second_order"
+    hold: str = "second_order"  # of the references between samples; or "velocity"
 
 
 @dataclass(kw_only=True)
@@ -255,15 +255,15 @@ class CarrierTrajectory(_TrajectoryAboveReference):
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
     `internal_force_higher_rates` (2m) = [λ̈ (N/s²); λ⃛ (N/s³)] and `wind_estimate` (3, m/s) in W,
     which only accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) =
-    [positions (m), velocities (m/s)] in W. A time τ after a sample it is p + τ v and v, or, with
-    `hold` "second_order", p + τ v + τ² a/2 and v + τ a.
+    [positions (m), velocities (m/s)] in W. A time τ after a sample it is p + τ v + τ² a/2 and
+    v + τ a, or, with `hold` "velocity", p + τ v and v.
 
     `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
     those while the load is on its reference, whose snap and angular jerk are taken as zero, see
     `mechanics.force_rates`; between samples they stand still.
 
     Parameters, the fields of `CarrierTrajectoryConfig`:
-        hold: of the references between samples; or "second_order"
+        hold: of the references between samples; or "velocity"
 
     Raises:
         ScenarioError: `hold` is another text.
@@ -302,15 +302,15 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
     `internal_force_higher_rates` (2m) = [λ̈ (N/s²); λ⃛ (N/s³)] and `wind_estimate` (3, m/s) in W,
     which only accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) =
-    [positions (m), velocities (m/s)] in W. A time τ after a sample it is p + τ v and v, or, with
-    `hold` "second_order", p + τ v + τ² a/2 and v + τ a.
+    [positions (m), velocities (m/s)] in W. A time τ after a sample it is p + τ v + τ² a/2 and
+    v + τ a, or, with `hold` "velocity", p + τ v and v.
 
     `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
     those while the load is on its reference, whose snap and angular jerk are taken as zero, see
     `mechanics.force_rates`; between samples they stand still.
 
     Parameters, the fields of `InextensibleCarrierTrajectoryConfig`:
-        hold: of the references between samples; or "second_order"
+        hold: of the references between samples; or "velocity"
 
     Raises:
         ScenarioError: `hold` is another text.

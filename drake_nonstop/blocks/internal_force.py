@@ -106,4 +106,4 @@ class PlannedInternalForce(TracedBlock):
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (InternalForceTrajectory, PlannedInternalForce)
+VARIANTS = (PlannedInternalForce, InternalForceTrajectory)

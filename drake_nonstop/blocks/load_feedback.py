@@ -172,6 +172,11 @@ class NoisyFeedback(LeafBlock):
         period: s, between samples of the noise and of the delayed state
         seed: of the noise
 
+    Attributes:
+        deviations: (12,), standard deviations of the errors, in the order of a `TrackingError`.
+        delay_periods: the delay in periods.
+        period: s, between samples.
+
     Raises:
         ScenarioError: a field is out of range, or the delay no multiple of the period.
     """
@@ -189,20 +194,21 @@ class NoisyFeedback(LeafBlock):
         require_positive(_BOX, period=config.period)
         require_period(f"{_BOX}.period", config.period)
         require_seed(f"{_BOX}.seed", config.seed)
-        self._periods = round(config.delay / config.period)
+        self.delay_periods = round(config.delay / config.period)
         require(
-            abs(self._periods * config.period - config.delay) < 1e-9 and self._periods <= 1000,
+            abs(self.delay_periods * config.period - config.delay) < 1e-9
+            and self.delay_periods <= 1000,
             f"{_BOX}.delay",
             config.delay,
             f"give a multiple of the period {config.period:g} s, at most 1000 of them",
         )
-        self._period, self._seed = config.period, config.seed
-        self._deviations = np.repeat(list(deviations.values()), 3)
+        self.period, self._seed = config.period, config.seed
+        self.deviations = np.repeat(list(deviations.values()), 3)
         self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
         prerequisites = {self.all_input_ports_ticket(), self.time_ticket()}
-        if self._periods > 0:
+        if self.delay_periods > 0:
             # The last samples, the newest first, their number, and the time of the newest.
-            self._samples = self.DeclareDiscreteState(LOAD_STATE_SIZE * self._periods)
+            self._samples = self.DeclareDiscreteState(LOAD_STATE_SIZE * self.delay_periods)
             self._count = self.DeclareDiscreteState(1)
             self._newest = self.DeclareDiscreteState([-np.inf])
             self.DeclareInitializationDiscreteUpdateEvent(self._sample)
@@ -216,18 +222,18 @@ class NoisyFeedback(LeafBlock):
 
     def _sample(self, context: Context, discrete_state: DiscreteValues) -> None:
         newest = number(context.get_discrete_state(self._newest)[0])
-        if number(context.get_time()) < newest + self._period / 2:
+        if number(context.get_time()) < newest + self.period / 2:
             return  # a run that starts at the instant of a sample triggers both events
         samples = context.get_discrete_state(self._samples).CopyToVector()
         count = number(context.get_discrete_state(self._count)[0])
         samples = np.concatenate([self._load_state.Eval(context), samples[:-LOAD_STATE_SIZE]])
         discrete_state.set_value(self._samples, samples)
         discrete_state.set_value(self._newest, [context.get_time()])
-        discrete_state.set_value(self._count, [min(count + 1, self._periods)])
+        discrete_state.set_value(self._count, [min(count + 1, self.delay_periods)])
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         state = self._load_state.Eval(context)
-        if self._periods > 0:
+        if self.delay_periods > 0:
             count = int(number(context.get_discrete_state(self._count)[0]))
             if count > 0:  # otherwise the state at the start
                 samples = context.get_discrete_state(self._samples).CopyToVector()
@@ -235,12 +241,12 @@ class NoisyFeedback(LeafBlock):
         output.SetFromVector(self._noisy(state, number(context.get_time())))
 
     def _noisy(self, state: NDArray, time: float) -> NDArray:
-        if not self._deviations.any():
+        if not self.deviations.any():
             return state
-        number = int(np.floor(time / self._period + 1e-6))
+        number = int(np.floor(time / self.period + 1e-6))
         generator = np.random.default_rng([self._seed, number])
         noise = TrackingError.view(  # all of it in W
-            self._deviations * generator.standard_normal(TRACKING_ERROR_SIZE)
+            self.deviations * generator.standard_normal(TRACKING_ERROR_SIZE)
         )
         quaternion, position, angular_velocity, velocity = LoadState.view(state)
         return np.concatenate(

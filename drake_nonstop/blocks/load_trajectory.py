@@ -147,7 +147,11 @@ def _steady_turn(yaw_rate: float, time: NDArray) -> NDArray:
     )
 
 
-_SMOOTH_STEP = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # quintic from 0 to 1 on [0, 1]
+# Polynomials from 0 to 1 on [0, 1] of which, and of a number of derivatives, the ends are at rest.
+_SMOOTH_STEPS = {
+    "c3": np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0]),
+    "c4": np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0]),
+}
 
 
 def _segment(coefficients: NDArray, scale: NDArray, duration: float, start: NDArray) -> NDArray:
@@ -163,8 +167,9 @@ def _rest_to_rest(
     changes: Iterable[NDArray],
     rest_times: Iterable[float],
     move_times: Iterable[float],
+    smooth_step: NDArray,
 ) -> PiecewisePolynomial:
-    """Legs in which each coordinate rests, and then follows a quintic from rest to rest."""
+    """Legs in which each coordinate rests, and then follows a smooth step from rest to rest."""
     segments: list[NDArray] = []
     breaks: list[float] = []
     for start, change, rest, move in zip(starts, changes, rest_times, move_times, strict=True):
@@ -173,7 +178,7 @@ def _rest_to_rest(
         elif rest > 0:
             segments.append(_segment(np.zeros(1), change, rest, start))
             breaks.append(breaks[-1] + rest)
-        segments.append(_segment(_SMOOTH_STEP, change, move, start))
+        segments.append(_segment(smooth_step, change, move, start))
         breaks.append(breaks[-1] + move)
     return _joined(segments, breaks)
 
@@ -190,11 +195,13 @@ def _joined(segments: list[NDArray], breaks: list[float]) -> PiecewisePolynomial
 
 
 @dataclass(kw_only=True)
-class _StartPose(StrictFields):
-    """The load's pose at the start, for the configs of several blocks."""
+class _Move(StrictFields):
+    """Where a move starts and how smooth it is, for the configs of several blocks."""
 
     start_position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
     start_roll_pitch_yaw: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # rad
+    # "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a septic.
+    blend: str = "c3"
 
     def start_pose(self) -> NDArray:
         """[roll, pitch, yaw, x, y, z] (6,), checked."""
@@ -206,10 +213,16 @@ class _StartPose(StrictFields):
             ]
         )
 
+    def smooth_step(self) -> NDArray:
+        """The coefficients of the polynomial, from 0 to 1 on [0, 1], that `blend` names."""
+        remedy = f"give {' or '.join(_SMOOTH_STEPS)}"
+        require(self.blend in _SMOOTH_STEPS, f"{_BOX}.blend", self.blend, remedy)
+        return _SMOOTH_STEPS[self.blend]
+
 
 @dataclass(kw_only=True)
-class RestToRestConfig(_StartPose):
-    """Rest, a move in which each coordinate follows a quintic from rest to rest, and rest."""
+class RestToRestConfig(_Move):
+    """Rest, a move in which each coordinate follows a polynomial from rest to rest, and rest."""
 
     displacement: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
     roll_pitch_yaw: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # rad, change
@@ -219,6 +232,8 @@ class RestToRestConfig(_StartPose):
 
 class RestToRest(LoadTrajectory):
     """The paper's second experiment: component-wise quintic polynomials from rest to rest.
+
+    A quintic's jerk steps where it begins and ends; that of `blend` "c4" is continuous.
 
     .. pydrake_system::
 
@@ -234,14 +249,16 @@ class RestToRest(LoadTrajectory):
     Parameters, the fields of `RestToRestConfig`:
         start_position: m
         start_roll_pitch_yaw: rad
+        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
+            septic.
         displacement: m
         roll_pitch_yaw: rad, change
         start_time: s
         move_time: s
 
     Raises:
-        ScenarioError: move_time is not above zero, start_time is negative, or a vector does not
-            hold 3 finite numbers.
+        ScenarioError: move_time is not above zero, start_time is negative, a vector does not
+            hold 3 finite numbers, or `blend` is another text.
     """
 
     def __init__(self, model: Model, config: RestToRestConfig | None = None):
@@ -257,11 +274,12 @@ class RestToRest(LoadTrajectory):
                 require_array(f"{_BOX}.displacement", config.displacement, [3], "metres"),
             ]
         )
-        super().__init__(_rest_to_rest([start], [change], [config.start_time], [config.move_time]))
+        times = [config.start_time], [config.move_time]
+        super().__init__(_rest_to_rest([start], [change], *times, config.smooth_step()))
 
 
 @dataclass(kw_only=True)
-class ConstantVelocityMoveConfig(_StartPose):
+class ConstantVelocityMoveConfig(_Move):
     """Rest, a straight move at constant velocity, and rest."""
 
     velocity: list[float] = field(default_factory=lambda: [0.7, 0.0, 0.0])  # m/s
@@ -275,6 +293,7 @@ class ConstantVelocityMove(LoadTrajectory):
 
     The paper's steps in velocity are blended over `blend_time`, by a quintic (so that the jerk is
     continuous) centred on the step: the line has the same length and is crossed at the same times.
+    With `blend` "c4" the jerk's rate is continuous, too.
 
     .. pydrake_system::
 
@@ -290,6 +309,8 @@ class ConstantVelocityMove(LoadTrajectory):
     Parameters, the fields of `ConstantVelocityMoveConfig`:
         start_position: m
         start_roll_pitch_yaw: rad
+        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
+            septic.
         velocity: m/s
         start_time: s
         move_time: s
@@ -297,7 +318,8 @@ class ConstantVelocityMove(LoadTrajectory):
 
     Raises:
         ScenarioError: move_time is not above zero, start_time or blend_time is negative,
-            blend_time is too long for them, or a vector does not hold 3 finite numbers.
+            blend_time is too long for them, a vector does not hold 3 finite numbers, or
+            `blend` is another text.
     """
 
     def __init__(self, model: Model, config: ConstantVelocityMoveConfig | None = None):
@@ -320,7 +342,8 @@ class ConstantVelocityMove(LoadTrajectory):
             ]
         )
         # The integral of the velocity's smooth step: from rest to one unit of velocity.
-        blend = np.concatenate([[0.0], _SMOOTH_STEP / np.arange(1, 7)])
+        step = config.smooth_step()
+        blend = np.concatenate([[0.0], step / np.arange(1, len(step) + 1)])
         cruise = config.move_time - config.blend_time
         pieces = [
             (half * 2, blend, half * 2),
@@ -338,7 +361,7 @@ class ConstantVelocityMove(LoadTrajectory):
 
 
 @dataclass(kw_only=True)
-class WaypointsConfig(_StartPose):
+class WaypointsConfig(_Move):
     """Moves from pose to pose, each from rest to rest, with rests between them."""
 
     positions: list[list[float]] = field(  # m, in W, a row per waypoint
@@ -355,7 +378,8 @@ class Waypoints(LoadTrajectory):
     """The load moves from waypoint to waypoint, and rests at each of them.
 
     On each leg the coordinates of the pose follow a quintic from rest to rest, together, as in
-    `RestToRest`: velocity and acceleration are continuous and are zero at each waypoint.
+    `RestToRest`: velocity and acceleration are continuous and are zero at each waypoint, and with
+    `blend` "c4" the jerk.
     Angles are interpolated as given: from yaw 3 to yaw −3 the load rotates back by 6 rad.
 
     .. pydrake_system::
@@ -372,6 +396,8 @@ class Waypoints(LoadTrajectory):
     Parameters, the fields of `WaypointsConfig`:
         start_position: m
         start_roll_pitch_yaw: rad
+        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
+            septic.
         positions: m, in W, a row per waypoint
         roll_pitch_yaw: rad, a row per waypoint; empty: the start's
         move_times: s, of each leg
@@ -379,7 +405,7 @@ class Waypoints(LoadTrajectory):
 
     Raises:
         ScenarioError: the config's lists do not hold a finite row, and a time, per waypoint;
-            a move time is not above zero, or a rest time is below.
+            a move time is not above zero, a rest time is below, or `blend` is another text.
     """
 
     def __init__(self, model: Model, config: WaypointsConfig | None = None):
@@ -421,11 +447,13 @@ class Waypoints(LoadTrajectory):
             "give times that are not negative",
         )
         poses = np.vstack([start, np.hstack([angles, positions])])
-        super().__init__(_rest_to_rest(poses[:-1], np.diff(poses, axis=0), rests, moves))
+        super().__init__(
+            _rest_to_rest(poses[:-1], np.diff(poses, axis=0), rests, moves, config.smooth_step())
+        )
 
 
 @dataclass(kw_only=True)
-class CircleConfig(_StartPose):
+class CircleConfig(_Move):
     """Rest, a level circle or a part of it, and rest; it begins at the start position."""
 
     radius: float = 1.0  # m
@@ -440,8 +468,8 @@ class Circle(LoadTrajectory):
     """The load moves round a level circle, at the height of its start, from rest to rest.
 
     The angle θ on the circle follows a quintic, so that velocity and acceleration are continuous,
-    and the position is on the circle to rounding: p = c + r (cos θ, sin θ), with its
-    derivatives by the chain rule.
+    or, with `blend` "c4", a septic, and the jerk is. The position is on the circle to rounding:
+    p = c + r (cos θ, sin θ), with its derivatives by the chain rule.
 
     .. pydrake_system::
 
@@ -457,6 +485,8 @@ class Circle(LoadTrajectory):
     Parameters, the fields of `CircleConfig`:
         start_position: m
         start_roll_pitch_yaw: rad
+        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
+            septic.
         radius: m
         centre_direction: rad, of the centre seen from the start, x to y
         turns: number of rounds, counter-clockwise from above; negative: clockwise
@@ -465,8 +495,8 @@ class Circle(LoadTrajectory):
         move_time: s
 
     Raises:
-        ScenarioError: radius or move_time is not above zero, start_time is negative, or
-            another number is not finite.
+        ScenarioError: radius or move_time is not above zero, start_time is negative,
+            another number is not finite, or `blend` is another text.
     """
 
     def __init__(self, model: Model, config: CircleConfig | None = None):
@@ -491,12 +521,15 @@ class Circle(LoadTrajectory):
         turn = 2 * np.pi * turns
         change = np.array([0.0, 0.0, turn if config.turns_with_path else 0.0, turn, 0.0])
         super().__init__(
-            _rest_to_rest([begin], [change], [config.start_time], [config.move_time]), pose
+            _rest_to_rest(
+                [begin], [change], [config.start_time], [config.move_time], config.smooth_step()
+            ),
+            pose,
         )
 
 
 @dataclass(kw_only=True)
-class SteadyTurnConfig(_StartPose):
+class SteadyTurnConfig(_Move):
     """A turn about the vertical at a constant rate, at rest or on the way from rest to rest."""
 
     yaw_rate: float = 0.4  # rad/s, at all times, counter-clockwise from above; not 0
@@ -509,8 +542,8 @@ class SteadyTurn(LoadTrajectory):
     """The load turns about the vertical at a constant rate, and its carriers with it.
 
     The turn neither begins nor ends: the load turns at the start of a run and after its last
-    metre. Its position follows a quintic from rest to rest, as in `RestToRest`; roll and pitch stay
-    those of the start. With `ConstantSpread` the carriers fly level circles at a constant tension.
+    metre. Its position moves from rest to rest as in `RestToRest`; roll and pitch stay those of the
+    start. With `ConstantSpread` the carriers fly level circles at a constant tension.
 
     .. pydrake_system::
 
@@ -526,14 +559,16 @@ class SteadyTurn(LoadTrajectory):
     Parameters, the fields of `SteadyTurnConfig`:
         start_position: m
         start_roll_pitch_yaw: rad
+        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
+            septic.
         yaw_rate: rad/s, at all times, counter-clockwise from above; not 0
         displacement: m
         start_time: s, of the displacement
         move_time: s, of the displacement
 
     Raises:
-        ScenarioError: yaw_rate is 0, move_time is not above zero, start_time is negative, or a
-            vector does not hold 3 finite numbers.
+        ScenarioError: yaw_rate is 0, move_time is not above zero, start_time is negative, a
+            vector does not hold 3 finite numbers, or `blend` is another text.
     """
 
     def __init__(self, model: Model, config: SteadyTurnConfig | None = None):
@@ -551,7 +586,13 @@ class SteadyTurn(LoadTrajectory):
         displacement = require_array(f"{_BOX}.displacement", config.displacement, [3], "metres")
         change = np.concatenate([np.zeros(3), displacement])
         super().__init__(
-            _rest_to_rest([config.start_pose()], [change], [config.start_time], [config.move_time]),
+            _rest_to_rest(
+                [config.start_pose()],
+                [change],
+                [config.start_time],
+                [config.move_time],
+                config.smooth_step(),
+            ),
             yaw_rate=rate,
         )
 

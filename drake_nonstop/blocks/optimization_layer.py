@@ -59,8 +59,10 @@ class NonstopOptimizer(SpeedBoundLayer):
 
         min J(x)  such that  ‖v_i(x, τ)‖² ≥ ((1 + tightening) ε)²,  i = 1 … n,
 
-    at instants τ up to the next update and at phases of the orbit ahead, optionally together with
-    limits of tensions, speeds, separations and of the rates of ξ and A. Without
+    at instants τ up to the next update and at phases of the orbit `look_ahead_time` after it,
+    optionally together with limits of tensions, speeds, separations and of the rates of ξ and A.
+    x⁻ is what the layer has asked for before, and not what is flown: behind a `ShapedPhase` ξ and A
+    follow a step within 6.4/bandwidth but for 5 %, which is the default of that time. Without
     `amplitude_bounds` A stays between 0.004 and 3 times a cable's share of the load's weight, or
     half and twice the initial A where that is wider. `tightening` covers the
     difference between predicted and simulated speeds. If x⁻ fulfils the constraints it is kept;
@@ -119,6 +121,7 @@ class NonstopOptimizer(SpeedBoundLayer):
         max_tension: N
         min_separation: m, of two carriers over a whole orbit; 0: any
         look_ahead_points: instants from now to the next update; 1: now, as in the paper
+        look_ahead_time: s, from the next update to the orbit ahead, where points > 1
         orbit_points: phases of the orbit ahead; 1: the present one, as in the paper
         orbit_updates: successive updates that share these phases
         load_motion: of the carriers; "desired", or "measured" as in the paper
@@ -340,4 +343,4 @@ def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (NonstopOptimizer, RecedingHorizonOptimizer, ConstantParameters)
+VARIANTS = (RecedingHorizonOptimizer, NonstopOptimizer, ConstantParameters)

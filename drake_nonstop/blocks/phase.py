@@ -1,6 +1,5 @@
 """Box "phase" of the internal forces, in the paper a part of their trajectories."""
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -16,19 +15,17 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import Integrator, MatrixGain
 
-from drake_nonstop.mechanics.shaping import (
-    Stages,
-    approach,
-    stage_rates,
-    stages_after,
-    third_stage_rates,
-)
+from drake_nonstop.mechanics.shaping import Smoothing
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, PLANNED_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock, LeafBlock
+from drake_nonstop.systems.linear_block import LinearBlock
 from drake_nonstop.validation import StrictFields, require_positive
 
 _BOX = "phase"
+# [θ, ξ, A] and rates of zero, of `phase` and `parameters`.
+_OF_PLANNED = {"phase": PHASE_SIZE, "parameters": PARAMETERS_SIZE}
+_WITHOUT_RATES = np.vstack([np.eye(4)[[0, 2, 3]], np.zeros((5, 4))])
 
 
 @dataclass(kw_only=True)
@@ -48,9 +45,11 @@ class AccumulatedPhase(DiagramBlock):
         - parameters
         output_ports:
         - phase
+        - planned
 
     `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ (rad), ∂θ/∂ξ = 0 (s)] is
     the state: continuous, or stepped at each sample where the model has a control period.
+    `planned` (8) = [θ, ξ, A, 0, 0, 0, 0, 0] tells no rates: those of constant ξ and A.
     """
 
     is_sampled = True
@@ -66,8 +65,12 @@ class AccumulatedPhase(DiagramBlock):
             state = builder.AddNamedSystem("state", Integrator(PHASE_SIZE))
             builder.Connect(rate.get_output_port(), state.get_input_port())
             parameters = rate.get_input_port()
-        builder.ExportInput(parameters, "parameters")
+        planned = builder.AddNamedSystem("planned", LinearBlock(_WITHOUT_RATES, _OF_PLANNED))
+        builder.Connect(state.get_output_port(), planned.GetInputPort("phase"))
+        exported = builder.ExportInput(parameters, "parameters")
+        builder.ConnectInput(exported, planned.GetInputPort("parameters"))
         builder.ExportOutput(state.get_output_port(), "phase")
+        builder.ExportOutput(planned.get_output_port(), "planned")
         builder.BuildInto(self)
 
 
@@ -106,9 +109,11 @@ class PaperPhase(LeafBlock):
         - sample_time (where the model has a control period)
         output_ports:
         - phase
+        - planned
 
     `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ = ξ t (rad), ∂θ/∂ξ = t (s)].
-    Behind a sampled controller t is the `sample_time` (1), in s.
+    Behind a sampled controller t is the `sample_time` (1), in s. `planned` (8) =
+    [θ, ξ, A, 0, 0, 0, 0, 0] tells no rates: those of constant ξ and A.
     """
 
     is_sampled = True
@@ -122,21 +127,32 @@ class PaperPhase(LeafBlock):
             self._sample_time = self.DeclareVectorInputPort("sample_time", 1)
         else:
             prerequisites.add(self.time_ticket())
-        self.DeclareVectorOutputPort("phase", PHASE_SIZE, self._calc_phase, prerequisites)
+        for name, size, calc in (
+            ("phase", PHASE_SIZE, self._calc_phase),
+            ("planned", PLANNED_SIZE, self._calc_planned),
+        ):
+            self.DeclareVectorOutputPort(name, size, calc, prerequisites)
+
+    def _time(self, context: Context) -> Any:
+        if self._sample_time is not None:
+            return self._sample_time.Eval(context)[0]
+        return context.get_time()
 
     def _calc_phase(self, context: Context, output: BasicVector) -> None:
-        time = context.get_time()
-        if self._sample_time is not None:
-            time = self._sample_time.Eval(context)[0]
+        time = self._time(context)
         frequency, _ = self._parameters.Eval(context)
         output.SetFromVector([frequency * time, time])
+
+    def _calc_planned(self, context: Context, output: BasicVector) -> None:
+        frequency, amplitude = self._parameters.Eval(context)
+        output.SetFromVector([frequency * self._time(context), frequency, amplitude, *[0.0] * 5])
 
 
 @dataclass(kw_only=True)
 class ShapedPhaseConfig(StrictFields):
     """How fast ξ and A follow the parameters that a layer asks for."""
 
-    bandwidth: float = 40.0  # rad/s, of each of three equal poles
+    bandwidth: float = 80.0  # rad/s, of each of three equal poles
     max_frequency_rate: float = math.inf  # rad/s², of ξ
     max_amplitude_rate: float = math.inf  # N/s, of A
 
@@ -200,14 +216,14 @@ class ShapedPhase(DiagramBlock):
         builder.BuildInto(self)
 
 
-_STATE_SIZE = 7  # θ, and the stages of ξ and of A
+_STATE_SIZE = 8  # θ, the stages of ξ and of A, and whether they have started
 
 
 class _Shape(InnerBlock):
     """What the sampled and the continuous shape have in common.
 
-    The state is θ with the stages of ξ and of A, and beside it whether they have started: 1, or,
-    before that, 0, where the stages are the parameters.
+    The state is θ with the stages of ξ and of A, and whether these have started: 1, or, before
+    that, 0, where they are the parameters.
 
     Args:
         bandwidth: rad/s.
@@ -217,11 +233,10 @@ class _Shape(InnerBlock):
 
     def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
         super().__init__()
-        self._bandwidth, self._period = bandwidth, period
-        self._approaches = [
-            functools.partial(approach, bandwidth=bandwidth, period=period, max_rate=max_rate)
+        self._frequency, self._amplitude = (
+            Smoothing(bandwidth=bandwidth, period=period, max_rate=max_rate)
             for max_rate in max_rates
-        ]
+        )
         self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
         self._plan = self.DeclareVectorInputPort("plan", PLANNED_SIZE)
         plan, states = self.input_port_ticket(self._plan.get_index()), self.all_state_ticket()
@@ -231,38 +246,40 @@ class _Shape(InnerBlock):
             "planned", PLANNED_SIZE, self._calc_planned, {plan, parameters, states}
         )
 
-    def _state(self, context: Context) -> tuple[list[Any], Any]:
-        """θ and the stages (7), and whether they have started."""
+    def _state(self, context: Context) -> list[Any]:
+        """The state (8)."""
         raise NotImplementedError
 
-    def _motion(self, context: Context) -> tuple[Any, list[tuple[Stages, Any]]]:
-        """θ, and for each of ξ and A the stages and the first one's rate."""
-        (angle, *stages), started = self._state(context)
-        motion = []
-        targets = self._parameters.Eval(context).tolist()
-        for i, (target, rate) in enumerate(zip(targets, self._approaches, strict=True)):
-            start = (1 - started) * target
-            values = Stages(*(started * x + start for x in stages[3 * i : 3 * i + 3]))
-            motion.append((values, rate(values.first, target)))
-        return angle, motion
+    def _motion(self, context: Context) -> tuple[Any, list[Any], list[Any]]:
+        """θ, and of each of ξ and A the stages and the first one's rate."""
+        angle, *stages, started = self._state(context)
+        frequency, amplitude = self._parameters.Eval(context).tolist()
+        if self.scalar is not float or started != 1:
+            rest = 1 - started
+            starts = [frequency] * 3 + [amplitude] * 3
+            pairs = zip(stages, starts, strict=True)
+            stages = [started * value + rest * start for value, start in pairs]
+        xi, size = stages[:3], stages[3:]
+        xi.append(self._frequency.approach(xi[0], frequency))
+        size.append(self._amplitude.approach(size[0], amplitude))
+        return angle, xi, size
 
     def _calc_phase(self, context: Context, output: BasicVector) -> None:
         if self._plan.HasValue(context):
             angle = self._plan.Eval(context)[0]
         else:
-            angle = self._state(context)[0][0]
+            angle = self._state(context)[0]
         output.SetFromVector([angle, 0.0])
 
     def _calc_planned(self, context: Context, output: BasicVector) -> None:
         if self._plan.HasValue(context):
             output.SetFromVector(self._plan.Eval(context))
             return
-        angle, ((xi, xi_first), (size, size_first)) = self._motion(context)
-        frequency_rates = third_stage_rates(xi, xi_first, bandwidth=self._bandwidth)
-        amplitude_rates = third_stage_rates(size, size_first, bandwidth=self._bandwidth)
-        rates = [*zip(frequency_rates, amplitude_rates, strict=True)]
-        planned = [angle, xi.third, size.third, *rates[0], *rates[1], rates[2][1]]
-        output.SetFromVector(planned)
+        angle, xi, size = self._motion(context)
+        first, second, _ = self._frequency.rates(*xi)
+        size_first, size_second, size_third = self._amplitude.rates(*size)
+        rates = [first, size_first, second, size_second, size_third]
+        output.SetFromVector([angle, xi[2], size[2], *rates])
 
 
 class _SampledShape(_Shape):
@@ -270,27 +287,20 @@ class _SampledShape(_Shape):
 
     def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
         super().__init__(bandwidth, max_rates, period)
-        self.DeclareDiscreteState(_STATE_SIZE + 1)
+        self.DeclareDiscreteState(_STATE_SIZE)
         # Unrestricted for the same reason as the step of an accumulated phase.
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._step)
 
-    def _state(self, context: Context) -> tuple[list[Any], Any]:
-        *state, started = context.get_discrete_state_vector().CopyToVector().tolist()
-        return state, started
+    def _state(self, context: Context) -> list[Any]:
+        return context.get_discrete_state_vector().CopyToVector().tolist()
 
     def _step(self, context: Context, state: State) -> EventStatus:
         if self._plan.HasValue(context):
             return EventStatus.DidNothing()
-        angle, motion = self._motion(context)
-        stepped: list[Any] = []
-        for i, (stages, first_rate) in enumerate(motion):
-            after, integral = stages_after(
-                stages, first_rate, bandwidth=self._bandwidth, period=self._period
-            )
-            stepped += after
-            if i == 0:
-                angle = angle + integral
-        state.get_mutable_discrete_state().set_value([angle, *stepped, 1.0])
+        angle, xi, size = self._motion(context)
+        *xi, turn = self._frequency.after(*xi)
+        *size, _ = self._amplitude.after(*size)
+        state.get_mutable_discrete_state().set_value([angle + turn, *xi, *size, 1.0])
         return EventStatus.Succeeded()
 
 
@@ -300,23 +310,20 @@ class _ContinuousShape(_Shape):
     def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
         super().__init__(bandwidth, max_rates, period)
         self.DeclareContinuousState(_STATE_SIZE)
-        self.DeclareDiscreteState(1)
         # At the first step, and not at the initialization, which a layer's first update is a
         # part of.
         self.DeclarePerStepUnrestrictedUpdateEvent(self._start)
 
-    def _state(self, context: Context) -> tuple[list[Any], Any]:
-        state = context.get_continuous_state_vector().CopyToVector().tolist()
-        return state, context.get_discrete_state_vector().GetAtIndex(0)
+    def _state(self, context: Context) -> list[Any]:
+        return context.get_continuous_state_vector().CopyToVector().tolist()
 
     def _start(self, context: Context, state: State) -> EventStatus:
-        _, started = self._state(context)
-        if started == 1 or self._plan.HasValue(context):
+        has_started = self._state(context)[-1] == 1
+        if has_started or self._plan.HasValue(context):
             return EventStatus.DidNothing()
-        angle, motion = self._motion(context)
-        values = [angle, *motion[0][0], *motion[1][0]]
+        angle, xi, size = self._motion(context)
+        values = [angle, *xi[:3], *size[:3], 1.0]
         state.get_mutable_continuous_state().SetFromVector(values)
-        state.get_mutable_discrete_state().set_value([1.0])
         return EventStatus.Succeeded()
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
@@ -324,10 +331,11 @@ class _ContinuousShape(_Shape):
         if self._plan.HasValue(context):
             derivatives.SetFromVector(np.zeros(_STATE_SIZE))
             return
-        _, (xi, size) = self._motion(context)
-        rates = [stage_rates(*stages, bandwidth=self._bandwidth) for stages in (xi, size)]
-        derivatives.SetFromVector([xi[0].third, *rates[0], *rates[1]])
+        _, xi, size = self._motion(context)
+        rates = [xi[3], *self._frequency.stage_rates(*xi[:3])]
+        rates += [size[3], *self._amplitude.stage_rates(*size[:3])]
+        derivatives.SetFromVector([xi[2], *rates, 0.0])
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (AccumulatedPhase, PaperPhase, ShapedPhase)
+VARIANTS = (ShapedPhase, AccumulatedPhase, PaperPhase)

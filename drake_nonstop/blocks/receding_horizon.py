@@ -33,15 +33,16 @@ from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
     Outcome,
     count_update,
-    update_count,
 )
+from drake_nonstop.optimization.horizon_check import check_horizon
 from drake_nonstop.optimization.horizon_problem import (
     HorizonConfig,
     HorizonData,
     HorizonProblem,
+    timed,
 )
 from drake_nonstop.optimization.horizon_solver import HorizonSolver, PlanAnswer
-from drake_nonstop.optimization.plan import Plan
+from drake_nonstop.optimization.plan import DEGREE, Plan
 from drake_nonstop.optimization.problem_config import LimitsConfig, check_limits, check_pattern
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
@@ -50,12 +51,14 @@ from drake_nonstop.validation import require
 _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _LEAST_SCALE = 0.1  # of the trust region at the start of a plan
+_NO_PLAN = 0.0  # in place of a scale
 
 
 @dataclass(kw_only=True)
-class RecedingHorizonOptimizerConfig(LimitsConfig, HorizonConfig):
+class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
     """The bound, the horizon, and how much time its plans get."""
 
+    tightening: float | str = 0.02  # the solver aims at (1 + tightening) ε; "auto": computed
     preview: bool = True  # read the motion ahead; without it the motion goes on as it does
     max_iterations: int = 3  # quadratic programs of a plan
     time_limit: float = float("inf")  # s, of wall time, beyond which the plan that exists goes on
@@ -106,41 +109,69 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     (1) is the ε that was set or is commanded, in m/s.
 
     Parameters, the fields of `RecedingHorizonOptimizerConfig`:
-        horizon: s
+            speed_bound: m/s, ε
+        tightening: the solver aims at (1 + tightening) ε; "auto": computed
+        speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
+        model_error: share of the load's weight by which its wrench may be off
+        frequency: rad/s, ξ at the start
+        amplitude: N, A at the start
+        frequency_bounds: rad/s
+        amplitude_bounds: N; none: from the load's weight
+        max_frequency_rate: rad/s²
+        max_amplitude_rate: N/s
+        max_speed: m/s, of a carrier
+        min_tension: N; 0: any
+        max_tension: N
+        min_separation: m, of two carriers over a whole orbit; 0: any
+        horizon: s; 0: 15 intervals between knots, nearly two turns
+        knot_spacing: s, also the time between two plans; 0: an eighth of a turn
+        instants: between two knots, at which the carriers' flight is constrained
+        terminal_knots: of the last part, in which all phases of the orbit are constrained
+        terminal_instants: of it, between two knots
+        terminal_phases: of the orbit
+        terminal_amplitudes: of the table
+        amplitude_weight: w_A
+        smoothing: τ, in intervals between knots
+        slack_weight: ρ
+        fixed_coefficients: the first of ξ and A: 4 for three continuous rates
+        preview: read the motion ahead; without it the motion goes on as it does
+        max_iterations: quadratic programs of a plan
+        time_limit: s, of wall time, beyond which the plan that exists goes on
+
+    Raises:
+        ScenarioError: a parameter is out of range, the horizon is shorter than a turn or the knots
+            are no whole control periods apart; during a run, the command is out of range, or the
+            preview ends before the horizon.
     """
 
     optional_inputs = (_PREVIEW, COMMAND)
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
         config = config or RecedingHorizonOptimizerConfig()
-        super().__init__(model, config, _check)
+        super().__init__(model, config, _check, _structure)
+        config = timed(config, config.frequency, model.control_period)
         self._model, self._config = model, config
         self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
         self._preview = self.DeclareAbstractInputPort(_PREVIEW, Value(object()))
         self._planner = _Planner(model, config, self.get_name) if self.scalar is float else None
-        count = round(config.horizon / config.knot_spacing) + 4
-        first = _PlanState(0.0, 0.0, 1.0, config.speed_bound, np.ones((2, count)))
+        count = round(config.horizon / config.knot_spacing) + DEGREE
+        nominal = np.array([config.frequency, config.amplitude])
+        first = _PlanState(0.0, 0.0, _NO_PLAN, config.speed_bound, nominal, np.ones((2, count)))
         self._plan = self.DeclareDiscreteState(first.flat())
         entry = self.DeclareCacheEntry(
             "plan",
             ValueProducer(Value(()).Clone, weakly(self._calc_plan)),
-            {self.discrete_state_ticket(self._plan), self.all_parameters_ticket()},
+            {self.discrete_state_ticket(self._plan)},
         )
         self._plan_entry = entry.cache_index()
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
         self._values: DiscreteStateIndex | None = None
         if model.control_period > 0:
-            self._values = self.DeclareDiscreteState(
-                [0.0, config.frequency, config.amplitude, *np.zeros(PLANNED_SIZE - 3)]
-            )
+            self._values = self.DeclareDiscreteState(_resting(nominal))
             sources = {self.discrete_state_ticket(self._values)}
         else:
-            sources = {
-                self.time_ticket(),
-                self.discrete_state_ticket(self._plan),
-                self.all_parameters_ticket(),
-            }
+            sources = {self.time_ticket(), self.discrete_state_ticket(self._plan)}
         self.DeclareVectorOutputPort("parameters", PARAMETERS_SIZE, self._calc_parameters, sources)
         self.DeclareVectorOutputPort("plan", PLANNED_SIZE, self._calc_values, sources)
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
@@ -153,16 +184,26 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             self._sample_period, self._sample_period, self._update_at_sample
         )
 
+    def begin_anew(self, context: Context) -> None:
+        """Lets what has no plan begin with the parameters of the context, its own."""
+        last = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
+        if last.scale != _NO_PLAN:
+            return
+        numbers = self._numbers_in(context)
+        context.SetDiscreteState(self._plan, last._replace(nominal=numbers.nominal).flat())
+        if self._values is not None:
+            context.SetDiscreteState(self._values, _resting(numbers.nominal))
+
     def _calc_plan(self, context: Context, value: AbstractValue) -> None:
         state = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
-        value.set_value(state.plan(self._config.knot_spacing, self._numbers_in(context).nominal))
+        value.set_value(state.plan(self._config.knot_spacing))
 
     def _plan_in(self, context: Context) -> Plan:
         return self.get_cache_entry(self._plan_entry).Eval(context)
 
     def _values_in(self, context: Context) -> NDArray:
         if self._values is not None:
-            return context.get_discrete_state(self._values).value()
+            return context.get_discrete_state(self._values).CopyToVector()
         return np.array(self._plan_in(context).values(context.get_time()))
 
     def _calc_values(self, context: Context, output: BasicVector) -> None:
@@ -191,23 +232,21 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         if not self.is_enabled(context):
             bound = 0.0
         last = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
-        diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
-        is_first = update_count(diagnostics) == 0
         start = clock.perf_counter()
         planned = self._planner.plan(
-            context.get_time(), self._reference_ahead(context), bound, numbers, last, is_first
+            context.get_time(), self._reference_ahead(context), bound, numbers, last
         )
         solve_time = clock.perf_counter() - start
-        outcome, state = planned.outcome, planned.state
-        if solve_time > self._config.time_limit and not is_first:
-            outcome, state = Outcome.HELD, last
+        if solve_time > self._config.time_limit and last.scale != _NO_PLAN:
+            planned = planned._replace(outcome=Outcome.HELD, state=last)
         if self.is_enabled(context):
-            count_update(diagnostics, outcome, planned.slowest_speed - bound)
+            diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
+            count_update(diagnostics, planned.outcome, planned.slowest_speed - bound)
             discrete_state.set_value(self._diagnostics, diagnostics)
-        discrete_state.set_value(self._plan, state.flat())
+        discrete_state.set_value(self._plan, planned.state.flat())
         discrete_state.set_value(self._solve_time, [solve_time])
         if self._values is not None:
-            plan = state.plan(self._config.knot_spacing, numbers.nominal)
+            plan = planned.state.plan(self._config.knot_spacing)
             discrete_state.set_value(self._values, plan.values(context.get_time()))
 
     def _reference_ahead(self, context: Context) -> ReferencePreview:
@@ -230,6 +269,11 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         )
 
 
+def _resting(nominal: NDArray) -> NDArray:
+    """The vector (8,) of `plan` at nominal [ξ, A] (2,), at the start."""
+    return np.concatenate([[0.0], nominal, np.zeros(PLANNED_SIZE - 3)])
+
+
 class _PlanState(NamedTuple):
     """A plan as it is in the context."""
 
@@ -237,20 +281,22 @@ class _PlanState(NamedTuple):
     start_angle: float  # rad
     scale: float  # of the trust region
     speed_bound: float  # m/s, ε
-    coefficients: NDArray  # (2, N), relative to the nominal ξ and A
+    nominal: NDArray  # (2,), [ξ, A], rad/s and N
+    coefficients: NDArray  # (2, N), relative to these
 
     @classmethod
     def view(cls, vector: NDArray) -> "_PlanState":
-        """The parts of a vector (4 + 2N,)."""
-        return cls(*vector[:4], vector[4:].reshape(2, -1))
+        """The parts of a vector (6 + 2N,)."""
+        time, angle, scale, bound = vector[:4].tolist()
+        return cls(time, angle, scale, bound, vector[4:6], vector[6:].reshape(2, -1))
 
     def flat(self) -> NDArray:
-        """The vector (4 + 2N,) of the parts."""
-        return np.concatenate([self[:4], self.coefficients.ravel()])
+        """The vector (6 + 2N,) of the parts."""
+        return np.concatenate([self[:4], self.nominal, self.coefficients.ravel()])
 
-    def plan(self, spacing: float, nominal: NDArray) -> Plan:
-        """The plan with knots every `spacing` s, for nominal [ξ, A] (2,)."""
-        return Plan(self.start_time, self.start_angle, spacing, nominal, self.coefficients)
+    def plan(self, spacing: float) -> Plan:
+        """The plan with knots every `spacing` s."""
+        return Plan(self.start_time, self.start_angle, spacing, self.nominal, self.coefficients)
 
 
 class _Planned(NamedTuple):
@@ -270,7 +316,7 @@ class _Planner:
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig, name: Any):
         self._model, self._config, self._name = model, config, name
         self._solver: tuple[bytes, HorizonSolver] | None = None
-        self._last: tuple[tuple[Any, ...], _Planned] | None = None
+        self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome]] | None = None
 
     def plan(
         self,
@@ -279,61 +325,54 @@ class _Planner:
         speed_bound: float,
         numbers: LayerNumbers,
         last: _PlanState,
-        is_first: bool,
     ) -> _Planned:
         """The next plan, from a time in s on, which goes on from the last one."""
-        others = numbers.beliefs.tobytes(), last.flat().tobytes()
-        key = (reference, time, speed_bound, is_first, *others)
-        known = self._last
-        if known is None or known[0] != key:
-            made = self._make(time, reference, speed_bound, numbers, last, is_first)
-            self._last = known = key, made
-        return known[1]
-
-    def _make(
-        self,
-        time: float,
-        reference: ReferencePreview,
-        speed_bound: float,
-        numbers: LayerNumbers,
-        last: _PlanState,
-        is_first: bool,
-    ) -> _Planned:
         solver = self._solver_for(numbers)
         problem, spacing = solver.problem, self._config.knot_spacing
         start_time = spacing * np.floor(time / spacing + 1e-6)
+        is_first = last.scale == _NO_PLAN
         if is_first:
             angle = numbers.nominal[0] * (start_time - time)
             start = problem.nominal_coefficients()
         else:
-            before = last.plan(spacing, numbers.nominal)
+            before = last.plan(spacing)
             knots = round((start_time - before.start_time) / spacing)
             shifted = before.shifted(knots) if knots > 0 else before
-            angle, start = shifted.start_angle, shifted.coefficients
+            ratio = (last.nominal / numbers.nominal)[:, None]
+            angle, start = shifted.start_angle, ratio * shifted.coefficients
         data = problem.data(start_time, angle, reference, speed_bound)
         is_new = is_first or speed_bound != last.speed_bound
-        answer = solver.solve(
-            data,
-            start,
-            max_iterations=_MANY_ITERATIONS if is_new else self._config.max_iterations,
-            scale=1.0 if is_new else max(last.scale, _LEAST_SCALE),
-        )
-        if is_new or not answer.is_feasible:
-            answer = self._better(solver, data, answer, start)
+        scale = 1.0 if is_new else max(last.scale, _LEAST_SCALE)
+        arrays = data.flat_terms, start, numbers.beliefs
+        key = (start_time, angle, speed_bound, is_new, scale, *(a.tobytes() for a in arrays))
+        known = self._last
+        if known is None or known[0] != key:
+            self._last = known = key, self._make(solver, data, start, scale, is_new)
+        answer, outcome = known[1]
         speeds = problem.speeds(data, answer.coefficients)
-        outcome = Outcome.SOLVED if answer.is_feasible else Outcome.RELAXED
-        if answer.is_feasible and np.array_equal(answer.coefficients, start):
-            outcome = Outcome.KEPT
-        state = _PlanState(start_time, angle, answer.scale, speed_bound, answer.coefficients)
+        state = _PlanState(
+            start_time, angle, answer.scale, speed_bound, numbers.nominal, answer.coefficients
+        )
         return _Planned(state, outcome, float(np.sqrt(speeds.squares.min())))
 
-    def _better(
-        self, solver: HorizonSolver, data: HorizonData, answer: PlanAnswer, start: NDArray
-    ) -> PlanAnswer:
-        """The better of an answer and what is found from the global search's ξ and A."""
-        fixed = start[:, : solver.fixed]
-        other = solver.solve(data, solver.first_guess(data, fixed), max_iterations=_MANY_ITERATIONS)
-        return min(answer, other, key=solver.merit)
+    def _make(
+        self,
+        solver: HorizonSolver,
+        data: HorizonData,
+        start: NDArray,
+        scale: float,
+        is_new: bool,
+    ) -> tuple[PlanAnswer, Outcome]:
+        iterations = _MANY_ITERATIONS if is_new else self._config.max_iterations
+        answer = solver.solve(data, start, max_iterations=iterations, scale=scale)
+        if is_new or not answer.is_feasible:
+            guess = solver.first_guess(data, start[:, : solver.fixed])
+            other = solver.solve(data, guess, max_iterations=iterations)
+            answer = min(answer, other, key=solver.merit)
+        if not answer.is_feasible:
+            return answer, Outcome.RELAXED
+        is_kept = np.array_equal(answer.coefficients, start)
+        return answer, Outcome.KEPT if is_kept else Outcome.SOLVED
 
     def _solver_for(self, numbers: LayerNumbers) -> HorizonSolver:
         key = numbers.beliefs.tobytes()
@@ -350,7 +389,13 @@ class _Planner:
         return known[1]
 
 
+def _structure(model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[float, float]:
+    times = timed(config, config.frequency, model.control_period)
+    return times.horizon, times.knot_spacing
+
+
 def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> None:
     check_limits(box, config, model)
+    check_horizon(box, config, config, model)
     check_pattern(box, model, "RecedingHorizonOptimizer")
     require(config.time_limit > 0, f"{box}.time_limit", config.time_limit, "give a time above zero")

@@ -37,7 +37,10 @@ _Config = TypeVar("_Config", bound=LimitsConfig)
 
 
 def _layer_parameters(
-    model: Model, config: _Config, check: Callable[[str, _Config, Model], None]
+    model: Model,
+    config: _Config,
+    check: Callable[[str, _Config, Model], None],
+    structure: Callable[[Model, _Config], Any],
 ) -> BlockParameters:
     """Those of a layer; amplitude bounds of zero stand for those from the weight.
 
@@ -45,6 +48,7 @@ def _layer_parameters(
         model: what the controllers believe.
         config: the layer's.
         check: raises ScenarioError for a config of the named box that cannot be used.
+        structure: what of model and config decides how the layer is built, see `Rules`.
     """
 
     def check_all(model: Model, config: _Config) -> None:
@@ -58,7 +62,7 @@ def _layer_parameters(
         (*LOAD, "cable_length", "cable_stiffness", *model.offset_parameter),
         config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
         own=_OWN,
-        rules=Rules(check=check_all),
+        rules=Rules(check=check_all, structure=structure),
     )
 
 
@@ -100,6 +104,8 @@ class SpeedBoundLayer(LeafBlock):
         model: what the controllers believe.
         config: the layer's.
         check: raises ScenarioError for a config of the named box that cannot be used.
+        structure: what of model and config decides how the layer is built, see `Rules`.
+        structure: what of model and config decides how the layer is built, see `Rules`.
 
     Attributes:
         highest_speed_bound: m/s, below which a bound has to be.
@@ -108,10 +114,16 @@ class SpeedBoundLayer(LeafBlock):
     is_sampled = True
     optional_inputs: tuple[str, ...] = (COMMAND,)
 
-    def __init__(self, model: Model, config: _Config, check: Callable[[str, _Config, Model], None]):
+    def __init__(
+        self,
+        model: Model,
+        config: _Config,
+        check: Callable[[str, _Config, Model], None],
+        structure: Callable[[Model, _Config], Any] = lambda *_: None,
+    ):
         super().__init__()
         check(BOX, config, model)
-        self.parameters = _layer_parameters(model, config, check)
+        self.parameters = _layer_parameters(model, config, check, structure)
         declare_parameters(self, self.parameters)
         entry = self.DeclareCacheEntry(
             "numbers",

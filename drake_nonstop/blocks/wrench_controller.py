@@ -1,6 +1,6 @@
 """Box "Load Wrench Controller" of the figure."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -19,15 +19,17 @@ from drake_nonstop.mechanics.signals import (
     WRENCH_SIZE,
     TrackingError,
 )
-from drake_nonstop.mechanics.tuning import pid_gains
-from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules, rigid_load
+from drake_nonstop.mechanics.tuning import load_gains, pid_gains
+from drake_nonstop.model.block_parameters import AUTO, LOAD, BlockParameters, Rules, rigid_load
 from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import number
 from drake_nonstop.systems.sampled_integrator import SampledIntegrator
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
 _BOX = "wrench_controller"
 _INTEGRALS_SIZE = 6  # of the errors of orientation and position
+_FOLLOWED = ("load_mass", "load_inertia", "cable_length", "gravity")  # by gains that are `AUTO`
 
 
 class _WrenchPid(TracedBlock):
@@ -57,6 +59,12 @@ class _WrenchPid(TracedBlock):
         gains: Callable[..., dict[str, Any]],
     ):
         check(model, config)
+        can_follow = AUTO in asdict(type(config)()).values()
+
+        def numbers_of(model: Model, config: Any) -> dict[str, Any]:
+            following = _following({name: model.number(name) for name in _FOLLOWED})
+            fields = asdict(config)
+            return {k: following[k] if v == AUTO else v for k, v in fields.items()}
 
         def outputs(
             integrals: NDArray,
@@ -66,6 +74,7 @@ class _WrenchPid(TracedBlock):
             **numbers: NDArray,
         ) -> tuple:
             load = rigid_load(**{name: numbers.pop(name) for name in LOAD})
+            numbers.pop("cable_length", None)
             error = wrench.tracking_error(state, reference)
             return (
                 np.concatenate(TrackingError.view(error)[:2]),  # e_R and e_p
@@ -76,7 +85,7 @@ class _WrenchPid(TracedBlock):
             )
 
         def has_integral(model: Model, config: Any) -> bool:
-            found = gains(model.load, **asdict(config))
+            found = gains(model.load, **numbers_of(model, config))
             names = ("position_integral_gain", "orientation_integral_gain")
             return any(np.any(found[name]) for name in names)
 
@@ -105,19 +114,39 @@ class _WrenchPid(TracedBlock):
             state=state,
             parameters=BlockParameters(
                 model,
-                LOAD,
+                (*LOAD, "cable_length") if can_follow else LOAD,
                 config=config,
                 own=asdict(config),
-                rules=Rules(check=check, structure=has_integral),
+                rules=Rules(
+                    check=check,
+                    structure=has_integral,
+                    **({"follow": _following} if can_follow else {}),
+                ),
             ),
             key=("wrench", integrates, gains.__module__, gains.__qualname__),
             is_one_call=True,  # a second one for what does not read the wind would take longer
         )
-        self.gains = gains(model.load, **asdict(config))
+        self.gains = gains(model.load, **numbers_of(model, config))
 
 
 def _check(model: Model, config: Any) -> None:
-    require_non_negative(_BOX, **asdict(config))
+    for name, value in asdict(config).items():
+        if isinstance(value, str):
+            remedy = f'give a number, without quotes, or "{AUTO}"'
+            require(value == AUTO, f"{_BOX}.{name}", value, remedy)
+        else:
+            require_non_negative(_BOX, **{name: value})
+
+
+def _following(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """The gains of a load and cables, with the least of the load's principal moments of inertia.
+
+    Turned about another axis, the load is slower than with that.
+    """
+    inertia = np.asarray(numbers["load_inertia"])
+    _, axes = np.linalg.eigh([[number(entry) for entry in row] for row in inertia])
+    least = axes[:, 0] @ inertia @ axes[:, 0]
+    return load_gains(numbers["load_mass"], least, numbers["cable_length"], numbers["gravity"])
 
 
 def _as_given(load: RigidLoad, **gains: Any) -> dict[str, Any]:
@@ -125,26 +154,29 @@ def _as_given(load: RigidLoad, **gains: Any) -> dict[str, Any]:
 
 
 @dataclass(kw_only=True)
-class _PaperGains(StrictFields):
-    """The paper's gains (Table I)."""
+class _Gains(StrictFields):
+    """The gains."""
 
-    position_gain: float = 5.0  # N/m, K_p
-    velocity_gain: float = 2.0  # N s/m, K_v
-    position_integral_gain: float = 0.9  # N/(m s), K_i
-    orientation_gain: float = 0.5  # N m, K_R
-    angular_velocity_gain: float = 0.06  # N m s, K_omega
-    orientation_integral_gain: float = 0.1  # N m/s, K_iR
+    position_gain: float | str = AUTO  # N/m, K_p; auto: by mass and cables
+    velocity_gain: float | str = AUTO  # N s/m, K_v; auto: by mass and cables
+    position_integral_gain: float | str = AUTO  # N/(m s), K_i; auto: by mass and cables
+    orientation_gain: float | str = AUTO  # N m, K_R; auto: by inertia and cables
+    angular_velocity_gain: float | str = AUTO  # N m s, K_omega; auto: by inertia and cables
+    orientation_integral_gain: float | str = AUTO  # N m/s, K_iR; auto: by inertia and cables
 
 
 @dataclass(kw_only=True)
-class WrenchControllerConfig(_PaperGains):
-    """The paper's gains (Table I), and the feedforward that its equations leave out."""
+class WrenchControllerConfig(_Gains):
+    """The gains, and the feedforward that the paper's equations leave out."""
 
     feedforward: float = 1.0  # weight of the reference's own wrench; 0: as in the paper
 
 
 class WrenchController(_WrenchPid):
     """PID with feedforward: equations 14-15 with the sign of e_ω that damps.
+
+    Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
+    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
 
     .. pydrake_system::
 
@@ -166,16 +198,16 @@ class WrenchController(_WrenchPid):
     discrete where the model has a control period.
 
     Parameters, the fields of `WrenchControllerConfig`:
-        position_gain: N/m, K_p
-        velocity_gain: N s/m, K_v
-        position_integral_gain: N/(m s), K_i
-        orientation_gain: N m, K_R
-        angular_velocity_gain: N m s, K_omega
-        orientation_integral_gain: N m/s, K_iR
+        position_gain: N/m, K_p; auto: by mass and cables
+        velocity_gain: N s/m, K_v; auto: by mass and cables
+        position_integral_gain: N/(m s), K_i; auto: by mass and cables
+        orientation_gain: N m, K_R; auto: by inertia and cables
+        angular_velocity_gain: N m s, K_omega; auto: by inertia and cables
+        orientation_integral_gain: N m/s, K_iR; auto: by inertia and cables
         feedforward: weight of the reference's own wrench; 0: as in the paper
 
     Raises:
-        ScenarioError: a gain is negative or not finite.
+        ScenarioError: a gain is negative or not finite, or another word than "auto".
     """
 
     def __init__(self, model: Model, config: WrenchControllerConfig | None = None):
@@ -183,8 +215,8 @@ class WrenchController(_WrenchPid):
 
 
 @dataclass(kw_only=True)
-class PaperWrenchControllerConfig(_PaperGains):
-    """The paper's gains (Table I)."""
+class PaperWrenchControllerConfig(_Gains):
+    """The gains."""
 
     feedforward: float = 0.0  # weight of the reference's own wrench; 0: as in the paper
 
@@ -195,6 +227,9 @@ class PaperWrenchController(_WrenchPid):
     A free load under this wrench would tumble. On cables to carriers that follow the desired
     pose it has little effect: they hold the load upright by themselves. The `tracking_error` has
     the e_ω of the other controllers.
+
+    Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
+    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
 
     .. pydrake_system::
 
@@ -216,16 +251,16 @@ class PaperWrenchController(_WrenchPid):
     discrete where the model has a control period.
 
     Parameters, the fields of `PaperWrenchControllerConfig`:
-        position_gain: N/m, K_p
-        velocity_gain: N s/m, K_v
-        position_integral_gain: N/(m s), K_i
-        orientation_gain: N m, K_R
-        angular_velocity_gain: N m s, K_omega
-        orientation_integral_gain: N m/s, K_iR
+        position_gain: N/m, K_p; auto: by mass and cables
+        velocity_gain: N s/m, K_v; auto: by mass and cables
+        position_integral_gain: N/(m s), K_i; auto: by mass and cables
+        orientation_gain: N m, K_R; auto: by inertia and cables
+        angular_velocity_gain: N m s, K_omega; auto: by inertia and cables
+        orientation_integral_gain: N m/s, K_iR; auto: by inertia and cables
         feedforward: weight of the reference's own wrench; 0: as in the paper
 
     Raises:
-        ScenarioError: a gain is negative or not finite.
+        ScenarioError: a gain is negative or not finite, or another word than "auto".
     """
 
     def __init__(self, model: Model, config: PaperWrenchControllerConfig | None = None):
@@ -238,16 +273,19 @@ def _papers(load: RigidLoad, **gains: Any) -> dict[str, Any]:
 
 @dataclass(kw_only=True)
 class GeometricPdConfig(StrictFields):
-    """The paper's gains (Table I) but for those of the integrals."""
+    """The gains but for those of the integrals."""
 
-    position_gain: float = 5.0  # N/m, K_p
-    velocity_gain: float = 2.0  # N s/m, K_v
-    orientation_gain: float = 0.5  # N m, K_R
-    angular_velocity_gain: float = 0.06  # N m s, K_omega
+    position_gain: float | str = AUTO  # N/m, K_p; auto: by mass and cables
+    velocity_gain: float | str = AUTO  # N s/m, K_v; auto: by mass and cables
+    orientation_gain: float | str = AUTO  # N m, K_R; auto: by inertia and cables
+    angular_velocity_gain: float | str = AUTO  # N m s, K_omega; auto: by inertia and cables
 
 
 class GeometricPd(_WrenchPid):
     """Geometric PD that carries the weight, without integrals and feedforward.
+
+    Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
+    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
 
     .. pydrake_system::
 
@@ -267,13 +305,13 @@ class GeometricPd(_WrenchPid):
     (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W.
 
     Parameters, the fields of `GeometricPdConfig`:
-        position_gain: N/m, K_p
-        velocity_gain: N s/m, K_v
-        orientation_gain: N m, K_R
-        angular_velocity_gain: N m s, K_omega
+        position_gain: N/m, K_p; auto: by mass and cables
+        velocity_gain: N s/m, K_v; auto: by mass and cables
+        orientation_gain: N m, K_R; auto: by inertia and cables
+        angular_velocity_gain: N m s, K_omega; auto: by inertia and cables
 
     Raises:
-        ScenarioError: a gain is negative or not finite.
+        ScenarioError: a gain is negative or not finite, or another word than "auto".
     """
 
     def __init__(self, model: Model, config: GeometricPdConfig | None = None):

@@ -12,66 +12,69 @@ than R. Numbers or arrays of any scalar type. Own derivation.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from drake_nonstop.mechanics.rotation import absolute
 
 
-class Stages(NamedTuple):
-    """The numbers behind each of the three poles; the last is the smoothed one."""
+class Smoothing:
+    """The chain of poles of one number.
 
-    first: Any
-    second: Any
-    third: Any
+    Args:
+        bandwidth: ω, rad/s.
+        period: T, s, between samples; 0: continuous.
+        max_rate: R, per s; inf: no bound.
+    """
 
+    def __init__(self, *, bandwidth: float, period: float = 0.0, max_rate: float = math.inf):
+        self._bandwidth, self._period, self._max_rate = bandwidth, period, max_rate
+        turn, self._decay = bandwidth * period, math.exp(-bandwidth * period)
+        self._gain = -math.expm1(-turn) / period if period > 0 else bandwidth
+        self._turn = turn
+        # Of the two transients in the integral of x₃ over a period.
+        self._integrals = (
+            (1 - self._decay) / bandwidth,
+            (1 - self._decay * (1 + turn)) / bandwidth,
+        )
 
-def approach(
-    first: Any, target: Any, *, bandwidth: float, period: float = 0.0, max_rate: float = math.inf
-) -> Any:
-    """ẋ₁, until the next sample; `period` in s is zero where time is continuous."""
-    gain = -math.expm1(-bandwidth * period) / period if period > 0 else bandwidth
-    rate = gain * (target - first)
-    if max_rate == math.inf:
-        return rate
-    above, below = (absolute(np.asarray(rate + bound)) for bound in (max_rate, -max_rate))
-    return (above - below) / 2
+    def approach(self, first: Any, target: Any) -> Any:
+        """ẋ₁ of x₁ and u, until the next sample."""
+        rate = self._gain * (target - first)
+        bound = self._max_rate
+        if bound == math.inf:
+            return rate
+        above, below = (absolute(np.asarray(rate + b)) for b in (bound, -bound))
+        return (above - below) / 2
 
+    def stage_rates(self, first: Any, second: Any, third: Any) -> tuple[Any, Any]:
+        """ẋ₂ and ẋ₃ of x₁, x₂ and x₃."""
+        return self._bandwidth * (first - second), self._bandwidth * (second - third)
 
-def stage_rates(stages: Stages, first_rate: Any, *, bandwidth: float) -> Stages:
-    """ẋ₁, ẋ₂ and ẋ₃."""
-    return Stages(
-        first_rate,
-        bandwidth * (stages.first - stages.second),
-        bandwidth * (stages.second - stages.third),
-    )
+    def rates(self, first: Any, second: Any, third: Any, first_rate: Any) -> tuple[Any, Any, Any]:
+        """The first, second and third rate of x₃, of x₁, x₂, x₃ and ẋ₁."""
+        w = self._bandwidth
+        middle, rate = w * (first - second), w * (second - third)
+        second_rate = w * (middle - rate)
+        return rate, second_rate, w * (w * (first_rate - middle) - second_rate)
 
-
-def third_stage_rates(stages: Stages, first_rate: Any, *, bandwidth: float) -> tuple[Any, Any, Any]:
-    """The first, second and third rate of x₃."""
-    _, second_rate, rate = stage_rates(stages, first_rate, bandwidth=bandwidth)
-    second = bandwidth * (second_rate - rate)
-    third = bandwidth * (bandwidth * (first_rate - second_rate) - second)
-    return rate, second, third
-
-
-def stages_after(
-    stages: Stages, first_rate: Any, *, bandwidth: float, period: float
-) -> tuple[Stages, Any]:
-    """The stages a period later, of a constant ẋ₁, and the integral of x₃ over it: exact."""
-    lag = first_rate / bandwidth  # of x₂ behind x₁ in the end; x₃ lags by twice as much
-    decay = math.exp(-bandwidth * period)
-    second = stages.second - stages.first + lag
-    third = stages.third - stages.first + 2 * lag
-    moved = stages.first + period * first_rate
-    turn = bandwidth * period
-    integral = (
-        period * (stages.first - 2 * lag + period * first_rate / 2)
-        + third * ((1 - decay) / bandwidth)
-        + second * ((1 - decay * (1 + turn)) / bandwidth)
-    )
-    after = Stages(
-        moved, moved - lag + second * decay, moved - 2 * lag + (third + turn * second) * decay
-    )
-    return after, integral
+    def after(
+        self, first: Any, second: Any, third: Any, first_rate: Any
+    ) -> tuple[Any, Any, Any, Any]:
+        """x₁, x₂ and x₃ a period later, of a constant ẋ₁, and the integral of x₃: exact."""
+        lag = first_rate / self._bandwidth  # of x₂ behind x₁ in the end; x₃ lags by twice as much
+        move, decay = self._period * first_rate, self._decay
+        second, third = second - first + lag, third - first + 2 * lag
+        integral = (
+            self._period * (first - 2 * lag + move / 2)
+            + third * self._integrals[0]
+            + second * self._integrals[1]
+        )
+        moved = first + move
+        return (
+            moved,
+            moved - lag + second * decay,
+            moved - 2 * lag + (third + self._turn * second) * decay,
+            integral,
+        )

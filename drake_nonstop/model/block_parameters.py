@@ -17,11 +17,16 @@ AIRCRAFT_NUMBERS = (
     "cable_length",
     "gravity",
 )
+AUTO = "auto"  # in the place of a field of a config that follows from the system
 LOAD = ("load_mass", "load_inertia", "load_drag", "load_angular_drag", "gravity")
 
 
 def _nothing(model: Model, config: Any) -> None:
     pass
+
+
+def _none(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    return {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,12 +35,15 @@ class Rules:
 
     `check` raises ScenarioError for a model and a config that do not make the block; `structure`
     is what of their numbers decides how it is built, such as whether a gain is zero; `fixed` are
-    fields of the system that it takes over as it is built.
+    fields of the system that it takes over as it is built. `follow` takes the parameters that are
+    of the system, numbers or arrays (1,) or (3, 3), by name, and returns what fields of the config
+    are where they are `AUTO`.
     """
 
     check: Callable[[Model, Any], None] = _nothing
     structure: Callable[[Model, Any], Any] = _nothing
     fixed: tuple[str, ...] = field(default=())
+    follow: Callable[[Mapping[str, Any]], dict[str, Any]] = _none
 
 
 class BlockParameters(NumericParameters):
@@ -61,7 +69,18 @@ class BlockParameters(NumericParameters):
         self.model, self.config, self.rules = model, config, rules or Rules()
         self.of_system, self.own = tuple(of_system), tuple(own)
         values = {name: model.number(name) for name in self.of_system}
-        super().__init__(values | {name: getattr(config, name) for name in self.own})
+        following = self.rules.follow(values)
+        super().__init__(
+            values
+            | {
+                name: following[name] if self.is_auto(name) else getattr(config, name)
+                for name in self.own
+            }
+        )
+
+    def is_auto(self, name: str) -> bool:
+        """Whether a field of the config is `AUTO`."""
+        return bool(getattr(self.config, name) == AUTO)
 
 
 def rigid_load(

@@ -13,8 +13,8 @@ between carriers are constraints of the same kind, with slack of their own. Limi
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,9 @@ from drake_nonstop.systems.tracing import TracedFunction
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
 
+_NEIGHBOURS = (-1, 1, 2)  # of an instant, which tell how low a speed is between two
+
+_Horizon = TypeVar("_Horizon", bound="HorizonConfig")
 Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time in s
 
 
@@ -53,17 +56,30 @@ Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time i
 class HorizonConfig:
     """The horizon, its cost and its constraints; with those of a `NonstopProblemConfig`."""
 
-    horizon: float = 6.0  # s
-    knot_spacing: float = 0.4  # s, also the time between two plans
-    instant_spacing: float = 0.02  # s, between instants at which speeds are constrained
-    terminal_time: float = 1.6  # s, the last part, with all phases of the orbit
-    terminal_spacing: float = 0.2  # s, between instants in it
-    terminal_phases: int = 24
+    horizon: float = 0.0  # s; 0: 15 intervals between knots, nearly two turns
+    knot_spacing: float = 0.0  # s, also the time between two plans; 0: an eighth of a turn
+    instants: int = 20  # between two knots, at which the carriers' flight is constrained
+    terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
+    terminal_instants: int = 2  # of it, between two knots
+    terminal_phases: int = 24  # of the orbit
     terminal_amplitudes: int = 33  # of the table
     amplitude_weight: float = 4.0  # w_A
-    smoothing_time: float = 0.4  # s, τ
+    smoothing: float = 0.35  # τ, in intervals between knots
     slack_weight: float = 100.0  # ρ
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
+
+
+def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon:
+    """The config with its times, as they follow from the nominal ξ (rad/s) where they are 0.
+
+    The knots then are whole control periods (s) apart; 0: there is none.
+    """
+    spacing = config.knot_spacing
+    if spacing == 0:
+        spacing = 2 * math.pi / frequency / 8
+        if control_period > 0:
+            spacing = max(round(spacing / control_period), 1) * control_period
+    return replace(config, knot_spacing=spacing, horizon=config.horizon or 15 * spacing)
 
 
 class HorizonData(NamedTuple):
@@ -99,7 +115,10 @@ class Slopes(NamedTuple):
 class Linearization:
     """The constraints about a plan, as margins and their gradients.
 
-    A margin is negative where its constraint is not fulfilled without slack.
+    A margin is negative where its constraint is not fulfilled without slack. Speeds dip between
+    instants, too: where the cubic Hermite spline through the margins has a minimum between two
+    instants, the margin at the first of them is that minimum. It is a mean of four neighbours, with
+    weights that are fixed to first order, since there the spline does not change with its place.
     """
 
     margins: NDArray  # (r,)
@@ -108,22 +127,38 @@ class Linearization:
     slack_of: NDArray  # (r,), the number of the slack
     slopes: Slopes
     table: tuple[int, int]  # the first margins are those of k instants and so many constraints
+    weights: NDArray  # (3, r), of the same constraint at the instants `_NEIGHBOURS` from it
 
     def changes(self, step: NDArray) -> NDArray:
         """What a step (2, N) of the coefficients adds to the margins (r,), to first order."""
         c, d = step
+        slopes = self.slopes
         of_instants = np.stack(
             [
-                self.slopes.angle @ c,
-                self.slopes.frequency @ c,
-                self.slopes.amplitude @ d,
-                self.slopes.amplitude_rate @ d,
+                slopes.angle @ c,
+                slopes.frequency @ c,
+                slopes.amplitude @ d,
+                slopes.amplitude_rate @ d,
             ]
         )
-        return (self.gradients * of_instants[:, self.instant_of]).sum(axis=0)
+        changes = (self.gradients * of_instants[:, self.instant_of]).sum(axis=0)
+        found = changes.copy()
+        for weights, shift in zip(self.weights, _NEIGHBOURS, strict=True):
+            dips = np.flatnonzero(weights)
+            found[dips] += weights[dips] * (changes[dips + shift * self.table[1]] - changes[dips])
+        return found
 
-    def jacobian(self, chosen: NDArray | slice = slice(None), fixed: int = 0) -> NDArray:
+    def jacobian(self, chosen: NDArray, fixed: int = 0) -> NDArray:
         """The rows of chosen margins, by all but the first coefficients of ξ, then of A."""
+        found = self._rows(chosen, fixed)
+        own = found.copy()
+        for weights, shift in zip(self.weights, _NEIGHBOURS, strict=True):
+            dips = np.flatnonzero(weights[chosen])
+            neighbours = self._rows(chosen[dips] + shift * self.table[1], fixed)
+            found[dips] += weights[chosen[dips], None] * (neighbours - own[dips])
+        return found
+
+    def _rows(self, chosen: NDArray, fixed: int) -> NDArray:
         gradients, instants = self.gradients[:, chosen, None], self.instant_of[chosen]
         by = [g * slope[instants, fixed:] for g, slope in zip(gradients, self.slopes, strict=True)]
         return np.hstack([by[0] + by[1], by[2] + by[3]])
@@ -141,6 +176,14 @@ class Linearization:
         is_dip[:-1] &= table[:-1] < table[1:]
         last = np.flatnonzero(margins[count * width :] <= largest) + count * width
         return np.concatenate([np.flatnonzero(is_dip), last])
+
+    def with_neighbours(self, chosen: NDArray, margins: NDArray, largest: float) -> NDArray:
+        """The numbers of chosen margins, and of those before and after that are at most that."""
+        count, width = self.table
+        chosen_speeds = chosen[chosen < count * width]
+        near = np.concatenate([chosen_speeds - width, chosen_speeds + width])
+        near = near[(near >= 0) & (near < count * width)]
+        return np.concatenate([chosen, near[margins[near] <= largest]])
 
 
 class HorizonProblem:
@@ -163,6 +206,7 @@ class HorizonProblem:
         *,
         beliefs: Beliefs | None = None,
     ):
+        config = timed(config, limits.frequency, model.control_period)
         self.model, self.limits, self.config, self.name = model, limits, config, name
         self.intervals = round(config.horizon / config.knot_spacing)
         self.count = self.intervals + DEGREE  # of the coefficients of ξ, and of A
@@ -178,11 +222,11 @@ class HorizonProblem:
         self.amplitudes = np.linspace(low, high, config.terminal_amplitudes)
         spacing = config.knot_spacing
         end = self.intervals * spacing
-        count = self.intervals * round(spacing / config.instant_spacing)
+        count = self.intervals * config.instants
         # The value at the start is given by the fixed coefficients: no instant is there.
         self.instants = end / count * np.arange(1, count + 1)
-        self._terminal_per_knot = max(1, round(spacing / config.terminal_spacing))
-        back = np.arange(self._terminal_per_knot * round(config.terminal_time / spacing))[::-1]
+        self._terminal_per_knot = config.terminal_instants
+        back = np.arange(self._terminal_per_knot * config.terminal_knots)[::-1]
         self._per_knot = count // self.intervals  # instants
         # Some of the instants, the same ones in each interval.
         self._terminal_at = count - 1 - back * self._per_knot // self._terminal_per_knot
@@ -367,7 +411,6 @@ class HorizonProblem:
         """The constraints about coefficients (2, N)."""
         speeds = self.speeds(data, coefficients)
         limits, bound, unit = self._limits, data.speed_bound, math.sqrt(data.speed_unit)
-        n = self.model.n
         margins = limits.of_speeds(speeds.squares, bound, unit)
         gradients = [speeds.gradients / unit**2]
         if limits.limit_high_speeds:
@@ -385,14 +428,16 @@ class HorizonProblem:
             zero = np.zeros(by_angle.shape)
             gradients.append(factor * np.stack([by_angle, zero, by_amplitude, zero]))
         terminal, of_terminal = self._terminal_margins(data, coefficients)
-        of_instants = np.concatenate(margins, axis=1).reshape(-1)
+        of_instants, weights = _with_dips(np.concatenate(margins, axis=1))
+        none = np.zeros((len(_NEIGHBOURS), len(terminal)))
         return Linearization(
-            np.concatenate([of_instants, terminal]),
+            np.concatenate([of_instants.reshape(-1), terminal]),
             np.hstack([np.concatenate(gradients, axis=2).reshape(4, -1), of_terminal]),
             self._instant_of,
             self._slack_of,
             self._slopes,
-            (len(self.instants), sum(columns.shape[1] for columns in margins)),
+            of_instants.shape,
+            np.hstack([weights.reshape(len(_NEIGHBOURS), -1), none]),
         )
 
     def margins(self, data: HorizonData, coefficients: NDArray) -> NDArray:
@@ -444,7 +489,7 @@ class HorizonProblem:
             ]
         )
         weights = np.full(self.intervals + 1, self.config.knot_spacing)
-        weights[-1] = self.config.terminal_time
+        weights[-1] *= self.config.terminal_knots
         shares = [1.0, _OTHERS_SHARE] if others else [1.0]
         self.slack_weights = self.config.slack_weight * np.outer(shares, weights).ravel()
 
@@ -500,7 +545,7 @@ class HorizonProblem:
         times = (np.arange(self.intervals)[:, None] + (nodes + 1) / 2).ravel() * spacing
         weights = np.tile(weights, self.intervals)[:, None] * spacing / 2
         rows = spline_rows(times, self.intervals, spacing)
-        tau = config.smoothing_time
+        tau = config.smoothing * spacing
 
         def square(row: NDArray) -> NDArray:
             return row.T @ (weights * row)
@@ -530,6 +575,32 @@ class HorizonProblem:
             offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
             attachments=model.attachments,
         )
+
+
+def _with_dips(margins: NDArray) -> tuple[NDArray, NDArray]:
+    """Margins (k, m) with the minima of `Linearization`, and the weights (3, k, m)."""
+    slopes = (margins[2:] - margins[:-2]) / 2
+    instants, columns = np.nonzero((slopes[:-1] < 0) & (slopes[1:] > 0))
+    start, end = slopes[instants, columns], slopes[instants + 1, columns]
+    instants += 1
+    rise = margins[instants + 1, columns] - margins[instants, columns]
+    # The root x of the derivative start + b x + a x², which is positive at 1.
+    a, b = 3 * (start + end - 2 * rise), 2 * (3 * rise - 2 * start - end)
+    x = -2 * start / (b + np.sqrt(b * b - 4 * a * start))
+    of_end = x * x * (3 - 2 * x)
+    of_start_slope, of_end_slope = x * (1 - x) ** 2, -x * x * (1 - x)
+    weights = np.zeros((len(_NEIGHBOURS), *margins.shape))
+    weights[:, instants, columns] = (
+        -of_start_slope / 2,
+        of_end + of_start_slope / 2,
+        of_end_slope / 2,
+    )
+    found = margins.copy()
+    here = margins[instants, columns]
+    for weight, shift in zip(weights, _NEIGHBOURS, strict=True):
+        difference = margins[instants + shift, columns] - here
+        found[instants, columns] += weight[instants, columns] * difference
+    return found, weights
 
 
 def references_at(reference: Reference, times: NDArray) -> NDArray:

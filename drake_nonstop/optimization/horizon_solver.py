@@ -1,6 +1,7 @@
 """Successive quadratic programs for the nonstop problem over a horizon."""
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.systems.tracing import NotFiniteError
 
+PLAN_TOLERANCE = 1e-4  # on the slack of a plan: 0.005 % of a speed
 _ANGLE_RADIUS = 0.4  # rad, of the trust region: how far the phases may move in a step
 _COEFFICIENT_RADIUS = 0.4  # likewise for the coefficients, relative to the nominal
 _LARGEST_MARGIN = 0.5  # of constraints that a step takes into account from the start
@@ -25,6 +27,7 @@ _LEAST_RATIO = 0.1  # of the decrease of the merit to the predicted one, to acce
 _GOOD_RATIO = 0.7  # above which the trust region grows
 _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 4.0  # of the trust region
 _ROW_TOLERANCE = 1e-6  # on a margin of a step
+_ACTIVE_MARGIN = 0.01  # below which a constraint is likely to decide
 _SEARCH_PHASES = 16
 
 
@@ -46,8 +49,8 @@ class PlanAnswer(NamedTuple):
 
     @property
     def is_feasible(self) -> bool:
-        """Whether the plan needs no slack."""
-        return self.slack <= FEASIBILITY_TOLERANCE
+        """Whether the plan needs no slack, but for what successive programs leave."""
+        return self.slack <= PLAN_TOLERANCE
 
 
 class HorizonSolver:
@@ -57,7 +60,8 @@ class HorizonSolver:
     MathematicalProgram: the cost is quadratic as it is, the constraints are linearized with exact
     gradients. Of thousands of constraints a few decide: a step begins with those that are near,
     and is found anew with those that it violates. It is accepted where cost and exact penalty of
-    the slack fall.
+    the slack fall; where they fall less than predicted, a second-order correction is tried
+    (Nocedal and Wright, Numerical Optimization, 2006, section 18.3).
 
     Args:
         problem: what all plans share.
@@ -120,6 +124,16 @@ class HorizonSolver:
                 break
             there = problem.linearization(data, candidate)
             new_merit, new_slack = self._merit(candidate, there)
+            if not merit - new_merit > _GOOD_RATIO * decrease and math.isfinite(new_merit):
+                # The step again, with the curvature of the constraints along it.
+                margins = there.margins - linearization.changes(candidate - x)
+                found = program.step(x, replace(linearization, margins=margins), scale)
+                if found is not None:
+                    again = problem.linearization(data, found[0])
+                    again_merit, again_slack = self._merit(found[0], again)
+                    if again_merit < new_merit:
+                        candidate, there = found[0], again
+                        new_merit, new_slack = again_merit, again_slack
             ratio = (merit - new_merit) / decrease if math.isfinite(new_merit) else -math.inf
             if ratio > _LEAST_RATIO:
                 x, merit, slack, linearization = candidate, new_merit, new_slack, there
@@ -150,7 +164,8 @@ class HorizonSolver:
 
     def merit(self, answer: PlanAnswer) -> float:
         """What plans of the same data are compared by: the cost and the penalty of the slack."""
-        return answer.cost + float(self._weights.sum()) * answer.slack
+        slack = 0.0 if answer.is_feasible else answer.slack
+        return answer.cost + float(self._weights.sum()) * slack
 
     def _merit(self, x: NDArray, linearization: Linearization) -> tuple[float, float]:
         slacks = self.problem.slacks(linearization.margins)
@@ -192,6 +207,11 @@ class _StepProgram:
         self._fixed_constraint = program.AddLinearConstraint(
             self._fixed_rows, zero, zero, self._step
         ).evaluator()
+        both = np.concatenate([self._step, self._slack])
+        self._rows = program.AddLinearConstraint(
+            np.zeros((1, len(both))), np.zeros(1), np.zeros(1), both
+        ).evaluator()
+        self._active = np.zeros(0, int)  # constraints that decided the last step
 
     def step(
         self, x: NDArray, linearization: Linearization, scale: float
@@ -214,7 +234,8 @@ class _StepProgram:
         self._fixed_constraint.set_bounds(
             np.concatenate([-angle, below]), np.concatenate([angle, above])
         )
-        chosen = linearization.dips(linearization.margins, _LARGEST_MARGIN)
+        dips = linearization.dips(linearization.margins, _LARGEST_MARGIN)
+        chosen = np.union1d(self._active, dips)
         for _ in range(_MOST_ROUNDS):
             found = self._solved(linearization, chosen)
             if found is None:
@@ -225,10 +246,12 @@ class _StepProgram:
             step = step.reshape(x.shape)
             margins = linearization.margins + linearization.changes(step)
             excess = margins + slack[linearization.slack_of]
-            violated = np.setdiff1d(linearization.dips(excess, -_ROW_TOLERANCE), chosen)
-            if len(violated) == 0:
+            self._active = chosen[excess[chosen] < _ACTIVE_MARGIN]
+            violated = linearization.dips(excess, -_ROW_TOLERANCE)
+            new = np.setdiff1d(violated, chosen)
+            if len(new) == 0:
                 break
-            chosen = np.concatenate([chosen, violated])
+            chosen = np.union1d(chosen, linearization.with_neighbours(new, excess, _ACTIVE_MARGIN))
         slacks = problem.slacks(margins)
         new = x + step
         return new, problem.cost(new) + float(owner._weights @ slacks)
@@ -240,14 +263,12 @@ class _StepProgram:
         rows = len(chosen)
         slack_columns = np.zeros((rows, self._problem.slack_count))
         slack_columns[np.arange(rows), linearization.slack_of[chosen]] = 1
-        constraint = self._program.AddLinearConstraint(
+        self._rows.UpdateCoefficients(
             np.hstack([linearization.jacobian(chosen, self._owner.fixed), slack_columns]),
             -linearization.margins[chosen],
             np.full(rows, np.inf),
-            np.concatenate([self._step, self._slack]),
         )
         result = self._solver.Solve(self._program)
-        self._program.RemoveConstraint(constraint)
         if not result.is_success():
             return None
         values = result.get_x_val()
@@ -283,7 +304,7 @@ def _difference_rows(largest: NDArray, count: int, fixed: int) -> _DifferenceRow
 def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
     """The [ξ, A] (2,) nearest to the nominal ones that suit all instants and phases."""
     angles = 2 * np.pi * np.arange(_SEARCH_PHASES) / _SEARCH_PHASES
-    every = max(1, round(problem.config.knot_spacing / problem.config.instant_spacing))
+    every = problem.config.instants
     polynomials = orbit_polynomials(OrbitTerms.view(data.flat_terms[::every]), problem.axes, angles)
     low, high = (bound[:, 0] * problem.nominal for bound in problem.bounds)
     search = SearchProblem(

@@ -69,12 +69,17 @@ class TracedProblem:
         self.beliefs = np.concatenate(beliefs)
         self.data_size = update_data_size(len(beliefs.offset))
         points = config.look_ahead_points
-        self._instants = np.linspace(0, config.period, points) if points > 1 else np.zeros(1)
+        instants = np.linspace(0, config.period, points) if points > 1 else np.zeros(1)
+        self._points = points
         turn_count = config.orbit_points // config.orbit_updates if config.orbit_points > 1 else 0
         self._turns = 2 * np.pi * np.arange(turn_count) / max(turn_count, 1)
         # The speeds of n carriers are constrained at each of these, by its number: at every
-        # instant, and at the last one at the turns of the orbit ahead.
-        self._instant_of_row = np.minimum(np.arange(points + turn_count), points - 1)
+        # instant, and at the turns of the orbit ahead, which is later where there are two or more.
+        if points > 1 and turn_count > 0:
+            instants = np.append(instants, config.period + config.look_ahead_time)
+        self._instants = instants
+        last = np.full(turn_count, len(instants) - 1)
+        self._instant_of_row = np.append(np.arange(points), last)
         axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
         self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
         self.constraints = ConstraintMargins(config, len(self._instant_of_row) * model.n)
@@ -189,7 +194,7 @@ class TracedProblem:
         products, forces, levers = self._trace_orbits(data)
         angle = nonstop.phase_of(x, data.previous, data.phase)
         ahead = angle + Parameters.view(data.previous).frequency * self._instants
-        cosine, sine = np.cos(ahead), np.sin(ahead)
+        cosine, sine = np.cos(ahead[: self._points]), np.sin(ahead[: self._points])
         first = ahead[-1:] + data.orbit_turn
         turn_cosine, turn_sine = np.cos(self._turns), np.sin(self._turns)
         polynomials = nonstop.speed_polynomials(

@@ -12,6 +12,7 @@ from drake_nonstop.optimization.horizon_problem import (
     HorizonData,
     HorizonProblem,
     Reference,
+    timed,
 )
 from drake_nonstop.optimization.horizon_solver import HorizonSolver, PlanAnswer
 from drake_nonstop.optimization.plan import DEGREE
@@ -31,6 +32,7 @@ def receding_coefficients(
     *,
     start_angle: float = 0.0,
     max_iterations: int = 3,
+    stops_if_infeasible: bool = False,
 ) -> tuple[NDArray, list[PlanAnswer]]:
     """What plans over a receding horizon make of a task that goes as it is predicted.
 
@@ -41,6 +43,7 @@ def receding_coefficients(
         speed_bound: m/s, ε.
         start_angle: θ at the start, rad.
         max_iterations: of each plan but the first.
+        stops_if_infeasible: whether the first plan that needs slack is the last one.
 
     Returns:
         The coefficients (2, intervals + 4) that are flown, and each plan.
@@ -57,6 +60,8 @@ def receding_coefficients(
         else:
             answer = solver.solve(data, start, max_iterations=max_iterations, scale=scale)
         answers.append(answer)
+        if stops_if_infeasible and not answer.is_feasible:
+            break
         flown[:, k : k + DEGREE + 1] = answer.coefficients[:, : DEGREE + 1]
         start, scale = answer.next_start, max(answer.scale, _LEAST_SCALE)
         angle = answer.plan.values((k + 1) * spacing).angle
@@ -87,7 +92,7 @@ def plan_task(
         config: but for its horizon.
         start_angle: θ at the start, rad.
     """
-    config = config or HorizonConfig()
+    config = timed(config or HorizonConfig(), limits.frequency, model.control_period)
     intervals = round(duration / config.knot_spacing)
     short = HorizonProblem(model, limits, config, name)
     flown, _ = receding_coefficients(

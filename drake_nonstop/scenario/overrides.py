@@ -30,7 +30,7 @@ from drake_nonstop.validation import (
 )
 
 # Parts that are not in the tree where they are none.
-_LEFT_OUT = ("system.aircraft", "simulated.aircraft")
+_LEFT_OUT = ("system.aircraft", "simulated.aircraft", "reference_governor")
 
 
 def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False) -> Scenario:

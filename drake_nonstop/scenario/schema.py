@@ -13,6 +13,7 @@ from typing import Any
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import SimulatorConfig
 
+from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
 from drake_nonstop.diagrams.box import block_class, import_path
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.model.pattern import (
@@ -89,6 +90,8 @@ class _Common(StrictFields):
     simulation_duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
     fused_plant: bool = False  # load, cables, carriers and their controller in one fast block
+    # Slows the load's trajectory down where no ξ and A keep the speed bound with it; none: never.
+    reference_governor: ReferenceGovernorConfig | None = None
     # What the run is held against: beyond which figures it is not ok, or not plausible.
     limits: RunLimits = field(default_factory=RunLimits)
     # Of Drake's Simulator: max_step_size in s, and the rest as in SimulatorConfig.
@@ -243,6 +246,12 @@ def check(scenario: Scenario) -> None:
         elif kind in _PARTS:
             require(isinstance(value, kind), path, value, f"give a {kind.__name__}")
             require_fields(path, value)
+        elif path == "reference_governor":
+            remedy = "give a ReferenceGovernorConfig, or None"
+            is_part = value is None or isinstance(value, ReferenceGovernorConfig)
+            require(is_part, path, value, remedy)
+            if value is not None:
+                require_fields(path, value)
         else:
             require_type(f"{scenario.name}.{path}", value, kind)
     for owner in ("system", "simulated"):

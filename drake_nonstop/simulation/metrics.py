@@ -33,10 +33,10 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     half of the two intervals beside it. The climb angle is that of the steepest climb or descent;
     it and the turn radius are not meaningful where a carrier nearly stops. Turns and accelerations
     are measured over 0.1 s of the path: over less a carrier follows the ripple of its sampled
-    reference. What was not measured, such as the solve times of a layer that solves nothing, is
-    None. The group `aircraft` is that of the simulated aircraft, see `AircraftQuantities`, and is
-    missing where there are none. `outcome` is a `RunOutcome`, `reasons` and `warnings` are
-    sentences.
+    reference. What was not measured, such as the solve times of a layer that solves nothing or the
+    delay of a reference without a governor, is None. The group `aircraft` is that of the simulated
+    aircraft, see `AircraftQuantities`, and is missing where there are none. `outcome` is a
+    `RunOutcome`, `reasons` and `warnings` are sentences.
     """
     quantities = RunQuantities(run)
     values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}
@@ -235,6 +235,22 @@ METRICS = (
         unit="mm",
         scale=1e3,
         better=Better.LOWER,
+    ),
+    Metric(
+        path="load.reference_delay_max_s",
+        measure=lambda run: run.reference_delays and run.reference_delays[0],
+        label="largest delay of the reference",
+        unit="s",
+        better=Better.LOWER,
+        run_text=RunText(line="reference", text="late by up to {:.3g} {unit}"),
+    ),
+    Metric(
+        path="load.reference_delay_final_s",
+        measure=lambda run: run.reference_delays and run.reference_delays[1],
+        label="final delay of the reference",
+        unit="s",
+        better=Better.LOWER,
+        run_text=RunText(line="reference", text="{:.3g} {unit} at the end"),
     ),
     Metric(
         path="load.orientation_error_mean_rad",
@@ -502,6 +518,34 @@ METRICS = (
         unit="ms",
         better=Better.LOWER,
         is_wall_time=True,
+    ),
+    Metric(
+        path="optimizer.predicted_speed_margin_m_s",
+        measure=lambda run: run.predicted_margin,
+        label="computed margin of the speed",
+        unit="mm/s",
+        scale=1e3,
+        better=Better.LOWER,
+    ),
+    Metric(
+        path="optimizer.predicted_speed_margin_of_bound",
+        measure=lambda run: run.share_of_bound(run.predicted_margin),
+        label="computed margin over the bound",
+        better=Better.LOWER,
+    ),
+    Metric(
+        path="optimizer.measured_speed_margin_m_s",
+        measure=lambda run: run.measured_margin,
+        label="largest shortfall of a speed",
+        unit="mm/s",
+        scale=1e3,
+        better=Better.LOWER,
+    ),
+    Metric(
+        path="optimizer.measured_speed_margin_of_bound",
+        measure=lambda run: run.share_of_bound(run.measured_margin),
+        label="largest shortfall over the bound",
+        better=Better.LOWER,
     ),
     Metric(
         path="optimizer.xi_final_rad_s",

@@ -20,6 +20,7 @@ from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Parame
 from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
+from drake_nonstop.simulation.planned_shortfall import largest_shortfall
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.separations import (
     least_cable_distances,
@@ -77,6 +78,16 @@ class RunQuantities:
     def orientation_error(self) -> NDArray:
         """The load's angle (samples,) to its reference at 100 Hz, rad."""
         return np.linalg.norm(self._load_errors[1], axis=1)
+
+    @cached_property
+    def reference_delays(self) -> tuple[float, float] | None:
+        """How late a governor has the reference at most, and at the end, s; None: there is none."""
+        if self.run.scenario.reference_governor is None:
+            return None
+        if not any(name.endswith(".reference_delay") for name in self.run.signals):
+            return 0.0, 0.0  # the trajectory is left as it is
+        delays = self.run.signal("reference_delay")
+        return float(np.max(delays)), float(delays[-1, 0])
 
     @cached_property
     def _load_errors(self) -> tuple[NDArray, NDArray]:
@@ -310,6 +321,22 @@ class RunQuantities:
         """Where the cables are attached to the load, (k, n, 3), in W, m."""
         load_states = self.run.steps["load_state"]
         return in_chunks(lambda states: attachment_positions(self.run, states), load_states)
+
+    @cached_property
+    def predicted_margin(self) -> float | None:
+        """The margin (m/s) that was computed for the optimization layer, if one was."""
+        margin = getattr(self.run.diagram, "speed_margin", None)
+        return None if margin is None else float(margin.total)
+
+    @cached_property
+    def measured_margin(self) -> float | None:
+        """By how much a carrier was slower than planned, m/s; None: unknown."""
+        return largest_shortfall(self.run)
+
+    def share_of_bound(self, speed: float | None) -> float | None:
+        """A speed (m/s) in units of the last bound; None where there is none."""
+        bound = float(self.speed_bounds[-1])
+        return None if speed is None or bound == 0 else speed / bound
 
     @cached_property
     def update_counts(self) -> dict[str, int]:

@@ -244,8 +244,9 @@ def _arguments(rng: np.random.Generator) -> list[str]:
             ["--instances", _number(rng)],
             ["--seed", _number(rng)],
             ["--solvers", _text(rng)],
+            ["--tasks", _text(rng)],
         ]
-        drawn = options[rng.integers(3)]
+        drawn = options[rng.integers(4)]
         return ["bench", "optimizer", *drawn, "--out", "/dev/null/no"]
     if command == "bench scale":
         options = [["--max-n", _number(rng)], ["--duration", _number(rng)]]

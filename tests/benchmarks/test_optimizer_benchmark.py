@@ -7,6 +7,7 @@ import pytest
 
 from drake_nonstop.benchmarks import instances as drawn
 from drake_nonstop.benchmarks.optimizer import PEERS
+from drake_nonstop.benchmarks.whole_tasks import benchmark_tasks, tasks_table
 from drake_nonstop.cli.exit_codes import BAD_INPUT
 from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.diagnostics import Outcome
@@ -122,7 +123,7 @@ def test_peers_solve_what_is_near_by(name, solvers):
 def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     out = tmp_path / "bench"
     names = ["search", "SciPy SLSQP"]
-    arguments = ["bench", "optimizer", "--instances", "4", "--out", str(out)]
+    arguments = ["bench", "optimizer", "--instances", "4", "--tasks", "--out", str(out)]
     assert main([*arguments, "--solvers", *names]) == 0
     text = capsys.readouterr().out
     results = json.loads((out / "optimizer.json").read_text())
@@ -139,12 +140,30 @@ def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     assert {path.name for path in out.iterdir()} == {"optimizer.json"}
 
 
+def test_layers_are_compared_with_the_offline_optimum():
+    short = ["simulation_duration=5", "load_trajectory.move_time=4"]
+    slow = ["load_trajectory.displacement=[0.4, 0.4, 0.4]", "optimization_layer.speed_bound=0.55"]
+    results = benchmark_tasks(["quintic"], [*short, *slow])
+    one_sample, horizon, offline = results["quintic"].values()
+    assert offline["slack"] == pytest.approx(0, abs=1e-6)
+    for row in (one_sample, horizon, offline):
+        assert row["least_of_bound"] == pytest.approx(1.02, abs=0.01)
+    # The planned flight of an ideal loop is that of the simulated one.
+    assert horizon["speed_squared_m2_s"] == pytest.approx(offline["speed_squared_m2_s"], rel=0.02)
+    assert offline["cost"] <= horizon["cost"] <= 1.1 * offline["cost"]
+    assert offline["deviation"] < one_sample["deviation"]
+    assert one_sample["cost"] is None
+    table = tasks_table(results)
+    assert all(layer in table for layer in ("one sample", "horizon", "offline optimum"))
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--solvers", "gurobi"], "--solvers = gurobi: give some of search"),
         (["--instances", "0"], "--instances = 0: give at least 1"),
         (["--seed", "-1"], "--seed = -1: give 0 or"),
+        (["--tasks", "circle"], "--tasks = circle: give some of line"),
     ],
 )
 def test_bad_options_are_named(arguments, message, tmp_path, capsys):

@@ -7,14 +7,21 @@ import pytest
 from helpers import Motion, difference, fix, model, output, regular
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop.blocks.carrier_controller import TunedFeedforwardCarrierPid
+from drake_nonstop.blocks.carrier_controller import (
+    CarrierPid,
+    FeedforwardCarrierPid,
+    TunedFeedforwardCarrierPid,
+)
 from drake_nonstop.blocks.carrier_trajectory import (
     CarrierTrajectory,
     CarrierTrajectoryConfig,
     InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
-from drake_nonstop.blocks.internal_force import PlannedInternalForceConfig
+from drake_nonstop.blocks.internal_force import (
+    InternalForceTrajectory,
+    PlannedInternalForceConfig,
+)
 from drake_nonstop.blocks.load_feedback import DesiredStateFeedback
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
@@ -69,7 +76,7 @@ def test_carrier_trajectory_stands_on_the_desired_load_pose(rng, n, stiffness, c
 
 
 def test_sampled_carrier_trajectory_goes_on_along_its_velocity(rng):
-    block = CarrierTrajectory(model(4, 0.01))
+    block = CarrierTrajectory(model(4, 0.01), CarrierTrajectoryConfig(hold="velocity"))
     context = block.CreateDefaultContext()
     inputs = generator_inputs(rng, 4)
     positions, velocities = expected_motion(inputs, 4, 1 / 500)
@@ -130,7 +137,7 @@ def carriers_at(diagram, context, time, names=("carrier_reference", *DERIVATIVES
     """Signals of a loop with constant ξ = 2 rad/s at a time, the load on its reference."""
     context.SetTime(time)
     phase = diagram.GetSubsystemByName("phase").GetMyMutableContextFromRoot(context)
-    phase.SetContinuousState([2.0 * time, 0.0])
+    phase.SetContinuousState([2.0 * time, *np.zeros(7)])  # ξ and A have not started to change
     return [output(diagram, context, name) for name in names]
 
 
@@ -259,18 +266,24 @@ class OwnInternalForce(LeafSystem):
 
 def test_accelerations_that_cannot_be_made_are_told_with_a_remedy():
     second_order = CarrierTrajectoryConfig(hold="second_order")
+    first_order = CarrierTrajectoryConfig(hold="velocity")
     own = {"at_equilibrium": False, "internal_force": OwnInternalForce}
-    assert make_nonstop(Scenario(), **own)  # nothing needs them
+    without = {"carrier_trajectory": first_order, "carrier_controller": CarrierPid}
+    assert make_nonstop(Scenario(), **own, **without)  # nothing needs them
     for boxes in (
+        {},
         {"carrier_trajectory": second_order},
         {"carrier_controller": TunedFeedforwardCarrierPid},
     ):
         with pytest.raises(WiringError, match=r"^internal_force = OwnInternalForce: it does not"):
-            make_nonstop(Scenario(), **own, **boxes)
+            make_nonstop(Scenario(), **own, **({**without, **boxes} if boxes else {}))
     boxes = {"carrier_trajectory": MeasuredCarrierTrajectory}
-    assert make_nonstop(Scenario(), at_equilibrium=False, **boxes)
-    with pytest.raises(WiringError, match="carrier_trajectory = MeasuredCarrierTrajectory does"):
-        make_nonstop(Scenario(), carrier_controller=TunedFeedforwardCarrierPid, **boxes)
+    assert make_nonstop(Scenario(), at_equilibrium=False, carrier_controller=CarrierPid, **boxes)
+    for controller in (FeedforwardCarrierPid, TunedFeedforwardCarrierPid):
+        with pytest.raises(
+            WiringError, match="= MeasuredCarrierTrajectory does"
+        ):
+            make_nonstop(Scenario(), carrier_controller=controller, **boxes)
 
 
 def test_without_snap_what_is_missing_is_small_while_the_load_moves_slowly():
@@ -333,7 +346,7 @@ def test_an_unknown_hold_is_refused():
     with pytest.raises(ScenarioError) as error:
         CarrierTrajectory(model(), CarrierTrajectoryConfig(hold="third_order"))
     assert str(error.value) == (
-        "carrier_trajectory.hold = third_order: give velocity or second_order"
+        "carrier_trajectory.hold = third_order: give second_order or velocity"
     )
 
 
@@ -358,7 +371,8 @@ def test_what_the_derivatives_need_may_be_left_unconnected(rng):
 
 
 def test_derivatives_that_nothing_reads_are_not_even_traced(monkeypatch):
-    diagram, context = loop_on_its_reference()
+    boxes = {"internal_force": InternalForceTrajectory, "carrier_controller": CarrierPid}
+    diagram, context = loop_on_its_reference(**boxes)
     traced = []
     make = traced_block.Trace
     monkeypatch.setattr(

@@ -1,5 +1,6 @@
 import dataclasses
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -99,6 +100,80 @@ def reference_of(block, config):
         return output(block, context, "reference")
 
     return reference
+
+
+EVERY_KIND = CASES | {"steady turn": (SteadyTurn, STEADY_TURN, [1, 10])}
+
+
+@pytest.mark.parametrize(("block", "config", "breaks"), EVERY_KIND.values(), ids=EVERY_KIND.keys())
+def test_preview_is_the_reference_to_the_bit_at_any_time(block, config, breaks):
+    made = block(model(), config)
+    preview = made.GetOutputPort("reference_preview").Eval(made.CreateDefaultContext())
+    times = np.sort([-1.0, 0.0, *breaks, *np.linspace(0.1, 12, 40), 1e3])
+    reference = reference_of(block, config)
+    expected = np.array([reference(time) for time in times])
+    np.testing.assert_array_equal(preview.at(times), expected)
+    np.testing.assert_array_equal([preview(time) for time in times], expected)
+    assert preview.end_time == np.inf
+    with ThreadPoolExecutor(2) as threads:
+        for result in threads.map(preview.at, [times, times[::-1]] * 10):
+            assert np.array_equal(result, expected) or np.array_equal(result, expected[::-1])
+
+
+def test_preview_is_the_same_object_in_every_context_and_scalar_type():
+    made = RestToRest(model(), REST_TO_REST)
+    context = made.CreateDefaultContext()
+    preview = made.GetOutputPort("reference_preview").Eval(context)
+    context.SetTime(3.0)
+    for block in (made, made.Clone(), made.ToAutoDiffXd(), made.ToSymbolic()):
+        for own in (block.CreateDefaultContext(), block.CreateDefaultContext().Clone()):
+            assert block.GetOutputPort("reference_preview").Eval(own) is preview
+    assert made.GetOutputPort("reference_preview").Eval(context) is preview
+
+
+SEPTIC = {
+    name: (block, dataclasses.replace(config, blend="c4"), breaks)
+    for name, (block, config, breaks) in EVERY_KIND.items()
+    if name not in ("samples", "blend 0")
+}
+
+
+@pytest.mark.parametrize(("block", "config", "breaks"), SEPTIC.values(), ids=SEPTIC.keys())
+def test_with_c4_one_more_derivative_is_continuous_where_polynomials_meet(block, config, breaks):
+    """The jerk, and its rate where velocities are blended, by one-sided limits."""
+    smooth = reference_of(block, config)
+    quintic = reference_of(block, dataclasses.replace(config, blend="c3"))
+    step, is_velocity = 1e-5, block is ConstantVelocityMove
+
+    def jump(reference, time):
+        def rate(start):
+            return (reference(start + step)[19:] - reference(start)[19:]) / step
+
+        before, after = reference(time - 1e-7), reference(time + 1e-7)
+        if not is_velocity:
+            return np.max(np.abs(after - before))
+        return np.max(np.abs(rate(time) - rate(time - step)))
+
+    for time in breaks:
+        assert jump(quintic, time) > 0.02, time
+        assert jump(smooth, time) < 0.005, time
+        if not is_velocity:
+            np.testing.assert_allclose(smooth(time)[16:], 0, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("block", "config", "breaks"), SEPTIC.values(), ids=SEPTIC.keys())
+def test_with_c4_the_same_poses_are_reached(block, config, breaks):
+    smooth = reference_of(block, config)
+    quintic = reference_of(block, dataclasses.replace(config, blend="c3"))
+    for time in (0.0, *breaks, 20.0):
+        np.testing.assert_allclose(smooth(time)[:13], quintic(time)[:13], rtol=0, atol=1e-12)
+        check_rates(smooth, time + 0.35)
+
+
+def test_blend_names_a_polynomial():
+    with pytest.raises(ScenarioError) as error:
+        RestToRest(model(), RestToRestConfig(blend="c5"))
+    assert str(error.value) == "load_trajectory.blend = c5: give c3 or c4"
 
 
 def check_rates(reference, time):

@@ -179,17 +179,34 @@ def test_updates_share_the_phases_of_the_orbit():
         assert layer.diagnostics.speed_margin == pytest.approx(min(slowest) - 0.01, abs=1e-9)
 
 
+@pytest.mark.parametrize("ahead", [0.0, 0.005])
 @pytest.mark.parametrize("seed", [2, 5])
-def test_solution_keeps_every_carrier_above_the_bound_all_along_the_orbit(seed):
+def test_solution_keeps_every_carrier_above_the_bound_all_along_the_orbit(seed, ahead):
     inputs = moving(seed)
     bound = speed_bound_above(inputs, 0.1)
-    layer = Layer(config(bound, orbit_points=16, orbit_updates=1))
+    layer = Layer(config(bound, orbit_points=16, orbit_updates=1, look_ahead_time=ahead))
     parameters = layer.update(inputs)
     assert layer.diagnostics.outcome == Outcome.SOLVED
     for turn in 2 * np.pi * np.arange(1, 16) / 16:
         shifted = {**inputs, "phase": inputs["phase"] + [turn, 0]}
-        speeds = carrier_speeds(parameters, shifted, PERIOD)
+        speeds = carrier_speeds(parameters, shifted, PERIOD + ahead)
         assert np.min(speeds) >= bound * (1 + TIGHTENING) - 2e-4
+
+
+@pytest.mark.parametrize("seed", [2, 6])
+def test_predicted_margin_of_the_orbit_is_that_of_the_time_ahead(seed):
+    inputs, ahead, points = moving(seed), 0.03, 12
+    orbit = {"orbit_points": points, "orbit_updates": 1}
+    layer = Layer(config(0.01, **orbit, look_ahead_time=ahead))
+    layer.update(inputs)
+    slowest = [np.min(carrier_speeds(START, inputs, time)) for time in (0.0, PERIOD)]
+    for turn in 2 * np.pi * np.arange(points) / points:
+        shifted = {**inputs, "phase": inputs["phase"] + [turn, 0]}
+        slowest.append(np.min(carrier_speeds(START, shifted, PERIOD + ahead)))
+    assert layer.diagnostics.speed_margin == pytest.approx(min(slowest) - 0.01, abs=2e-4)
+    without = Layer(config(0.01, **orbit, look_ahead_time=0.0))
+    without.update(inputs)
+    assert abs(without.diagnostics.speed_margin - layer.diagnostics.speed_margin) > 2e-3
 
 
 def test_wrench_is_extrapolated_by_the_change_of_its_rate():

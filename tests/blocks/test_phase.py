@@ -60,7 +60,7 @@ def test_phase_is_the_integral_of_a_changing_frequency(period):
     source = builder.AddSystem(DoublingFrequency())
     phase = builder.AddSystem(AccumulatedPhase(model(4, period)))
     builder.Connect(source.get_output_port(), phase.get_input_port())
-    builder.ExportOutput(phase.get_output_port(), "phase")
+    builder.ExportOutput(phase.GetOutputPort("phase"), "phase")
     diagram = builder.Build()
     simulator = Simulator(diagram)
     simulator.AdvanceTo(0.04 - 1e-9)
@@ -105,6 +105,7 @@ def planned(values, *, period=0.01, times, config=None):
     """What a shape makes of a layer's parameters, just after these times: (times, 8)."""
     builder = DiagramBuilder()
     layer = builder.AddSystem(Layer(values))
+    config = config or ShapedPhaseConfig(bandwidth=40.0)
     shape = builder.AddSystem(ShapedPhase(model(4, period), config))
     builder.Connect(layer.get_output_port(), shape.GetInputPort("parameters"))
     for name in ("phase", "planned"):

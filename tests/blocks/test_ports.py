@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 import yaml
-from helpers import Motion, difference, fix, model, output
+from helpers import Motion, difference, fix, model, output, vector_outputs
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import DiagramBuilder
@@ -86,6 +86,7 @@ from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.scenario.describe import parameters
+from drake_nonstop.systems.wiring import output_sizes
 from drake_nonstop.validation import ScenarioError
 
 
@@ -127,8 +128,8 @@ def bounded_distribution(model):
     return BoundedTensionDistribution(model, BoundedTensionDistributionConfig(min_tension=2.9))
 
 
-def second_order_trajectory(model):
-    return CarrierTrajectory(model, CarrierTrajectoryConfig(hold="second_order"))
+def first_order_trajectory(model):
+    return CarrierTrajectory(model, CarrierTrajectoryConfig(hold="velocity"))
 
 
 def everything(inputs, outputs):
@@ -168,8 +169,8 @@ _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
 BLOCKS = {
-    moving_reference: ([], ["reference"], []),
-    ConstantVelocityMove: ([], ["reference"], []),
+    moving_reference: ([], ["reference", "reference_preview"], []),
+    ConstantVelocityMove: ([], ["reference", "reference_preview"], []),
     **dict.fromkeys(
         (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController),
         everything(
@@ -179,7 +180,7 @@ BLOCKS = {
     ),
     bounded_distribution: DISTRIBUTION,
     **dict.fromkeys(
-        (CarrierTrajectory, InextensibleCarrierTrajectory, second_order_trajectory),
+        (CarrierTrajectory, InextensibleCarrierTrajectory, first_order_trajectory),
         (
             [*_PULLED, *_ORBIT],
             ["carrier_reference", *_DERIVATIVES],
@@ -202,9 +203,9 @@ BLOCKS = {
         ),
     ),
     IdealCarriers: everything(["carrier_reference"], ["carrier_state"]),
-    Waypoints: ([], ["reference"], []),
-    Circle: ([], ["reference"], []),
-    SampledTrajectory: ([], ["reference"], []),
+    Waypoints: ([], ["reference", "reference_preview"], []),
+    Circle: ([], ["reference", "reference_preview"], []),
+    SampledTrajectory: ([], ["reference", "reference_preview"], []),
     IdealFeedback: (
         ["load_state"],
         ["measured_load_state"],
@@ -233,8 +234,8 @@ BLOCKS = {
         ["parameters", "speed_bound"],
         [("speed_bound_command", "speed_bound")],
     ),
-    AccumulatedPhase: (["parameters"], ["phase"], []),
-    PaperPhase: (["parameters"], ["phase"], [("parameters", "phase")]),
+    AccumulatedPhase: (["parameters"], ["phase", "planned"], [("parameters", "planned")]),
+    PaperPhase: everything(["parameters"], ["phase", "planned"]),
     ShapedPhase: (
         ["parameters", "plan"],
         ["phase", "planned"],
@@ -328,10 +329,10 @@ BLOCKS = {
 
 # What a control period adds: the time of the sample.
 SAMPLED = {
-    PaperPhase: ("sample_time", "phase"),
+    PaperPhase: ("sample_time", "phase", "planned"),
     CarrierTrajectory: ("sample_time", "carrier_reference"),
     InextensibleCarrierTrajectory: ("sample_time", "carrier_reference"),
-    second_order_trajectory: ("sample_time", "carrier_reference"),
+    first_order_trajectory: ("sample_time", "carrier_reference"),
     MeasuredCarrierTrajectory: ("sample_time", "carrier_reference"),
 }
 
@@ -353,10 +354,12 @@ def expected_ports(make, period):
     inputs, outputs, feedthrough = BLOCKS[make]
     if period > 0 and make is FixedWingController:  # its commands are held
         return inputs, outputs, []
-    if period > 0 and make is second_order_trajectory:
+    if period > 0 and make in (CarrierTrajectory, InextensibleCarrierTrajectory):
         feedthrough = [*feedthrough, *((source, "carrier_reference") for source in _ORBIT)]
     if period > 0 and make in SAMPLED:
-        return [*inputs, SAMPLED[make][0]], outputs, [*feedthrough, SAMPLED[make]]
+        source, *targets = SAMPLED[make]
+        times = [(source, target) for target in targets]
+        return [*inputs, source], outputs, [*feedthrough, *times]
     return inputs, outputs, feedthrough
 
 
@@ -401,7 +404,7 @@ def test_ports_have_the_names_and_sizes_of_the_contract(make, period, n):
     for name in inputs:
         assert block.GetInputPort(name).size() == size(name, n, n), name
     for name in outputs:
-        assert block.GetOutputPort(name).size() == size(name, n, n), name
+        assert output_sizes(block)[name] == size(name, n, n), name
 
 
 def feedthrough(block):
@@ -431,7 +434,7 @@ def set_states(context, seed):
 
 
 def evaluated(block, context):
-    return {name: output(block, context, name) for name in output_names(block)}
+    return {name: output(block, context, name) for name in vector_outputs(block)}
 
 
 def fresh(block, inputs, state, time):
@@ -505,7 +508,7 @@ def made_values(block, scalar, vary):
         context.SetDiscreteState(i, vary(rng.uniform(0.2, 1.0, size)))
     for name in input_names(block):
         block.GetInputPort(name).FixValue(context, vary(values(name, 1, 4)))
-    parts = [block.GetOutputPort(name).Eval(context) for name in output_names(block)]
+    parts = [block.GetOutputPort(name).Eval(context) for name in vector_outputs(block)]
     if context.num_continuous_states() > 0:
         parts.append(block.EvalTimeDerivatives(context).CopyToVector())
     return np.concatenate(parts)

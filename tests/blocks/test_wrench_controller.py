@@ -17,7 +17,9 @@ from drake_nonstop.blocks.wrench_controller import (
     WrenchController,
     WrenchControllerConfig,
 )
+from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.mechanics.rigid_load import RigidLoad
+from drake_nonstop.mechanics.tuning import load_gains
 from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
 from drake_nonstop.validation import ScenarioError
 
@@ -119,6 +121,36 @@ def test_sign_of_the_paper_reverses_the_damping_of_the_rotation():
     without = outputs(WrenchController(model(), undamped), INTEGRALS, **SIGNALS)["wrench"]
     np.testing.assert_allclose(paper - without, without - damped, rtol=0, atol=1e-14)
     assert np.linalg.norm((without - damped)[:3]) > 1e-3
+
+
+@pytest.mark.parametrize("make", [WrenchController, PaperWrenchController, GeometricPd])
+def test_gains_that_are_auto_are_those_of_the_load_about_its_quickest_axis(rng, make):
+    turned, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    inertia = turned @ np.diag([3.0, 2.0, 4.0]) @ turned.T
+    body = model(
+        load_mass=20.0, load_inertia=((inertia + inertia.T) / 2).tolist(), cable_length=30.0
+    )
+    config = config_class(make)
+    names = {field.name for field in dataclasses.fields(config)} & {*GAINS}
+    following = load_gains(20.0, 2.0, 30.0, 9.81)
+    plain = config(**{name: following[name] for name in names & {*following}})
+    mixed = config(position_gain=following["position_gain"])
+    expected = outputs(make(body, plain), *integrals_of(make), **SIGNALS)
+    for block in (make(body), make(body, mixed)):
+        assert block.gains["velocity_gain"] == following["velocity_gain"]
+        for name, value in outputs(block, *integrals_of(make), **SIGNALS).items():
+            np.testing.assert_allclose(value, expected[name], rtol=1e-12, err_msg=name)
+
+
+def integrals_of(make):
+    return [] if make is GeometricPd else [INTEGRALS]
+
+
+@pytest.mark.parametrize("word", ["load", "", "Auto"])
+def test_another_word_for_a_gain_is_refused(word):
+    remedy = f'wrench_controller.velocity_gain = {word}: give a number, without quotes, or "auto"'
+    with pytest.raises(ScenarioError, match=remedy):
+        GeometricPd(model(), GeometricPdConfig(velocity_gain=word))
 
 
 def test_tuned_gains_are_the_plain_ones_of_that_mass_and_inertia():

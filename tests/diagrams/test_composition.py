@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from helpers import Ports, with_ports
+from helpers import Ports, vector_outputs, with_ports
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
@@ -43,7 +43,7 @@ def flown(diagram, start, period):
     values = {}
     for instant in (0.0, 0.013, DURATION):
         simulator.AdvanceTo(instant)
-        for name in output_names(diagram):
+        for name in vector_outputs(diagram):
             values[name, instant] = diagram.GetOutputPort(name).Eval(start).tobytes()
     return values
 

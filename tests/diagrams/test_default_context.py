@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from helpers import output
+from helpers import output, vector_outputs
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Diagram
 
 from drake_nonstop import load_scenario, make_nonstop, scenario_names, simulate
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
@@ -13,10 +12,6 @@ from drake_nonstop.validation import ScenarioError
 
 SIGNALS = ("load_state", "carrier_state", "tensions", "parameters", "phase")
 CONSTANT = "optimization_layer=ConstantParameters"
-
-
-def signals(diagram: Diagram) -> list[str]:
-    return [diagram.get_output_port(k).get_name() for k in range(diagram.num_output_ports())]
 
 
 @pytest.mark.filterwarnings("error")
@@ -34,7 +29,7 @@ def signals(diagram: Diagram) -> list[str]:
 def test_every_signal_is_finite_and_load_and_carriers_are_where_they_start(name, overrides):
     diagram = make_nonstop(load_scenario(name, overrides))
     default, settled = diagram.CreateDefaultContext(), diagram.CreateDefaultContext()
-    for signal in signals(diagram):
+    for signal in vector_outputs(diagram):
         assert np.all(np.isfinite(output(diagram, default, signal))), signal
     set_equilibrium(diagram, settled)
     for signal in ("load_state", "carrier_state"):

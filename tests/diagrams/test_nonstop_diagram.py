@@ -1,4 +1,5 @@
 import dataclasses
+import warnings
 from functools import partial
 
 import numpy as np
@@ -7,7 +8,10 @@ from helpers import fix, output, regular, with_ports
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
+from drake_nonstop.blocks.carrier_controller import CarrierPidConfig
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamicsConfig
+from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectory
+from drake_nonstop.blocks.internal_force import InternalForceTrajectory
 from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedback,
     DesiredStateFeedbackConfig,
@@ -18,16 +22,18 @@ from drake_nonstop.blocks.optimization_layer import (
     ConstantParametersConfig,
     NonstopOptimizerConfig,
 )
-from drake_nonstop.blocks.phase import PaperPhase
+from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams import nonstop
 from drake_nonstop.diagrams.box import block_class, config_class
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, COMMANDS, box_of, figure_wires, make_nonstop
+from drake_nonstop.diagrams.parameters import set_parameter
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems import wiring
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
 
 def continuous(**fields):
@@ -54,9 +60,10 @@ def sampled_figure():
 
 # What only blocks of aircraft, or of a plan, make.
 NOT_BY_DEFAULT = {
+    "load_trajectory": ("reference_delay",),
     "carrier_controller": ("aircraft_command", "command_saturation"),
     "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
-    "phase": ("planned",),
+    "optimization_layer": ("plan",),
 }
 
 
@@ -66,7 +73,7 @@ def block_names(diagram):
 
 def test_figure_as_listed_is_the_figure_as_built(figure):
     assert set(wiring.connections(figure)) == figure_wires()
-    assert len(figure_wires()) == 30
+    assert len(figure_wires()) == 29
 
 
 def test_every_box_is_there_under_its_name_with_its_default_block(figure):
@@ -80,7 +87,8 @@ def test_no_input_is_left_open_and_every_output_is_exported(name, request):
     diagram = request.getfixturevalue(name)
     assert diagram.num_input_ports() == 0
     wired = {wire.split(" -> ")[1] for wire in wiring.connections(diagram)}
-    wired.add("optimization_layer.speed_bound_command")  # which may be left unconnected
+    # Which may be left unconnected.
+    wired |= {"optimization_layer.speed_bound_command", "phase.plan"}
     signals = []
     for block in diagram.GetSystems():
         assert {f"{block.get_name()}.{p}" for p in wiring.input_names(block)} <= wired
@@ -99,8 +107,8 @@ def test_every_signal_is_read_but_those_that_only_report(figure):
         "speed_bound",
         "tensions",
         "wind",
-        "carrier_reference_acceleration",
         "carrier_reference_jerk",
+        "reference_preview",
     }
 
 
@@ -124,7 +132,9 @@ def test_contract_asks_for_what_is_read_and_for_tensions_and_wind():
     }
     unread = {"cables.tensions", "wind.wind"}
     either = {f"carrier_controller.{signal}" for signal in COMMANDS}  # which the dynamics ask for
-    either |= {"internal_force.internal_force_higher_rates"}  # which accelerations ask for
+    # Which accelerations ask for, and the default blocks.
+    either |= {"internal_force.internal_force_higher_rates", "phase.planned"}
+    either |= {"carrier_trajectory.carrier_reference_acceleration"}
     assert asked | either == {wire.split(" -> ")[0] for wire in figure_wires()} | unread | either
 
 
@@ -139,7 +149,11 @@ def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
         "internal_force_higher_rates": 6,
     }
     assert BOXES["cables"].sizes(5, 3) == {"cable_forces": 15, "tensions": 5}
-    assert BOXES["load_trajectory"].sizes(5, 3) == {"reference": 22}
+    assert BOXES["load_trajectory"].sizes(5, 3) == {
+        "reference": 22,
+        "reference_preview": None,
+        "reference_delay": 1,
+    }
 
 
 def test_wire_that_differs_from_the_list_is_an_error(monkeypatch):
@@ -272,7 +286,9 @@ def test_swapped_in_block_gets_the_signals_that_it_names():
     assert wrench[0] > 1
 
 
-LAYER = "expected parameters (2), optional diagnostics (7), solve_time (1), speed_bound (1)"
+LAYER = (
+    "expected parameters (2), optional diagnostics (7), plan (8), solve_time (1), speed_bound (1)"
+)
 
 
 @pytest.mark.parametrize(
@@ -312,17 +328,27 @@ def test_block_with_other_outputs_is_reported_with_those_of_its_box(box, outputs
     assert str(error.value) == f"{box} = Ports with outputs {said}; rename or resize the ports"
 
 
+# Optional signals that the default blocks read, and what is said where they are not made.
+BY_DEFAULT = {
+    "carrier_forces": r"reads carrier_forces, which carrier_co",
+    "planned": r"PlannedInternalForce: it reads planned, which phase = Ports does not make; give ",
+    "internal_force_higher_rates": r"Ports: it does not make internal_force_higher_rates",
+    "carrier_reference_acceleration": r"carrier_trajectory = Ports does not make; give .*Pid$",
+}
+
+
 @pytest.mark.parametrize("box", list(BOXES))
 def test_every_box_asks_for_its_signals_at_their_sizes(box):
     sizes = BOXES[box].sizes(4, 4)
     build = partial(make_nonstop, plain(), at_equilibrium=False)  # which these blocks do not hold
-    build(**{box: with_ports({}, sizes)})
+    vectors = {name: size for name, size in sizes.items() if size is not None}
+    build(**{box: with_ports({}, vectors)})
     for signal in sizes:
-        others = {name: size for name, size in sizes.items() if name != signal}
+        others = {name: size for name, size in vectors.items() if name != signal}
         with pytest.raises(wiring.WiringError, match=f"^{box} = Ports with outputs .*: expected"):
-            build(**{box: with_ports({}, others | {signal: sizes[signal] + 1})})
-        if signal == "carrier_forces":
-            with pytest.raises(wiring.WiringError, match=r"reads carrier_forces, which carrier_co"):
+            build(**{box: with_ports({}, others | {signal: (sizes[signal] or 0) + 1})})
+        if signal in BY_DEFAULT:
+            with pytest.raises(wiring.WiringError, match=BY_DEFAULT[signal]):
                 build(**{box: with_ports({}, others)})
         elif signal in BOXES[box].optional:
             build(**{box: with_ports({}, others)})
@@ -363,7 +389,8 @@ def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wro
     absent |= {signal for signals in NOT_BY_DEFAULT.values() for signal in signals}
     if period > 0:
         signals |= {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
-    listed = [f"{signal} ({signals[signal]})" for signal in sorted(signals.keys() - absent)]
+    texts = {signal: size or "abstract" for signal, size in signals.items()}
+    listed = [f"{signal} ({texts[signal]})" for signal in sorted(texts.keys() - absent)]
     assert message[len(start) : -len(end)] == ", ".join(listed)
 
 
@@ -385,12 +412,52 @@ def test_block_with_an_input_of_another_size_is_reported_with_the_size(inputs, g
     )
 
 
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_a_run_starts_at_the_parameters_that_the_context_has(period):
+    diagram = make_nonstop(plain(period))
+    context = diagram.CreateDefaultContext()
+    set_parameter(diagram, context, "optimization_layer.frequency", 2.5)
+    set_parameter(diagram, context, "optimization_layer.amplitude", 1.4)
+    set_equilibrium(diagram, context)
+    simulator = Simulator(diagram, context)
+    for time in (0.0, 0.05):
+        simulator.AdvanceTo(time)
+        planned = output(diagram, context, "planned")
+        angle = 2.5 * np.floor(time / period + 0.5) * period if period else 2.5 * time
+        np.testing.assert_allclose(planned[0], angle, atol=0.026)  # of the sample, or of the last
+        np.testing.assert_allclose(planned[1:], [2.5, 1.4, 0, 0, 0, 0, 0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("layer", [NonstopOptimizerConfig(), ConstantParametersConfig()])
+def test_an_internal_force_that_reads_what_is_smoothed_is_told(layer):
+    fields = {"internal_force": InternalForceTrajectory, "at_equilibrium": False}
+    make_nonstop(Scenario(optimization_layer=layer), phase=AccumulatedPhase, **fields)
+    if isinstance(layer, ConstantParametersConfig):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            make_nonstop(Scenario(optimization_layer=layer), **fields)
+        return
+    with pytest.warns(ScenarioWarning, match="it reads parameters, which phase = ShapedPhase smoo"):
+        make_nonstop(Scenario(optimization_layer=layer), **fields)
+
+
+def test_signals_that_others_need_become_inputs_where_a_box_is_left_out():
+    left_out = {"phase": None, "internal_force": None, "carrier_trajectory": None}
+    for name, signal in zip(
+        left_out,
+        ("planned", "internal_force_higher_rates", "carrier_reference_acceleration"),
+        strict=True,
+    ):
+        diagram = make_nonstop(plain(0.01), at_equilibrium=False, **{name: None})
+        assert signal in wiring.input_names(diagram)
+
+
 def test_two_blocks_may_share_a_signal_of_their_own_even_an_abstract_one():
     diagram = make_nonstop(
         plain(),
         at_equilibrium=False,
         load_disturbance=with_ports({}, {"disturbance_wrench": 6, "weather": None, "gust": 3}),
-        phase=with_ports({"weather": None, "gust": 3}, {"phase": 2}),
+        phase=with_ports({"weather": None, "gust": 3}, {"phase": 2, "planned": 8}),
     )
     assert {
         "load_disturbance.weather -> phase.weather",
@@ -444,6 +511,11 @@ def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
     """It is in its box, reads the signals it names and is read, and nothing else changes."""
     scenario, before = scenario_and_diagram
     text = dump_scenario(scenario)
+    if block is MeasuredCarrierTrajectory:  # which makes no accelerations, that this reads
+        with pytest.raises(wiring.WiringError, match=r"or carrier_controller=CarrierPid$"):
+            make_nonstop(scenario, **{name: config_class(block)()})
+        scenario = dataclasses.replace(scenario, carrier_controller=CarrierPidConfig())
+        before, text = make_nonstop(scenario), dump_scenario(scenario)
     diagram = make_nonstop(scenario, **{name: config_class(block)()})
     swapped = diagram.GetSubsystemByName(name)
     assert type(swapped) is block
@@ -453,12 +525,13 @@ def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
 
     wires = [wire.split(" -> ") for wire in wiring.connections(diagram)]
     read = {source for source, target in wires if target.split(".")[0] != name}
-    needed = {wire.split(" -> ")[0] for wire in figure_wires() if wire.startswith(f"{name}.")}
+    written = {wire.split(" -> ")[0] for wire in wiring.connections(before)}
+    needed = {source for source in written if source.startswith(f"{name}.")}
     assert needed
     assert needed <= read
     sources = dict(reversed(wire) for wire in wires)
     for port in wiring.input_names(swapped):
-        if port == "speed_bound_command":
+        if port in wiring.optional_inputs(swapped) and f"{name}.{port}" not in sources:
             continue
         source = sources[f"{name}.{port}"].split(".")[1]
         assert source.removeprefix("held_") == port
@@ -494,7 +567,8 @@ def test_replacement_that_is_no_block_is_named(entry):
 def test_config_of_another_box_is_reported_with_the_choices():
     config = CarrierDynamicsConfig()
     with pytest.raises(
-        ScenarioError, match="phase = CarrierDynamics: give one of AccumulatedPhase, PaperPhase"
+        ScenarioError,
+        match="phase = CarrierDynamics: give one of ShapedPhase, AccumulatedPhase, PaperPhase",
     ):
         make_nonstop(plain(), phase=config)
 
@@ -542,7 +616,7 @@ def test_scenario_is_left_as_it_was():
 @pytest.mark.parametrize("control_period", [0.0, 0.01])
 def test_a_missing_line_of_the_written_figure_is_noticed(monkeypatch, control_period):
     lines = nonstop.WIRES.splitlines()
-    lines.remove("phase.phase -> internal_force.phase")
+    lines.remove("phase.planned -> internal_force.planned")
     monkeypatch.setattr(nonstop, "WIRES", "\n".join(lines))
-    with pytest.raises(wiring.WiringError, match=r"phase\.phase -> internal_force\.phase"):
+    with pytest.raises(wiring.WiringError, match=r"phase\.planned -> internal_force\.planned"):
         make_nonstop(Scenario(control_period=control_period))

@@ -8,6 +8,7 @@ import copy
 
 import numpy as np
 import pytest
+from helpers import output, vector_outputs
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
@@ -31,7 +32,7 @@ from drake_nonstop.mechanics.internal_force import carousel, spread
 from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.system import WatchedModel
 from drake_nonstop.systems import traced_block
-from drake_nonstop.systems.parameters import declared
+from drake_nonstop.systems.parameters import declared, parameters_in
 from drake_nonstop.systems.wiring import output_names
 
 DURATION = 0.03  # s
@@ -107,12 +108,9 @@ def signals(scenario, changes):
     set_equilibrium(loop, context)
     ApplySimulatorConfig(scenario.simulator_config, simulator)
     simulator.AdvanceTo(DURATION)
-    ports = [loop.get_output_port(i) for i in range(loop.num_output_ports())]
     energies = {"kinetic": loop.CalcKineticEnergy, "potential": loop.CalcPotentialEnergy}
     return {name: calculate(context) for name, calculate in energies.items()} | {
-        port.get_name(): port.Eval(context).copy()
-        for port in ports
-        if port.get_name() != "solve_time"
+        name: output(loop, context, name) for name in vector_outputs(loop) if name != "solve_time"
     }
 
 
@@ -174,6 +172,65 @@ def test_the_plant_follows_the_system_unless_it_has_a_value_of_its_own():
         set_parameter(loop, context, "system.load_mass", 1.2)
         assert get_parameter(loop, context, "system.load_mass") == 1.2
         assert get_parameter(loop, context, "simulated.load_mass") == 1.1
+
+
+def wrench_gains(loop, context):
+    names = {e.path for e in parameters(loop, context) if e.path.startswith("wrench_controller")}
+    return {name: get_parameter(loop, context, name) for name in names}
+
+
+def test_gains_that_are_auto_follow_unless_they_have_a_value_of_their_own():
+    load = {
+        "system.load_mass": 3.0,
+        "system.load_inertia": np.diag([0.03, 0.02, 0.04]).tolist(),
+        "system.cable_length": 2.0,
+        "system.gravity": 8.0,
+    }
+    given, own = "wrench_controller.position_gain", "wrench_controller.orientation_gain"
+    loop, context = quintic(f"{given}=5")  # as the one of this load and these cables
+    set_parameter(loop, context, own, 0.7)
+    for path, value in load.items():
+        set_parameter(loop, context, path, value)
+    built, start = quintic(f"{given}=5", f"{own}=0.7", *(f"{k}={v}" for k, v in load.items()))
+    found = wrench_gains(loop, context)
+    assert found == wrench_gains(built, start)
+    assert (found[given], found[own]) == (5.0, 0.7)
+    assert found["wrench_controller.velocity_gain"] == pytest.approx(6 * np.sqrt(11 / 13.065625))
+
+
+def test_gains_that_are_auto_have_the_derivatives_of_what_they_follow():
+    loop, context = quintic("optimization_layer=ConstantParameters")
+    inertia = np.array([[0.03, 2e-3, 0.0], [2e-3, 0.02, 1e-3], [0.0, 1e-3, 0.04]])
+    set_parameter(loop, context, "system.load_inertia", inertia)
+    step = 1e-5
+
+    def along(entry):
+        """All four in one direction."""
+        return {
+            "system.load_inertia": [[entry(x, 0.3 * x) for x in row] for row in inertia],
+            "system.load_mass": entry(1.0, 0.7),
+            "system.cable_length": entry(0.8, 0.5),
+            "system.gravity": entry(9.81, 1.0),
+        }
+
+    def gains(entry):
+        for path, value in along(entry).items():
+            set_parameter(loop, context, path, value)
+        return wrench_gains(loop, context)
+
+    above, below = (gains(lambda x, d, s=side: x + s * step * d) for side in (1, -1))
+    converted = loop.ToAutoDiffXd()
+    start = converted.CreateDefaultContext()
+    for path, value in along(lambda x, d: AutoDiffXd(x, [d])).items():
+        set_parameter(loop, start, path, np.array(value) if np.ndim(value) else value)
+    controller = converted.GetSubsystemByName("wrench_controller")
+    own = controller.GetMyContextFromRoot(start)
+    values = parameters_in(loop.GetSubsystemByName("wrench_controller"), own)
+    for path, upper in above.items():
+        [value] = np.ravel(values[path.split(".")[1]])
+        slope = value.derivatives()[0] if len(value.derivatives()) else 0.0
+        assert slope == pytest.approx((upper - below[path]) / (2 * step), rel=1e-6, abs=1e-12)
+        assert slope != 0 or path.endswith("feedforward")
 
 
 def test_parameters_are_listed_with_units_and_blocks():

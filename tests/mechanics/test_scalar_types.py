@@ -70,17 +70,14 @@ def separations(x, state, motion, *wrenches):
 
 
 def smoothed(stages, target):
-    """Three stages, their rates, and their values at the next sample, at a limit and without."""
-    stages = shaping.Stages(*(stages[i : i + 1] for i in range(3)))
-    bandwidth, period = 40.0, 0.01
+    """Rates of three stages, and their values at the next sample, at a limit and without."""
+    stages = [stages[i : i + 1] for i in range(3)]
     results = []
     for max_rate in (np.inf, 0.3):
-        rate = shaping.approach(
-            stages.first, target, bandwidth=bandwidth, period=period, max_rate=max_rate
-        )
-        after, integral = shaping.stages_after(stages, rate, bandwidth=bandwidth, period=period)
-        results += [*shaping.stage_rates(stages, rate, bandwidth=bandwidth), *after, integral]
-        results += shaping.third_stage_rates(stages, rate, bandwidth=bandwidth)
+        smoothing = shaping.Smoothing(bandwidth=40.0, period=0.01, max_rate=max_rate)
+        rate = smoothing.approach(stages[0], target)
+        results += [rate, *smoothing.stage_rates(*stages), *smoothing.rates(*stages, rate)]
+        results += smoothing.after(*stages, rate)
     return tuple(results)
 
 

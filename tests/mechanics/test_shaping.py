@@ -5,16 +5,10 @@ import pytest
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.primitives import LinearSystem
 
-from drake_nonstop.mechanics.shaping import (
-    Stages,
-    approach,
-    stage_rates,
-    stages_after,
-    third_stage_rates,
-)
+from drake_nonstop.mechanics.shaping import Smoothing
 
 CASES = pytest.mark.parametrize(("bandwidth", "period"), [(40.0, 0.01), (3.0, 0.05), (200.0, 0.02)])
-START = Stages(0.7, 0.4, -0.3)
+START = (0.7, 0.4, -0.3)
 
 
 @CASES
@@ -28,18 +22,17 @@ def test_a_step_is_that_of_drakes_linear_system(bandwidth, period):
     simulator.get_mutable_integrator().set_target_accuracy(1e-9)
     simulator.AdvanceTo(period)
     expected = simulator.get_context().get_continuous_state_vector().CopyToVector()
-    after, integral = stages_after(START, 1.7, bandwidth=bandwidth, period=period)
-    np.testing.assert_allclose([*after, integral], expected, rtol=0, atol=1e-9)
+    after = Smoothing(bandwidth=bandwidth, period=period).after(*START, 1.7)
+    np.testing.assert_allclose(after, expected, rtol=0, atol=1e-9)
 
 
 @CASES
 def test_the_first_stage_has_a_pole_at_the_samples(bandwidth, period):
-    stages, time = Stages(0.0, 0.0, 0.0), 0.0
+    smoothing, stages, time = Smoothing(bandwidth=bandwidth, period=period), [0.0] * 3, 0.0
     for _ in range(20):
-        rate = approach(stages.first, 2.0, bandwidth=bandwidth, period=period)
-        stages, _ = stages_after(stages, rate, bandwidth=bandwidth, period=period)
+        *stages, _ = smoothing.after(*stages, smoothing.approach(stages[0], 2.0))
         time += period
-        assert stages.first == pytest.approx(2 * (1 - np.exp(-bandwidth * time)), abs=1e-12)
+        assert stages[0] == pytest.approx(2 * (1 - np.exp(-bandwidth * time)), abs=1e-12)
 
 
 @CASES
@@ -47,20 +40,22 @@ def test_rates_are_the_slopes_of_the_smoothed_number(bandwidth, period):
     first_rate, step = 1.7, 1e-3 / bandwidth
 
     def third(time):
-        return stages_after(START, first_rate, bandwidth=bandwidth, period=time)[0].third
+        return Smoothing(bandwidth=bandwidth, period=time).after(*START, first_rate)[2]
 
-    found = third_stage_rates(START, first_rate, bandwidth=bandwidth)
+    smoothing = Smoothing(bandwidth=bandwidth, period=period)
+    found = smoothing.rates(*START, first_rate)
     # The Taylor series of the exact motion ahead, fitted to polynomials of sixth order.
     times = step * np.arange(1, 60)
     fitted = np.polynomial.polynomial.polyfit(times / times[-1], [*map(third, times)], 8)
     expected = [fitted[k] * np.prod(np.arange(1, k + 1)) / times[-1] ** k for k in (1, 2, 3)]
     np.testing.assert_allclose(found, expected, rtol=1e-6)
-    assert stage_rates(START, first_rate, bandwidth=bandwidth).third == found[0]
+    assert smoothing.stage_rates(*START)[1] == found[0]
 
 
 @pytest.mark.parametrize("period", [0.0, 0.01])
 def test_a_limit_holds_and_leaves_smaller_rates_alone(period):
     given = {"bandwidth": 40.0, "period": period}
     for target in (-3.0, 0.69, 0.7, 0.702, 4.0):
-        free, limited = (approach(0.7, target, max_rate=r, **given) for r in (np.inf, 1.5))
+        smoothings = [Smoothing(max_rate=rate, **given) for rate in (np.inf, 1.5)]
+        free, limited = (smoothing.approach(0.7, target) for smoothing in smoothings)
         assert limited == pytest.approx(np.clip(free, -1.5, 1.5), abs=1e-14)

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from helpers import GAINS
 
-from drake_nonstop.mechanics.tuning import pid_gains
+from drake_nonstop.mechanics.tuning import load_gains, pid_gains
 
 
 @pytest.mark.parametrize("frequency", [0.8, 20.0])
@@ -15,3 +16,43 @@ def test_poles_are_where_they_were_asked_for(frequency, damping, integral_rate):
     found = np.linalg.eigvals(loop)
     for pole in [*expected, -integral_rate]:
         assert np.min(np.abs(found - pole)) < 1e-7 * frequency
+
+
+def test_the_papers_load_has_the_papers_gains():
+    assert load_gains(1.0, 0.01, 0.8, 9.81) == GAINS
+
+
+def loads(count):
+    """Masses, moments of inertia, lengths of cables and gravities."""
+    rng = np.random.default_rng(7)
+    low, high = np.log([[0.1, 1e-4, 0.6, 1.6], [100.0, 100.0, 150.0, 25.0]])
+    return np.exp(rng.uniform(low, high, (count, 4)))
+
+
+@pytest.mark.parametrize(("mass", "moment", "length", "gravity"), loads(6))
+def test_a_free_load_has_the_poles_of_the_papers_as_fast_as_its_cables_allow(
+    mass, moment, length, gravity
+):
+    gains = load_gains(mass, moment, length, gravity)
+    paper = (0.8 / 9.81) / (length / gravity)  # of the squares of the pendulums' frequencies
+    speed = np.sqrt(11 * paper / (10 * paper + 1))
+    for (proportional, rate, integral), inertia, frequency, damping in (
+        (list(GAINS)[:3], mass, np.sqrt(5), np.sqrt(0.2)),
+        (list(GAINS)[3:], moment, np.sqrt(50), 3 / np.sqrt(50)),
+    ):
+        papers = 1.0 if inertia is mass else 0.01
+        found = np.roots([inertia, gains[rate], gains[proportional]])
+        expected = frequency * speed * np.array([-damping + 1j * np.sqrt(1 - damping**2)])
+        np.testing.assert_allclose(found, [expected[0], expected[0].conj()], rtol=1e-12)
+        found = np.roots([inertia, gains[rate], gains[proportional], gains[integral]])
+        expected = np.roots([papers, GAINS[rate], GAINS[proportional], GAINS[integral]])
+        np.testing.assert_allclose(found, speed * expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize(("mass", "moment", "length", "gravity"), loads(6))
+def test_a_carrier_moves_by_a_bounded_multiple_of_the_loads_error(mass, moment, length, gravity):
+    travels = [
+        load_gains(mass, moment, L, gravity)["position_gain"] * L / (mass * gravity)
+        for L in length * np.array([1.0, 10.0, 1000.0])
+    ]
+    assert travels[0] < travels[1] < travels[2] < 55 * 0.8 / 9.81 < 4.5

@@ -30,7 +30,7 @@ def test_the_file_is_the_scenario_that_it_copies(name):
 def test_each_number_of_a_box_has_a_unit_or_meaning():
     text = commented_scenario(load_scenario("quintic"), "mine")
     assert "cable_length: 0.8                         # m, unstretched" in text
-    assert "# or PaperPhase\n  phase: !AccumulatedPhase {}" in text
+    assert "# or AccumulatedPhase, PaperPhase\n  phase: !ShapedPhase\n" in text
     lines = text.splitlines()
     boxes = lines[lines.index("  pattern: !HamiltonianCycle") - 1 : lines.index("  scene: !Scene")]
     for before, line in itertools.pairwise(boxes):

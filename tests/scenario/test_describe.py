@@ -157,7 +157,8 @@ def test_one_box_is_shown_alone(capsys):
     shown = capsys.readouterr().out
     assert (
         "\noptimization_layer -> parameters (2); "
-        "optional diagnostics (7), plan (8), solve_time (1), speed_bound (1)\n"
+        "optional diagnostics (7), plan (8), solve_time (1),\n"
+        "                      speed_bound (1)\n"
     ) in shown
     assert "  NonstopOptimizer (default)\n    Changes ξ and A as little" in shown
     assert (

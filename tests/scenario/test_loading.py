@@ -52,7 +52,7 @@ def test_a_resolved_scenario_reads_back_to_itself(name):
 
 def test_a_resolved_scenario_names_every_block():
     text = dump_scenario(load_scenario("quintic"))
-    for tag in ("!NonstopOptimizer", "!LoadPlant", "!AccumulatedPhase", "!HamiltonianCycle"):
+    for tag in ("!NonstopOptimizer", "!LoadPlant", "!ShapedPhase", "!HamiltonianCycle"):
         assert tag in text
 
 
@@ -168,7 +168,7 @@ def test_a_bad_setting_ends_with_the_field_the_value_and_the_remedy(setting, wor
         ("a: [1", ["line 1", "valid YAML"]),
         ("a: &x {system: *x}", ["alias of itself"]),
         ("../evil: {}", ["../evil", "letters"]),
-        ("a: {phase: 3}", ["phase = 3", "!AccumulatedPhase"]),
+        ("a: {phase: 3}", ["phase = 3", "!ShapedPhase"]),
     ],
 )
 def test_a_bad_file_ends_with_one_sentence(text, words):

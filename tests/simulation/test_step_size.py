@@ -107,6 +107,7 @@ def test_growth_that_the_step_hides_is_said():
     overrides = [
         CONSTANT,
         "carrier_trajectory=MeasuredCarrierTrajectory",
+        "carrier_controller=CarrierPid",
         "simulation_duration=0.5",
     ]
     (said,) = simulate(load_scenario("line", overrides)).unresolved
@@ -115,7 +116,8 @@ def test_growth_that_the_step_hides_is_said():
 
 def test_growth_of_the_linearized_loop_is_that_of_the_simulated_one():
     """The carriers hardly orbit, so that the loop stays what it is linearized at."""
-    gains = ["optimization_layer.frequency=0.01", "carrier_trajectory=MeasuredCarrierTrajectory"]
+    measured = ["carrier_trajectory=MeasuredCarrierTrajectory", "carrier_controller=CarrierPid"]
+    gains = ["optimization_layer.frequency=0.01", *measured]
     step = "simulator_config.max_step_size=0.001"
     _, nonstop, context = at_start(*gains, step)
     exact, (stepped, same) = LinearizedLoop(nonstop, context, 0.01).growths([0.001, 1e-4])

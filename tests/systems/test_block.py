@@ -26,7 +26,11 @@ from drake_nonstop.validation import ScenarioError
 SWAPS = [
     [],
     ["phase=PaperPhase", "wrench_controller=PaperWrenchController", "control_period=0"],
-    ["load_plant=MultibodyLoadPlant", "carrier_trajectory=MeasuredCarrierTrajectory"],
+    [
+        "load_plant=MultibodyLoadPlant",
+        "carrier_trajectory=MeasuredCarrierTrajectory",
+        "carrier_controller=CarrierPid",
+    ],
     ["load_feedback=!NoisyFeedback {delay: 0.02}", "load_disturbance=DisturbanceForce"],
     ["carrier_dynamics=LoadedCarrierDynamics", "carrier_controller=LoadedCarrierPid"],
     ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],

@@ -52,7 +52,7 @@ def with_extra_blocks(diagram: Diagram) -> Diagram:
     """Toys with the ports of the diagram's blocks, and blocks that the layout does not know."""
     blocks = {
         system.get_name(): Toy(
-            [name for name in wiring.input_names(system) if name != "speed_bound_command"],
+            [s for s in wiring.input_names(system) if s not in ("speed_bound_command", "plan")],
             wiring.output_names(system),
         )
         for system in diagram.GetSystems()

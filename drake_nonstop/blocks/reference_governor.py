@@ -1,0 +1,201 @@
+"""What slows the load's trajectory down where no ξ and A keep the speed bound with it."""
+
+import warnings
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import BasicVector, Context, System
+
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.horizon_problem import HorizonConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.stretched_time import PathDelay, stretching
+from drake_nonstop.systems.block import LeafBlock, number
+from drake_nonstop.validation import (
+    ScenarioError,
+    ScenarioWarning,
+    StrictFields,
+    is_number,
+    require,
+    require_positive,
+)
+
+_FIELD = "reference_governor"
+_PREVIEW = "reference_preview"
+
+
+@dataclass(kw_only=True)
+class ReferenceGovernorConfig(StrictFields):
+    """How far, and how smoothly, a `ReferenceGovernor` slows the load's trajectory down."""
+
+    least_rate: float = 0.2  # of the trajectory's time by real time
+    largest_rate: float = 1.1  # likewise, to catch up afterwards; 1: it stays late
+    change_time: float = 2.0  # s, in which the rate changes by 1 at the fastest
+
+
+class ReferenceGovernor(LeafBlock):
+    """The load's trajectory p(s(t)), in a time of its own s = t − d(t) that passes at ṡ ≤ 1.
+
+    It takes the place of the trajectory's block. The delay d is a spline of fourth degree, found
+    before the run for the ε and the other limits of the optimization layer's config, see
+    `optimization.stretched_time.stretching`; later changes of ε and of what is believed of load
+    and cables do not change it. The rate falls where that is the only way to keep the limits, and
+    rises above 1 afterwards, until s = t again. Velocities, accelerations and the jerk are exact,
+    see `mechanics.stretched_time`. A reference governor in the sense of Garone, Di Cairano and
+    Kolmanovsky, Automatica 75 (2017), by time scaling.
+
+    .. pydrake_system::
+
+        name: ReferenceGovernor
+        output_ports:
+        - reference
+        - reference_preview
+        - reference_delay
+
+    `reference` (22) is that of trajectories, in W; `reference_preview` (abstract) is a
+    `ReferencePreview`: the same at any time; `reference_delay` (1) = d in s.
+
+    Args:
+        preview: of the trajectory.
+        delay: d.
+
+    Raises:
+        ScenarioError: the time of a context of AutoDiffXd has derivatives, or one of Expression
+            has variables.
+    """
+
+    def __init__(self, preview: ReferencePreview, delay: PathDelay):
+        super().__init__()
+        self._delay = delay
+        self._stretched = ReferencePreview(
+            lambda time: delay.stretched(preview, np.array([time]))[0],
+            references=lambda times: delay.stretched(preview, times),
+        )
+        time = {self.time_ticket()}
+        self.DeclareVectorOutputPort("reference", LOAD_REFERENCE_SIZE, self._calc, time)
+        stretched = self._stretched
+        self.DeclareAbstractOutputPort(
+            _PREVIEW, lambda: Value(stretched), self._calc_preview, {self.nothing_ticket()}
+        )
+        self.DeclareVectorOutputPort("reference_delay", 1, self._calc_delay, time)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._stretched(self._time(context)))
+
+    def _calc_preview(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._stretched)
+
+    def _calc_delay(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._delay.at(np.array([self._time(context)]))[:, 0])
+
+    def _time(self, context: Context) -> float:
+        time = context.get_time()
+        if isinstance(time, AutoDiffXd) and np.any(time.derivatives()):
+            raise ScenarioError(
+                f"time of {self.box()} = a number with derivatives: the governor does not "
+                f"differentiate its references by time; leave {_FIELD} out"
+            )
+        return number(time)
+
+
+def governed(
+    model: Model,
+    config: ReferenceGovernorConfig,
+    trajectory: System,
+    layer: Any,
+    duration: float,
+) -> System:
+    """The `ReferenceGovernor` of a trajectory; the trajectory itself where none is needed.
+
+    Args:
+        model: what the controllers believe.
+        config: of the governor.
+        trajectory: the block for the box `load_trajectory`.
+        layer: the optimization layer's config.
+        duration: s, how long the motion is looked at.
+
+    Raises:
+        ScenarioError: a parameter cannot be used, or the trajectory does not tell its motion.
+    """
+    _check(model, config)
+    name = type(trajectory).__name__
+    ports = [trajectory.get_output_port(i).get_name() for i in range(trajectory.num_output_ports())]
+    require(
+        _PREVIEW in ports and trajectory.num_input_ports() == 0,
+        _FIELD,
+        f"with load_trajectory = {name}",
+        f"give this block, without inputs, an output {_PREVIEW} of a ReferencePreview",
+    )
+    preview = trajectory.GetOutputPort(_PREVIEW).Eval(trajectory.CreateDefaultContext())
+    is_known = isinstance(preview, ReferencePreview) and preview.end_time == np.inf
+    remedy = f"give a {_PREVIEW} that is known for ever, of end_time inf"
+    require(is_known, _FIELD, f"with load_trajectory = {name}", remedy)
+    limits, can_plan = _limits(layer)
+    found = stretching(
+        model,
+        limits,
+        preview,
+        duration,
+        least_rate=config.least_rate,
+        largest_rate=config.largest_rate,
+        change_time=config.change_time,
+        can_plan=can_plan,
+        config=_of(HorizonConfig, layer),
+        name=lambda: _FIELD,
+    )
+    if len(found.not_at_rest):
+        warnings.warn(
+            f"{_FIELD} = {type(config).__name__.removesuffix('Config')}: from "
+            f"{found.not_at_rest[0]:.1f} s of the motion on even a load at rest leaves no ξ and A "
+            "that fulfil the limits at all phases, and the motion is not slowed there; give a "
+            "lower speed_bound, or wider bounds of frequency and amplitude",
+            ScenarioWarning,
+            stacklevel=4,
+        )
+    if len(found.too_fast):
+        warnings.warn(
+            f"{_FIELD}.least_rate = {config.least_rate:g}: at {found.too_fast[0]:.1f} s of the "
+            "motion it is too fast for the limits to hold at all phases; give a lower one",
+            ScenarioWarning,
+            stacklevel=4,
+        )
+    return trajectory if found.delay is None else ReferenceGovernor(preview, found.delay)
+
+
+def _check(model: Model, config: ReferenceGovernorConfig) -> None:
+    least, largest = config.least_rate, config.largest_rate
+    is_rate = is_number(least) and 0.01 <= least <= 1
+    require(is_rate, f"{_FIELD}.least_rate", least, "give 0.01 to 1")
+    is_rate = is_number(largest) and 1 <= largest <= 2
+    require(is_rate, f"{_FIELD}.largest_rate", largest, "give 1 to 2")
+    require_positive(_FIELD, change_time=config.change_time)
+    is_long = config.change_time >= 0.1
+    require(is_long, f"{_FIELD}.change_time", config.change_time, "give at least 0.1 s")
+    require(
+        not model.pattern.is_constant,
+        _FIELD,
+        f"with pattern = {type(model.pattern_config).__name__.removesuffix('Config')}",
+        "give a pattern with orbits, or leave reference_governor out: these carriers' speeds are "
+        "those of the load's turn",
+    )
+
+
+def _limits(layer: Any) -> tuple[LimitsConfig, bool]:
+    """Those of a layer's config, and whether it may change ξ and A."""
+    limits = _of(LimitsConfig, layer)
+    can_plan = hasattr(layer, "frequency_bounds")
+    if not can_plan and hasattr(layer, "frequency") and hasattr(layer, "amplitude"):
+        limits.frequency_bounds = [layer.frequency] * 2
+        limits.amplitude_bounds = [layer.amplitude] * 2
+    return limits, can_plan
+
+
+def _of(kind: type, config: Any) -> Any:
+    """A dataclass of the fields that another config has, too."""
+    names = [field.name for field in fields(kind)]
+    return kind(**{name: getattr(config, name) for name in names if hasattr(config, name)})

@@ -1,0 +1,142 @@
+"""Linear loops with a sampled controller: what bounded inputs and noise can do to an output.
+
+Between samples ẋ = M x; at each sample x⁺ = S x + Σ inputs. An output is seen at several instants
+of the interval after a sample, since held commands ripple within it. A loop that goes round a
+periodic motion is one such loop after the other.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TERMS = 9  # of the exponential's series, for a matrix of norm 1/4
+
+
+class SampledLoop(NamedTuple):
+    """The map from sample to sample of a linear loop, and its outputs in between.
+
+    x_{k+1} = Φ x_k + Γ c_k, and y = C_j x_k + D_j c_k at the j-th instant of the interval after
+    sample k, for a state of size s, u inputs and o outputs.
+    """
+
+    transition: NDArray  # (s, s), Φ
+    input: NDArray  # (s, u), Γ
+    outputs: NDArray  # (j, o, s), C
+    feedthrough: NDArray  # (j, o, u), D
+
+
+def sampled_loop(
+    dynamics: NDArray,
+    reset: NDArray,
+    inputs: NDArray,
+    outputs: NDArray,
+    *,
+    period: float,
+    instants: int = 2,
+) -> SampledLoop:
+    """The loop of M (x, x), S (x, x), inputs (x, u) that add to x⁺, and outputs (o, x) of x.
+
+    The state at a sample is that before the reset. Outputs are seen just after the sample, and at
+    `instants` instants that divide the period in s, the last one just before the next sample.
+    """
+    step = matrix_exponential(dynamics * period / instants)
+    maps = [np.eye(len(dynamics))]
+    for _ in range(instants):
+        maps.append(step @ maps[-1])
+    after = np.stack([outputs @ part for part in maps])
+    return SampledLoop(maps[-1] @ reset, maps[-1] @ inputs, after @ reset, after @ inputs)
+
+
+def matrix_exponential(matrix: NDArray) -> NDArray:
+    """e^M of a square matrix: its series, scaled and squared."""
+    norm = np.linalg.norm(matrix, 1)
+    halvings = max(0, int(np.ceil(np.log2(4 * norm + 1e-300))))
+    scaled = matrix / 2**halvings
+    result = term = np.eye(len(matrix))
+    for i in range(1, _TERMS + 1):
+        term = term @ scaled / i
+        result = result + term
+    for _ in range(halvings):
+        result = result @ result
+    return result
+
+
+def growth(loops: Sequence[SampledLoop], samples: int) -> float:
+    """By how much a deviation grows in a turn, in which each loop lasts for so many samples.
+
+    The largest magnitude of the Floquet multipliers.
+    """
+    turn = np.eye(len(loops[0].transition))
+    for loop in loops:
+        turn = np.linalg.matrix_power(loop.transition, samples) @ turn
+    return float(np.max(np.abs(np.linalg.eigvals(turn)), initial=0.0))
+
+
+def responses(loops: Sequence[SampledLoop], samples: int, last: int, lags: int) -> NDArray:
+    """How outputs depend on single inputs: g (lags, j o, u), one row per sample before.
+
+    The outputs are those at the end of the loop of number `last`, each of which lasts for so many
+    samples; about as many inputs are looked at as there are to be lags.
+    """
+    end = loops[last]
+    size, u = end.input.shape
+    rows = end.outputs.reshape(-1, size)
+    parts = [end.feedthrough.reshape(1, -1, u)]
+    blocks: dict[int, NDArray] = {}
+    for i in range(-(-lags // samples)):
+        loop = (last - i) % len(loops)
+        if loop not in blocks:
+            blocks[loop] = _block(loops[loop], samples)
+        part = (rows @ blocks[loop]).reshape(len(rows), samples, u)
+        parts.append(part.swapaxes(0, 1))
+        rows = rows @ np.linalg.matrix_power(loops[loop].transition, samples)
+    return np.concatenate(parts)
+
+
+def _block(loop: SampledLoop, samples: int) -> NDArray:
+    """[Γ, Φ Γ, Φ² Γ, …] (s, samples u)."""
+    columns = [loop.input]
+    for _ in range(samples - 1):
+        columns.append(loop.transition @ columns[-1])
+    return np.hstack(columns)
+
+
+def bounded_response(
+    g: NDArray, groups: int, bounds: NDArray, rate_bounds: NDArray, period: float
+) -> float:
+    """The largest output for inputs that are bounded, and so are their rates.
+
+    The inputs are `groups` vectors of equal size, one after the other; the norm of the l-th stays
+    below `bounds[l]`, and that of its rate below `rate_bounds[l]` (groups,), which may be infinite.
+    With the response g_m to an input m samples of the period (s) before, (lags, o, u), and its
+    tails G_m = Σ_{i ≥ m} g_i, summation by parts gives
+
+        |Σ g_m c_{k−m}| ≤ min( c̄ Σ ‖g_m‖,  c̄ ‖G_0‖ + T c̄' Σ_{m ≥ 1} ‖G_m‖ ).
+
+    The first is the peak-to-peak gain, the ℓ₁ norm of the response, which a bang-bang input
+    attains; the second is smaller for inputs that vary slowly. Own derivation.
+    """
+
+    def norms(values: NDArray) -> NDArray:
+        return np.linalg.norm(values.reshape(*values.shape[:2], groups, -1), axis=-1)
+
+    tails = norms(np.cumsum(g[::-1], axis=0)[::-1])  # (lags, o, groups)
+    gain, varying = norms(g).sum(axis=0), tails[1:].sum(axis=0)
+    rates = np.where(varying > 0, rate_bounds, 0.0)
+    slow = bounds * tails[0] + period * rates * varying
+    return float(np.max(np.minimum(bounds * gain, slow).sum(axis=-1)))
+
+
+def overshoot(g: NDArray) -> float:
+    """The largest output beyond its way from the first value to zero, after one of the inputs.
+
+    Of responses g (lags, o, u) to single inputs: the largest g_m − max(g_0, 0).
+    """
+    return float(np.max(g - np.maximum(g[:1], 0.0)))
+
+
+def noise_deviation(g: NDArray, deviations: NDArray) -> float:
+    """The largest standard deviation of an output under white inputs of deviations (u,)."""
+    return float(np.sqrt(np.max(((g * deviations) ** 2).sum(axis=(0, 2)))))

@@ -1,0 +1,435 @@
+"""By how much a carrier may be slower than planned, and the margin that follows: share by share.
+
+The assumptions under which the sum is a bound in continuous time, and what the shares are worth,
+are in diagrams/speed_error_budget.md.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk, carrier_motion
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.sampled_loop import (
+    bounded_response,
+    growth,
+    noise_deviation,
+    overshoot,
+    responses,
+)
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
+from drake_nonstop.mechanics.tethered_loop import (
+    Cables,
+    Carriers,
+    Inputs,
+    Orbit,
+    tethered_loop,
+)
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
+from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range
+from drake_nonstop.optimization.terminal_set import product_limits
+
+DEVIATIONS = 5.0  # standard deviations of noise: a normal value falls below with 2.9e-7
+_PHASES = 24  # of the orbits, at which speeds and their rates are looked at
+_LOOPS = 12  # about as many phases the loop is linearized
+_SEEN = 3  # of these phases, at which the shortfalls are looked at
+_MEMORY = 10.0  # s, of the inputs that matter for a shortfall
+_LARGEST_GROWTH = 0.2  # per s, beyond which there is no margin
+_AMPLITUDES = 25  # among which the plan's is looked for
+_SPARSE = 5  # of the instants, one at which it is
+_NEAR = 1.5  # of the speed that is aimed at, up to which a speed may dip below it
+_AMPLITUDE_WEIGHT = 4.0  # of (A/A₀ − 1)² beside (ξ/ξ₀ − 1)², as plans weigh them
+_FIRST = 0.02  # of ε, a margin to begin with
+_REPEATS = 4  # of the margin, as a larger one asks for faster orbits
+_SAME = 1.1  # of a margin, by which the next one is larger to begin with
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Feedback:
+    """What the loop does with errors of the load.
+
+    Attributes:
+        gains: of `mechanics.wrench.wrench_and_rate`, by name.
+        deviations: (12,), standard deviations of the measured [e_R, e_p, e_ω, e_v]; SI.
+        is_measured: (12,), 0 for what the controller takes as desired, else 1.
+        delay: of the measurement, in samples.
+        period: between samples, s.
+    """
+
+    gains: Mapping[str, Any]
+    deviations: NDArray
+    is_measured: NDArray
+    delay: int
+    period: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """The load's reference over a task.
+
+    Attributes:
+        references: (3, k, 22), at k instants, a `step` before, then, and a step after.
+        step: s.
+        jerk_jumps: (m, 3), m/s³, jumps of its jerk, in the load's frame; m may be 0.
+    """
+
+    references: NDArray
+    step: float
+    jerk_jumps: NDArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpeedMargin:
+    """The shares of a margin, each m/s, of the largest shortfall of a speed."""
+
+    tracking: float  # of the carriers behind held references
+    jumps: float  # beyond the planned velocities, where the reference's jerk jumps
+    grid: float  # between the instants of the constraints
+    noise: float  # of the feedback, `DEVIATIONS` standard deviations
+    delay: float  # of the feedback
+    model: float  # of a wrench that is off by a share of the weight
+
+    @property
+    def total(self) -> float:
+        """Their sum, m/s."""
+        return math.fsum(vars(self).values())
+
+
+class NoMarginError(RuntimeError):
+    """Nothing bounds the errors; the message says why."""
+
+
+def speed_margin(
+    model: Model,
+    plant: Model,
+    limits: LimitsConfig,
+    carriers: Carriers,
+    feedback: Feedback,
+    motion: Motion,
+    *,
+    instant_spacing: float,
+) -> SpeedMargin:
+    """The margin of a loop, for a task.
+
+    Each share is the largest of any carrier, at those constant ξ and A that keep the margin over
+    the whole task with the least change of both.
+
+    Args:
+        model: what the controllers believe.
+        plant: what is simulated.
+        limits: ε, the nominal ξ and A, their bounds, and `model_error`.
+        carriers: their controllers and references.
+        feedback: the wrench controller's.
+        motion: the load's.
+        instant_spacing: s, between the instants of the constraints.
+
+    Raises:
+        NoMarginError: a deviation of the loop grows from turn to turn, or a margin asks for orbits
+            that need a larger one.
+    """
+    task = _Task(model, limits, motion)
+    loops = _Loops(model, plant, carriers, feedback)
+    margin = _FIRST * limits.speed_bound
+    for _ in range(_REPEATS):
+        chosen = task.parameters_for(limits.speed_bound + margin)
+        shares = _shares(task, loops, chosen, limits, instant_spacing, margin)
+        if shares.total <= margin:
+            return shares
+        margin = _SAME * shares.total
+    raise NoMarginError(
+        f"a speed {margin:.3g} m/s above the bound needs orbits whose errors are larger still"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Derivatives:
+    """Of carriers at k instants and h phases, in the load's frame: (k, h, n, 3) each, SI."""
+
+    velocities: NDArray
+    accelerations: NDArray
+    jerks: NDArray
+
+
+class _Task:
+    """The planned orbits along a reference."""
+
+    def __init__(self, model: Model, limits: LimitsConfig, motion: Motion):
+        self.model, self.limits, self.motion = model, limits, motion
+        horizon = timed(HorizonConfig(), limits.frequency, model.control_period)
+        problem = HorizonProblem(model, limits, horizon, lambda: "speed margin")
+        self.axes = problem.axes
+        before, now, after = (
+            OrbitTerms.view(np.array([problem.terms_at(row) for row in rows]))
+            for rows in motion.references
+        )
+        self.terms, step = now, motion.step
+        self.second_rates = (after.rates - before.rates) / (2 * step)
+        self.third_rates = (after.rates - 2 * now.rates + before.rates) / step**2
+        desired = LoadReference.view(motion.references[1])
+        turned = rotation_matrix(desired.quaternion)  # (k, 3, 3)
+        self.accelerations, self.jerks = (
+            np.einsum("kji,kj->ki", turned, vectors)
+            for vectors in (desired.acceleration, desired.jerk)
+        )
+        self.cables: dict[str, Any] = {
+            "rest_length": model.cable_length,
+            "compliance": model.cable_compliance,
+        }
+
+    def parameters_for(self, speed: float) -> NDArray:
+        """[ξ, A] (2,) nearest to the nominal ones that keep a speed (m/s) over the task."""
+        low, high = amplitude_range(self.limits, self.model)
+        amplitudes = np.linspace(low, high, _AMPLITUDES)
+        amplitudes = np.sort(np.append(amplitudes, self.limits.amplitude))
+        some = OrbitTerms(*(part[::_SPARSE] for part in self.terms))
+        least, *_ = product_limits(
+            some, self.axes, amplitudes, speed, math.inf, phase_count=_PHASES, **self.cables
+        )
+        products = least.max(axis=0)
+        frequencies = np.maximum(products / amplitudes, self.limits.frequency)
+        frequencies = np.minimum(frequencies, self.limits.frequency_bounds[1])
+        change = (frequencies / self.limits.frequency - 1) ** 2
+        change += _AMPLITUDE_WEIGHT * (amplitudes / self.limits.amplitude - 1) ** 2
+        change += 1e3 * np.maximum(products / (amplitudes * frequencies) - 1, 0)
+        best = int(np.argmin(change))
+        return np.array([frequencies[best], amplitudes[best]])
+
+    def derivatives(self, parameters: NDArray, extra: NDArray | None = None) -> _Derivatives:
+        """The carriers' motion for constant [ξ, A] (2,); `extra` (n, 3) adds to their forces.
+
+        Rates of forces are those in the load's frame, which turns slowly beside the orbits.
+        """
+        xi, A = parameters
+        angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
+        p, q = self.axes
+        cosine, sine = np.cos(angles)[:, None, None], np.sin(angles)[:, None, None]
+        u, along = cosine * p + sine * q, cosine * q - sine * p  # (h, n, 3)
+        f0 = self.terms.forces[:, None] + (0.0 if extra is None else extra)
+        slow = self.second_rates[:, None], self.third_rates[:, None]
+        f = f0 + A * u
+        omega = self.terms.angular_velocity[:, None, None]
+        r = self.terms.rates[:, None] + np.cross(omega, f) + A * xi * along
+        shape, count = f.shape, f[..., 0].size
+        rest = np.zeros(LOAD_REFERENCE_SIZE)
+        rest[0] = 1.0
+
+        def flat(values: NDArray) -> NDArray:
+            return np.broadcast_to(values, shape).reshape(-1, 3)
+
+        higher = slow[0] - A * xi**2 * u, slow[1] - A * xi**3 * along
+        forces = [flat(part) for part in (f, r, *higher)]
+        cables = self.cables | {"attachments": np.zeros((count, 3))}
+        _, swing = carrier_motion(rest, forces[0], forces[1], **cables)
+        acceleration = carrier_acceleration(rest, *forces[:3], **cables)
+        jerk = carrier_jerk(rest, *forces, **cables)
+        return _Derivatives(
+            swing.reshape(shape) + self.terms.velocities[:, None],
+            acceleration.reshape(shape) + self.accelerations[:, None, None],
+            jerk.reshape(shape) + self.jerks[:, None, None],
+        )
+
+    def orbit(self, parameters: NDArray, angle: float) -> Orbit:
+        """The orbits' phase at an angle (rad) above the load as at the start, at rest."""
+        xi, A = parameters
+        p, q = self.axes
+        u, along = (
+            math.cos(angle) * p + math.sin(angle) * q,
+            math.cos(angle) * q - math.sin(angle) * p,
+        )
+        forces, rates = self.terms.forces[0] + A * u, A * xi * along
+        rest = np.zeros(LOAD_REFERENCE_SIZE)
+        rest[0] = 1.0
+        none = np.zeros((self.model.n, 3))
+        _, swing = carrier_motion(rest, forces, rates, attachments=none, **self.cables)
+        return Orbit(forces, rates, swing)
+
+
+class _Loops:
+    """The linear loop along the orbits."""
+
+    def __init__(self, model: Model, plant: Model, carriers: Carriers, feedback: Feedback):
+        self.model, self.carriers, self.feedback = model, carriers, feedback
+        self.load = plant.load
+        self.cables = Cables(
+            attachments=plant.attachments,
+            stiffness=plant.cable_stiffness,
+            damping=plant.cable_damping,
+            rest_length=plant.cable_length,
+            compliance=model.cable_compliance,
+        )
+        self.places = Inputs.of(model.n)
+
+    def responses(self, task: _Task, parameters: NDArray) -> Iterator[tuple[Orbit, NDArray]]:
+        """Phases, and how shortfalls there depend on inputs, for [ξ, A] (2,).
+
+        Raises:
+            NoMarginError: a deviation grows from turn to turn.
+        """
+        feedback = self.feedback
+        turn = 2 * math.pi / parameters[0]
+        samples = max(1, round(turn / _LOOPS / feedback.period))
+        orbits = [task.orbit(parameters, 2 * math.pi * i / _LOOPS) for i in range(_LOOPS)]
+        loops = [
+            tethered_loop(
+                self.load,
+                self.cables,
+                self.carriers,
+                feedback.gains,
+                orbit,
+                pseudo_inverse=self.model.pseudo_inverse,
+                period=feedback.period,
+                delay=feedback.delay,
+                is_measured=feedback.is_measured,
+            )
+            for orbit in orbits
+        ]
+        grown = growth(loops, samples)
+        rate = math.log(grown) / turn
+        if rate > _LARGEST_GROWTH:
+            raise NoMarginError(f"the linear loop grows by {rate:.3g} per s along the orbits")
+        lags = math.ceil(_MEMORY / feedback.period)
+        for i in range(0, _LOOPS, _LOOPS // _SEEN):
+            yield orbits[i], responses(loops, samples, i, lags)
+
+
+def _shares(
+    task: _Task,
+    loops: _Loops,
+    parameters: NDArray,
+    limits: LimitsConfig,
+    instant_spacing: float,
+    margin: float,
+) -> SpeedMargin:
+    """The shares at [ξ, A] (2,), for a margin in m/s."""
+    motion = task.derivatives(parameters)
+    speeds = np.linalg.norm(motion.velocities, axis=-1)
+    acceleration, jerk = (
+        float(np.max(np.linalg.norm(part, axis=-1)))
+        for part in (motion.accelerations, motion.jerks)
+    )
+    snap = jerk * float(parameters[0])
+    n, places, feedback = task.model.n, loops.places, loops.feedback
+    tracking = jumps = noise = delay = 0.0
+    for orbit, g in loops.responses(task, parameters):
+
+        def bounded(place: slice, groups: int, bounds: Any, rates: Any, g: NDArray = g) -> float:
+            bounds, rates = (np.broadcast_to(values, groups) for values in (bounds, rates))
+            return bounded_response(g[..., place], groups, bounds, rates, feedback.period)
+
+        held = bounded(places.acceleration, n, acceleration, jerk)
+        held += bounded(places.jerk, n, jerk, snap)
+        tracking = max(tracking, held)
+        if len(task.motion.jerk_jumps) > 0:
+            jumps = max(jumps, _of_jump(g[..., places.velocity], task, orbit, limits))
+        if np.any(feedback.deviations):
+            spread = noise_deviation(g[..., places.measurement], feedback.deviations)
+            noise = max(noise, DEVIATIONS * spread)
+        if feedback.delay:
+            late = bounded(places.measurement, 4, *_late(task.motion.references[1], feedback))
+            delay = max(delay, late)
+    return SpeedMargin(
+        tracking=tracking,
+        jumps=jumps,
+        grid=grid_dip(motion, speeds, limits.speed_bound + margin, instant_spacing),
+        noise=noise,
+        delay=delay,
+        model=_of_model_error(task, parameters, speeds, limits) if limits.model_error else 0.0,
+    )
+
+
+def grid_dip(motion: _Derivatives, speeds: NDArray, speed: float, instant_spacing: float) -> float:
+    """By how much (m/s) speeds that are kept at instants may be lower between two of them.
+
+    A function that is kept at two instants Δ apart is at most Δ²/8 times the largest of its second
+    rate below them in between; |v|'' = (a·a + v·j)/|v| − (v·a)²/|v|³. Speeds far above the one that
+    is aimed at do not matter.
+    """
+    v, a, j = motion.velocities, motion.accelerations, motion.jerks
+    slow = np.maximum(speeds, 1e-9)
+    along = (v * a).sum(axis=-1)
+    second = ((a * a).sum(axis=-1) + (v * j).sum(axis=-1)) / slow - along**2 / slow**3
+    near = speeds < _NEAR * speed
+    return float(instant_spacing**2 / 8 * np.max(second, initial=0.0, where=near))
+
+
+def _of_jump(g: NDArray, task: "_Task", orbit: Orbit, limits: LimitsConfig) -> float:
+    """By how much (m/s) a carrier is slower than both speeds before and after a planned jump.
+
+    Its velocity goes from one to the other, on a chord Δv long, which is Δv²/(8 v) below two speeds
+    v, and overshoots. `g` (lags, j n, 3n) are the responses to jumps of the planned velocities.
+    """
+    columns = _velocity_jumps(task, orbit) @ task.motion.jerk_jumps.T
+    n = task.model.n
+    # The first output, just after the jump, is the jump itself.
+    steps = (g.reshape(len(g), -1, n, g.shape[-1]) @ columns).reshape(-1, n, columns.shape[1])
+    largest = np.max(np.linalg.norm(columns.reshape(n, 3, -1), axis=1))
+    chord = largest**2 / (8 * limits.speed_bound) if limits.speed_bound > 0 else 0.0
+    return overshoot(steps) + min(float(chord), float(largest))
+
+
+def _velocity_jumps(task: _Task, orbit: Orbit) -> NDArray:
+    """The jumps (3n, 3) of the planned velocities for jumps of the reference's jerk, m/s³.
+
+    M G† [0; m e], as in `mechanics.tethered_loop`.
+    """
+    model = task.model
+    rates = (model.pseudo_inverse[:, 3:] * model.load_mass).reshape(model.n, 3, 3)
+    tension = np.linalg.norm(orbit.forces, axis=1)
+    jumps = []
+    for f, T, rate in zip(orbit.forces, tension, rates, strict=True):
+        across = np.eye(3) - np.outer(f, f) / T**2
+        jumps.append((model.cable_length / T * across + model.cable_compliance * np.eye(3)) @ rate)
+    return np.concatenate(jumps)
+
+
+def _late(references: NDArray, feedback: Feedback) -> tuple[NDArray, NDArray]:
+    """Bounds of what a delay does to the measured errors (4,), and of the rates of that.
+
+    The load as it was is behind the reference by the delay times [ω, v, α, a].
+    """
+    desired = LoadReference.view(references)
+    late = feedback.delay * feedback.period
+    most = [
+        float(np.max(np.linalg.norm(part, axis=-1)))
+        for part in (
+            desired.angular_velocity,
+            desired.velocity,
+            desired.angular_acceleration,
+            desired.acceleration,
+            desired.jerk,
+        )
+    ]
+    turn, velocity, turning, acceleration, jerk = most
+    bounds = np.array([turn, velocity, turning, acceleration])
+    rates = np.array([turning, acceleration, np.inf, jerk])
+    seen = feedback.is_measured.reshape(4, 3).max(axis=1)
+    return late * bounds * seen, late * rates
+
+
+def _of_model_error(
+    task: _Task, parameters: NDArray, speeds: NDArray, limits: LimitsConfig
+) -> float:
+    """By how much (m/s) speeds fall where the wrench controller adds a share of the weight.
+
+    Whatever the model of the load lacks, the feedback adds in the end: a force of up to
+    `model_error` m g of any direction, which changes the tensions and with them the speeds.
+    """
+    model = task.model
+    force = limits.model_error * model.load_mass * model.gravity
+    fall = 0.0
+    for direction in np.vstack([np.eye(3), -np.eye(3)]):
+        extra = (model.pseudo_inverse[:, 3:] @ (force * direction)).reshape(model.n, 3)
+        changed = task.derivatives(parameters, extra)
+        fall = max(fall, float(np.max(speeds - np.linalg.norm(changed.velocities, axis=-1))))
+    return fall
+
+
+def with_margin(config: Any, margin: SpeedMargin | None) -> Any:
+    """The config of a layer with what is computed for it, if there is anything."""
+    return config if margin is None else replace(config, speed_margin=margin.total)

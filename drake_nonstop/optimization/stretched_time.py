@@ -1,0 +1,237 @@
+"""A time along the load's path that passes more slowly where the speed bound asks for it."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import BsplineBasis
+from pydrake.trajectories import BsplineTrajectory
+
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
+from drake_nonstop.mechanics.stretched_time import stretched_reference
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
+from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
+from drake_nonstop.optimization.whole_task import receding_coefficients
+
+_SPACING = 0.1  # s, of the instants along path and time at which orbits are looked at
+_KNOTS = 5  # between knots of the rate, in `change_time`
+_CATCHING_UP = 10  # knots, in which the delay falls by a factor e at most
+_BISECTIONS = 7
+_MOST_ROUNDS = 12  # of slowing down further where a changing rate asks for it
+_RESERVE = 0.02  # of the bound, which ξ and A need to change at all
+_FURTHER = 0.93  # by which the rate is then lowered, and
+_NEIGHBOURS = 4  # how many instants on either side
+_BATCH = 400  # instants at a time: bounds the memory
+_ROUNDING = 9  # digits of terms, to find equal ones
+_ORDER = 5  # of the delay's spline: of fourth degree
+_AT_KNOTS = np.array([1, 11, 11, 1]) / 24  # its value at a knot by its coefficients
+
+
+class OrbitFeasibility:
+    """Whether some ξ and A within their bounds fulfil all limits, at all phases of the orbit.
+
+    Args:
+        model: what the controllers believe.
+        limits: ε, its margin, the bounds of ξ and A, and the other limits.
+        config: the horizon, of which the numbers of phases and amplitudes are used.
+        name: tells what evaluates the terms, for the error of a value that is not finite.
+        reserve: by which share of the bound speeds have to be above it.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        limits: LimitsConfig,
+        config: HorizonConfig,
+        name: Callable[[], str],
+        reserve: float = 0.0,
+    ):
+        config = dataclasses.replace(config, terminal_phases=16, terminal_amplitudes=17)
+        self._problem = HorizonProblem(model, limits, config, name)
+        self._bound = (1 + reserve) * tightened_bound(limits, limits.speed_bound)
+        self._limits = limits
+
+    def holds(self, references: NDArray) -> NDArray:
+        """For each of the references (k, 22), as (k,) truth values."""
+        terms = np.array([self._problem.terms_at(values) for values in references])
+        # At rest, and at a constant velocity, all instants are alike.
+        _, first, number = np.unique(
+            np.round(terms, _ROUNDING), axis=0, return_index=True, return_inverse=True
+        )
+        parts = np.array_split(terms[first], math.ceil(len(first) / _BATCH))
+        return np.concatenate([self._of_terms(part) for part in parts])[number.ravel()]
+
+    def _of_terms(self, terms: NDArray) -> NDArray:
+        limits = self._problem.terminal_set(terms, self._bound)
+        low, high = self._limits.frequency_bounds
+        least = np.maximum(limits.least_products, low * limits.amplitudes)
+        most = np.minimum(limits.most_products, high * limits.amplitudes)
+        fulfilled = (least <= most) & (limits.amplitude_margins >= 0)
+        return np.any(fulfilled, axis=1)
+
+
+class PathDelay:
+    """By how much a motion's own time s is behind: s = t − d(t), with three continuous rates.
+
+    d is a spline of fourth degree; at its end, and after it, d stays.
+
+    Args:
+        spacing: s, of its knots, the first of which is at 0.
+        rates: ḋ as coefficients (N,) of a spline of third degree, zero in the first and the last
+            three.
+    """
+
+    def __init__(self, spacing: float, rates: NDArray):
+        count = len(rates) + 1
+        knots = spacing * np.arange(1 - _ORDER, count + 1)
+        points = spacing * np.concatenate([[0.0], np.cumsum(rates)])
+        delay = BsplineTrajectory(BsplineBasis(_ORDER, knots.tolist()), points[:, None, None])
+        self._delays = [delay.MakeDerivative(i) if i else delay for i in range(4)]
+        self.end_time = delay.end_time()
+
+    def at(self, times: NDArray) -> NDArray:
+        """The delay d and three rates (k, 4) at times (k,) in s."""
+        clipped = np.clip(times, 0.0, self.end_time)
+        return np.column_stack([d.vector_values(clipped).ravel() for d in self._delays])
+
+    def stretched(self, preview: ReferencePreview, times: NDArray) -> NDArray:
+        """The references (k, 22), at times (k,), of the motion that is behind by d."""
+        delays = self.at(times)
+        rates = np.column_stack([1 - delays[:, 1], -delays[:, 2], -delays[:, 3]])
+        return stretched_reference(preview.at(times - delays[:, 0]), rates)
+
+
+class Stretching(NamedTuple):
+    """How a motion's time is stretched, and where that is not enough."""
+
+    delay: PathDelay | None  # None: it needs not be
+    too_fast: NDArray  # s, instants that the least rate is too fast for
+    not_at_rest: NDArray  # s, instants that no rate would help
+
+
+def stretching(
+    model: Model,
+    limits: LimitsConfig,
+    preview: ReferencePreview,
+    duration: float,
+    *,
+    least_rate: float,
+    largest_rate: float,
+    change_time: float,
+    can_plan: bool,
+    config: HorizonConfig,
+    name: Callable[[], str],
+) -> Stretching:
+    """How a motion has to be slowed down for limits to hold, if at all.
+
+    Not at all where at every instant some ξ and A fulfil the limits at all phases of the orbit, or
+    where plans over a receding horizon find ξ and A that do at the phases which come. Else it
+    is slowed wherever not all phases do: there the rate is the largest constant one at which some
+    ξ and A fulfil the limits at all phases; between such stretches it changes smoothly, and where
+    that takes too much acceleration it is lowered further.
+
+    Args:
+        model: what the controllers believe.
+        limits: ε and the others.
+        preview: the motion, known for ever.
+        duration: s, how long it is looked at.
+        least_rate: of s by t.
+        largest_rate: likewise, to catch up.
+        change_time: s, in which the rate changes by 1 at the fastest.
+        can_plan: whether plans of ξ and A are an option.
+        config: of the plans.
+        name: as of `OrbitFeasibility`.
+    """
+    config = timed(config, limits.frequency, model.control_period)
+    feasibility = OrbitFeasibility(model, limits, config, name)
+    path = _SPACING * np.arange(math.ceil(duration / _SPACING) + 1)
+    references = preview.at(path)
+    nothing = np.zeros(0)
+
+    def holds(rates: NDArray, chosen: NDArray) -> NDArray:
+        constant = np.column_stack([rates, np.zeros((len(rates), 2))])
+        return feasibility.holds(stretched_reference(references[chosen], constant))
+
+    every = np.arange(len(path))
+    slow = every[~holds(np.ones(len(path)), every)]
+    if len(slow) == 0 or (can_plan and _is_planned(model, limits, preview, duration, config, name)):
+        return Stretching(None, nothing, nothing)
+    feasibility = OrbitFeasibility(model, limits, config, name, _RESERVE)
+    slow = every[~holds(np.ones(len(path)), every)]
+    is_helped = holds(np.zeros(len(slow)), slow)
+    not_at_rest, slow = path[slow[~is_helped]], slow[is_helped]
+    low, high = np.full(len(slow), least_rate), np.ones(len(slow))
+    is_enough = holds(low, slow) if len(slow) else np.ones(0, dtype=bool)
+    too_fast = path[slow[~is_enough]]
+    if len(slow) == 0:
+        return Stretching(None, too_fast, not_at_rest)
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        is_low = holds(middle, slow)
+        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+    limit = np.ones(len(path))
+    if largest_rate > 1:
+        limit[holds(np.full(len(path), largest_rate), every)] = largest_rate
+    limit[slow] = low
+    delay = _delay(limit, duration, largest_rate, change_time)
+    for _ in range(_MOST_ROUNDS):
+        found = feasibility.holds(delay.stretched(preview, path))
+        behind = np.round((path - delay.at(path)[:, 0]) / _SPACING).astype(int)
+        wrong = np.setdiff1d(behind[~found], np.round(not_at_rest / _SPACING).astype(int))
+        wrong = np.array([k for k in wrong if limit[k] > least_rate], dtype=int)
+        if len(wrong) == 0:
+            break
+        near = wrong[:, None] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
+        near = np.unique(np.clip(near, 0, len(path) - 1))
+        limit[near] = np.maximum(_FURTHER * np.minimum(limit[near], 1.0), least_rate)
+        delay = _delay(limit, duration, largest_rate, change_time)
+    return Stretching(delay, too_fast, not_at_rest)
+
+
+def _is_planned(
+    model: Model,
+    limits: LimitsConfig,
+    preview: ReferencePreview,
+    duration: float,
+    config: HorizonConfig,
+    name: Callable[[], str],
+) -> bool:
+    """Whether plans over a receding horizon fulfil the limits at full speed."""
+    problem = HorizonProblem(model, limits, config, name)
+    intervals = math.ceil(duration / config.knot_spacing)
+    _, answers = receding_coefficients(
+        problem, preview, intervals, limits.speed_bound, stops_if_infeasible=True
+    )
+    return answers[-1].is_feasible
+
+
+def _delay(limit: NDArray, duration: float, largest_rate: float, change_time: float) -> PathDelay:
+    """The delay of a rate that stays at or below limits (k,) along the path.
+
+    Spline coefficients of the rate are chosen one after the other: each is the least limit on
+    the part of the path where it counts, and above 1 only as far as there is delay to catch up.
+    """
+    step = _SPACING / change_time
+    limit = limit.copy()
+    for k in range(1, len(limit)):
+        limit[k] = min(limit[k], limit[k - 1] + step)
+    for k in range(len(limit) - 2, -1, -1):
+        limit[k] = min(limit[k], limit[k + 1] + step)
+    spacing = change_time / _KNOTS
+    count = math.ceil(duration / spacing)
+    rates = np.zeros(count + _ORDER + 1)
+    sums = np.zeros(len(rates) + 1)
+    for j in range(_ORDER - 2, count + _ORDER - 2):
+        start = spacing * (j - (_ORDER - 2))  # from when on the coefficient counts
+        sums[j] = sums[j - 1] + rates[j - 1]
+        delay = spacing * float(_AT_KNOTS @ sums[j - _ORDER + 2 : j + 1])
+        first = (start - delay) / _SPACING
+        last = first + (_ORDER - 1) * spacing * largest_rate / _SPACING
+        window = limit[max(math.floor(first), 0) : math.ceil(last) + 1]
+        highest = min(largest_rate, 1 + delay / (_CATCHING_UP * spacing))
+        rates[j] = 1 - min(float(np.min(window, initial=highest)), highest)
+    return PathDelay(spacing, rates)

@@ -1,0 +1,102 @@
+"""By how much carriers were slower than planned in a run."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
+from drake_nonstop.mechanics.signals import (
+    PLANNED_SIZE,
+    CarrierStates,
+    Parameters,
+    Phase,
+    PlannedParameters,
+)
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
+from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.simulation.run import Run, UnknownSignalError
+
+_SETTLING = 5  # samples at 100 Hz, in which a carrier goes from one planned speed to another
+_AHEAD = (56.0, -140.0, 120.0, -35.0)  # of the values 5, 6, 7 and 8 samples before: a cubic's value
+
+
+def largest_shortfall(run: Run) -> float | None:
+    """The largest difference (m/s) of a planned speed and the one that was flown, at 100 Hz.
+
+    The planned speeds are those along the reference, in still air, of the ξ, A and θ that the loop
+    flies: the signal `planned`, or `parameters` and `phase`. Where they jump, the lower one of
+    before and after counts for 50 ms. None where there is no such signal, or the layer keeps no
+    speed bound.
+    """
+    limits = run.scenario.optimization_layer
+    if not isinstance(limits, LimitsConfig):
+        return None
+    try:
+        planned, references = _planned(run), run.signal("reference")
+        states = CarrierStates.view(run.signal("carrier_state"))
+    except UnknownSignalError:
+        return None
+    if len(planned) < 2:
+        return None
+    scenario = run.scenario
+    model = Model(scenario.system, scenario.pattern, scenario.control_period)
+    horizon = timed(HorizonConfig(), limits.frequency, scenario.control_period)
+    problem = HorizonProblem(model, limits, horizon, lambda: "planned speeds")
+    flown = np.linalg.norm(states.velocities, axis=-1)
+    # The first values are not those of a plan that has begun.
+    values = PlannedParameters.view(planned[1:])
+    speeds = planned_speeds(
+        OrbitTerms.view(np.array([problem.terms_at(reference) for reference in references[1:]])),
+        problem.axes,
+        values.angle[:, 0],
+        values.frequency[:, 0],
+        values.amplitude[:, 0],
+        values.amplitude_rate[:, 0],
+        rest_length=problem.rest_length,
+        compliance=problem.compliance,
+    )
+    planned_speed = np.sqrt(speeds.squares)
+    wanted = planned_speed.copy()
+    if len(wanted) > _SETTLING + len(_AHEAD):
+        # Where a plan jumps, as where the reference's jerk does, what it was before.
+        count = len(wanted) - _SETTLING - len(_AHEAD) + 1
+        before = sum(
+            weight * planned_speed[len(_AHEAD) - 1 - i : len(_AHEAD) - 1 - i + count]
+            for i, weight in enumerate(_AHEAD)
+        )
+        wanted[-count:] = np.minimum(wanted[-count:], before)
+    return float(np.max(wanted - flown[1:]))
+
+
+def _planned(run: Run) -> NDArray:
+    """θ, ξ, A and their rates (k, 8) at the samples.
+
+    What a sampled controller made at the sample before goes on to this one.
+    """
+    try:
+        planned = np.array(run.signal("planned"))
+    except UnknownSignalError:
+        planned = np.zeros((len(run.time), PLANNED_SIZE))
+        parameters = Parameters.view(run.signal("parameters"))
+        parts = PlannedParameters.view(planned)
+        parts.angle[:] = Phase.view(run.signal("phase")).angle
+        parts.frequency[:], parts.amplitude[:] = parameters.frequency, parameters.amplitude
+    T = run.scenario.control_period
+    if T == 0:
+        return planned
+    now = PlannedParameters.view(planned)
+    later = np.zeros_like(planned)
+    parts = PlannedParameters.view(later)
+    parts.angle[:] = now.angle + T * (
+        now.frequency + T / 2 * (now.frequency_rate + T / 3 * now.frequency_second_rate)
+    )
+    parts.frequency[:] = now.frequency + T * (
+        now.frequency_rate + T / 2 * now.frequency_second_rate
+    )
+    parts.amplitude[:] = now.amplitude + T * (
+        now.amplitude_rate + T / 2 * (now.amplitude_second_rate + T / 3 * now.amplitude_third_rate)
+    )
+    parts.amplitude_rate[:] = now.amplitude_rate + T * (
+        now.amplitude_second_rate + T / 2 * now.amplitude_third_rate
+    )
+    return later

@@ -1,0 +1,227 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from helpers import fix, model, output
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator, Simulator_
+
+from drake_nonstop.blocks.load_trajectory import RestToRest, RestToRestConfig
+from drake_nonstop.blocks.receding_horizon import (
+    RecedingHorizonOptimizer,
+    RecedingHorizonOptimizerConfig,
+)
+from drake_nonstop.mechanics.carrier import carrier_motion
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
+from drake_nonstop.mechanics.signals import PlannedParameters
+from drake_nonstop.optimization.diagnostics import Diagnostics
+from drake_nonstop.validation import ScenarioError
+
+MOVE = RestToRestConfig(displacement=[1.5, 0.5, 0.2], start_time=1.0, move_time=6.0)
+SAMPLE = 0.01
+BOUND = 0.5  # m/s, that the first ξ and A do not keep on the way
+
+
+def previewed(move=MOVE):
+    trajectory = RestToRest(model(), move)
+    return trajectory.GetOutputPort("reference_preview").Eval(trajectory.CreateDefaultContext())
+
+
+def layer(control_period=SAMPLE, **fields):
+    fields = {"speed_bound": BOUND, "instants": 10, "tightening": 0.02} | fields
+    return RecedingHorizonOptimizer(
+        model(4, control_period), RecedingHorizonOptimizerConfig(**fields)
+    )
+
+
+class Flight:
+    """The layer alone in a simulator, with the preview of a move; its outputs at samples."""
+
+    def __init__(self, block, preview):
+        self.block, self.simulator = block, Simulator(block)
+        self.context = self.simulator.get_mutable_context()
+        fix(block, self.context, reference=preview(0.0))
+        block.GetInputPort("reference_preview").FixValue(self.context, Value(preview))
+        self.simulator.Initialize()
+
+    def advanced(self, start, end, step=SAMPLE):
+        """`plan` (k, 8) at the samples from a time to another, both in s."""
+        rows = []
+        for time in np.arange(round(start / step), round(end / step)) * step:
+            self.simulator.AdvanceTo(time + step / 2)
+            rows.append(output(self.block, self.context, "plan").copy())
+        return np.array(rows)
+
+    @property
+    def diagnostics(self):
+        return Diagnostics.view(output(self.block, self.context, "diagnostics"))
+
+
+def carrier_speeds(planned, preview, times):
+    """Speeds (k, n), by differences of the carriers' positions: from first principles."""
+    system = model()
+    rigid = system.load
+    step = times[1] - times[0]
+
+    def positions(row, time):
+        reference = preview(time)
+        angle, _, amplitude = row[:3]
+        weight = np.array([0, 0, 0, 0, 0, rigid.mass * rigid.gravity])
+        push = rigid.mass * reference[16:19] + rigid.drag * reference[10:13]
+        wrench = weight + np.concatenate([np.zeros(3), push])
+        internal = system.pattern.basis @ (amplitude * np.cos(angle + system.pattern.phases))
+        forces = (system.pseudo_inverse @ wrench + internal).reshape(-1, 3)
+        return carrier_motion(
+            reference,
+            forces,
+            0 * forces,
+            attachments=system.attachments,
+            rest_length=system.cable_length,
+            compliance=system.cable_compliance,
+        )[0]
+
+    places = np.array([positions(*pair) for pair in zip(planned, times, strict=True)])
+    return np.linalg.norm((places[2:] - places[:-2]) / (2 * step), axis=-1)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    preview = previewed()
+    flight = Flight(layer(), preview)
+    return flight, preview, flight.advanced(0, 11)
+
+
+def test_carriers_on_the_plan_keep_the_bound_that_the_first_parameters_do_not(flown):
+    _, preview, planned = flown
+    times = np.arange(len(planned)) * SAMPLE
+    kept = planned.copy()
+    kept[:, 0], kept[:, 1:3] = planned[0, 1] * times, planned[0, 1:3]
+    assert np.min(carrier_speeds(kept, preview, times)) < 0.9 * BOUND
+    assert np.min(carrier_speeds(planned, preview, times)) > 1.015 * BOUND
+
+
+def test_a_plan_goes_on_smoothly_from_the_last_and_returns(flown):
+    flight, _, planned = flown
+    parts = PlannedParameters.view(planned)
+
+    def change(values):
+        return np.gradient(values[:, 0], SAMPLE)[1:-1]
+
+    def close(values, rates, tolerance):
+        scale = np.max(np.abs(rates)) + 1e-9
+        np.testing.assert_allclose(change(values), rates[1:-1, 0], atol=tolerance * scale)
+
+    close(parts.angle, parts.frequency, 1e-4)
+    close(parts.frequency, parts.frequency_rate, 1e-2)
+    close(parts.amplitude, parts.amplitude_rate, 1e-2)
+    close(parts.frequency_rate, parts.frequency_second_rate, 3e-2)
+    close(parts.amplitude_second_rate, parts.amplitude_third_rate, 5e-2)
+    np.testing.assert_allclose(planned[0], [0, 2.0, 1.2, 0, 0, 0, 0, 0], atol=1e-10)
+    np.testing.assert_allclose(planned[-1, 1:3], [2.0, 1.2], rtol=1e-3)
+    assert np.max(np.abs(planned[:, 1] - 2.0)) > 0.05
+    updates = flight.diagnostics
+    assert updates.updates == updates.kept + updates.solved + updates.relaxed == 29
+    assert updates.relaxed == 0
+    np.testing.assert_array_equal(
+        output(flight.block, flight.context, "parameters"), planned[-1, 1:3]
+    )
+
+
+def test_plans_depend_on_the_context_alone(flown):
+    flight, preview, planned = flown
+    np.testing.assert_array_equal(Flight(flight.block, preview).advanced(0, 3), planned[:300])
+    other = Flight(flight.block.Clone(), preview)
+    np.testing.assert_array_equal(other.advanced(0, 1.5), planned[:150])
+
+
+def test_a_layer_without_samples_follows_the_same_plans(flown):
+    _, preview, planned = flown
+    flight = Flight(layer(0.0, knot_spacing=0.39), preview)
+    rows = flight.advanced(0, 2)
+    for row, time in zip(rows[20::40], SAMPLE * np.arange(200)[20::40], strict=True):
+        between = planned[round(time / SAMPLE)] + planned[round(time / SAMPLE) + 1]
+        np.testing.assert_allclose(row[:3], between[:3] / 2, rtol=1e-4, atol=1e-4)
+
+
+def test_where_nothing_is_known_the_motion_goes_on():
+    preview = previewed(dataclasses.replace(MOVE, start_time=0.0))
+    now = 3.0  # s, at constant velocity but for the fading acceleration
+    block = layer()
+    simulator = Simulator(block)
+    fix(block, simulator.get_mutable_context(), reference=preview(now))
+    simulator.Initialize()
+    without = output(block, simulator.get_context(), "diagnostics")
+    blind = Flight(layer(preview=False), ReferencePreview(lambda time: preview(now)))
+    np.testing.assert_array_equal(without, output(blind.block, blind.context, "diagnostics"))
+    assert Diagnostics.view(without).speed_margin != Flight(layer(), preview).diagnostics[-1]
+
+
+def test_a_bound_and_the_switch_take_effect_with_the_next_plan():
+    at_rest = previewed(RestToRestConfig())
+    block = layer()
+    flight = Flight(block, at_rest)
+    assert np.ptp(flight.advanced(0, 1)[:, 1]) < 1e-12
+    block.set_speed_bound(flight.context, 1.4)
+    raised = flight.advanced(1, 6)
+    speeds = carrier_speeds(raised, at_rest, 1 + SAMPLE * np.arange(len(raised)))
+    assert np.min(speeds[:20]) < 1.3
+    assert np.min(speeds[300:]) > 1.4
+    assert output(block, flight.context, "speed_bound") == 1.4
+    block.set_enabled(flight.context, enabled=False)
+    updates = flight.diagnostics.updates
+    np.testing.assert_allclose(flight.advanced(6, 12)[-1, 1:3], [2.0, 1.2], rtol=1e-3)
+    assert flight.diagnostics.updates == updates
+
+
+def test_a_plan_that_is_late_leaves_the_one_that_exists(flown):
+    _, preview, planned = flown
+    flight = Flight(layer(time_limit=1e-9), preview)
+    held = flight.advanced(0, 1.5)
+    np.testing.assert_array_equal(held[:39], planned[:39])  # the first plan is waited for
+    assert flight.diagnostics.held == flight.diagnostics.updates - 1 == 3
+    assert np.any(held[39:] != planned[39:150])
+
+
+def test_parameters_of_the_context_are_those_of_the_first_plan():
+    block = layer(speed_bound=0.0)
+    preview = previewed()
+    simulator = Simulator(block)
+    context = simulator.get_mutable_context()
+    fix(block, context, reference=preview(0.0))
+    place = block.parameters.place("frequency").start
+    context.get_mutable_numeric_parameter(0).SetAtIndex(place, 2.5)
+    block.begin_anew(context)
+    np.testing.assert_array_equal(output(block, context, "plan")[:3], [0, 2.5, 1.2])
+    simulator.Initialize()
+    np.testing.assert_allclose(output(block, context, "parameters"), [2.5, 1.2])
+
+
+def test_a_preview_that_ends_before_the_horizon_is_refused():
+    preview = dataclasses.replace(previewed(), end_time=3.0)
+    with pytest.raises(ScenarioError, match=r"reference_preview.end_time = 3.0: it ends before"):
+        Flight(layer(), preview)
+
+
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ({"time_limit": 0.0}, r"time_limit = 0.0: give a time above zero"),
+        ({"frequency_bounds": [2.5, 3.0]}, r"frequency_bounds = \[2.5, 3.0\]: give bounds"),
+        ({"horizon": 2.0}, r"horizon = 2.0: it is shorter than a turn"),
+        ({"knot_spacing": 0.405}, r"knot_spacing = 0.405: give"),
+        ({"speed_bound": -1.0}, r"speed_bound = -1.0: give 0"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(fields, sentence):
+    with pytest.raises(ScenarioError, match=sentence):
+        layer(**fields)
+
+
+def test_numbers_of_another_type_keep_the_plan_and_refuse_a_new_one():
+    block = layer().ToAutoDiffXd()
+    context = block.CreateDefaultContext()
+    values = output(block, context, "plan")
+    assert [float(value.value()) for value in values[:3]] == [0.0, 2.0, 1.2]
+    with pytest.raises(ScenarioError, match="give ConstantParameters"):
+        Simulator_[AutoDiffXd](block, context).Initialize()

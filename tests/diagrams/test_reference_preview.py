@@ -1,0 +1,140 @@
+"""The abstract signal `reference_preview` in a loop."""
+
+import numpy as np
+import pytest
+from helpers import model
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import LeafSystem
+
+from drake_nonstop import ReferencePreview, load_scenario, make_nonstop, simulate
+from drake_nonstop.blocks.load_trajectory import RestToRest
+from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.systems import wiring
+from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.validation import ScenarioError
+
+CONSTANT = "optimization_layer=ConstantParameters"
+AHEAD = 2.0  # s
+
+
+class Ahead(LeafBlock):
+    """Makes the reference that comes in 2 s, where there is a preview."""
+
+    optional_inputs = ("reference_preview",)
+
+    def __init__(self, model):
+        super().__init__()
+        self._preview = self.DeclareAbstractInputPort("reference_preview", Value[object]())
+        self.DeclareVectorOutputPort("ahead", 22, self._calc)
+
+    def _calc(self, context, output):
+        output.SetFromVector(self._preview.Eval(context)(context.get_time() + AHEAD))
+
+
+class OwnTrajectory(LeafSystem):
+    """A load at rest, with an own preview or none."""
+
+    def __init__(self, preview=None, size=None):
+        super().__init__()
+        rest = np.eye(22)[0]
+        self.DeclareVectorOutputPort("reference", 22, lambda c, output: output.SetFromVector(rest))
+        if size is not None:
+            self.DeclareVectorOutputPort("reference_preview", size, lambda c, output: None)
+        if preview is not None:
+            self.DeclareAbstractOutputPort(
+                "reference_preview",
+                lambda: Value(preview),
+                lambda c, output: output.set_value(preview),
+            )
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_a_block_reads_it_from_the_trajectory_and_not_held(period):
+    scenario = load_scenario("quintic", [CONSTANT, f"control_period={period}"])
+    loop = make_nonstop(scenario, extra={"foresight": Ahead})
+    wires = wiring.connections(loop)
+    assert "load_trajectory.reference_preview -> foresight.reference_preview" in wires
+    assert not any("held_reference_preview" in wire for wire in wires)
+    simulator = Simulator(loop)
+    simulator.AdvanceTo(0.5)
+    context = simulator.get_context()
+    ahead = loop.GetOutputPort("ahead").Eval(context).copy()
+    later = loop.CreateDefaultContext()
+    later.SetTime(0.5 + AHEAD)
+    np.testing.assert_array_equal(ahead, loop.GetOutputPort("reference").Eval(later))
+
+
+def test_a_run_records_vectors_only():
+    scenario = load_scenario("quintic", [CONSTANT, "simulation_duration=0.05"])
+    run = simulate(scenario, extra={"foresight": Ahead})
+    assert "foresight.ahead" in run.signals
+    assert not any(name.endswith("reference_preview") for name in run.signals)
+
+
+def test_a_reader_that_can_do_without_is_flown_on_a_trajectory_without_one():
+    loop = make_nonstop(
+        load_scenario("quintic", [CONSTANT]),
+        load_trajectory=lambda model: OwnTrajectory(),
+        extra={"foresight": Ahead},
+        at_equilibrium=False,
+    )
+    assert not any("preview" in wire for wire in wiring.connections(loop))
+
+
+def at_rest(time):
+    return np.eye(22)[0]
+
+
+class Jumping(RestToRest):
+    """A trajectory of a user's own, by inheritance."""
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda model: OwnTrajectory(ReferencePreview(at_rest)), None),
+        (Jumping, None),
+        (
+            lambda model: OwnTrajectory("soon"),
+            "load_trajectory.reference_preview = str: give a ReferencePreview, such as "
+            r"ReferencePreview\(reference_at\)",
+        ),
+        (
+            lambda model: OwnTrajectory(ReferencePreview(lambda time: 2 * at_rest(time))),
+            r"load_trajectory.reference_preview = \[2.0, .*\]: at t = 0 it is not what "
+            "load_trajectory makes as reference; correct one of the two",
+        ),
+        (
+            lambda model: OwnTrajectory(size=22),
+            r"load_trajectory = OwnTrajectory with outputs reference \(22\), reference_preview "
+            r"\(22\): expected reference \(22\), optional reference_preview \(abstract\); rename",
+        ),
+    ],
+)
+def test_an_own_preview_is_one_of_the_own_reference(make, said):
+    scenario = load_scenario("quintic", [CONSTANT])
+    if said is None:
+        make_nonstop(scenario, load_trajectory=make, at_equilibrium=False)
+        return
+    with pytest.raises(ScenarioError, match=f"^{said}"):
+        make_nonstop(scenario, load_trajectory=make, at_equilibrium=False)
+
+
+def test_it_can_come_from_outside():
+    loop = make_nonstop(
+        load_scenario("quintic", [CONSTANT]),
+        load_trajectory=lambda model: OwnTrajectory(),
+        extra={"foresight": Ahead},
+        inputs=["reference_preview"],
+        at_equilibrium=False,
+    )
+    assert wiring.input_sizes(loop) == {"reference_preview": None}
+    context = loop.CreateDefaultContext()
+    loop.GetInputPort("reference_preview").FixValue(context, ReferencePreview(at_rest))
+    np.testing.assert_array_equal(loop.GetOutputPort("ahead").Eval(context), at_rest(0))
+
+
+def test_every_trajectory_block_of_the_package_makes_one():
+    for block in BOXES["load_trajectory"].variants:
+        assert wiring.output_sizes(block(model()))["reference_preview"] is None

@@ -1,0 +1,44 @@
+import numpy as np
+import pytest
+from helpers import Motion, difference, rotation
+
+from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.mechanics.stretched_time import stretched_reference
+
+
+def own_time(t):
+    """s, ṡ, s̈, s⃛ of a time that passes at 0.3 to 1.3."""
+    return np.array(
+        [
+            0.8 * t + 0.25 * np.sin(2 * t),
+            0.8 + 0.5 * np.cos(2 * t),
+            -np.sin(2 * t),
+            -2 * np.cos(2 * t),
+        ]
+    )
+
+
+def stretched(t):
+    s, *rates = own_time(t)
+    return LoadReference.view(stretched_reference(Motion(7).reference(s), np.array(rates)))
+
+
+@pytest.mark.parametrize("time", [-0.4, 0.3, 1.1])
+def test_rates_are_the_differences_of_what_they_are_the_rates_of(time):
+    now = stretched(time)
+    S = difference(lambda t: rotation(stretched(t).quaternion), time) @ rotation(now.quaternion).T
+    expected = {
+        "angular_velocity": np.array([S[2, 1], S[0, 2], S[1, 0]]),
+        "velocity": difference(lambda t: stretched(t).position, time),
+        "angular_acceleration": difference(lambda t: stretched(t).angular_velocity, time),
+        "acceleration": difference(lambda t: stretched(t).velocity, time),
+        "jerk": difference(lambda t: stretched(t).acceleration, time),
+    }
+    for name, rate in expected.items():
+        np.testing.assert_allclose(getattr(now, name), rate, rtol=0, atol=1e-7, err_msg=name)
+
+
+def test_at_the_rate_1_nothing_changes_to_the_bit():
+    references = np.array([Motion(1).reference(t) for t in (0.0, 0.5)])
+    rates = np.tile([1.0, 0.0, 0.0], (2, 1))
+    np.testing.assert_array_equal(stretched_reference(references, rates), references)

@@ -1,0 +1,162 @@
+"""Times along a path that pass more slowly where ξ and A would not keep the bound."""
+
+import numpy as np
+import pytest
+from helpers import difference, model
+
+from drake_nonstop.blocks.load_trajectory import ConstantVelocityMove, ConstantVelocityMoveConfig
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
+from drake_nonstop.mechanics.resting_orbit import resting_orbits
+from drake_nonstop.optimization.horizon_problem import HorizonConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.stretched_time import OrbitFeasibility, PathDelay, stretching
+
+START, MOVE = 3.0, 3.0  # s, of the line
+DURATION = 24.0  # s
+
+
+def line(speed=0.7):
+    block = ConstantVelocityMove(
+        model(),
+        ConstantVelocityMoveConfig(
+            velocity=[speed, 0.0, 0.0], start_time=START, move_time=MOVE, blend="c4"
+        ),
+    )
+    return block.GetOutputPort("reference_preview").Eval(block.CreateDefaultContext())
+
+
+def limits(bound, highest=2.0):
+    return LimitsConfig(
+        speed_bound=bound, frequency_bounds=[0.1, highest], amplitude_bounds=[0.1, 1.2]
+    )
+
+
+def found(bound, preview=None, **changes):
+    settings = {
+        "least_rate": 0.1,
+        "largest_rate": 1.2,
+        "change_time": 1.0,
+        "can_plan": False,
+        "config": HorizonConfig(),
+        "name": lambda: "here",
+    }
+    return stretching(model(), limits(bound), preview or line(), DURATION, **settings | changes)
+
+
+def test_rates_of_a_delay_are_its_differences_and_it_stays_at_its_end():
+    rates = np.zeros(30)
+    rates[3:27] = np.random.default_rng(1).uniform(-0.2, 0.8, 24)
+    delay = PathDelay(0.25, rates)
+
+    def at(time):
+        return delay.at(np.array([time]))[0]
+
+    for time in (0.3, 2.111, 5.1):
+        slope = difference(at, time, 1e-3)
+        np.testing.assert_allclose(at(time)[1:], slope[:3], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(at(0.0), 0)
+    np.testing.assert_array_equal(at(-1.0), 0)
+    assert delay.end_time == pytest.approx(27 * 0.25)
+    np.testing.assert_allclose(at(50.0), [0.25 * rates.sum(), 0, 0, 0], rtol=0, atol=1e-12)
+
+
+def test_a_load_at_rest_is_feasible_up_to_the_speed_of_its_slowest_orbit():
+    """For ξ and A that cannot change; the orbit's speeds are those of positions, differenced."""
+    system, xi, A = model(), 2.0, 1.2
+    orbits = resting_orbits(
+        system.load,
+        np.eye(7)[0],
+        np.linspace(0, 2 * np.pi / xi, 16, endpoint=False),
+        np.array([xi, A]),
+        yaw_rate=0.0,
+        load_wind=np.zeros(3),
+        attachments=system.attachments,
+        pseudo_inverse=system.pseudo_inverse,
+        basis=system.pattern.basis,
+        phases=system.pattern.phases,
+        orders=system.pattern.orders,
+        offset=system.pattern.offset,
+        rest_length=system.cable_length,
+        compliance=system.cable_compliance,
+    )
+    slowest = float(np.min(np.linalg.norm(orbits.velocities, axis=-1)))
+    rest = np.eye(22)[:1]
+    for factor, expected in ((0.995, True), (1.005, False)):
+        fixed = LimitsConfig(
+            speed_bound=factor * slowest,
+            tightening=0.0,
+            frequency_bounds=[xi, xi],
+            amplitude_bounds=[A, A],
+        )
+        config = HorizonConfig(horizon=6.0, knot_spacing=0.4)
+        feasibility = OrbitFeasibility(system, fixed, config, lambda: "rest")
+        assert feasibility.holds(rest).tolist() == [expected]
+
+
+def test_a_motion_that_is_feasible_is_left_alone():
+    assert found(0.1, line(0.2)).delay is None
+    assert found(0.0).delay is None  # without a bound
+
+
+def test_an_infeasible_motion_is_slowed_just_as_far_as_its_orbits_need():
+    preview, result = line(), found(0.3)
+    assert result.delay is not None
+    assert len(result.too_fast) == len(result.not_at_rest) == 0
+    times = np.linspace(0, DURATION, 801)
+    delays = result.delay.at(times)
+    rates = 1 - delays[:, 1]
+    assert 0.1 < np.min(rates) < 0.9
+    assert np.max(rates) <= 1.2 + 1e-12
+    assert np.min(delays[:, 0]) == 0
+    # Every stretched instant is feasible, and hardly so where the load is at its fastest.
+    config = HorizonConfig(horizon=6.0, knot_spacing=0.4)
+    stretched = result.delay.stretched(preview, times)
+    assert OrbitFeasibility(model(), limits(0.3), config, lambda: "here").holds(stretched).all()
+    tighter = OrbitFeasibility(model(), limits(0.35), config, lambda: "here")
+    assert not tighter.holds(stretched).all()
+    # Until it slows down it is the given motion, to the bit; at the end it is on time again.
+    before = times < START - 2.5
+    np.testing.assert_array_equal(stretched[before], preview.at(times[before]))
+    assert np.max(delays[:, 0]) > 1.0
+    assert delays[-1, 0] < 0.2 * np.max(delays[:, 0])
+    np.testing.assert_allclose(stretched[-1, 4:7], preview(1e3)[4:7], atol=1e-9)
+
+
+def test_the_rate_is_above_1_only_to_catch_up():
+    late = found(0.3, largest_rate=1.0)
+    delays = late.delay.at(np.linspace(0, DURATION, 241))
+    assert np.min(delays[:, 1]) > -1e-12
+    assert delays[-1, 0] == np.max(delays[:, 0])
+
+
+def test_what_no_rate_helps_is_told_and_not_slowed():
+    result = found(3.0)
+    assert result.delay is None
+    assert len(result.not_at_rest) == 241
+
+
+def test_what_the_least_rate_does_not_help_is_told():
+    result = found(0.3, least_rate=0.9)
+    assert np.all((result.too_fast > START - 1) & (result.too_fast < START + MOVE + 1))
+    assert len(result.too_fast) > 10
+    assert np.min(1 - result.delay.at(np.linspace(0, DURATION, 241))[:, 1]) == pytest.approx(0.9)
+
+
+def test_a_motion_that_plans_find_a_way_through_is_left_alone(monkeypatch):
+    """Where not every phase is fast enough, those that come may be."""
+    asked = []
+
+    def planned(*arguments):
+        asked.append(arguments)
+        return True
+
+    monkeypatch.setattr("drake_nonstop.optimization.stretched_time._is_planned", planned)
+    assert found(0.3, can_plan=True).delay is None
+    assert len(asked) == 1
+    assert found(0.1, line(0.2), can_plan=True).delay is None
+    assert len(asked) == 1
+
+
+def test_plans_that_need_slack_are_no_way_through():
+    slow = ReferencePreview(line().reference)  # which tells one instant after the other
+    assert found(0.45, slow, can_plan=True).delay is not None
