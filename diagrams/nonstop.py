@@ -231,20 +231,18 @@ PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
 WIRES = """
 load_trajectory.reference -> wrench_controller.reference
 load_trajectory.reference -> optimization_layer.reference
+load_trajectory.reference_preview -> optimization_layer.reference_preview
 load_trajectory.reference -> carrier_trajectory.reference
 
 load_plant.load_state -> load_feedback.load_state
 load_feedback.measured_load_state -> wrench_controller.measured_load_state
-load_feedback.measured_load_state -> optimization_layer.measured_load_state
 load_feedback.measured_load_state -> force_distribution.measured_load_state
 
-wrench_controller.wrench -> optimization_layer.wrench
-wrench_controller.wrench_rate -> optimization_layer.wrench_rate
 wrench_controller.wrench -> force_distribution.wrench
 wrench_controller.wrench_rate -> force_distribution.wrench_rate
 
 optimization_layer.parameters -> phase.parameters
-phase.phase -> optimization_layer.phase
+optimization_layer.plan -> phase.plan
 phase.planned -> internal_force.planned
 internal_force.internal_force -> force_distribution.internal_force
 

@@ -58,6 +58,7 @@ _NO_PLAN = 0.0  # in place of a scale
 class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
     """The bound, the horizon, and how much time its plans get."""
 
+    tightening: float | str = 0.02  # the solver aims at (1 + tightening) ε; "auto": computed
     preview: bool = True  # read the motion ahead; without it the motion goes on as it does
     max_iterations: int = 3  # quadratic programs of a plan
     time_limit: float = float("inf")  # s, of wall time, beyond which the plan that exists goes on

@@ -208,7 +208,7 @@ def test_a_preview_that_ends_before_the_horizon_is_refused():
     [
         ({"time_limit": 0.0}, r"time_limit = 0.0: give a time above zero"),
         ({"frequency_bounds": [2.5, 3.0]}, r"frequency_bounds = \[2.5, 3.0\]: give bounds"),
-        ({"horizon": 2.0}, r"horizon = 2.0: give"),
+        ({"horizon": 2.0}, r"horizon = 2.0: it is shorter than a turn"),
         ({"knot_spacing": 0.405}, r"knot_spacing = 0.405: give"),
         ({"speed_bound": -1.0}, r"speed_bound = -1.0: give 0"),
     ],
