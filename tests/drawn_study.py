@@ -28,6 +28,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.outcome import LIMITS, RunOutcome
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.studies.ablation import read_grid
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
 from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor, attempt, run_all
 from drake_nonstop.systems.block import release
@@ -39,29 +40,9 @@ TASKS: dict[str, Callable[[int], Scenario]] = {
     "aircraft": aircraft_task,
 }
 
+GRID = read_grid("foresight").variants
 # What each changes of a task, the one first that the others are compared with.
-_ONE_SAMPLE = ["optimization_layer=NonstopOptimizer", "optimization_layer.tightening=0.01"]
-_HORIZON = ["optimization_layer=RecedingHorizonOptimizer", "phase=ShapedPhase"]
-_FIXED_MARGIN = "optimization_layer.tightening=0.02"
-_HOLD = "carrier_trajectory.hold=second_order"
-_NO_HOLD = "carrier_trajectory.hold=velocity"
-_FEEDFORWARD = "carrier_controller=FeedforwardCarrierPid"
-_NO_FEEDFORWARD = "carrier_controller=CarrierPid"
-VARIANTS: dict[str, list[str]] = {
-    "one sample": [*_ONE_SAMPLE, "phase=AccumulatedPhase", _NO_HOLD, _NO_FEEDFORWARD],
-    "filter": [*_ONE_SAMPLE, "phase=ShapedPhase", _HOLD, _FEEDFORWARD],
-    "horizon": [*_HORIZON, _FIXED_MARGIN, _HOLD, _FEEDFORWARD],
-    "without hold": [*_HORIZON, _FIXED_MARGIN, _NO_HOLD, _FEEDFORWARD],
-    "without feedforward": [*_HORIZON, _FIXED_MARGIN, _HOLD, _NO_FEEDFORWARD],
-    "without preview": [
-        *_HORIZON,
-        "optimization_layer.preview=false",
-        _FIXED_MARGIN,
-        _HOLD,
-        _FEEDFORWARD,
-    ],
-    "automatic margin": [*_HORIZON, "optimization_layer.tightening=auto", _HOLD, _FEEDFORWARD],
-}
+VARIANTS: dict[str, list[str]] = {"one sample": GRID["one sample"], "horizon": [], **GRID}
 
 
 def _noise(scenario: Scenario) -> str:
@@ -104,7 +85,11 @@ def scenario_of(tasks: str, seed: int, condition: str, overrides: Sequence[str])
     """The scenario of a flight."""
     task = TASKS[tasks](seed)
     others = [make(task) for make in CONDITIONS[condition]]
-    given = [o for o in overrides if tasks != "aircraft" or not o.startswith("carrier_controller")]
+    given = [*overrides]
+    if tasks == "aircraft":  # which have controllers of their own, and their sampling period
+        given = [o for o in given if not o.startswith(("carrier_controller", "wrench_controller"))]
+        if "optimization_layer=NonstopOptimizer" in given:
+            given.append(f"optimization_layer.period={task.control_period}")
     return changed(task, [*given, *others])
 
 
@@ -345,7 +330,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--tasks", choices=TASKS, default="carriers", help="(carriers)")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="(0)")
     parser.add_argument("--count", type=int, default=20, metavar="N", help="tasks (20)")
-    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=[*VARIANTS])
+    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=[*VARIANTS][:2])
     parser.add_argument("--condition", choices=CONDITIONS, default="none", help="(none)")
     parser.add_argument("--set", nargs="+", default=[], metavar="PATH=VALUE", help="for all")
     parser.add_argument("--out", type=Path, metavar="DIR", help="(out/drawn/TASKS_CONDITION)")
