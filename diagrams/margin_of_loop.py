@@ -15,6 +15,7 @@ from drake_nonstop.blocks.carrier_trajectory import (
     CarrierTrajectory,
     InextensibleCarrierTrajectory,
 )
+from drake_nonstop.blocks.force_distribution import CableForceDistribution
 from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedback,
     DesiredStateFeedback,
@@ -22,6 +23,7 @@ from drake_nonstop.blocks.load_feedback import (
     NoisyFeedback,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
+from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadReference, TrackingError
 from drake_nonstop.mechanics.tethered_loop import LOAD_ERRORS, Carriers
 from drake_nonstop.model.system import Model
@@ -39,7 +41,6 @@ from drake_nonstop.validation import ScenarioWarning
 
 _INSTANTS = 301  # of a task, at which its reference is looked at
 _BETWEEN = 0.382  # of the interval
-_STEP = 0.002  # s, of the differences for higher rates
 _LONGEST = 600.0  # s, of a task that is looked at
 _CONTINUOUS = 0.002  # s, for which continuous controllers are taken as held
 _JUMP = 0.1  # of the largest jerk, from which on a change between two instants may be a jump
@@ -130,9 +131,7 @@ def _name(blocks: Mapping[str, System], box: str) -> str:
     return f"{box} = {type(blocks[box]).__name__}" if box in blocks else f"{box} = None"
 
 
-def _carriers(
-    model: Model, blocks: Mapping[str, System], left_out: list[str]
-) -> Carriers | None:
+def _carriers(model: Model, blocks: Mapping[str, System], left_out: list[str]) -> Carriers | None:
     """The carriers' loops; None where they are not known."""
     controller: Any = blocks.get("carrier_controller")
     dynamics, trajectory = blocks.get("carrier_dynamics"), blocks.get("carrier_trajectory")
@@ -146,6 +145,8 @@ def _carriers(
     if not isinstance(trajectory, (CarrierTrajectory, InextensibleCarrierTrajectory)):
         left_out.append(f"{_name(blocks, 'carrier_trajectory')}: its references are not known")
         return None
+    if not isinstance(blocks.get("force_distribution"), CableForceDistribution):
+        left_out.append(f"{_name(blocks, 'force_distribution')}: what it changes of the forces")
     holds = 2 if trajectory.holds_acceleration else 1
     mass = model.carrier_mass
     return Carriers(
@@ -158,9 +159,7 @@ def _carriers(
     )
 
 
-def _feedback(
-    model: Model, blocks: Mapping[str, System], left_out: list[str]
-) -> Feedback | None:
+def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -> Feedback | None:
     """The load's feedback; None where the wrench controller is not known."""
     gains = getattr(blocks.get("wrench_controller"), "gains", None)
     if gains is None:
@@ -214,17 +213,24 @@ def _motion(
     times = np.linspace(0.0, end, _INSTANTS)
     # Between them, where a motion hardly begins or ends.
     between = times[:-1] + _BETWEEN * np.diff(times)
-    references = np.stack([preview.at(between + shift) for shift in (-_STEP, 0.0, _STEP)])
-    return Motion(references=references, step=_STEP, jerk_jump=_largest_jump(preview, times))
+    step = (model.control_period or _CONTINUOUS) / 2  # rates are averages over a sample
+    instants, jumps = _jerk_jumps(preview, times)
+    apart = np.abs(between[:, None] - instants).min(axis=1, initial=np.inf)
+    between = np.clip(between[apart > 2 * step], step, max(end - step, step))
+    references = np.stack([preview.at(between + shift) for shift in (-step, 0.0, step)])
+    return Motion(references=references, step=step, jerk_jumps=jumps)
 
 
-def _largest_jump(preview: ReferencePreview, times: NDArray) -> float:
-    """The largest jump of the jerk, m/s³: a change that stays as its interval is halved."""
+def _jerk_jumps(preview: ReferencePreview, times: NDArray) -> tuple[NDArray, NDArray]:
+    """The instants (m,), s, and the jumps (m, 3) of the jerk, m/s³, in the load's frame.
+
+    A jump is a change that stays as its interval is halved.
+    """
     jerks = LoadReference.view(preview.at(times)).jerk
     changes = np.linalg.norm(np.diff(jerks, axis=0), axis=1)
     least = _JUMP * float(np.max(np.linalg.norm(jerks, axis=1), initial=0.0))
-    largest = 0.0
-    for k in np.flatnonzero(changes > max(least, largest)):
+    jumps, instants = [], []
+    for k in np.flatnonzero(changes > least):
         (start, end), (before, after) = times[k : k + 2], jerks[k : k + 2]
         for _ in range(_HALVINGS):
             time = (start + end) / 2
@@ -233,7 +239,8 @@ def _largest_jump(preview: ReferencePreview, times: NDArray) -> float:
                 end, after = time, middle
             else:
                 start, before = time, middle
-        change = float(np.linalg.norm(after - before))
-        if change > changes[k] / 4:
-            largest = max(largest, change)
-    return largest
+        if np.linalg.norm(after - before) > changes[k] / 4:
+            turned = rotation_matrix(LoadReference.view(preview(start)).quaternion)
+            jumps.append((after - before) @ turned)
+            instants.append(start)
+    return np.array(instants), np.reshape(jumps, (-1, 3))

@@ -196,7 +196,8 @@ class NoisyFeedback(LeafBlock):
         require_seed(f"{_BOX}.seed", config.seed)
         self.delay_periods = round(config.delay / config.period)
         require(
-            abs(self.delay_periods * config.period - config.delay) < 1e-9 and self.delay_periods <= 1000,
+            abs(self.delay_periods * config.period - config.delay) < 1e-9
+            and self.delay_periods <= 1000,
             f"{_BOX}.delay",
             config.delay,
             f"give a multiple of the period {config.period:g} s, at most 1000 of them",

@@ -62,7 +62,7 @@ class NonstopOptimizer(SpeedBoundLayer):
     at instants τ up to the next update and at phases of the orbit `look_ahead_time` after it,
     optionally together with limits of tensions, speeds, separations and of the rates of ξ and A.
     x⁻ is what the layer has asked for before, and not what is flown: behind a `ShapedPhase` ξ and A
-    follow a step within 8/bandwidth but for 1.4 %, which is the default of that time. Without
+    follow a step within 6.4/bandwidth but for 5 %, which is the default of that time. Without
     `amplitude_bounds` A stays between 0.004 and 3 times a cable's share of the load's weight, or
     half and twice the initial A where that is wider. `tightening` covers the
     difference between predicted and simulated speeds. If x⁻ fulfils the constraints it is kept;

@@ -152,7 +152,7 @@ class PaperPhase(LeafBlock):
 class ShapedPhaseConfig(StrictFields):
     """How fast ξ and A follow the parameters that a layer asks for."""
 
-    bandwidth: float = 40.0  # rad/s, of each of three equal poles
+    bandwidth: float = 80.0  # rad/s, of each of three equal poles
     max_frequency_rate: float = math.inf  # rad/s², of ξ
     max_amplitude_rate: float = math.inf  # N/s, of A
 

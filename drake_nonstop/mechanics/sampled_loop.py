@@ -129,9 +129,12 @@ def bounded_response(
     return float(np.max(np.minimum(bounds * gain, slow).sum(axis=-1)))
 
 
-def peak_response(g: NDArray) -> float:
-    """The largest output after one unit vector of the inputs, for responses (lags, o, u)."""
-    return float(np.max(np.linalg.norm(g, axis=-1)))
+def overshoot(g: NDArray) -> float:
+    """The largest output beyond its way from the first value to zero, after one of the inputs.
+
+    Of responses g (lags, o, u) to single inputs: the largest g_m − max(g_0, 0).
+    """
+    return float(np.max(g - np.maximum(g[:1], 0.0)))
 
 
 def noise_deviation(g: NDArray, deviations: NDArray) -> float:

@@ -7,6 +7,7 @@ desired.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,12 +64,11 @@ class Cables:
 
 
 class Orbit(NamedTuple):
-    """A phase of the orbits: cable forces f (n, 3), N, their rates (n, 3), N/s, and the carriers'
-    velocities (n, 3), m/s."""
+    """The cables' forces and the carriers' velocities at a phase of the orbits."""
 
-    forces: NDArray
-    rates: NDArray
-    velocities: NDArray
+    forces: NDArray  # (n, 3), N
+    rates: NDArray  # (n, 3), N/s
+    velocities: NDArray  # (n, 3), m/s
 
 
 class Inputs(NamedTuple):
@@ -77,14 +77,14 @@ class Inputs(NamedTuple):
     acceleration: slice  # (3n,), m/s², of the planned motion at a sample
     jerk: slice  # (3n,), m/s³
     measurement: slice  # (12,), errors of the measured load: rad, m, rad/s and m/s
-    velocity: slice  # (3n,), m/s, by which the planned velocities jump
+    velocity: slice  # (3n,), m/s, by which the planned velocities jumped just after a sample
 
     @classmethod
     def of(cls, n: int) -> "Inputs":
         """Those of n carriers."""
         sizes = [3 * n, 3 * n, LOAD_ERRORS, 3 * n]
         ends = np.cumsum([0, *sizes]).tolist()
-        return cls(*(slice(a, b) for a, b in zip(ends, ends[1:], strict=False)))
+        return cls(*(slice(a, b) for a, b in pairwise(ends)))
 
 
 def tethered_loop(
@@ -228,6 +228,7 @@ def tethered_loop(
         B[at["missing_feedforward"], places.acceleration] = unit
     B[at["jerk"], places.jerk] = unit
     B[velocity, places.velocity] = -unit
+    B[position, places.velocity] = -period * unit  # of the time that it is not noticed
     outputs = np.zeros((n, ends[-1]))
     for i, v in enumerate(orbit.velocities):
         outputs[i, velocity.start + 3 * i : velocity.start + 3 * i + 3] = -v / np.linalg.norm(v)
@@ -264,7 +265,9 @@ def _commands(
         matrix(f"{name}_gain")
         for name in ("orientation", "angular_velocity", "orientation_integral")
     )
-    K_p, K_v, K_i = (matrix(f"{name}_gain") for name in ("position", "velocity", "position_integral"))
+    K_p, K_v, K_i = (
+        matrix(f"{name}_gain") for name in ("position", "velocity", "position_integral")
+    )
     inverse = np.linalg.inv(load.inertia)
     # Columns: e_R, e_p, e_ω, e_v, ∫e_R, ∫e_p.
     columns = [slice(3 * i, 3 * i + 3) for i in range(6)]

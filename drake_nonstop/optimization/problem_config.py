@@ -47,7 +47,7 @@ class NonstopProblemConfig(LimitsConfig):
     """The bound, the problem of eqs. 24-26 and how it is solved."""
 
     look_ahead_points: int = 2  # instants from now to the next update; 1: now, as in the paper
-    look_ahead_time: float = 0.2  # s, from the next update to the orbit ahead, where points > 1
+    look_ahead_time: float = 0.08  # s, from the next update to the orbit ahead, where points > 1
     orbit_points: int = 16  # phases of the orbit ahead; 1: the present one, as in the paper
     orbit_updates: int = 4  # successive updates that share these phases
     load_motion: str = "desired"  # of the carriers; "desired", or "measured" as in the paper

@@ -19,7 +19,7 @@ from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
     growth,
     noise_deviation,
-    peak_response,
+    overshoot,
     responses,
 )
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
@@ -76,12 +76,12 @@ class Motion:
     Attributes:
         references: (3, k, 22), at k instants, a `step` before, then, and a step after.
         step: s.
-        jerk_jump: m/s³, the largest jump of its jerk.
+        jerk_jumps: (m, 3), m/s³, jumps of its jerk, in the load's frame; m may be 0.
     """
 
     references: NDArray
     step: float
-    jerk_jump: float
+    jerk_jumps: NDArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +89,7 @@ class SpeedMargin:
     """The shares of a margin, each m/s, of the largest shortfall of a speed."""
 
     tracking: float  # of the carriers behind held references
-    jumps: float  # of the planned velocities, where the reference's jerk jumps
+    jumps: float  # beyond the planned velocities, where the reference's jerk jumps
     grid: float  # between the instants of the constraints
     noise: float  # of the feedback, `DEVIATIONS` standard deviations
     delay: float  # of the feedback
@@ -192,9 +192,8 @@ class _Task:
             some, self.axes, amplitudes, speed, math.inf, phase_count=_PHASES, **self.cables
         )
         products = least.max(axis=0)
-        frequencies = np.clip(
-            np.maximum(products / amplitudes, self.limits.frequency), *self.limits.frequency_bounds
-        )
+        frequencies = np.maximum(products / amplitudes, self.limits.frequency)
+        frequencies = np.minimum(frequencies, self.limits.frequency_bounds[1])
         change = (frequencies / self.limits.frequency - 1) ** 2
         change += _AMPLITUDE_WEIGHT * (amplitudes / self.limits.amplitude - 1) ** 2
         change += 1e3 * np.maximum(products / (amplitudes * frequencies) - 1, 0)
@@ -239,7 +238,10 @@ class _Task:
         """The orbits' phase at an angle (rad) above the load as at the start, at rest."""
         xi, A = parameters
         p, q = self.axes
-        u, along = math.cos(angle) * p + math.sin(angle) * q, math.cos(angle) * q - math.sin(angle) * p
+        u, along = (
+            math.cos(angle) * p + math.sin(angle) * q,
+            math.cos(angle) * q - math.sin(angle) * p,
+        )
         forces, rates = self.terms.forces[0] + A * u, A * xi * along
         rest = np.zeros(LOAD_REFERENCE_SIZE)
         rest[0] = 1.0
@@ -323,9 +325,8 @@ def _shares(
         held = bounded(places.acceleration, n, acceleration, jerk)
         held += bounded(places.jerk, n, jerk, snap)
         tracking = max(tracking, held)
-        if task.motion.jerk_jump > 0:
-            of_jump = g[..., places.velocity] @ _velocity_jumps(task, orbit)
-            jumps = max(jumps, task.motion.jerk_jump * peak_response(of_jump))
+        if len(task.motion.jerk_jumps) > 0:
+            jumps = max(jumps, _of_jump(g[..., places.velocity], task, orbit, limits))
         if np.any(feedback.deviations):
             spread = noise_deviation(g[..., places.measurement], feedback.deviations)
             noise = max(noise, DEVIATIONS * spread)
@@ -342,9 +343,7 @@ def _shares(
     )
 
 
-def grid_dip(
-    motion: _Derivatives, speeds: NDArray, speed: float, instant_spacing: float
-) -> float:
+def grid_dip(motion: _Derivatives, speeds: NDArray, speed: float, instant_spacing: float) -> float:
     """By how much (m/s) speeds that are kept at instants may be lower between two of them.
 
     A function that is kept at two instants Δ apart is at most Δ²/8 times the largest of its second
@@ -357,6 +356,21 @@ def grid_dip(
     second = ((a * a).sum(axis=-1) + (v * j).sum(axis=-1)) / slow - along**2 / slow**3
     near = speeds < _NEAR * speed
     return float(instant_spacing**2 / 8 * np.max(second, initial=0.0, where=near))
+
+
+def _of_jump(g: NDArray, task: "_Task", orbit: Orbit, limits: LimitsConfig) -> float:
+    """By how much (m/s) a carrier is slower than both speeds before and after a planned jump.
+
+    Its velocity goes from one to the other, on a chord Δv long, which is Δv²/(8 v) below two speeds
+    v, and overshoots. `g` (lags, j n, 3n) are the responses to jumps of the planned velocities.
+    """
+    columns = _velocity_jumps(task, orbit) @ task.motion.jerk_jumps.T
+    n = task.model.n
+    # The first output, just after the jump, is the jump itself.
+    steps = (g.reshape(len(g), -1, n, g.shape[-1]) @ columns).reshape(-1, n, columns.shape[1])
+    largest = np.max(np.linalg.norm(columns.reshape(n, 3, -1), axis=1))
+    chord = largest**2 / (8 * limits.speed_bound) if limits.speed_bound > 0 else 0.0
+    return overshoot(steps) + min(float(chord), float(largest))
 
 
 def _velocity_jumps(task: _Task, orbit: Orbit) -> NDArray:

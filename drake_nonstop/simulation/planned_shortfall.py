@@ -16,13 +16,17 @@ from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonPro
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.simulation.run import Run, UnknownSignalError
 
+_SETTLING = 5  # samples at 100 Hz, in which a carrier goes from one planned speed to another
+_AHEAD = (56.0, -140.0, 120.0, -35.0)  # of the values 5, 6, 7 and 8 samples before: a cubic's value
+
 
 def largest_shortfall(run: Run) -> float | None:
     """The largest difference (m/s) of a planned speed and the one that was flown, at 100 Hz.
 
     The planned speeds are those along the reference, in still air, of the ξ, A and θ that the loop
-    flies: the signal `planned`, or `parameters` and `phase`. None where there is no such signal, or
-    the layer keeps no speed bound.
+    flies: the signal `planned`, or `parameters` and `phase`. Where they jump, the lower one of
+    before and after counts for 50 ms. None where there is no such signal, or the layer keeps no
+    speed bound.
     """
     limits = run.scenario.optimization_layer
     if not isinstance(limits, LimitsConfig):
@@ -51,7 +55,17 @@ def largest_shortfall(run: Run) -> float | None:
         rest_length=problem.rest_length,
         compliance=problem.compliance,
     )
-    return float(np.max(np.sqrt(speeds.squares) - flown[1:]))
+    planned_speed = np.sqrt(speeds.squares)
+    wanted = planned_speed.copy()
+    if len(wanted) > _SETTLING + len(_AHEAD):
+        # Where a plan jumps, as where the reference's jerk does, what it was before.
+        count = len(wanted) - _SETTLING - len(_AHEAD) + 1
+        before = sum(
+            weight * planned_speed[len(_AHEAD) - 1 - i : len(_AHEAD) - 1 - i + count]
+            for i, weight in enumerate(_AHEAD)
+        )
+        wanted[-count:] = np.minimum(wanted[-count:], before)
+    return float(np.max(wanted - flown[1:]))
 
 
 def _planned(run: Run) -> NDArray:
@@ -80,8 +94,7 @@ def _planned(run: Run) -> NDArray:
         now.frequency_rate + T / 2 * now.frequency_second_rate
     )
     parts.amplitude[:] = now.amplitude + T * (
-        now.amplitude_rate
-        + T / 2 * (now.amplitude_second_rate + T / 3 * now.amplitude_third_rate)
+        now.amplitude_rate + T / 2 * (now.amplitude_second_rate + T / 3 * now.amplitude_third_rate)
     )
     parts.amplitude_rate[:] = now.amplitude_rate + T * (
         now.amplitude_second_rate + T / 2 * now.amplitude_third_rate

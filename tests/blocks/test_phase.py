@@ -105,6 +105,7 @@ def planned(values, *, period=0.01, times, config=None):
     """What a shape makes of a layer's parameters, just after these times: (times, 8)."""
     builder = DiagramBuilder()
     layer = builder.AddSystem(Layer(values))
+    config = config or ShapedPhaseConfig(bandwidth=40.0)
     shape = builder.AddSystem(ShapedPhase(model(4, period), config))
     builder.Connect(layer.get_output_port(), shape.GetInputPort("parameters"))
     for name in ("phase", "planned"):

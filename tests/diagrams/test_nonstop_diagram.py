@@ -1,4 +1,5 @@
 import dataclasses
+import warnings
 from functools import partial
 
 import numpy as np
@@ -10,6 +11,7 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop.blocks.carrier_controller import CarrierPidConfig
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamicsConfig
 from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectory
+from drake_nonstop.blocks.internal_force import InternalForceTrajectory
 from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedback,
     DesiredStateFeedbackConfig,
@@ -20,16 +22,18 @@ from drake_nonstop.blocks.optimization_layer import (
     ConstantParametersConfig,
     NonstopOptimizerConfig,
 )
-from drake_nonstop.blocks.phase import PaperPhase
+from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams import nonstop
 from drake_nonstop.diagrams.box import block_class, config_class
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, COMMANDS, box_of, figure_wires, make_nonstop
+from drake_nonstop.diagrams.parameters import set_parameter
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems import wiring
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
 
 def continuous(**fields):
@@ -406,6 +410,46 @@ def test_block_with_an_input_of_another_size_is_reported_with_the_size(inputs, g
         f"load_disturbance = Ports with inputs {given}: expected {expected}; rename or resize the "
         "ports"
     )
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_a_run_starts_at_the_parameters_that_the_context_has(period):
+    diagram = make_nonstop(plain(period))
+    context = diagram.CreateDefaultContext()
+    set_parameter(diagram, context, "optimization_layer.frequency", 2.5)
+    set_parameter(diagram, context, "optimization_layer.amplitude", 1.4)
+    set_equilibrium(diagram, context)
+    simulator = Simulator(diagram, context)
+    for time in (0.0, 0.05):
+        simulator.AdvanceTo(time)
+        planned = output(diagram, context, "planned")
+        angle = 2.5 * np.floor(time / period + 0.5) * period if period else 2.5 * time
+        np.testing.assert_allclose(planned[0], angle, atol=0.026)  # of the sample, or of the last
+        np.testing.assert_allclose(planned[1:], [2.5, 1.4, 0, 0, 0, 0, 0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("layer", [NonstopOptimizerConfig(), ConstantParametersConfig()])
+def test_an_internal_force_that_reads_what_is_smoothed_is_told(layer):
+    fields = {"internal_force": InternalForceTrajectory, "at_equilibrium": False}
+    make_nonstop(Scenario(optimization_layer=layer), phase=AccumulatedPhase, **fields)
+    if isinstance(layer, ConstantParametersConfig):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            make_nonstop(Scenario(optimization_layer=layer), **fields)
+        return
+    with pytest.warns(ScenarioWarning, match="it reads parameters, which phase = ShapedPhase smoo"):
+        make_nonstop(Scenario(optimization_layer=layer), **fields)
+
+
+def test_signals_that_others_need_become_inputs_where_a_box_is_left_out():
+    left_out = {"phase": None, "internal_force": None, "carrier_trajectory": None}
+    for name, signal in zip(
+        left_out,
+        ("planned", "internal_force_higher_rates", "carrier_reference_acceleration"),
+        strict=True,
+    ):
+        diagram = make_nonstop(plain(0.01), at_equilibrium=False, **{name: None})
+        assert signal in wiring.input_names(diagram)
 
 
 def test_two_blocks_may_share_a_signal_of_their_own_even_an_abstract_one():

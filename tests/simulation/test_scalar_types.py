@@ -59,7 +59,7 @@ def linearized():
 def test_linearization_has_all_states_and_equals_central_differences(linearized):
     loop, context, matrix = linearized
     state = context.get_continuous_state_vector().CopyToVector()
-    assert matrix.shape == (45, 45)
+    assert matrix.shape == (51, 51)
 
     def rate_at(values):
         context.SetContinuousState(values)
@@ -67,7 +67,7 @@ def test_linearization_has_all_states_and_equals_central_differences(linearized)
 
     columns = [
         difference(lambda step, unit=unit: rate_at(state + step * unit), 0.0, 1e-4)
-        for unit in np.eye(45)
+        for unit in np.eye(51)
     ]
     context.SetContinuousState(state)
     scale = np.maximum(1.0, np.abs(matrix))
@@ -143,7 +143,8 @@ class PlainPhase(LeafSystem):
 
 
 def test_a_block_of_the_users_that_does_not_convert_is_named():
-    loop = make_nonstop(load_scenario("quintic", [CONSTANT]), phase=PlainPhase)
+    overrides = [CONSTANT, "internal_force=InternalForceTrajectory"]
+    loop = make_nonstop(load_scenario("quintic", overrides), phase=PlainPhase)
     with pytest.raises(RuntimeError, match=r"::phase of type .*PlainPhase does not support"):
         loop.ToAutoDiffXd()
 

@@ -1,0 +1,249 @@
+"""The speed margin of a loop, against the linearized diagram and against runs."""
+
+import dataclasses
+import math
+import warnings
+
+import numpy as np
+import pytest
+
+from drake_nonstop.diagrams.margin_of_loop import margin_of_loop
+from drake_nonstop.diagrams.nonstop import make_blocks, make_nonstop
+from drake_nonstop.mechanics.sampled_loop import noise_deviation, responses
+from drake_nonstop.mechanics.signals import CarrierStates
+from drake_nonstop.mechanics.tethered_loop import Cables, Carriers, Inputs, Orbit, tethered_loop
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.problem_config import (
+    LimitsConfig,
+    highest_speed_bound,
+    tightened_bound,
+)
+from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.simulation.linearized_loop import LinearizedLoop
+from drake_nonstop.simulation.metrics import compute_metrics
+from drake_nonstop.simulation.run import StepCheck
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError, ScenarioWarning
+from tests.drawn_tasks import draw
+
+EXACT = [  # references that are exact within a sample
+    "carrier_controller=FeedforwardCarrierPid",
+    "carrier_trajectory.hold=second_order",
+]
+HORIZON = [
+    *EXACT,
+    "phase=ShapedPhase",
+    "internal_force=PlannedInternalForce",
+    "optimization_layer=RecedingHorizonOptimizer",
+    "optimization_layer.tightening=auto",
+]
+RESTING = [
+    *EXACT,
+    "load_trajectory=!RestToRest {displacement: [0, 0, 0], roll_pitch_yaw: [0, 0, 0]}",
+    "optimization_layer=ConstantParameters",
+]
+POSITION_NOISE, ORIENTATION_NOISE = 1e-4, 2e-4  # m and rad
+
+
+def margin_with(*overrides, name="three_carriers"):
+    """The margin of a scenario's loop with exact references, and what it leaves out."""
+    scenario = load_scenario(name, [*EXACT, "load_trajectory.start_time=1", *overrides])
+    model = Model(scenario.system, scenario.pattern, scenario.control_period)
+    blocks = make_blocks(scenario)
+    return margin_of_loop(model, model, scenario.optimization_layer, blocks, 4.0)
+
+
+@pytest.fixture(scope="module")
+def as_it_is():
+    return margin_with().margin
+
+
+def orbits(model, count):
+    """Phases of the orbits of ξ = 2 rad/s and A = 1.2 N above a load at rest."""
+    weight = np.array([0, 0, 0, 0, 0, model.load_mass * model.gravity])
+    for angle in 2 * np.pi * np.arange(count) / count:
+        waves = angle + model.pattern.phases
+        forces = model.pseudo_inverse @ weight + model.pattern.basis @ (1.2 * np.cos(waves))
+        rates = model.pattern.basis @ (-2.4 * np.sin(waves))
+        f, r = forces.reshape(-1, 3), rates.reshape(-1, 3)
+        tension = np.linalg.norm(f, axis=1, keepdims=True)
+        across = r - f * (f * r).sum(axis=1, keepdims=True) / tension**2
+        yield Orbit(f, r, model.cable_length / tension * across)
+
+
+def loops_of(model, gains, count, is_measured):
+    cables = Cables(
+        attachments=model.attachments,
+        stiffness=model.cable_stiffness,
+        damping=model.cable_damping,
+        rest_length=model.cable_length,
+        compliance=model.cable_compliance,
+    )
+    carriers = Carriers(position_gain=1e4, velocity_gain=100.0)
+    return [
+        tethered_loop(
+            model.load,
+            cables,
+            carriers,
+            gains,
+            orbit,
+            pseudo_inverse=model.pseudo_inverse,
+            period=0.01,
+            is_measured=is_measured,
+        )
+        for orbit in orbits(model, count)
+    ]
+
+
+def test_without_feedback_the_modes_are_those_of_the_linearized_diagram():
+    scenario = load_scenario("three_carriers", RESTING)
+    scenario.optimization_layer.amplitude = 1.2
+    loop = make_nonstop(scenario)
+    linearized = LinearizedLoop(loop, loop.CreateDefaultContext(), scenario.control_period)
+    modes = np.linalg.eigvals(linearized._dynamics)
+    expected = modes[np.abs(modes) > 1e-6]  # the quaternion's norm has none
+    assert len(expected) == 12 + 6 * 3
+    model = Model(scenario.system, scenario.pattern, scenario.control_period)
+    gains = make_blocks(scenario)["wrench_controller"].gains
+    (own,) = loops_of(model, gains, 1, np.zeros(12))
+    multipliers = np.linalg.eigvals(own.transition)
+    for value in np.exp(0.01 * expected):
+        assert np.min(np.abs(multipliers - value)) < 1e-5
+
+
+def test_noise_spreads_speeds_as_in_a_run():
+    noise = f"{{position_noise: {POSITION_NOISE}, orientation_noise: {ORIENTATION_NOISE}}}"
+    scenario = load_scenario(
+        "three_carriers",
+        [*RESTING, f"load_feedback=!NoisyFeedback {noise}", "simulation_duration=6.3"],
+    )
+    scenario.optimization_layer.amplitude = 1.2
+    model = Model(scenario.system, scenario.pattern, scenario.control_period)
+    blocks = make_blocks(scenario)
+    loops = loops_of(model, blocks["wrench_controller"].gains, 8, np.ones(12))
+    place = Inputs.of(3).measurement
+    deviations = blocks["load_feedback"].deviations
+    predicted = [
+        noise_deviation(responses(loops, 39, i, 400)[..., place], deviations) for i in range(8)
+    ]
+    quiet = changed(scenario, ["load_feedback=IdealFeedback"])
+    noisy, without = (simulate(s, check_step=StepCheck.NOTHING) for s in (scenario, quiet))
+    speeds = [
+        np.linalg.norm(CarrierStates.view(run.steps["carrier_state"]).velocities, axis=-1)
+        for run in (noisy, without)
+    ]
+    measured = float(np.std((speeds[0] - speeds[1])[100:]))
+    assert 0.5 * max(predicted) < measured < 1.05 * max(predicted)
+
+
+@pytest.mark.parametrize("task", ["three_carriers", "quintic", 1010])
+def test_no_speed_falls_short_by_more_than_predicted(task):
+    name = "quintic" if isinstance(task, int) else task
+    drawn = draw(task) if isinstance(task, int) else []
+    short = ["load_trajectory.start_time=1", "simulation_duration=1.5"]
+    scenario = changed(load_scenario(name), [*drawn, *HORIZON, *short])
+    optimizer = compute_metrics(simulate(scenario, check_step=StepCheck.NOTHING))["optimizer"]
+    predicted = optimizer["predicted_speed_margin_m_s"]
+    measured = optimizer["measured_speed_margin_m_s"]
+    assert 0 < measured < predicted < 6 * measured  # one jump, at one phase of the orbits
+    share = optimizer["predicted_speed_margin_of_bound"]
+    assert share == pytest.approx(predicted / scenario.speed_bound)
+
+
+def test_references_that_go_on_along_their_velocity_need_more(as_it_is):
+    worse = margin_with("carrier_trajectory.hold=velocity").margin
+    assert worse.tracking > 20 * as_it_is.tracking
+
+
+def test_a_carrier_without_feedforward_needs_more(as_it_is):
+    worse = margin_with("carrier_controller=CarrierPid").margin
+    assert worse.tracking > 2 * as_it_is.tracking
+
+
+def test_continuous_references_have_no_hold_to_follow():
+    assert margin_with("control_period=0.0").margin.tracking == 0
+
+
+def test_noise_counts_in_proportion_and_a_delay_at_all(as_it_is):
+    shares = [
+        margin_with(
+            f"load_feedback=!NoisyFeedback {{orientation_noise: {noise}, delay: {delay}}}"
+        ).margin
+        for noise, delay in ((1e-5, 0.0), (2e-5, 0.0), (0.0, 0.01))
+    ]
+    assert shares[1].noise == pytest.approx(2 * shares[0].noise, rel=0.05)
+    assert shares[2].delay > 0 == as_it_is.delay == as_it_is.noise
+
+
+def test_a_heavier_load_slows_the_carriers_by_its_share(as_it_is):
+    """A cable with 2 % more tension swings 2 % slower for the same internal force."""
+    share = margin_with("optimization_layer.model_error=0.02").margin
+    assert as_it_is.model == 0
+    assert 0.01 * 0.55 < share.model < 0.05 * 2.0
+
+
+def test_a_septic_reference_has_no_jumps(as_it_is):
+    smooth = margin_with("load_trajectory.blend=c4").margin
+    assert smooth.jumps == 0 < as_it_is.jumps
+
+
+def test_the_grid_counts_as_the_square_of_its_spacing():
+    coarse, fine = (
+        margin_with(f"optimization_layer.period={period}").margin.grid for period in (0.04, 0.02)
+    )
+    assert coarse == pytest.approx(4 * fine, rel=0.05)
+
+
+def test_what_is_not_known_is_said_in_one_sentence():
+    scenario = load_scenario("three_carriers", ["optimization_layer.tightening=auto"])
+
+    def own(model):
+        from drake_nonstop.blocks.carrier_controller import CarrierPid
+
+        block = CarrierPid(model)
+        del block.gains
+        return block
+
+    with pytest.warns(
+        ScenarioWarning, match="carrier_controller = CarrierPid: its response"
+    ) as said:
+        make_nonstop(scenario, carrier_controller=own)
+    assert len([w for w in said if "tightening" in str(w.message)]) == 1
+
+
+def test_a_layer_in_a_loop_aims_above_its_bound_by_the_margin():
+    scenario = load_scenario("three_carriers", [*EXACT, "optimization_layer.tightening=auto"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        loop = make_nonstop(scenario)
+    margin = loop.speed_margin.total
+    solver = loop.GetSubsystemByName("optimization_layer").solver
+    zeros = np.zeros(22)
+    zeros[0] = 1
+    data = solver.update_data(
+        np.array([2.0, 1.8]), np.zeros(2), zeros[:13], zeros, *np.zeros((3, 6)), speed_bound=0.55
+    )
+    assert data.speed_bound[0] == pytest.approx(0.55 + margin)
+
+
+def test_a_computed_margin_stays_below_the_bound_it_is_for_and_grows_above_it():
+    config = LimitsConfig(speed_bound=0.5, tightening="auto", speed_margin=0.1, max_speed=2.0)
+    aims = [tightened_bound(config, bound) for bound in (0.0, 0.25, 0.5, 1.0)]
+    assert aims == pytest.approx([0.0, 0.35, 0.6, 1.2])
+    for own in (0.5, 1.95):
+        config = dataclasses.replace(config, speed_bound=own)
+        highest = highest_speed_bound(config)
+        assert tightened_bound(config, highest) == pytest.approx(0.99 * 2.0)
+    free = dataclasses.replace(config, max_speed=math.inf)
+    assert highest_speed_bound(free) == math.inf
+
+
+def test_the_word_stands_in_files_and_no_other_does():
+    scenario = load_scenario("quintic", ["optimization_layer.tightening=auto"])
+    assert parse_scenario(dump_scenario(scenario)) == scenario
+    drawn = load_scenario("quintic", ["optimization_layer.tightening=!Uniform {min: 0, max: 0.1}"])
+    assert 0 < drawn.sampled().optimization_layer.tightening < 0.1
+    for value, remedy in (("much", "give a number, without quotes"), ("true", "give a number")):
+        with pytest.raises(ScenarioError, match=remedy):
+            make_blocks(load_scenario("quintic", [f"optimization_layer.tightening={value}"]))

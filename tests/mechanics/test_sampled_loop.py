@@ -1,0 +1,122 @@
+"""Sampled linear loops, against closed forms, worst inputs and random ones."""
+
+import math
+
+import numpy as np
+import pytest
+
+from drake_nonstop.mechanics.sampled_loop import (
+    bounded_response,
+    growth,
+    matrix_exponential,
+    noise_deviation,
+    overshoot,
+    responses,
+    sampled_loop,
+)
+
+FREQUENCY, DAMPING = 100.0, 0.5  # rad/s, of the carriers
+PERIOD = 0.001  # s
+NO_RATE = np.array([np.inf])
+
+
+def velocity_of_acceleration():
+    """A carrier's velocity under an acceleration that is held for a period."""
+    dynamics = np.zeros((3, 3))  # [position, velocity, held acceleration]
+    dynamics[0, 1] = dynamics[1, 2] = 1
+    dynamics[1, :2] = -(FREQUENCY**2), -2 * DAMPING * FREQUENCY
+    reset = np.diag([1.0, 1.0, 0.0])
+    inputs = np.array([[0.0], [0.0], [1.0]])
+    return sampled_loop(dynamics, reset, inputs, np.array([[0.0, 1.0, 0.0]]), period=PERIOD)
+
+
+@pytest.fixture(scope="module")
+def g():
+    return responses([velocity_of_acceleration()], 10, 0, 300)
+
+
+def closed_form_gain():
+    """∫|v| of an impulse of acceleration: twice the sum of the extremes of its position."""
+    root = math.sqrt(1 - DAMPING**2)
+    first = math.exp(-DAMPING / root * math.acos(DAMPING)) / FREQUENCY
+    return 2 * first / (1 - math.exp(-math.pi * DAMPING / root))
+
+
+def driven(inputs):
+    """The velocities of that carrier, by many small steps of its own equation."""
+    position = velocity = 0.0
+    steps = 50
+    step = PERIOD / steps
+    seen = []
+    for value in inputs:
+        for _ in range(steps):
+            velocity += step * (
+                value - FREQUENCY**2 * position - 2 * DAMPING * FREQUENCY * velocity
+            )
+            position += step * velocity
+        seen.append(velocity)
+    return np.array(seen)
+
+
+def test_the_exponential_is_that_of_a_damped_oscillation():
+    matrix = np.array([[0.0, 1.0], [-25.0, -6.0]])  # poles -3 ± 4i
+    cosine, sine = math.cos(4 * 0.7), math.sin(4 * 0.7) / 4
+    expected = math.exp(-2.1) * np.array(
+        [[cosine + 3 * sine, sine], [-25 * sine, cosine - 3 * sine]]
+    )
+    np.testing.assert_allclose(matrix_exponential(0.7 * matrix), expected, atol=1e-12)
+
+
+def test_the_peak_to_peak_gain_is_the_closed_form(g):
+    gain = bounded_response(g, 1, np.ones(1), NO_RATE, PERIOD)
+    assert gain == pytest.approx(closed_form_gain(), rel=0.01)
+
+
+def test_a_bang_bang_input_attains_the_gain_and_no_random_one_exceeds_it(g):
+    gain = bounded_response(g, 1, np.ones(1), NO_RATE, PERIOD)
+    rows = g.reshape(len(g), 3)[:, -1]  # of the instant before the next sample
+    worst = np.sign(rows[::-1])
+    assert driven(worst)[-1] == pytest.approx(gain, rel=0.02)
+    random = np.random.default_rng(5).choice([-1.0, 1.0], 1000)
+    assert np.max(np.abs(driven(random))) < gain
+
+
+def test_inputs_that_vary_slowly_have_a_smaller_bound_that_holds(g):
+    frequency = 5.0
+    gain = bounded_response(g, 1, np.ones(1), NO_RATE, PERIOD)
+    slow = bounded_response(g, 1, np.ones(1), np.array([frequency]), PERIOD)
+    flown = np.max(np.abs(driven(np.sin(frequency * PERIOD * np.arange(1500)))))
+    assert flown < slow < 0.1 * gain
+    assert slow < 3 * flown
+
+
+def test_a_steady_input_is_bounded_by_what_it_settles_to(g):
+    steady = bounded_response(g, 1, np.ones(1), np.zeros(1), PERIOD)
+    assert steady == pytest.approx(0, abs=1e-6)  # a constant force moves no carrier for ever
+
+
+def test_noise_spreads_the_output_as_a_monte_carlo_does(g):
+    noise = 0.3 * np.random.default_rng(7).standard_normal(6000)
+    assert noise_deviation(g, np.array([0.3])) == pytest.approx(np.std(driven(noise)), rel=0.05)
+
+
+def test_a_jump_of_velocity_overshoots_by_the_closed_form():
+    dynamics = np.array([[0.0, 1.0], [-(FREQUENCY**2), -2 * DAMPING * FREQUENCY]])
+    loop = sampled_loop(
+        dynamics, np.eye(2), np.array([[0.0], [1.0]]), np.array([[0.0, -1.0]]), period=PERIOD
+    )
+    instants = responses([loop], 10, 0, 300).reshape(-1, 1, 1)
+    times = np.linspace(0, 0.1, 200001)
+    root = math.sqrt(1 - DAMPING**2)
+    angle = FREQUENCY * root * times
+    velocity = np.exp(-DAMPING * FREQUENCY * times) * (
+        np.cos(angle) - DAMPING / root * np.sin(angle)
+    )
+    assert overshoot(instants) == pytest.approx(-velocity.min(), rel=1e-3)
+
+
+def test_growth_over_a_turn_is_that_of_the_product():
+    loop = velocity_of_acceleration()
+    faster = loop._replace(transition=1.02 * np.eye(3))
+    slower = loop._replace(transition=np.diag([0.99, 0.5, 0.1]))
+    assert growth([faster, slower], 4) == pytest.approx((1.02 * 0.99) ** 4)

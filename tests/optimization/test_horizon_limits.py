@@ -1,0 +1,309 @@
+"""Limits of plans: their gradients, what they keep, and what happens where they cannot be kept."""
+
+import functools
+
+import numpy as np
+import pytest
+from helpers import Motion, difference, irregular, model, regular, spatial
+
+from drake_nonstop.mechanics.carrier import carrier_motion
+from drake_nonstop.mechanics.grasp import cable_forces_and_rates
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
+from drake_nonstop.mechanics.wrench import wrench_and_rate
+from drake_nonstop.model.pattern import (
+    EllipticCarouselConfig,
+    HamiltonianCycleConfig,
+    SpreadCarouselConfig,
+)
+from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem
+from drake_nonstop.optimization.horizon_solver import HorizonSolver
+from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.separation import Separation, SeparationConstraint
+
+SMALL = HorizonConfig(
+    horizon=4.0, knot_spacing=0.4, instants=10, terminal_phases=36, terminal_amplitudes=17
+)
+NO_GAINS = dict.fromkeys(
+    (
+        "position_gain",
+        "velocity_gain",
+        "position_integral_gain",
+        "orientation_gain",
+        "angular_velocity_gain",
+        "orientation_integral_gain",
+    ),
+    0.0,
+)
+PATTERNS = {
+    "cycle-3": (regular(3), HamiltonianCycleConfig()),
+    "cycle-4": (irregular(4), HamiltonianCycleConfig()),
+    "cycle-5": (spatial(5), HamiltonianCycleConfig()),
+    "ellipse-6": (
+        regular(6),
+        EllipticCarouselConfig(spread=1.0, radial=1.2, tangential=0.7, vertical=0.3),
+    ),
+    "spread-7": (regular(7), SpreadCarouselConfig(spread=1.5)),
+    "cycle-8": (irregular(8), HamiltonianCycleConfig()),
+}
+
+
+@functools.cache
+def problem_of(name, **fields):
+    attachments, pattern = PATTERNS[name]
+    system = Model(SystemParameters(attachments=attachments.tolist()), pattern)
+    fields = {"tightening": 0.02} | fields
+    limits = LimitsConfig(speed_bound=0.4, amplitude=0.8, **fields)
+    return HorizonProblem(system, limits, SMALL, lambda: name)
+
+
+def limited(name):
+    return problem_of(name, max_speed=2.0, min_tension=1.5, max_tension=6.0, min_separation=0.5)
+
+
+def drawn_coefficients(problem, seed):
+    return 1 + 0.15 * np.random.default_rng(seed).normal(size=(2, problem.count))
+
+
+@functools.cache
+def moving_data(name):
+    return limited(name).data(1.0, 0.3, Motion(2).reference, 0.4)
+
+
+@pytest.mark.parametrize("name", PATTERNS)
+def test_gradients_of_all_margins_are_central_differences(name):
+    problem, data = limited(name), moving_data(name)
+    x = drawn_coefficients(problem, 4)
+    found = problem.linearization(data, x)
+    step = np.random.default_rng(5).normal(size=x.shape)
+
+    def margins(h):
+        return problem.margins(data, x + h * step)
+
+    slopes = difference(margins, 0.0, 1e-5)
+    rows = found.jacobian(np.arange(len(slopes)))
+    np.testing.assert_allclose(rows @ step.ravel(), slopes, rtol=2e-5, atol=2e-5)
+    np.testing.assert_allclose(found.changes(step), slopes, rtol=2e-5, atol=2e-5)
+    few = np.arange(3, len(slopes), 17)
+    free = problem.count - 4
+    part = np.concatenate([np.arange(4, problem.count), problem.count + np.arange(4, 4 + free)])
+    np.testing.assert_allclose(found.jacobian(few, 4), rows[few][:, part])
+
+
+def commanded(problem, plan, reference, times):
+    """Positions, velocities (k, n, 3) and tensions (k, n), as the loop's blocks command them."""
+    system, found = problem.model, []
+    for time in times:
+        values, motion = plan.values(time), reference(time)
+        angles = values.angle + system.pattern.phases
+        internal = [
+            values.amplitude * np.cos(angles),
+            values.amplitude_rate * np.cos(angles)
+            - values.amplitude * values.frequency * np.sin(angles),
+        ]
+        wrenches = wrench_and_rate(
+            system.load, motion[:13], motion, np.zeros(6), feedforward=1.0, **NO_GAINS
+        )
+        forces, rates = cable_forces_and_rates(
+            motion,
+            *wrenches,
+            np.concatenate(internal),
+            pseudo_inverse=system.pseudo_inverse,
+            basis=system.pattern.basis,
+            offset=system.pattern.offset,
+        )
+        found.append(
+            [
+                *carrier_motion(
+                    motion,
+                    forces,
+                    rates,
+                    attachments=system.attachments,
+                    rest_length=problem.rest_length,
+                    compliance=problem.compliance,
+                ),
+                forces,
+            ]
+        )
+    positions, velocities, forces = (np.array(part) for part in zip(*found, strict=True))
+    return positions, velocities, np.linalg.norm(forces, axis=-1)
+
+
+def least_distances(positions):
+    first, second = np.triu_indices(positions.shape[1], 1)
+    return np.linalg.norm(positions[:, first] - positions[:, second], axis=-1)
+
+
+@pytest.mark.parametrize("name", ["spread-7"])
+def test_margins_are_those_of_what_the_blocks_command(name):
+    problem, data = limited(name), moving_data(name)
+    x = drawn_coefficients(problem, 6)
+    plan, n = problem.plan(data, x), problem.model.n
+    times = data.start_time + problem.instants
+    positions, velocities, tensions = commanded(problem, plan, Motion(2).reference, times)
+    squares = (velocities**2).sum(axis=-1)
+    expected = [
+        squares / (1.02 * 0.4) ** 2 - 1,
+        1 - squares / (0.98 * 2.0) ** 2,
+        (tensions / (1.02 * 1.5)) ** 2 - 1,
+        1 - (tensions / (0.98 * 6.0)) ** 2,
+        (least_distances(positions) / (1.02 * 0.5)) ** 2 - 1,
+    ]
+    every = np.concatenate(expected, axis=1)
+    found = problem.linearization(data, x)
+    table = found.margins[: every.size].reshape(every.shape)
+    is_between = found.weights[:, : every.size].any(axis=0).reshape(every.shape)
+    np.testing.assert_allclose(table[~is_between], every[~is_between], rtol=1e-7, atol=1e-9)
+    assert np.all(table <= every + 1e-9)
+    assert is_between[:, :n].any()
+    # The minima between instants, on a grid four times as fine.
+    fine = np.linspace(times[1], times[-2], 4 * (len(times) - 3) + 1)
+    speeds = (commanded(problem, plan, Motion(2).reference, fine)[1] ** 2).sum(axis=-1)
+    least = (speeds.min(axis=0)) / (1.02 * 0.4) ** 2 - 1
+    np.testing.assert_allclose(table[1:-1, :n].min(axis=0), least, atol=5e-3)
+
+
+@pytest.mark.parametrize("name", ["cycle-4", "ellipse-6"])
+def test_the_terminal_set_keeps_the_limits_at_all_phases(name):
+    problem, data = limited(name), moving_data(name)
+    system, terminal = problem.model, data.terminal
+    k, j = 3, 9
+    A = float(terminal.amplitudes[j])
+    terms = OrbitTerms.view(data.flat_terms[problem._terminal_at[k], None])
+    angles = np.linspace(0, 2 * np.pi, 721)
+
+    def squares(s):
+        shared = OrbitTerms(*(np.repeat(part, len(angles), axis=0) for part in terms))
+        one = np.ones(len(angles))
+        found = planned_speeds(
+            shared,
+            problem.axes,
+            angles,
+            s / A * one,
+            A * one,
+            0 * one,
+            rest_length=problem.rest_length,
+            compliance=problem.compliance,
+        )
+        return found.squares, found.tension_squares
+
+    least, most = terminal.least_products[k, j], terminal.most_products[k, j]
+    assert np.sqrt(squares(least)[0].min()) == pytest.approx(1.02 * 0.4, rel=0.01)
+    assert np.sqrt(squares(1.02 * least)[0].min()) > 1.02 * 0.4
+    assert np.sqrt(squares(most)[0].max()) == pytest.approx(0.98 * 2.0, rel=0.01)
+    tensions = np.sqrt(squares(1.0)[1])
+    separation = Separation(
+        SeparationConstraint(0.51, problem.axes),
+        terms.forces[0],
+        system.attachments,
+        rest_length=problem.rest_length,
+        compliance=problem.compliance,
+    )
+    margin = min(
+        (tensions.min() / 1.53) ** 2 - 1,
+        1 - (tensions.max() / 5.88) ** 2,
+        separation.worst_margin(A),
+    )
+    assert terminal.amplitude_margins[k, j] == pytest.approx(margin, abs=2e-3)
+
+
+def best_plan(problem, reference, bound, **options):
+    data = problem.data(0.0, 0.0, reference, bound)
+    solver = HorizonSolver(problem, **options)
+    return data, solver.solve(data, solver.first_guess(data), max_iterations=15)
+
+
+def resting(time):
+    return np.array([1.0, *np.zeros(21)])
+
+
+def pulled(time):
+    """At rest, but for a push to and fro along x between 1 and 3 s, of 0.3 m/s² at most."""
+    reference = resting(time)
+    x = np.clip(time - 1, 0, 2) * np.pi
+    reference[16] = 0.3 * np.sin(x) ** 3
+    reference[19] = 0.9 * np.pi * np.sin(x) ** 2 * np.cos(x)
+    return reference
+
+
+@pytest.mark.parametrize(
+    ("name", "limit", "value"),
+    [
+        ("max_speed", "most", 0.83),
+        ("min_tension", "least", 1.562),
+        ("max_tension", "most", 2.705),
+        ("min_separation", "least", 0.8428),
+    ],
+)
+def test_a_plan_keeps_a_limit_that_the_plan_without_it_exceeds(name, limit, value):
+    def extreme(problem):
+        data, answer = best_plan(problem, pulled, 0.4)
+        assert answer.is_feasible
+        times = np.linspace(0.02, 3.98, 60)
+        positions, velocities, tensions = commanded(problem, answer.plan, pulled, times)
+        speeds = np.linalg.norm(velocities, axis=-1)
+        assert speeds.min() > 0.4
+        quantity = {
+            "max_speed": speeds,
+            "min_tension": tensions,
+            "max_tension": tensions,
+            "min_separation": least_distances(positions),
+        }[name]
+        return quantity.min() if limit == "least" else quantity.max()
+
+    free = extreme(problem_of("spread-7", tightening=0.002))
+    kept = extreme(problem_of("spread-7", tightening=0.002, **{name: value}))
+    assert (free < value <= kept) if limit == "least" else (free > value >= kept)
+
+
+def test_rates_keep_their_limits_at_all_times():
+    limits = {"max_frequency_rate": 0.1, "max_amplitude_rate": 0.05}
+    problem = problem_of("cycle-4", **limits)
+    data, answer = best_plan(problem, pulled, 0.8)
+    values = np.array([answer.plan.values(time) for time in np.linspace(0, 4, 200)])
+    assert np.abs(values[:, 3]).max() <= 0.1 + 1e-6
+    assert np.abs(values[:, 4]).max() <= 0.05 + 1e-6
+    free = best_plan(problem_of("cycle-4"), pulled, 0.8)[1]
+    values = np.array([free.plan.values(time) for time in np.linspace(0, 4, 200)])
+    assert np.abs(values[:, 3]).max() > 0.1
+    assert np.abs(values[:, 4]).max() > 0.05
+
+
+def test_without_a_bound_the_plan_returns_to_the_nominal_parameters():
+    problem = problem_of("cycle-5")
+    data = problem.data(0.0, 0.0, pulled, 0.0)
+    solver = HorizonSolver(problem)
+    start = np.full((2, problem.count), 1.2)
+    answer = solver.solve(data, start, max_iterations=6)
+    assert answer.converged
+    assert answer.slack == 0
+    assert answer.cost < problem.cost(start) / 5
+    np.testing.assert_allclose(answer.coefficients[:, -4:], 1.0, atol=0.01)
+
+
+def test_a_start_below_the_bound_is_left_as_soon_as_the_rates_allow():
+    problem = problem_of("cycle-4")
+    data = problem.data(0.0, 0.0, resting, 1.0)
+    speeds = np.sqrt(problem.speeds(data, problem.nominal_coefficients()).squares)
+    assert speeds.max() < 1.0
+    solver = HorizonSolver(problem)
+    answer = solver.solve(data, problem.nominal_coefficients(), max_iterations=20)
+    assert np.isfinite(answer.coefficients).all()
+    assert not answer.is_feasible
+    slowest = np.sqrt(problem.speeds(data, answer.coefficients).squares.min(axis=1))
+    is_slow = slowest < 1.0
+    late = problem.instants[is_slow].max()
+    assert late < 1.0
+    assert problem.slacks(problem.margins(data, answer.coefficients))[3:].max() < 1e-3
+
+
+def test_limits_that_exclude_each_other_give_a_finite_plan_that_prefers_the_speed_bound():
+    problem = problem_of("cycle-4", max_speed=0.9)
+    data = problem.data(0.0, 0.0, pulled, 0.8)
+    solver = HorizonSolver(problem)
+    answer = solver.solve(data, solver.first_guess(data), max_iterations=20)
+    assert np.isfinite(answer.coefficients).all()
+    squares = problem.speeds(data, answer.coefficients).squares[30:]
+    below = 1 - squares.min() / (1.02 * 0.8) ** 2
+    above = squares.max() / (0.98 * 0.9) ** 2 - 1
+    assert above > max(below, 1e-3)
