@@ -64,7 +64,7 @@ class HorizonConfig:
     terminal_phases: int = 24  # of the orbit
     terminal_amplitudes: int = 33  # of the table
     amplitude_weight: float = 4.0  # w_A
-    smoothing: float = 0.35  # τ, in intervals between knots
+    smoothing: float = 0.4  # τ, in intervals between knots
     slack_weight: float = 100.0  # ρ
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
 
