@@ -20,8 +20,8 @@ from drake_nonstop.optimization.problem_config import LimitsConfig
 
 _FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
 _LEAST_SCALE = 0.1  # of the trust region at the start of a plan
-_MAX_ITERATIONS = 30  # of a whole task's
-_TOLERANCE = 1e-4
+_MAX_ITERATIONS = 20  # of a whole task's
+_TOLERANCE = 3e-4
 
 
 def receding_coefficients(
