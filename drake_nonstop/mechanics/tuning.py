@@ -30,9 +30,9 @@ def load_gains(mass: Any, moment: Any, cable_length: Any, gravity: Any) -> dict[
         K_R = 50 j s²,  K_ω = 6 j s,    K_iR = 10 j s³,  s² = 11/(10 + (L/0.8 m)/(g/9.81 m/s²)),
 
     of the load's mass m in kg, a moment of inertia j in kg m², the cables' length L and gravity g.
-    For its load, 1 kg and 0.01 kg m² on cables of 0.8 m, they are the paper's (Table I) but for
-    K_v, 2 N s/m there: of 300 drawn formations 7 grew with that, by up to 0.016 per s, and 2 with
-    this, by 0.001. Without integrals a free load has natural frequencies of √5 s and √50 s rad/s
+    For 1 kg and 0.01 kg m² on cables of 0.8 m, the paper's load, they are its (Table I) but for
+    K_v, 2 N s/m there: of 300 drawn formations 7 grew with that, by up to 0.016 per s, and none
+    with this. Without integrals a free load has natural frequencies of √5 s and √50 s rad/s
     and damping ratios of 0.98 and 0.42; with them its poles, too, are in proportion to s. For an
     error of its position a hanging load's carriers move by K_p L/(m g) of it, which s keeps below
     4.5, however long the cables. Own derivation, checked by Floquet multipliers and flights.
