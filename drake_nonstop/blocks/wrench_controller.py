@@ -176,7 +176,7 @@ class WrenchController(_WrenchPid):
     """PID with feedforward: equations 14-15 with the sign of e_ω that damps.
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
+    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping.
 
     .. pydrake_system::
 
@@ -229,7 +229,7 @@ class PaperWrenchController(_WrenchPid):
     the e_ω of the other controllers.
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
+    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping.
 
     .. pydrake_system::
 
@@ -285,7 +285,7 @@ class GeometricPd(_WrenchPid):
     """Geometric PD that carries the weight, without integrals and feedforward.
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
+    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping.
 
     .. pydrake_system::
 

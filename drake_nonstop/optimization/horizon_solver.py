@@ -90,7 +90,7 @@ class HorizonSolver:
         start: NDArray,
         *,
         max_iterations: int = 3,
-        tolerance: float = 1e-3,
+        tolerance: float = 5e-3,
         scale: float = 1.0,
     ) -> PlanAnswer:
         """The best plan that is found from coefficients `start` (2, N), whose first are kept.

@@ -1,6 +1,7 @@
 """Whether the formation that carries a load is stable, at rest and on its way."""
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -164,6 +165,38 @@ def find_formation(
     return Formation(at_rest, instants, largest)
 
 
+def growth_complaint(task: Task, duration: float) -> str:
+    """What to say of a formation that is unstable at the task's start; "" where it is not.
+
+    Args:
+        task: whose start is looked at.
+        duration: s, in which a deviation may grow; less than a turn of the carriers: nothing is
+            looked at.
+    """
+    if not duration * task.limits.frequency >= 2 * math.pi:
+        return ""
+    deviations, gains = task.deviations(), task.effective_gains
+
+    def rate(of_amplitude: float) -> float:
+        parameters = task.nominal * np.array([1.0, of_amplitude])
+        used = NO_GAINS if gains is None else gains
+        return deviations.growth(task.reference(0.0), parameters, used, wind=task.wind).rate
+
+    def is_stable(task: Task, of_amplitude: float = 1.0) -> bool:
+        return rate(of_amplitude) * duration < _MOST_GROWN
+
+    found = rate(1.0)
+    if found * duration < _MOST_GROWN:
+        return ""
+    remedy = "let drake-nonstop check try what helps"
+    if (amplitude := _largest_amplitude(task, is_stable)) is not None:
+        remedy = f"give optimization_layer.amplitude of at most {amplitude:.3g} N, or {remedy}"
+    return (
+        "formation = unstable: at the start a small deviation of the load grows by "
+        f"{found:.2g} 1/s; {remedy}"
+    )
+
+
 def find_formation_remedies(
     task: Task, found: Formation, parameters: Parameters | None = None
 ) -> list[str]:
@@ -173,7 +206,7 @@ def find_formation_remedies(
     other attachments.
     """
     at = parameters or (lambda time: task.nominal)
-    times = sorted({0.0, found.worst.time, *(i.time for i in found.on_the_way[:: 3])})
+    times = sorted({0.0, found.worst.time, *(i.time for i in found.on_the_way[::3])})
 
     def is_stable(task: Task, gains: Mapping[str, Any] | None = None, of_amplitude: float = 1.0):
         deviations = task.deviations()

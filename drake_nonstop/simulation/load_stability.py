@@ -29,6 +29,7 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.validation import require
 
 GAINS = (  # of `mechanics.wrench.wrench_and_rate`, but for its feedforward
     "position_gain",
@@ -43,7 +44,7 @@ NO_GAINS: dict[str, Any] = dict.fromkeys(GAINS, 0.0)
 _PHASES = 32  # of a turn at which the Jacobian is evaluated
 _TURN_OF_FASTEST = 2.0  # rad, that the fastest mode turns in a step, which a series integrates
 _LEAST_STEPS, _MOST_STEPS = 48, 4096  # of a turn
-_STIFF = 1e6  # N/m, of cables that do not stretch
+_STRETCH = 1e-3  # of their length, at an equal share of the weight: cables taken not to stretch
 _TERMS = 10  # of the exponential's series, for matrices of norm 1/2
 _LARGEST = 1e100  # of a Jacobian's entries, which are in mixed units
 
@@ -69,7 +70,8 @@ class LoadDeviations:
     The carriers are where their references are, which move with what the wrench controller commands
     to the feedback of the load's state. The deviations (18,) are those of the load's attitude, as a
     rotation vector, and position, of its angular velocity and velocity, and of the controller's
-    integrals, in axes that are those of W at an instant and turn with the load's reference; in still air that is calm or a steady wind. Jacobians are exact.
+    integrals, in axes that are those of W at an instant and turn with the load's reference; their
+    Jacobians are exact.
 
     Args:
         model: of the load, the cables and the pattern.
@@ -89,7 +91,9 @@ class LoadDeviations:
         measures_attitude: bool = True,
     ):
         self.model = model
-        self._stiffness = 1 / (max(model.cable_compliance, 1 / _STIFF) + 1 / carrier_stiffness)
+        share = model.load_mass * model.gravity / model.n
+        compliance = model.cable_compliance or _STRETCH * model.cable_length / share
+        self._stiffness = 1 / (compliance + 1 / carrier_stiffness)
         self._is_above_load, self._measures_attitude = is_above_load, measures_attitude
         n, m = model.n, model.m
         load = model.load
@@ -171,13 +175,25 @@ class LoadDeviations:
             parameters: [ξ (rad/s), A (N)] (2,), constant.
             gains: those of `GAINS`, each a number or (1,), the orientation's also (3, 3), in L.
             wind: (3,), m/s, in W; None: there is none.
+
+        Raises:
+            ScenarioError: the load is so light, or its cables are so stiff, that a turn has too
+                many oscillations to be looked at, or a number is not finite.
         """
         angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
         jacobians = self.jacobians(reference, parameters, angles, gains, wind=wind)
         if not any(np.any(gains[name]) for name in GAINS if "integral" in name):
             jacobians = jacobians[:, _MOTION, _MOTION]
         period = 2 * math.pi / abs(float(parameters[0]))
-        multipliers = np.linalg.eigvals(_monodromy(jacobians, period))
+        fastest = _fastest(jacobians)
+        require(
+            period * fastest <= _MOST_STEPS * _TURN_OF_FASTEST,
+            "fastest mode",
+            f"{fastest:.3g} rad/s",
+            "give a heavier load, softer cables or smaller gains: with so many oscillations in a "
+            "turn the stability of the formation is not told",
+        )
+        multipliers = np.linalg.eigvals(_monodromy(jacobians, period, fastest))
         order = np.argsort(-np.abs(multipliers), kind="stable")
         return Growth(period, multipliers[order])
 
@@ -280,18 +296,27 @@ def _matrix(gain: Any) -> NDArray:
     return gain if np.ndim(gain) == 2 else float(np.ravel(gain)[0]) * np.eye(3)
 
 
-def _monodromy(jacobians: NDArray, period: float) -> NDArray:
+def _fastest(jacobians: NDArray) -> float:
+    """The largest magnitude (rad/s) of the eigenvalues of some of the matrices (k, s, s)."""
+    chosen = jacobians[:: max(1, len(jacobians) // 8)]
+    if not np.all(np.isfinite(chosen)):
+        return math.inf
+    return float(np.max(np.abs(np.linalg.eigvals(chosen))))
+
+
+def _monodromy(jacobians: NDArray, period: float, fastest: float) -> NDArray:
     """The map (s, s) over a turn of ẋ = J x, with J (k, s, s) at even phases of the turn.
+
+    `fastest` is the fastest mode in rad/s.
 
     By the fourth-order Magnus expansion of steps with two Gauss points, with J interpolated
     trigonometrically; Blanes, Casas and Ros, BIT 42 (2002), eq. 3.2.
     """
     size = jacobians.shape[1]
-    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobians[:: max(1, len(jacobians) // 8)]))))
-    count = math.ceil(np.clip(period * fastest / _TURN_OF_FASTEST, _LEAST_STEPS, _MOST_STEPS))
+    count = max(_LEAST_STEPS, math.ceil(period * fastest / _TURN_OF_FASTEST))
     # Rates in units of the fastest mode, so that the matrices are of its size.
     scale = np.ones(size)
-    scale[6:12] = fastest
+    scale[6:12] = max(fastest, 1 / period)
     scaled = jacobians * scale / scale[:, None]
     step = period / count
     gauss = math.sqrt(3) / 6

@@ -21,6 +21,7 @@ from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.aircraft_margins import margins_of_loop
+from drake_nonstop.simulation.formation import growth_complaint
 from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
 from drake_nonstop.simulation.recording import (
@@ -44,10 +45,11 @@ from drake_nonstop.simulation.step_check import (
     is_in_doubt,
 )
 from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_half_the_step
+from drake_nonstop.simulation.task import task_of_loop
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
-from drake_nonstop.systems.wiring import input_names, nested, require_signals
+from drake_nonstop.systems.wiring import innermost, input_names, nested, require_signals
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
 # Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
@@ -208,6 +210,7 @@ def _simulate(
         _warn_of_other_bound(nonstop, nonstop_context, stated)
         if not is_second:  # it has been said
             _warn_of_margins(scenario, nonstop, nonstop_context)
+            _warn_of_growth(scenario, nonstop, nonstop_context)
         chosen = chosen or with_chosen_step(scenario, nonstop, nonstop_context)
         if after_step is None:  # which may end a run of any duration
             require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
@@ -228,8 +231,8 @@ def _simulate(
         message = (
             f"the run diverged at t = {context.get_time():.4f} s: "
             f"{source_of_fault(error, nonstop, nonstop_context)} made a value that is not "
-            f"finite, or beyond {LARGEST:.0e} in SI units; the loop may be unstable, or "
-            "simulator_config.max_step_size too large"
+            f"finite, or beyond {LARGEST:.0e} in SI units; "
+            + _cause_of_divergence(scenario, nonstop, context.get_time())
         )
         raise RunStopped(message, finished(message)) from None
     except RecordingError as error:
@@ -367,6 +370,28 @@ def _warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> 
         if not found.is_flyable:
             message = f"{found.verdict}; drake-nonstop check shows all margins"
             warnings.warn(message, ScenarioWarning, stacklevel=4)
+
+
+def _growth_complaint(scenario: Scenario, nonstop: Diagram, context: Context, time: float) -> str:
+    """What to say of a formation that is unstable at the start, in a flight of a time in s."""
+    with contextlib.suppress(ScenarioError):  # what is no formation
+        task = task_of_loop(scenario, *innermost(nonstop, context, RUN_SIGNALS))
+        if task is not None:
+            return growth_complaint(task, time)
+    return ""
+
+
+def _warn_of_growth(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
+    """Warns where a small deviation of the load grows from the start on."""
+    complaint = _growth_complaint(scenario, nonstop, context, scenario.simulation_duration)
+    if complaint:
+        warnings.warn(complaint, ScenarioWarning, stacklevel=4)
+
+
+def _cause_of_divergence(scenario: Scenario, nonstop: Diagram, time: float) -> str:
+    """Why a run may have diverged at a time in s."""
+    complaint = _growth_complaint(scenario, nonstop, nonstop.CreateDefaultContext(), time)
+    return complaint or "the loop may be unstable, or simulator_config.max_step_size too large"
 
 
 def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:

@@ -14,7 +14,7 @@ from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, WRENCH_SIZE
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE
 from drake_nonstop.mechanics.wrench import wrench_and_rate
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonData, HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
@@ -85,8 +85,8 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
     """The least speeds that a task can be flown with.
 
     At each of some instants all constant ξ and A within the bounds are tried, at all phases of the
-    orbit: what they keep is on the safe side. The judge is a plan of the whole task, smooth and with
-    phases that are predicted: of what the optimization makes of several starts it is the one with
+    orbit: what they keep is on the safe side. The judge is a smooth plan of the whole task with
+    predicted phases: of what the optimization makes of several starts it is the one with
     the largest least speed. Where ξ and A are constant, that is all there is.
 
     Args:
@@ -108,7 +108,7 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
         return SpeedCheck(
             bound, times, least, None, fine, parameters, ratios, (float(ratios.min()),)
         )
-    problem = _problem(task, task.horizon)
+    problem = problem_of(task)
     constant = feasible_speeds(problem, task, times, *_grid(task, *_GRID)).max(axis=(1, 2)) / bound
     found = _planned(task, most=_QUICK_STARTS if is_quick else None)
     best = max(found, key=lambda each: each.least)
@@ -154,7 +154,7 @@ def set_over_time(
     most = min(bounds[1], _SHOWN * found.parameters[:, column].max())
     values = np.linspace(bounds[0], max(most, bounds[0] * 1.01), count)
     tried, others = np.tile(values, (count, 1)), used[:, 1 - column, None]
-    problem = _problem(task, task.horizon)
+    problem = problem_of(task)
     if column == 0:
         ratios = feasible_speeds(problem, task, times, tried, others)[:, :, 0]
     else:
@@ -179,9 +179,7 @@ def constant_speeds(task: Task, times: NDArray) -> NDArray:
             **NO_GAINS,
         )
         angle = np.array([task.limits.frequency * time])
-        internal = internal_force(
-            task.nominal, angle, phases=pattern.phases, orders=pattern.orders
-        )
+        internal = internal_force(task.nominal, angle, phases=pattern.phases, orders=pattern.orders)
         forces, rates = cable_forces_and_rates(
             state,
             wrench,
@@ -244,7 +242,9 @@ def _can_plan(task: Task) -> bool:
     return not pattern.is_constant and all(order == 1 for order in pattern.harmonics)
 
 
-def _problem(task: Task, config: HorizonConfig) -> HorizonProblem:
+def problem_of(task: Task, config: HorizonConfig | None = None) -> HorizonProblem:
+    """The problem of a task's plans, of its horizon or of another one."""
+    config = config or task.horizon
     return HorizonProblem(task.model, task.limits, config, lambda: "the check of a task")
 
 
@@ -261,23 +261,22 @@ class _Planned(NamedTuple):
 def _planned(task: Task, *, most: int | None) -> list[_Planned]:
     """What the optimization makes of one start after the other, until a plan keeps the bound."""
     spacing = task.horizon.knot_spacing
-    intervals = max(1, round(task.duration / spacing))
+    least = round(task.horizon.terminal_time / spacing)
+    intervals = max(least, round(task.duration / spacing))
     whole = replace(task.horizon, horizon=intervals * spacing)
     coarse = replace(whole, instant_spacing=_COARSE * whole.instant_spacing)
     bound, fine = task.limits.speed_bound, _fine_times(task)
     terms: OrbitTerms | None = None
     found: list[_Planned] = []
     for config in (coarse, whole):
-        problem = _problem(task, config)
+        problem = problem_of(task, config)
         if terms is None:
             flat = [problem.terms_at(task.reference(time)) for time in fine]
             terms = OrbitTerms.view(np.array(flat))
         solver = HorizonSolver(problem)
         data = problem.data(0.0, 0.0, task.reference, bound)
         for start in _starts(task, solver, data, intervals):
-            answer = solver.solve(
-                data, start, max_iterations=_MAX_ITERATIONS, tolerance=_TOLERANCE
-            )
+            answer = solver.solve(data, start, max_iterations=_MAX_ITERATIONS, tolerance=_TOLERANCE)
             plan = answer.plan
             values = np.array([plan.values(time) for time in fine])
             speeds = planned_speeds(
@@ -289,9 +288,9 @@ def _planned(task: Task, *, most: int | None) -> list[_Planned]:
                 compliance=problem.compliance,
             )
             ratios = np.sqrt(speeds.squares) / bound
-            least = float(ratios.min())
-            found.append(_Planned(least, plan, fine, values[:, 1:3], ratios))
-            if least >= 1 or len(found) == most:
+            reached = float(ratios.min())
+            found.append(_Planned(reached, plan, fine, values[:, 1:3], ratios))
+            if reached >= 1 or len(found) == most:
                 return found
     return found
 
@@ -303,7 +302,7 @@ def _starts(
     problem = solver.problem
     yield solver.first_guess(data)
     yield problem.nominal_coefficients()
-    receding = _problem(task, task.horizon)
+    receding = problem_of(task)
     yield receding_coefficients(receding, task.reference, intervals, task.limits.speed_bound)[0]
     for factors in _FURTHER_STARTS:
         start = problem.nominal_coefficients()

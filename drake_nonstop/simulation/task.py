@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import System
+from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.blocks.carrier_controller import CarrierPidConfig, FeedforwardCarrierPidConfig
 from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectoryConfig
@@ -16,7 +16,7 @@ from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedbackConfig,
     DesiredStateFeedbackConfig,
 )
-from drake_nonstop.diagrams.box import block_class
+from drake_nonstop.diagrams.box import block_class, is_of_package
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import Model, given_fields, overridden
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
@@ -26,6 +26,15 @@ from drake_nonstop.simulation.load_stability import NO_GAINS, LoadDeviations
 from drake_nonstop.validation import require
 
 _HORIZON_OF_TURNS = 1.1  # the least horizon of a plan, in turns of the carriers
+_ANALYSED = (  # the boxes between the load's state and its cables
+    "load_feedback",
+    "wrench_controller",
+    "internal_force",
+    "force_distribution",
+    "carrier_trajectory",
+    "cables",
+    "load_plant",
+)
 _OF_TIME = (  # the fields of a `HorizonConfig` in s
     "horizon",
     "knot_spacing",
@@ -138,20 +147,7 @@ def task_of(scenario: Scenario) -> Task:
     """
     check(scenario)
     scenario = scenario.sampled()
-    period = scenario.control_period
-    model = Model(scenario.system, scenario.pattern, period)
-    given = [name for name, value in vars(scenario.simulated).items() if value is not None]
-    flown = model
-    if given:
-        flown = Model(
-            overridden(scenario.system, scenario.simulated),
-            scenario.pattern,
-            period,
-            field="simulated",
-            overridden=given_fields(scenario.simulated),
-        )
-    layer = scenario.optimization_layer
-    limits = _limits(layer)
+    model = Model(scenario.system, scenario.pattern, scenario.control_period)
     trajectory = _block("load_trajectory", scenario.load_trajectory, model)
     names = [trajectory.get_output_port(i).get_name() for i in range(trajectory.num_output_ports())]
     require(
@@ -161,16 +157,65 @@ def task_of(scenario: Scenario) -> Task:
         "give one without inputs, whose motion is known beforehand",
     )
     controller = _block("wrench_controller", scenario.wrench_controller, model)
-    feedback = scenario.load_feedback
+    gains = getattr(controller, "gains", None)
+    return _task(scenario, model, _reference_of(trajectory), gains)
+
+
+def task_of_loop(scenario: Scenario, nonstop: Diagram, context: Context) -> Task | None:
+    """The task of a loop that has been built, with the load's reference as it is in a context.
+
+    None where a block of the user's own stands between the load's state and its cables: what it
+    does is not known.
+
+    Args:
+        scenario: what the loop was made from, with its numbers drawn.
+        nonstop: the loop, which exports `reference` and `parameters`.
+        context: of the loop.
+    """
+    blocks = {block.get_name(): block for block in nonstop.GetSystems()}
+    if any(name in blocks and not is_of_package(blocks[name]) for name in _ANALYSED):
+        return None
+    gains = getattr(blocks.get("wrench_controller"), "gains", None)
+    if gains is None or not all(map(nonstop.HasOutputPort, ("reference", "parameters"))):
+        return None
+    reference, (frequency, amplitude) = (
+        nonstop.GetOutputPort(name).Eval(context).copy() for name in ("reference", "parameters")
+    )
+    model = Model(scenario.system, scenario.pattern, scenario.control_period)
+    task = _task(scenario, model, lambda time: reference, gains)
+    limits = dataclasses.replace(task.limits, frequency=frequency, amplitude=amplitude)
+    return dataclasses.replace(task, limits=limits)
+
+
+def _task(
+    scenario: Scenario,
+    model: Model,
+    reference: Callable[[float], NDArray],
+    gains: Mapping[str, Any] | None,
+) -> Task:
+    given = given_fields(scenario.simulated)
+    flown = model
+    if given:
+        flown = Model(
+            overridden(scenario.system, scenario.simulated),
+            scenario.pattern,
+            scenario.control_period,
+            field="simulated",
+            overridden=[
+                name for name, value in vars(scenario.simulated).items() if value is not None
+            ],
+        )
+    layer, feedback = scenario.optimization_layer, scenario.load_feedback
+    limits = _limits(layer)
     return Task(
         name=scenario.name,
         model=model,
         flown=flown,
         limits=limits,
         changes_parameters=hasattr(layer, "frequency_bounds") and not model.pattern.is_constant,
-        reference=_reference_of(trajectory),
+        reference=reference,
         duration=scenario.simulation_duration,
-        gains=getattr(controller, "gains", None),
+        gains=gains,
         feeds_back=not isinstance(feedback, DesiredStateFeedbackConfig),
         measures_attitude=not isinstance(feedback, DesiredAttitudeFeedbackConfig),
         is_above_load=isinstance(scenario.carrier_trajectory, MeasuredCarrierTrajectoryConfig),

@@ -1,4 +1,4 @@
-"""Whether a task can be flown: its speed bound and the stability of its formation, with remedies."""
+"""Whether a task can be flown: its speed bound, its formation, and what would help."""
 
 import math
 from dataclasses import dataclass
@@ -139,7 +139,11 @@ def task_table(found: TaskCheck) -> str:
     instant, least = min(loads, key=lambda pair: pair[1].shares.min())
     cable = int(np.argmin(least.shares)) + 1
     rows.append(
-        ("least share of the weight / equal share", f"{least.shares.min():.2f}", _at(instant, cable))
+        (
+            "least share of the weight / equal share",
+            f"{least.shares.min():.2f}",
+            _at(instant, cable),
+        )
     )
     instant, least = min(loads, key=lambda pair: pair[1].elevations.min())
     cable = int(np.argmin(least.elevations)) + 1

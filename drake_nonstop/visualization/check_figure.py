@@ -64,7 +64,7 @@ def _draw_set(axes: Axes, found: TaskCheck, column: int) -> None:
         return
     times, values, ratios = drawn
     axes.contourf(times, values, ratios.T, levels=[0, 1, np.inf], colors=[_OUTSIDE, _SET])
-    lines = axes.contour(times, values, ratios.T, levels=[1.0], colors=[COLOURS[0]], linewidths=0.8)
+    lines = axes.contour(times, values, ratios.T, levels=[1.0], colors="black", linewidths=0.6)
     axes.clabel(lines, fmt={1.0: "bound"}, fontsize="small")
 
 

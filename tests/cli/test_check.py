@@ -42,11 +42,19 @@ def test_a_level_formation_flies_in_wind(tmp_path, capsys):
     assert report["ranges"]["lift_share"][1] == pytest.approx(0.49, abs=0.01)
 
 
-def test_a_scenario_without_aircraft_is_told_how_to_give_some(tmp_path, capsys):
-    folder = tmp_path / "a"
-    assert main(["check", "line", "--out", str(folder)]) == BAD_INPUT
-    assert f"--set {RASCAL}" in capsys.readouterr().err
-    assert not folder.exists()
+def test_a_task_without_aircraft_is_told_of_its_bound_and_its_formation(tmp_path, capsys):
+    arguments = ["check", "quintic", "--out", str(tmp_path), "--set", "simulation_duration=6"]
+    assert main(arguments) == 0
+    shown = capsys.readouterr().out
+    assert "the speed bound can be kept" in shown
+    assert "the formation is stable" in shown
+    report = json.loads((tmp_path / "check.json").read_text())
+    assert report["is_sound"]
+    assert report["speed_bound"]["least_ratio"] > 1
+    assert len(report["formation"]["instants"]) > 3
+    with Image.open(tmp_path / "task.png") as picture:
+        assert picture.width > 1000
+    assert not (tmp_path / "check.png").exists()
 
 
 def test_the_scenario_of_a_run_of_other_settings_is_kept(tmp_path, capsys):

@@ -1,0 +1,102 @@
+"""Growth of a load's small deviations on ideally tracked carriers."""
+
+import math
+
+import numpy as np
+import pytest
+from helpers import regular
+
+from drake_nonstop.model.pattern import CarouselConfig, HamiltonianCycleConfig
+from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.formation import (
+    cable_loads,
+    find_formation,
+    find_formation_remedies,
+    growth_complaint,
+)
+from drake_nonstop.simulation.load_stability import GAINS, LoadDeviations
+from drake_nonstop.simulation.task import task_of
+from drake_nonstop.studies.stability import linearize
+from drake_nonstop.validation import ScenarioError
+
+GRAVITY = 9.81
+REST = np.eye(22)[0]
+# Four cables of 3 m, unstable by themselves, of a draw.
+UNSTABLE = [
+    "system.attachments=[[1.1866, 0.0175, 0.0368], [0.1885, 0.9898, -0.0953], "
+    "[-0.9959, 0.2208, 0.1383], [-0.2304, -1.133, -0.0095]]",
+    "system.load_mass=1.8095",
+    "system.cable_length=2.9561",
+    "pattern=!HamiltonianCycle {}",
+    "optimization_layer.frequency=2.3732",
+    "optimization_layer.amplitude=2.0813",
+    *(f"wrench_controller.{name}=0" for name in GAINS),
+]
+
+
+@pytest.fixture(scope="module")
+def unstable():
+    return load_scenario("quintic", UNSTABLE)
+
+
+@pytest.mark.parametrize("n", [3, 4, 6])
+def test_a_load_on_long_even_cables_swings_as_a_damped_pendulum(n):
+    """Drag B on a mass m makes all swinging in x and y decay by B / 2m, of the slowest modes."""
+    mass, drag, length = 2.0, 0.5, 4.0
+    system = SystemParameters(
+        load_mass=mass, load_drag=drag, cable_length=length, attachments=regular(n, 1.0).tolist()
+    )
+    model = Model(system, HamiltonianCycleConfig())
+    found = LoadDeviations(model).growth(REST, np.array([2.0, 0.01]))
+    rates = np.log(np.abs(found.multipliers)) / found.period
+    is_swing = np.abs(rates + drag / (2 * mass)) < 2e-3
+    assert is_swing.sum() >= 4
+    turns = np.angle(found.multipliers[is_swing])
+    expected = math.sqrt(GRAVITY / length - (drag / (2 * mass)) ** 2) * found.period
+    nearest = np.abs(np.cos(turns) - math.cos(expected))
+    assert np.sort(nearest)[:4].max() < 0.05
+
+
+def test_growth_without_control_is_that_of_the_whole_loop(unstable):
+    task = task_of(unstable)
+    quick = task.deviations().growth(REST, task.nominal)
+    assert quick.rate == pytest.approx(linearize(unstable).rate, rel=0.05)
+    assert quick.rate == pytest.approx(1.136, rel=0.1)  # of a run that begins 1 mm beside
+
+
+def test_shares_and_elevations_of_a_carousel_are_those_of_its_cones():
+    amplitude, mass = 1.5, 1.3
+    system = SystemParameters(load_mass=mass, attachments=regular(5, 0.8).tolist())
+    loads = cable_loads(Model(system, CarouselConfig()), REST, np.array([2.0, amplitude]))
+    np.testing.assert_allclose(loads.shares, 1, rtol=1e-9)
+    np.testing.assert_allclose(
+        loads.elevations, math.atan2(mass * GRAVITY / 5, amplitude), rtol=1e-9
+    )
+    assert loads.least_tension == pytest.approx(math.hypot(mass * GRAVITY / 5, amplitude))
+
+
+def test_what_is_named_against_an_unstable_formation_makes_it_stable(unstable):
+    task = task_of(unstable)
+    found = find_formation(task, count=2)
+    assert not found.is_stable
+    named = find_formation_remedies(task, found)
+    assert any(text.startswith("pattern=LinearPattern") for text in named)
+    (amplitude,) = (text for text in named if text.startswith("optimization_layer.amplitude"))
+    changed = task_of(load_scenario("quintic", [*UNSTABLE, amplitude]))
+    assert find_formation(changed, count=2).is_stable
+
+
+def test_the_complaint_at_the_start_has_rate_and_remedy(unstable):
+    task = task_of(unstable)
+    said = growth_complaint(task, 10.0)
+    assert said.startswith("formation = unstable: ")
+    assert "1.1 1/s; give optimization_layer.amplitude of at most 0." in said
+    assert growth_complaint(task, 0.5) == ""  # it has no time to grow
+    assert growth_complaint(task_of(load_scenario("quintic")), 100.0) == ""
+
+
+def test_a_load_too_light_for_its_cables_is_refused():
+    task = task_of(load_scenario("quintic", ["system.load_mass=1e-6"]))
+    with pytest.raises(ScenarioError, match=r"^fastest mode .* heavier load"):
+        find_formation(task, count=1)

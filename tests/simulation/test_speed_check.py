@@ -1,0 +1,63 @@
+"""Whether a task's bound can be kept."""
+
+import numpy as np
+import pytest
+
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.speed_check import (
+    check_speeds,
+    constant_speeds,
+    feasible_speeds,
+    find_speed_remedies,
+    problem_of,
+)
+from drake_nonstop.simulation.task import task_of
+
+
+def test_speeds_over_an_orbit_are_those_of_the_carriers_there():
+    """The tables over all phases, and the carriers' motion itself, on a load that rests."""
+    task = task_of(load_scenario("quintic", ["load_trajectory.displacement=[0, 0, 0]"]))
+    turn = 2 * np.pi / task.limits.frequency
+    least = constant_speeds(task, np.linspace(0, turn, 25)).min()
+    times = np.zeros(1)
+    found = feasible_speeds(
+        problem_of(task), task, times, task.nominal[:1, None], task.nominal[1:, None]
+    )
+    assert found[0, 0, 0] == pytest.approx(least, rel=2e-3)
+
+
+def test_a_bound_that_is_kept_and_one_out_of_reach():
+    tight = [
+        "optimization_layer.frequency_bounds=[0.1, 2.2]",
+        "optimization_layer.amplitude_bounds=[0.1, 1.3]",
+        "simulation_duration=6",
+    ]
+    kept = check_speeds(task_of(load_scenario("quintic", ["simulation_duration=6"])))
+    assert kept.is_feasible
+    assert len(kept.tight_times) == 0
+    missed = check_speeds(
+        task_of(load_scenario("quintic", [*tight, "optimization_layer.speed_bound=1.0"])),
+        is_quick=True,
+    )
+    assert missed.least < 0.7
+    assert len(missed.tight_times) > 0
+
+
+def test_a_layer_that_changes_parameters_is_named_where_constant_ones_miss_the_bound():
+    fields = "speed_bound: 0.72, frequency: 2.0, amplitude: 1.2"
+    overrides = [
+        f"optimization_layer=!ConstantParameters {{{fields}}}",
+        "simulation_duration=6",
+    ]
+    task = task_of(load_scenario("quintic", overrides))
+    found = check_speeds(task)
+    assert not found.is_feasible
+    assert found.plan is None
+    remedies = find_speed_remedies(task, found)
+    assert remedies
+    assert all(remedy.least >= 1 for remedy in remedies)
+
+
+def test_a_task_without_a_bound_is_feasible():
+    task = task_of(load_scenario("quintic", ["optimization_layer.speed_bound=0"]))
+    assert check_speeds(task).is_feasible
