@@ -45,9 +45,24 @@ def main(duration: float = 20.0, folder: str | Path = "out/foresight") -> None:
         framed=set(curves),
         bound=(times, np.ones(len(times))),
     )
+    _enlarge_the_slowest(figure, curves)
     Path(folder).mkdir(parents=True, exist_ok=True)
     figure.savefig(Path(folder) / "foresight.png", dpi=150)
     print(f"results: {Path(folder) / 'foresight.png'}")
+
+
+def _enlarge_the_slowest(figure, curves) -> None:
+    """Adds what is about the slowest instant of one sample, enlarged."""
+    times, speeds = curves["one sample"]
+    (axes,) = figure.axes
+    axes.lines[0].set_linewidth(1.5)
+    at = times[np.argmin(speeds)]
+    inset = axes.inset_axes((0.42, 0.06, 0.3, 0.22), xlim=(at - 0.4, at + 0.4), ylim=(0.97, 1.1))
+    for line in axes.lines:
+        style = {"color": line.get_color(), "linestyle": line.get_linestyle()}
+        inset.plot(line.get_xdata(), line.get_ydata(), linewidth=1.2, **style)
+    inset.tick_params(labelsize="x-small")
+    axes.indicate_inset_zoom(inset)
 
 
 if __name__ == "__main__":
