@@ -30,7 +30,7 @@ _TIMES = 60  # of a task, at which constant ξ and A are tried
 _GRID = (24, 12)  # values of ξ and of A among them
 _PHASES = 24  # of an orbit
 _FINE = 0.01  # s, at least, between instants at which a plan's speeds are judged
-_COARSE = 2  # of the spacing of a plan's constraints, at first
+_COARSE = 2  # by which a plan has fewer instants, at first
 _FURTHER_STARTS = ((2.0, 1.0), (1.0, 2.0), (3.0, 0.5), (1.5, 1.5))  # of nominal ξ and A
 _QUICK_STARTS = 2
 _MAX_ITERATIONS, _TOLERANCE = 40, 1e-4
@@ -233,7 +233,7 @@ def _grid(task: Task, count: int, amplitude_count: int) -> tuple[NDArray, NDArra
 
 
 def _fine_times(task: Task) -> NDArray:
-    spacing = max(_FINE, task.horizon.instant_spacing / 2)
+    spacing = max(_FINE, task.horizon.knot_spacing / task.horizon.instants / 2)
     return np.linspace(0, task.duration, max(2, math.ceil(task.duration / spacing) + 1))
 
 
@@ -261,10 +261,9 @@ class _Planned(NamedTuple):
 def _planned(task: Task, *, most: int | None) -> list[_Planned]:
     """What the optimization makes of one start after the other, until a plan keeps the bound."""
     spacing = task.horizon.knot_spacing
-    least = round(task.horizon.terminal_time / spacing)
-    intervals = max(least, round(task.duration / spacing))
+    intervals = max(task.horizon.terminal_knots, round(task.duration / spacing))
     whole = replace(task.horizon, horizon=intervals * spacing)
-    coarse = replace(whole, instant_spacing=_COARSE * whole.instant_spacing)
+    coarse = replace(whole, instants=max(2, whole.instants // _COARSE))
     bound, fine = task.limits.speed_bound, _fine_times(task)
     terms: OrbitTerms | None = None
     found: list[_Planned] = []

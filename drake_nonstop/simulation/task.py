@@ -19,13 +19,12 @@ from drake_nonstop.blocks.load_feedback import (
 from drake_nonstop.diagrams.box import block_class, is_of_package
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import Model, given_fields, overridden
-from drake_nonstop.optimization.horizon_problem import HorizonConfig
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.load_stability import NO_GAINS, LoadDeviations
 from drake_nonstop.validation import require
 
-_HORIZON_OF_TURNS = 1.1  # the least horizon of a plan, in turns of the carriers
 _ANALYSED = (  # the boxes between the load's state and its cables
     "load_feedback",
     "wrench_controller",
@@ -34,14 +33,6 @@ _ANALYSED = (  # the boxes between the load's state and its cables
     "carrier_trajectory",
     "cables",
     "load_plant",
-)
-_OF_TIME = (  # the fields of a `HorizonConfig` in s
-    "horizon",
-    "knot_spacing",
-    "instant_spacing",
-    "terminal_time",
-    "terminal_spacing",
-    "smoothing_time",
 )
 
 
@@ -221,7 +212,7 @@ def _task(
         is_above_load=isinstance(scenario.carrier_trajectory, MeasuredCarrierTrajectoryConfig),
         carrier_stiffness=_carrier_stiffness(scenario.carrier_controller),
         wind=np.array(getattr(scenario.wind, "velocity", np.zeros(3)), dtype=float),
-        horizon=_horizon(layer, limits),
+        horizon=_horizon(layer, limits, scenario.control_period),
     )
 
 
@@ -248,16 +239,13 @@ def _limits(layer: Any) -> LimitsConfig:
     return LimitsConfig(**{name: getattr(layer, name) for name in names if hasattr(layer, name)})
 
 
-def _horizon(layer: Any, limits: LimitsConfig) -> HorizonConfig:
-    """That of a layer's config, or one of the default's shape that is longer than a turn."""
+def _horizon(layer: Any, limits: LimitsConfig, control_period: float) -> HorizonConfig:
+    """That of a layer's config, or the default one, with the times that follow from ξ."""
     names = [field.name for field in dataclasses.fields(HorizonConfig)]
+    config = HorizonConfig()
     if all(hasattr(layer, name) for name in names):
-        return HorizonConfig(**{name: getattr(layer, name) for name in names})
-    default = HorizonConfig()
-    turn = 2 * math.pi / limits.frequency
-    factor = max(1.0, _HORIZON_OF_TURNS * turn / default.horizon)
-    times = {name: factor * getattr(default, name) for name in _OF_TIME}
-    return dataclasses.replace(default, **times)
+        config = HorizonConfig(**{name: getattr(layer, name) for name in names})
+    return timed(config, limits.frequency, control_period)
 
 
 def _carrier_stiffness(controller: Any) -> float:

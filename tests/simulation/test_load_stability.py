@@ -17,7 +17,6 @@ from drake_nonstop.simulation.formation import (
 )
 from drake_nonstop.simulation.load_stability import GAINS, LoadDeviations
 from drake_nonstop.simulation.task import task_of
-from drake_nonstop.studies.stability import linearize
 from drake_nonstop.validation import ScenarioError
 
 GRAVITY = 9.81
@@ -58,11 +57,12 @@ def test_a_load_on_long_even_cables_swings_as_a_damped_pendulum(n):
     assert np.sort(nearest)[:4].max() < 0.05
 
 
-def test_growth_without_control_is_that_of_the_whole_loop(unstable):
+def test_growth_without_control_is_that_of_the_whole_loop_and_of_a_run(unstable):
+    """1.083 by `studies.stability.linearize`; 1.136 of a run that begins 1 mm beside, in 6 s."""
     task = task_of(unstable)
     quick = task.deviations().growth(REST, task.nominal)
-    assert quick.rate == pytest.approx(linearize(unstable).rate, rel=0.05)
-    assert quick.rate == pytest.approx(1.136, rel=0.1)  # of a run that begins 1 mm beside
+    assert quick.rate == pytest.approx(1.083, rel=0.02)
+    assert quick.rate == pytest.approx(1.136, rel=0.1)
 
 
 def test_shares_and_elevations_of_a_carousel_are_those_of_its_cones():
