@@ -314,7 +314,9 @@ def compared(results: Sequence[dict[str, Any]], base: Sequence[dict[str, Any]]) 
         peak_median=float(np.median(peaks)) if len(peaks) else math.nan,
         peak_max=-_least(-peaks),
         speed_squared=float(squares),
-        position_error_median=float(np.nanmedian(values("position_error"))),
+        position_error_median=float(np.median(values("position_error")[whole]))
+        if any(whole)
+        else math.nan,
         position_error_max=-_least(-values("position_error")),
         amplitude_step=-_least(-values("amplitude_step")),
         frequency_step=-_least(-values("frequency_step")),
