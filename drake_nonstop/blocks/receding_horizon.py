@@ -311,12 +311,14 @@ class _Planner:
     """Makes plans; they depend on the arguments alone.
 
     The last one is kept: a loop that looks for its equilibrium asks for the same again and again.
+    So is what it knew of the motion, of which the next one needs most.
     """
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig, name: Any):
         self._model, self._config, self._name = model, config, name
         self._solver: tuple[bytes, HorizonSolver] | None = None
         self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome]] | None = None
+        self._data: tuple[ReferencePreview, HorizonData] | None = None
 
     def plan(
         self,
@@ -340,7 +342,8 @@ class _Planner:
             shifted = before.shifted(knots) if knots > 0 else before
             ratio = (last.nominal / numbers.nominal)[:, None]
             angle, start = shifted.start_angle, ratio * shifted.coefficients
-        data = problem.data(start_time, angle, reference, speed_bound)
+        data = problem.data(start_time, angle, reference, speed_bound, self._known(reference))
+        self._data = reference, data
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, _LEAST_SCALE)
         arrays = data.flat_terms, start, numbers.beliefs
@@ -354,6 +357,11 @@ class _Planner:
             start_time, angle, answer.scale, speed_bound, numbers.nominal, answer.coefficients
         )
         return _Planned(state, outcome, float(np.sqrt(speeds.squares.min())))
+
+    def _known(self, reference: ReferencePreview) -> HorizonData | None:
+        """The last plan's data, where they are of the same motion."""
+        known = self._data
+        return known[1] if known is not None and known[0] is reference else None
 
     def _make(
         self,
@@ -386,6 +394,7 @@ class _Planner:
                 beliefs=Beliefs.view(numbers.beliefs),
             )
             self._solver = known = key, HorizonSolver(problem)
+            self._data = None
         return known[1]
 
 

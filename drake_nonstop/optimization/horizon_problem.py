@@ -298,8 +298,8 @@ class HorizonProblem:
     ) -> HorizonData:
         """The data of a plan from a time in s and phase in rad on, for ε in m/s.
 
-        Where `last` is of the same bound, and began one interval between knots before, what both
-        have in common is taken from it.
+        Where `last` is of the same reference and bound, and began one interval between knots
+        before, what both have in common is taken from it.
         """
         bound = tightened_bound(self.limits, speed_bound)
         spacing = self.config.knot_spacing
@@ -307,8 +307,8 @@ class HorizonProblem:
         is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
         if last is not None and is_next and last.speed_bound == bound:
             known = last.flat_terms[self._per_knot :]
-        instants = self.instants if known is None else self.instants[len(known) :]
-        references = references_at(reference, start_time + instants)
+        times = self._times(start_time)
+        references = references_at(reference, times if known is None else times[len(known) :])
         flat = np.array([self.terms_at(values) for values in references])
         if known is not None:
             flat = np.concatenate([known, flat])
@@ -318,6 +318,15 @@ class HorizonProblem:
             new = self.terminal_set(flat[self._terminal_at[-self._terminal_per_knot :]], bound)
             terminal = last.terminal.continued(new, self._terminal_per_knot)
         return HorizonData(start_time, start_angle, flat, terminal, bound)
+
+    def _times(self, start_time: float) -> NDArray:
+        """The times (k,) of the instants, those of two plans that start at knots to the bit."""
+        spacing = self.config.knot_spacing
+        knot = round(start_time / spacing)
+        if abs(start_time - knot * spacing) > 1e-9 * max(1.0, start_time):
+            return start_time + self.instants
+        counts = knot * self._per_knot + np.arange(1, len(self.instants) + 1)
+        return counts * (spacing / self._per_knot)
 
     def terminal_set(self, flat_terms: NDArray, speed_bound: float) -> TerminalSet:
         """The terminal set of flat terms (k, 9n + 3), for the tightened bound in m/s."""
