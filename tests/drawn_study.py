@@ -13,11 +13,13 @@ import hashlib
 import math
 import sys
 import warnings
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from drawn_growth import measured_growth, measured_rate
 from drawn_tasks import aircraft_task, carriers_task
 from numpy.typing import NDArray
 
@@ -25,9 +27,13 @@ import drake_nonstop
 from drake_nonstop.mechanics.signals import Parameters, PlannedParameters
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.formation import find_formation
 from drake_nonstop.simulation.outcome import LIMITS, RunOutcome
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.simulation.speed_check import check_speeds
+from drake_nonstop.simulation.task import task_of
+from drake_nonstop.studies.ablation import read_grid
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
 from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor, attempt, run_all
 from drake_nonstop.systems.block import release
@@ -39,29 +45,9 @@ TASKS: dict[str, Callable[[int], Scenario]] = {
     "aircraft": aircraft_task,
 }
 
+GRID = read_grid("foresight").variants
 # What each changes of a task, the one first that the others are compared with.
-_ONE_SAMPLE = ["optimization_layer=NonstopOptimizer", "optimization_layer.tightening=0.01"]
-_HORIZON = ["optimization_layer=RecedingHorizonOptimizer", "phase=ShapedPhase"]
-_FIXED_MARGIN = "optimization_layer.tightening=0.02"
-_HOLD = "carrier_trajectory.hold=second_order"
-_NO_HOLD = "carrier_trajectory.hold=velocity"
-_FEEDFORWARD = "carrier_controller=FeedforwardCarrierPid"
-_NO_FEEDFORWARD = "carrier_controller=CarrierPid"
-VARIANTS: dict[str, list[str]] = {
-    "one sample": [*_ONE_SAMPLE, "phase=AccumulatedPhase", _NO_HOLD, _NO_FEEDFORWARD],
-    "filter": [*_ONE_SAMPLE, "phase=ShapedPhase", _HOLD, _FEEDFORWARD],
-    "horizon": [*_HORIZON, _FIXED_MARGIN, _HOLD, _FEEDFORWARD],
-    "without hold": [*_HORIZON, _FIXED_MARGIN, _NO_HOLD, _FEEDFORWARD],
-    "without feedforward": [*_HORIZON, _FIXED_MARGIN, _HOLD, _NO_FEEDFORWARD],
-    "without preview": [
-        *_HORIZON,
-        "optimization_layer.preview=false",
-        _FIXED_MARGIN,
-        _HOLD,
-        _FEEDFORWARD,
-    ],
-    "automatic margin": [*_HORIZON, "optimization_layer.tightening=auto", _HOLD, _FEEDFORWARD],
-}
+VARIANTS: dict[str, list[str]] = {"one sample": GRID["one sample"], "horizon": [], **GRID}
 
 
 def _noise(scenario: Scenario) -> str:
@@ -97,6 +83,8 @@ _KEPT = (RunOutcome.LOAD_LOST, RunOutcome.CABLES_SLACK, RunOutcome.BOUND_MISSED)
 _JUDGED_BY = {"carriers": _KEPT, "aircraft": (*_KEPT, RunOutcome.COLLISION)}
 
 Figures = dict[str, Any]  # of a flight
+_UNSTABLE = 0.05  # 1/s, a growth at rest that shows within a flight
+_CHECK = "check"  # in the place of a variant: what is known of the tasks beforehand
 _RESULT = {"ending": str, "outcome": str, "message": str, "figures": dict}
 
 
@@ -104,7 +92,11 @@ def scenario_of(tasks: str, seed: int, condition: str, overrides: Sequence[str])
     """The scenario of a flight."""
     task = TASKS[tasks](seed)
     others = [make(task) for make in CONDITIONS[condition]]
-    given = [o for o in overrides if tasks != "aircraft" or not o.startswith("carrier_controller")]
+    given = [*overrides]
+    if tasks == "aircraft":  # which have controllers of their own, and their sampling period
+        given = [o for o in given if not o.startswith(("carrier_controller", "wrench_controller"))]
+        if "optimization_layer=NonstopOptimizer" in given:
+            given.append(f"optimization_layer.period={task.control_period}")
     return changed(task, [*given, *others])
 
 
@@ -142,6 +134,36 @@ def _wrong(run: RunQuantities, outcomes: Collection[RunOutcome]) -> dict[RunOutc
     if run.first_stall is not None:
         found[RunOutcome.STALLED] = f"a carrier stalled at t = {run.first_stall.time:.3f} s"
     return found
+
+
+def check(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> dict[str, Any]:
+    """What is known of a task before it is flown: "sound", "infeasible" or "unstable".
+
+    An infeasible one has no plan that keeps the bound from any of several starts, whose least
+    speeds are among the figures. Of an unstable one the growth of a disturbance of 1 mm is
+    measured: at rest, as a rate in 1/s, where the formation is unstable there; or else on the way,
+    as the logarithm of how many times it grows.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)
+        scenario = scenario_of(tasks, seed, condition, overrides)
+        task = task_of(scenario)
+        speeds = check_speeds(task)
+        plan = speeds.plan
+        formation = find_formation(
+            task, None if plan is None else lambda time: np.array(plan.values(time)[1:3])
+        )
+        figures: Figures = {"least": speeds.least, "starts": list(speeds.starts)}
+        figures |= {"rate_at_rest": formation.at_rest.rate, "growth": formation.growth}
+        outcome = "sound" if speeds.is_feasible else "infeasible"
+        if not formation.is_stable:
+            outcome = "unstable"
+            if formation.at_rest.rate > _UNSTABLE:
+                figures["measured_rate_at_rest"] = measured_rate(scenario)
+            else:
+                figures["measured_growth"] = measured_growth(scenario)
+    message = ", ".join(f"{name} {value}" for name, value in figures.items())
+    return {"ending": COMPLETED, "outcome": outcome, "message": message, "figures": figures}
 
 
 def figures_of(run: Run) -> Figures:
@@ -187,6 +209,10 @@ def _without_run(ending: str, message: str) -> dict[str, Any]:
     return {"ending": ending, "outcome": "", "message": message, "figures": {}}
 
 
+def _result(is_check: bool, *arguments: Any) -> dict[str, Any]:
+    return (check if is_check else fly)(*arguments)
+
+
 def study(
     tasks: str,
     seeds: Sequence[int],
@@ -222,9 +248,9 @@ def study(
         missing = [(k, name) for k in seeds for name in variants if k not in journals[name]]
         with TaskProgress() as progress:
             run_all(
-                fly,
+                _result,
                 missing,
-                lambda key: (tasks, key[0], condition, variants[key[1]]),
+                lambda key: (key[1] == _CHECK, tasks, key[0], condition, variants[key[1]]),
                 lambda key, result: journals[key[1]].record(key[0], result),
                 lambda key, error: _without_run(FAILED, error),
                 executor=SerialExecutor() if is_serial else None,
@@ -240,7 +266,7 @@ def _code() -> str:
     """A name of the sources that results depend on."""
     here, package = Path(__file__), Path(drake_nonstop.__file__).parent
     files = [*package.rglob("*.py"), *(package / "diagrams").rglob("*.py")]
-    own = [here, here.with_name("drawn_tasks.py")]
+    own = [here, *map(here.with_name, ("drawn_tasks.py", "drawn_growth.py"))]
     return hashlib.sha256(
         b"".join(file.read_bytes() for file in [*sorted(files), *own])
     ).hexdigest()
@@ -288,7 +314,9 @@ def compared(results: Sequence[dict[str, Any]], base: Sequence[dict[str, Any]]) 
         peak_median=float(np.median(peaks)) if len(peaks) else math.nan,
         peak_max=-_least(-peaks),
         speed_squared=float(squares),
-        position_error_median=float(np.nanmedian(values("position_error"))),
+        position_error_median=float(np.median(values("position_error")[whole]))
+        if any(whole)
+        else math.nan,
         position_error_max=-_least(-values("position_error")),
         amplitude_step=-_least(-values("amplitude_step")),
         frequency_step=-_least(-values("frequency_step")),
@@ -329,13 +357,19 @@ def table(results: Mapping[str, Sequence[dict[str, Any]]]) -> str:
     return "\n".join(lines)
 
 
-def failures(results: Mapping[str, Sequence[dict[str, Any]]], seeds: Sequence[int]) -> list[str]:
-    """A line for each flight whose outcome is not ok."""
+def _is_unsound(result: dict[str, Any]) -> bool:
+    return result["outcome"] != "sound"
+
+
+def failures(
+    results: Mapping[str, Sequence[dict[str, Any]]], seeds: Sequence[int], good: str = "ok"
+) -> list[str]:
+    """A line for each result whose outcome is another."""
     return [
         f"{name}, seed {seed}: {result['outcome'] or result['ending']}: {result['message']}"
         for name, of_variant in results.items()
         for seed, result in zip(seeds, of_variant, strict=True)
-        if result["outcome"] != "ok"
+        if result["outcome"] != good
     ]
 
 
@@ -345,20 +379,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--tasks", choices=TASKS, default="carriers", help="(carriers)")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="(0)")
     parser.add_argument("--count", type=int, default=20, metavar="N", help="tasks (20)")
-    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=[*VARIANTS])
+    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=[*VARIANTS][:2])
     parser.add_argument("--condition", choices=CONDITIONS, default="none", help="(none)")
     parser.add_argument("--set", nargs="+", default=[], metavar="PATH=VALUE", help="for all")
     parser.add_argument("--out", type=Path, metavar="DIR", help="(out/drawn/TASKS_CONDITION)")
+    parser.add_argument("--check", action="store_true", help="what is known beforehand, too")
     parser.add_argument("--restart", action="store_true", help="drop what DIR has")
     parser.add_argument("--serial", action="store_true", help="in this process")
     options = parser.parse_args(arguments)
     seeds = range(options.first, options.first + options.count)
+    variants = [*options.variants, *([_CHECK] if options.check else [])]
     folder = options.out or Path(f"out/drawn/{options.tasks}_{options.condition}")
     try:
         results = study(
             options.tasks,
             seeds,
-            {name: [*VARIANTS[name], *options.set] for name in options.variants},
+            {name: [*VARIANTS.get(name, []), *options.set] for name in variants},
             folder,
             condition=options.condition,
             restart=options.restart,
@@ -370,9 +406,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ScenarioError as error:
         print(error, file=sys.stderr)
         return 2
-    print(table(results))
+    checked = results.pop(_CHECK, [])
+    shown = table(results)
     lines = failures(results, seeds)
-    (folder / "table.md").write_text(f"{table(results)}\n", encoding="utf-8")
+    if checked:
+        counts = Counter(result["outcome"] or result["ending"] for result in checked)
+        shown += f"\n\nbeforehand: {', '.join(f'{n} {name}' for name, n in counts.items())}"
+        unsound = {k for k, result in zip(seeds, checked, strict=True) if _is_unsound(result)}
+        sound = {
+            name: [r for k, r in zip(seeds, found, strict=True) if k not in unsound]
+            for name, found in results.items()
+        }
+        if unsound and len(unsound) < len(seeds):
+            shown += f"\n\nThe sound ones:\n\n{table(sound)}"
+        lines += failures({_CHECK: checked}, seeds, good="sound")
+    print(shown)
+    (folder / "table.md").write_text(f"{shown}\n", encoding="utf-8")
     (folder / "failures.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     print("\n".join(lines[:20] + ([f"and {len(lines) - 20} more"] if len(lines) > 20 else [])))
     print(f"results: {folder}")

@@ -52,8 +52,8 @@ def draw(seed: int) -> list[str]:
     of an equal share of the weight, which A swings below 15° above the horizontal. The amplitude
     is 0.3 to 0.6 of an equal share, ξ 1.2 to 2.5 rad/s. The load moves by up to two cable lengths
     along each axis in 8 to 16 s and turns by up to 0.25 rad. The bound is 40 to 80 % of the least
-    speed of the orbits at rest. A motion and a bound that the first ξ and A keep all the way, or miss
-    by less than a tenth, as four in five do, ask little of a layer and are drawn again.
+    speed of the orbits at rest. A motion and a bound that the first ξ and A keep all the way, or
+    miss by less than a tenth, as four in five do, ask little of a layer and are drawn again.
     """
     rng = np.random.default_rng([19, seed])
 
@@ -84,7 +84,7 @@ def draw(seed: int) -> list[str]:
         "simulation_duration": round(1.0 + trajectory["move_time"] + REST, 2),
         "pattern": "!HamiltonianCycle {}",
         "load_trajectory": _tagged("RestToRest", trajectory),
-        "optimization_layer": _tagged("NonstopOptimizer", layer),
+        "optimization_layer": _tagged("RecedingHorizonOptimizer", layer),
     }
     return [f"{path}={value}" for path, value in settings.items()]
 
@@ -138,12 +138,11 @@ def draw_aircraft(seed: int) -> list[str]:
         "frequency": frequency,
         "amplitude": amplitude,
         **ranges,
-        "period": base.control_period,
     }
     settings = {f"system.{name}": value for name, value in load.items()} | {
         "simulation_duration": round(15.0 + move_time, 2),
         "load_trajectory": _tagged("RestToRest", trajectory),
-        "optimization_layer": _tagged("NonstopOptimizer", layer),
+        "optimization_layer": _tagged("RecedingHorizonOptimizer", layer),
     }
     return [f"{path}={value}" for path, value in settings.items()]
 

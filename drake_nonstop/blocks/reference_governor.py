@@ -41,7 +41,8 @@ class ReferenceGovernorConfig(StrictFields):
 class ReferenceGovernor(LeafBlock):
     """The load's trajectory p(s(t)), in a time of its own s = t − d(t) that passes at ṡ ≤ 1.
 
-    It takes the place of the trajectory's block. The delay d is a spline of fourth degree, found
+    It takes the place of the trajectory's block, in which a motion that needs no governor stays as
+    it is, to the bit. The delay d is a spline of fourth degree, found
     before the run for the ε and the other limits of the optimization layer's config, see
     `optimization.stretched_time.stretching`; later changes of ε and of what is believed of load
     and cables do not change it. The rate falls where that is the only way to keep the limits, and

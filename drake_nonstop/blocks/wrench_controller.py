@@ -1,7 +1,7 @@
 """Box "Load Wrench Controller" of the figure."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -61,11 +61,6 @@ class _WrenchPid(TracedBlock):
         check(model, config)
         can_follow = AUTO in asdict(type(config)()).values()
 
-        def numbers_of(model: Model, config: Any) -> dict[str, Any]:
-            following = _following({name: model.number(name) for name in _FOLLOWED})
-            fields = asdict(config)
-            return {k: following[k] if v == AUTO else v for k, v in fields.items()}
-
         def outputs(
             integrals: NDArray,
             state: NDArray,
@@ -85,11 +80,12 @@ class _WrenchPid(TracedBlock):
             )
 
         def has_integral(model: Model, config: Any) -> bool:
-            found = gains(model.load, **numbers_of(model, config))
+            found = gains(model.load, **_numbers(model, config))
             names = ("position_integral_gain", "orientation_integral_gain")
             return any(np.any(found[name]) for name in names)
 
         integrates = has_integral(model, config)
+        rules = Rules(check=check, structure=has_integral)
         period = model.control_period
         state: System | None = None
         if integrates:
@@ -117,16 +113,12 @@ class _WrenchPid(TracedBlock):
                 (*LOAD, "cable_length") if can_follow else LOAD,
                 config=config,
                 own=asdict(config),
-                rules=Rules(
-                    check=check,
-                    structure=has_integral,
-                    **({"follow": _following} if can_follow else {}),
-                ),
+                rules=replace(rules, follow=_following) if can_follow else rules,
             ),
             key=("wrench", integrates, gains.__module__, gains.__qualname__),
             is_one_call=True,  # a second one for what does not read the wind would take longer
         )
-        self.gains = gains(model.load, **numbers_of(model, config))
+        self.gains = gains(model.load, **_numbers(model, config))
 
 
 def _check(model: Model, config: Any) -> None:
@@ -136,6 +128,12 @@ def _check(model: Model, config: Any) -> None:
             require(value == AUTO, f"{_BOX}.{name}", value, remedy)
         else:
             require_non_negative(_BOX, **{name: value})
+
+
+def _numbers(model: Model, config: Any) -> dict[str, Any]:
+    """The fields of a config, with numbers for those that are `AUTO`."""
+    following = _following({name: model.number(name) for name in _FOLLOWED})
+    return {k: following[k] if v == AUTO else v for k, v in asdict(config).items()}
 
 
 def _following(numbers: Mapping[str, Any]) -> dict[str, Any]:
@@ -176,7 +174,7 @@ class WrenchController(_WrenchPid):
     """PID with feedforward: equations 14-15 with the sign of e_ω that damps.
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
+    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping.
 
     .. pydrake_system::
 
@@ -229,7 +227,7 @@ class PaperWrenchController(_WrenchPid):
     the e_ω of the other controllers.
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
+    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping.
 
     .. pydrake_system::
 
@@ -285,7 +283,7 @@ class GeometricPd(_WrenchPid):
     """Geometric PD that carries the weight, without integrals and feedforward.
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: the paper's (Table I) for its load.
+    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping.
 
     .. pydrake_system::
 

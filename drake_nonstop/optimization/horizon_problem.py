@@ -64,7 +64,7 @@ class HorizonConfig:
     terminal_phases: int = 24  # of the orbit
     terminal_amplitudes: int = 33  # of the table
     amplitude_weight: float = 4.0  # w_A
-    smoothing: float = 0.35  # τ, in intervals between knots
+    smoothing: float = 0.4  # τ, in intervals between knots
     slack_weight: float = 100.0  # ρ
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
 
@@ -141,7 +141,13 @@ class Linearization:
                 slopes.amplitude_rate @ d,
             ]
         )
-        changes = (self.gradients * of_instants[:, self.instant_of]).sum(axis=0)
+        count, width = self.table
+        end = count * width
+        table = self.gradients[:, :end].reshape(4, count, width)
+        last = (self.gradients[:, end:] * of_instants[:, self.instant_of[end:]]).sum(axis=0)
+        changes = np.concatenate(
+            [np.einsum("ikm,ik->km", table, of_instants[:, :count]).reshape(-1), last]
+        )
         found = changes.copy()
         for weights, shift in zip(self.weights, _NEIGHBOURS, strict=True):
             dips = np.flatnonzero(weights)

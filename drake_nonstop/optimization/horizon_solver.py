@@ -90,7 +90,7 @@ class HorizonSolver:
         start: NDArray,
         *,
         max_iterations: int = 3,
-        tolerance: float = 1e-3,
+        tolerance: float = 5e-3,
         scale: float = 1.0,
     ) -> PlanAnswer:
         """The best plan that is found from coefficients `start` (2, N), whose first are kept.
@@ -241,9 +241,9 @@ class _StepProgram:
             if found is None:
                 return None
             change, slack = found
-            step = np.zeros(flat.shape)
-            step[free] = change
-            step = step.reshape(x.shape)
+            flat_step = np.zeros(x.size)
+            flat_step[free] = change
+            step = flat_step.reshape(x.shape)
             margins = linearization.margins + linearization.changes(step)
             excess = margins + slack[linearization.slack_of]
             self._active = chosen[excess[chosen] < _ACTIVE_MARGIN]

@@ -55,7 +55,7 @@ class ConstraintMargins:
         return bool(np.isfinite(self.max_speed))
 
     def of_speeds(
-        self, squares: NDArray, speed_bound: NDArray, speed_unit: NDArray
+        self, squares: NDArray, speed_bound: NDArray | float, speed_unit: NDArray | float
     ) -> list[NDArray]:
         """The margins (k, p) of squared speeds (k, p), for each enabled limit of theirs."""
         margins = [(squares - speed_bound * speed_bound) / (speed_unit * speed_unit)]

@@ -14,7 +14,11 @@ from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.stretched_time import stretched_reference
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
-from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
+from drake_nonstop.optimization.problem_config import (
+    LimitsConfig,
+    limit_tightening,
+    tightened_bound,
+)
 from drake_nonstop.optimization.whole_task import receding_coefficients
 
 _SPACING = 0.1  # s, of the instants along path and time at which orbits are looked at
@@ -129,10 +133,11 @@ def stretching(
     """How a motion has to be slowed down for limits to hold, if at all.
 
     Not at all where at every instant some ξ and A fulfil the limits at all phases of the orbit, or
-    where plans over a receding horizon find ξ and A that do at the phases which come. Else it
-    is slowed wherever not all phases do: there the rate is the largest constant one at which some
-    ξ and A fulfil the limits at all phases; between such stretches it changes smoothly, and where
-    that takes too much acceleration it is lowered further.
+    where what plans over a receding horizon make fulfils them at the phases which come. A motion
+    that other plans alone would find a way through counts as infeasible: to plan the whole of it at
+    once takes ten times as long. It then is slowed wherever not all phases do: there the rate is
+    the largest constant one at which some ξ and A fulfil the limits at all phases; between such
+    stretches it changes smoothly, and where that takes too much acceleration it is lowered further.
 
     Args:
         model: what the controllers believe.
@@ -200,13 +205,18 @@ def _is_planned(
     config: HorizonConfig,
     name: Callable[[], str],
 ) -> bool:
-    """Whether plans over a receding horizon fulfil the limits at full speed."""
-    problem = HorizonProblem(model, limits, config, name)
+    """Whether what plans over a receding horizon make fulfils the limits at full speed.
+
+    Half of the margin on the bound is enough.
+    """
+    bound, tolerance = limits.speed_bound, limit_tightening(limits)  # of squared speeds
     intervals = math.ceil(duration / config.knot_spacing)
-    _, answers = receding_coefficients(
-        problem, preview, intervals, limits.speed_bound, stops_if_infeasible=True
-    )
-    return answers[-1].is_feasible
+    problem = HorizonProblem(model, limits, config, name)
+    flown, _ = receding_coefficients(problem, preview, intervals, bound)
+    whole = dataclasses.replace(config, horizon=intervals * config.knot_spacing)
+    problem = HorizonProblem(model, limits, whole, name)
+    margins = problem.margins(problem.data(0.0, 0.0, preview, bound), flown)
+    return bool(np.min(margins) >= -tolerance)
 
 
 def _delay(limit: NDArray, duration: float, largest_rate: float, change_time: float) -> PathDelay:

@@ -58,11 +58,10 @@ class TerminalSet(NamedTuple):
 def orbit_polynomials(terms: OrbitTerms, axes: tuple[NDArray, NDArray], angles: NDArray) -> NDArray:
     """`speed_polynomials` (10, 3, h, k n) of k instants at phases (h,), in rad."""
     count, n = terms.forces.shape[:2]
-    products = speed_products(
-        *(part.reshape(-1, 3) for part in terms[:3]),
-        np.repeat(terms.angular_velocity, n, axis=0),
-        *(np.tile(axis, (count, 1)) for axis in axes),
-    )
+    forces, rates, velocities = (part.reshape(-1, 3) for part in terms[:3])
+    p, q = (np.tile(axis, (count, 1)) for axis in axes)
+    omega = np.repeat(terms.angular_velocity, n, axis=0)
+    products = speed_products(forces, rates, velocities, omega, p, q)
     return speed_polynomials(np.cos(angles)[:, None], np.sin(angles)[:, None], products[:, None])
 
 

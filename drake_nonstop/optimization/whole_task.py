@@ -20,8 +20,8 @@ from drake_nonstop.optimization.problem_config import LimitsConfig
 
 _FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
 _LEAST_SCALE = 0.1  # of the trust region at the start of a plan
-_MAX_ITERATIONS = 30  # of a whole task's
-_TOLERANCE = 1e-4
+_MAX_ITERATIONS = 20  # of a whole task's
+_TOLERANCE = 3e-4
 
 
 def receding_coefficients(
@@ -32,7 +32,6 @@ def receding_coefficients(
     *,
     start_angle: float = 0.0,
     max_iterations: int = 3,
-    stops_if_infeasible: bool = False,
 ) -> tuple[NDArray, list[PlanAnswer]]:
     """What plans over a receding horizon make of a task that goes as it is predicted.
 
@@ -43,7 +42,6 @@ def receding_coefficients(
         speed_bound: m/s, ε.
         start_angle: θ at the start, rad.
         max_iterations: of each plan but the first.
-        stops_if_infeasible: whether the first plan that needs slack is the last one.
 
     Returns:
         The coefficients (2, intervals + 4) that are flown, and each plan.
@@ -60,8 +58,6 @@ def receding_coefficients(
         else:
             answer = solver.solve(data, start, max_iterations=max_iterations, scale=scale)
         answers.append(answer)
-        if stops_if_infeasible and not answer.is_feasible:
-            break
         flown[:, k : k + DEGREE + 1] = answer.coefficients[:, : DEGREE + 1]
         start, scale = answer.next_start, max(answer.scale, _LEAST_SCALE)
         angle = answer.plan.values((k + 1) * spacing).angle

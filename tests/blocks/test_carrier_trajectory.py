@@ -280,9 +280,7 @@ def test_accelerations_that_cannot_be_made_are_told_with_a_remedy():
     boxes = {"carrier_trajectory": MeasuredCarrierTrajectory}
     assert make_nonstop(Scenario(), at_equilibrium=False, carrier_controller=CarrierPid, **boxes)
     for controller in (FeedforwardCarrierPid, TunedFeedforwardCarrierPid):
-        with pytest.raises(
-            WiringError, match="= MeasuredCarrierTrajectory does"
-        ):
+        with pytest.raises(WiringError, match="= MeasuredCarrierTrajectory does"):
             make_nonstop(Scenario(), carrier_controller=controller, **boxes)
 
 

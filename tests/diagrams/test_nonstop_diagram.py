@@ -58,12 +58,11 @@ def sampled_figure():
     return make_nonstop(Scenario(control_period=0.01))
 
 
-# What only blocks of aircraft, or of a plan, make.
+# What only blocks of aircraft, or of a reference that is delayed, make.
 NOT_BY_DEFAULT = {
     "load_trajectory": ("reference_delay",),
     "carrier_controller": ("aircraft_command", "command_saturation"),
     "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
-    "optimization_layer": ("plan",),
 }
 
 
@@ -73,7 +72,7 @@ def block_names(diagram):
 
 def test_figure_as_listed_is_the_figure_as_built(figure):
     assert set(wiring.connections(figure)) == figure_wires()
-    assert len(figure_wires()) == 29
+    assert len(figure_wires()) == 27
 
 
 def test_every_box_is_there_under_its_name_with_its_default_block(figure):
@@ -108,7 +107,7 @@ def test_every_signal_is_read_but_those_that_only_report(figure):
         "tensions",
         "wind",
         "carrier_reference_jerk",
-        "reference_preview",
+        "phase",  # that of a plan is the layer's own
     }
 
 
@@ -130,11 +129,12 @@ def test_contract_asks_for_what_is_read_and_for_tensions_and_wind():
         for signal in box.signals
         if signal not in box.optional
     }
-    unread = {"cables.tensions", "wind.wind"}
+    unread = {"cables.tensions", "wind.wind", "phase.phase"}
     either = {f"carrier_controller.{signal}" for signal in COMMANDS}  # which the dynamics ask for
     # Which accelerations ask for, and the default blocks.
     either |= {"internal_force.internal_force_higher_rates", "phase.planned"}
     either |= {"carrier_trajectory.carrier_reference_acceleration"}
+    either |= {"load_trajectory.reference_preview", "optimization_layer.plan"}
     assert asked | either == {wire.split(" -> ")[0] for wire in figure_wires()} | unread | either
 
 
@@ -385,7 +385,7 @@ def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wro
     end = f"; rename or resize the ports, or give make_nonstop or connect_by_name inputs={unknown}"
     assert message.startswith(start)
     assert message.endswith(end)
-    absent = {"diagnostics", "solve_time"}  # of the optimizer, which is not there
+    absent = {"diagnostics", "plan", "solve_time"}  # of the optimizer, which is not there
     absent |= {signal for signals in NOT_BY_DEFAULT.values() for signal in signals}
     if period > 0:
         signals |= {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}

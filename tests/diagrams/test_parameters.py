@@ -195,7 +195,7 @@ def test_gains_that_are_auto_follow_unless_they_have_a_value_of_their_own():
     found = wrench_gains(loop, context)
     assert found == wrench_gains(built, start)
     assert (found[given], found[own]) == (5.0, 0.7)
-    assert found["wrench_controller.velocity_gain"] == pytest.approx(6 * np.sqrt(11 / 13.065625))
+    assert found["wrench_controller.velocity_gain"] == pytest.approx(13.2 * np.sqrt(11 / 13.065625))
 
 
 def test_gains_that_are_auto_have_the_derivatives_of_what_they_follow():

@@ -108,7 +108,7 @@ class Jumping(RestToRest):
         (
             lambda model: OwnTrajectory(size=22),
             r"load_trajectory = OwnTrajectory with outputs reference \(22\), reference_preview "
-            r"\(22\): expected reference \(22\), optional reference_preview \(abstract\); rename",
+            r"\(22\): expected reference \(22\), optional reference_preview \(abstract\), ref",
         ),
     ],
 )

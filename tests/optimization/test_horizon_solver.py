@@ -108,7 +108,7 @@ def test_jacobian_of_the_constraints_is_that_of_central_differences():
 def test_cost_is_that_of_a_fine_sum():
     problem, data = moving_problem()
     x = 1 + 0.2 * np.random.default_rng(5).normal(size=(2, problem.count))
-    plan, step, tau = problem.plan(data, x), 1e-3, 0.16
+    plan, step, tau = problem.plan(data, x), 1e-3, 0.4 * problem.config.smoothing
     times = data.start_time + step * (np.arange(4000) + 0.5)
     values = np.array([plan.values(time) for time in times])
     xi, A = values[:, 1] / problem.nominal[0], values[:, 2] / problem.nominal[1]

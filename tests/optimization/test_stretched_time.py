@@ -32,6 +32,7 @@ def limits(bound, highest=2.0):
 
 
 def found(bound, preview=None, **changes):
+    duration = changes.pop("duration", DURATION)
     settings = {
         "least_rate": 0.1,
         "largest_rate": 1.2,
@@ -40,7 +41,7 @@ def found(bound, preview=None, **changes):
         "config": HorizonConfig(),
         "name": lambda: "here",
     }
-    return stretching(model(), limits(bound), preview or line(), DURATION, **settings | changes)
+    return stretching(model(), limits(bound), preview or line(), duration, **settings | changes)
 
 
 def test_rates_of_a_delay_are_its_differences_and_it_stays_at_its_end():
@@ -159,4 +160,4 @@ def test_a_motion_that_plans_find_a_way_through_is_left_alone(monkeypatch):
 
 def test_plans_that_need_slack_are_no_way_through():
     slow = ReferencePreview(line().reference)  # which tells one instant after the other
-    assert found(0.45, slow, can_plan=True).delay is not None
+    assert found(0.45, slow, can_plan=True, duration=6.0).delay is not None

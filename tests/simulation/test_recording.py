@@ -310,7 +310,8 @@ class AccelerationReader(LeafSystem):
 
 
 def test_accelerations_are_recorded_where_something_reads_them():
-    scenario = load_scenario("quintic", ["simulation_duration=0.1"])
+    overrides = ["carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"]
+    scenario = load_scenario("quintic", ["simulation_duration=0.1", *overrides])
     plain = {"optimization_layer": ConstantParameters}
     unread = simulate(scenario, **plain)
     read = simulate(scenario, **plain, load_disturbance=AccelerationReader)

@@ -138,7 +138,7 @@ class TestGrids:
         assert "\n" not in str(raised.value)
 
     def test_there_is_no_such_grid_or_file(self, tmp_path):
-        with pytest.raises(ScenarioError, match="one of departures, paper"):
+        with pytest.raises(ScenarioError, match="one of departures, foresight, paper"):
             read_grid("papers")
         with pytest.raises(ScenarioError, match="a file that can be read"):
             read_grid(tmp_path / "none.yaml")
@@ -382,7 +382,7 @@ def test_changes_are_marked_as_better_or_worse(tmp_path):
     ("arguments", "words"),
     [
         ([], "--grid, --swap = none: give at least one"),
-        (["--grid", "none"], "--grid = none: give a .yaml file or one of departures, paper"),
+        (["--grid", "none"], "--grid = none: give a .yaml file or one of departures, foresight, paper"),
         (["--swap", "PaperPhase"], "--swap = PaperPhase: give BOX=BLOCK"),
         (["--swap", "phase=Nope"], "phase = !Nope: give one of"),
         (["--swap", "phase=my_blocks.Mine"], "--trust"),
