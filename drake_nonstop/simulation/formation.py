@@ -3,6 +3,7 @@
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -277,7 +278,7 @@ def _other_formations(task: Task) -> Iterator[tuple[str, Callable[[], Task]]]:
     for places, what in ((centred, "about the centre of mass"), (polygon, "a regular polygon")):
         rounded = np.round(places, 3).tolist()
         said = f"system.attachments={rounded}, {what}"
-        yield said, lambda rounded=rounded: task.with_system(attachments=rounded)
+        yield said, partial(task.with_system, attachments=rounded)
 
 
 def _evening_offset(model: Model) -> NDArray | None:

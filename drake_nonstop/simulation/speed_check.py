@@ -281,7 +281,9 @@ def _planned(task: Task, *, most: int | None) -> list[_Planned]:
             speeds = planned_speeds(
                 terms,
                 problem.axes,
-                *values[:, :3].T,
+                values[:, 0],
+                values[:, 1],
+                values[:, 2],
                 values[:, 4],
                 rest_length=problem.rest_length,
                 compliance=problem.compliance,

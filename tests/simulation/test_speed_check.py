@@ -44,7 +44,7 @@ def test_a_bound_that_is_kept_and_one_out_of_reach():
 
 
 def test_constant_parameters_miss_a_bound_and_slower_motion_keeps_it():
-    fields = "speed_bound: 0.65, frequency: 2.0, amplitude: 1.2"
+    fields = "speed_bound: 0.6, frequency: 2.0, amplitude: 1.2"
     task = task_of(
         load_scenario("quintic", [f"optimization_layer=!ConstantParameters {{{fields}}}"])
     )
