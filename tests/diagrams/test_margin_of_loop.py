@@ -40,7 +40,7 @@ HORIZON = [
 ]
 RESTING = [
     *EXACT,
-    "load_trajectory=!RestToRest {displacement: [0, 0, 0], roll_pitch_yaw: [0, 0, 0]}",
+    "load_trajectory.start_time=100",
     "optimization_layer=ConstantParameters",
 ]
 POSITION_NOISE, ORIENTATION_NOISE = 1e-4, 2e-4  # m and rad
