@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drake_nonstop.benchmarks import instances as drawn
 from drake_nonstop.benchmarks.instances import Instance, Truth
 from drake_nonstop.benchmarks.peers import Solve, casadi_ipopt, scipy_slsqp
-from drake_nonstop.benchmarks.whole_tasks import benchmark_tasks, tasks_table
+from drake_nonstop.benchmarks.whole_tasks import ONE_SAMPLE, benchmark_tasks, tasks_table
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizer, NonstopOptimizerConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
@@ -171,7 +171,7 @@ def _percent(share: float | None) -> str:
 
 def _closed_loop() -> tuple[list[UpdateData], float, Model, Any]:
     """The data of all updates of `quintic`, and the layer's share of the run's wall time."""
-    scenario = load_scenario("quintic")
+    scenario = load_scenario("quintic", ONE_SAMPLE)
     config = scenario.optimization_layer
     assert isinstance(config, NonstopOptimizerConfig)
     updates: list[UpdateData] = []

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.blocks.phase import ShapedPhaseConfig
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
 from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
@@ -26,8 +27,9 @@ from drake_nonstop.simulation.task import Task, task_of
 TASKS = ("line", "quintic", "three_carriers", "real_scale_spread")
 OFFLINE = "offline optimum"
 _MARGIN = "optimization_layer.tightening=0.02"  # of all, since costs depend on it
+ONE_SAMPLE = ["optimization_layer=NonstopOptimizer", "phase=AccumulatedPhase"]
 LAYERS: dict[str, list[str]] = {
-    "one sample": ["optimization_layer=NonstopOptimizer", "phase=AccumulatedPhase", _MARGIN],
+    "one sample": [*ONE_SAMPLE, _MARGIN],
     "horizon": ["optimization_layer=RecedingHorizonOptimizer", "phase=ShapedPhase", _MARGIN],
 }
 
@@ -113,10 +115,9 @@ def _flown(scenario: Scenario, config: HorizonConfig) -> Row:
 
 
 def _planned(run: Run) -> NDArray | None:
-    """ξ, A and their rates (samples, 8) where the run has them: where they are smooth."""
-    if any(name.endswith(".planned") for name in run.signals):
-        return run.signal("planned")
-    return None
+    """ξ, A and their rates (samples, 8), where ξ and A are smooth."""
+    is_smooth = isinstance(run.scenario.phase, ShapedPhaseConfig)
+    return run.signal("planned") if is_smooth else None
 
 
 def _offline(task: Task, config: HorizonConfig) -> Row:

@@ -529,9 +529,11 @@ def require_room(nonstop: Diagram, scenario: Scenario) -> None:
 
 def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, OutputPort]]:
     """The ports, by name, that are recorded at 100 Hz and at every step."""
+    is_loop = all(map(nonstop.HasOutputPort, RUN_SIGNALS))
     read = {
         source.get_output_port(index).get_name()
-        for (reader, at), (source, index) in nonstop.connection_map().items()
+        for loop in (nested(nonstop, RUN_SIGNALS) if is_loop else [nonstop])
+        for (reader, at), (source, index) in loop.connection_map().items()
         if reader.get_input_port(at).get_name() not in optional_inputs(reader)
     }
     if_read = {name for box in BOXES.values() for name in box.recorded_where_read}

@@ -76,7 +76,7 @@ def test_timed_runs_give_the_results_of_others_to_the_bit(overrides):
 def test_blocks_are_as_they_were_after_a_timed_run(timed):
     kind = type(simulate(load_scenario("quintic", SHORT)).diagram.GetSubsystemByName("cables"))
     assert kind is drake_nonstop.Cables
-    for function in (TracedFunction.of_vector, drake_nonstop.NonstopOptimizer._update):
+    for function in (TracedFunction.of_vector, drake_nonstop.RecedingHorizonOptimizer._update):
         assert not hasattr(function, "__wrapped__")
 
 
@@ -106,7 +106,7 @@ def test_times_are_exclusive_and_complete(timed):
 def test_every_box_is_there(timed):
     run, timers = timed
     assert list(timers.blocks) == [system.get_name() for system in run.diagram.GetSystems()]
-    assert timers.blocks["optimization_layer"] == "NonstopOptimizer"
+    assert timers.blocks["optimization_layer"] == "RecedingHorizonOptimizer"
     assert "sample_and_hold" in timers.blocks
     calls = dict.fromkeys(timers.blocks, 0)
     for frame in timers.root.walk():
@@ -126,7 +126,8 @@ def test_calls_are_counted(timed):
     run, timers = timed
     assert timers.steps == len(run.steps["time"]) - 1
     assert calls(timers, "load_plant", "calc") == 3 * timers.steps
-    updates = round(run.scenario.simulation_duration / run.scenario.optimization_layer.period)
+    # The layer's plans are told at each sample.
+    updates = round(run.scenario.simulation_duration / run.scenario.control_period)
     assert abs(calls(timers, "optimization_layer", "_update_at_sample") - updates) <= 1
     evaluations = sum(f.evaluations for f in timers.root.walk() if f.box == "load_plant")
     assert evaluations == 3 * timers.steps

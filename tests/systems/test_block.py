@@ -37,7 +37,10 @@ SWAPS = [
     ["cables=IndividualCables", "force_distribution=BoundedTensionDistribution"],
     ["optimization_layer=ConstantParameters"],
     ["fused_plant=true"],
-    *([f"optimization_layer.solver={name}"] for name in ("snopt", "ipopt", "nlopt", "grid")),
+    *(
+        [f"optimization_layer=!NonstopOptimizer {{solver: {name}}}"]
+        for name in ("search", "snopt", "ipopt", "nlopt", "grid")
+    ),
 ]
 
 

@@ -126,7 +126,12 @@ def test_with_other_constraints_the_commands_do_not_jump_either(monkeypatch, con
     assert commanded_jumps(run).max() < _JUMP
     assert run.is_steered
     bound = run.signal("speed_bound")[-1, 0]
-    assert bound == pytest.approx(1.5 if "max_speed" not in constraint else 1.3, rel=0.03)
+    tightening = scenario.optimization_layer.tightening
+    highest = 1.3 * (1 - tightening) / (1 + tightening)  # below max_speed, with its margin
+    if "max_speed" in constraint:
+        assert bound == pytest.approx(highest, rel=2e-3)
+    else:
+        assert bound == pytest.approx(1.5, rel=0.03)
 
 
 def test_the_switch_leads_to_the_nominal_parameters_and_back(monkeypatch):
@@ -144,7 +149,9 @@ def test_the_switch_leads_to_the_nominal_parameters_and_back(monkeypatch):
         [config.frequency, config.amplitude],
         rtol=2e-3,
     )
-    assert diagnostics[-1, 1] > diagnostics[off, 1][0] + 390
+    plans = diagnostics[-1, 1] - diagnostics[off, 1][0]
+    spacing = 2 * np.pi / config.frequency / 8  # s, between two
+    assert plans == pytest.approx(4.0 / spacing, abs=1.5)
     slowest = slowest_speeds(run)
     assert slowest[off].min() < 0.55  # without the layer this scenario falls below its bound
     assert slowest[run.time > 7.01].min() >= 0.55

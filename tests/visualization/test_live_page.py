@@ -74,7 +74,7 @@ def test_sliders_switch_and_stop_do_what_they_say(watched, flight):
     assert time[-1] < 59
     assert bound[0] == 0.55
     assert bound[-1] == pytest.approx(0.66, abs=0.006)
-    assert updates[50] - updates[0] > 45
+    assert updates[80] - updates[0] == 2  # plans, at 0.39 s and 0.78 s
     assert updates[-1] == updates[-50]  # switched off
     assert [error for error in watched.errors if "WebSocket" not in error] == []
 
