@@ -72,7 +72,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     `optimization.horizon_problem`. The carriers' speeds along it follow from the load's reference,
     which `reference_preview` tells ahead, and the wrench that moves the load along it in still air.
     Where no preview is connected, or `preview` is false, the motion goes on as it does. The plan is
-    written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`.
+    written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`. The first plan
+    starts with the initial ξ and A where these keep the constraints, and else with others.
 
     An update ends as kept where the last plan, shifted, cannot be improved; as solved where a plan
     fulfils all constraints; as relaxed where it is the least infeasible one that was found; and as
@@ -350,7 +351,12 @@ class _Planner:
         key = (start_time, angle, speed_bound, is_new, scale, *(a.tobytes() for a in arrays))
         known = self._last
         if known is None or known[0] != key:
-            self._last = known = key, self._make(solver, data, start, scale, is_new)
+            made = self._make(solver, data, start, scale, is_new)
+            if is_first and not made[0].is_feasible:
+                # Nothing has to go on: the carriers start wherever the plan does.
+                free = HorizonSolver(problem, fixed=0)
+                made = self._make(free, data, start, scale, is_new)
+            self._last = known = key, made
         answer, outcome = known[1]
         speeds = problem.speeds(data, answer.coefficients)
         state = _PlanState(

@@ -382,7 +382,10 @@ def test_changes_are_marked_as_better_or_worse(tmp_path):
     ("arguments", "words"),
     [
         ([], "--grid, --swap = none: give at least one"),
-        (["--grid", "none"], "--grid = none: give a .yaml file or one of departures, foresight, paper"),
+        (
+            ["--grid", "none"],
+            "--grid = none: give a .yaml file or one of departures, foresight, paper",
+        ),
         (["--swap", "PaperPhase"], "--swap = PaperPhase: give BOX=BLOCK"),
         (["--swap", "phase=Nope"], "phase = !Nope: give one of"),
         (["--swap", "phase=my_blocks.Mine"], "--trust"),
