@@ -51,6 +51,8 @@ from drake_nonstop.validation import require
 _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _LEAST_SCALE = 0.1  # of the trust region at the start of a plan
+_MORE = 2  # times the iterations again, for a plan that needs slack
+_FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
 _NO_PLAN = 0.0  # in place of a scale
 
 
@@ -379,7 +381,14 @@ class _Planner:
     ) -> tuple[PlanAnswer, Outcome]:
         iterations = _MANY_ITERATIONS if is_new else self._config.max_iterations
         answer = solver.solve(data, start, max_iterations=iterations, scale=scale)
-        if is_new or not answer.is_feasible:
+        if not is_new and not answer.is_feasible:
+            answer = solver.solve(
+                data,
+                answer.coefficients,
+                max_iterations=_MORE * iterations,
+                scale=max(answer.scale, _LEAST_SCALE),
+            )
+        if is_new or answer.slack > _FAR_FROM_FEASIBLE:
             guess = solver.first_guess(data, start[:, : solver.fixed])
             other = solver.solve(data, guess, max_iterations=iterations)
             answer = min(answer, other, key=solver.merit)

@@ -18,7 +18,7 @@ from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.systems.tracing import NotFiniteError
 
-PLAN_TOLERANCE = 1e-4  # on the slack of a plan: 0.005 % of a speed
+PLAN_TOLERANCE = 2e-4  # on the slack of a plan: 0.01 % of a speed
 _ANGLE_RADIUS = 0.4  # rad, of the trust region: how far the phases may move in a step
 _COEFFICIENT_RADIUS = 0.4  # likewise for the coefficients, relative to the nominal
 _LARGEST_MARGIN = 0.5  # of constraints that a step takes into account from the start
