@@ -51,7 +51,7 @@ from drake_nonstop.validation import require
 _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _LEAST_SCALE = 0.1  # of the trust region at the start of a plan
-_MORE = 2  # times the iterations again, for a plan that needs slack
+_MORE = 4  # times the iterations again, for a plan that needs slack
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
 _NO_PLAN = 0.0  # in place of a scale
 
