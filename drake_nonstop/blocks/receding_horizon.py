@@ -321,7 +321,7 @@ class _Planner:
         self._model, self._config, self._name = model, config, name
         self._solver: tuple[bytes, HorizonSolver] | None = None
         self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome]] | None = None
-        self._data: tuple[ReferencePreview, HorizonData] | None = None
+        self._data: tuple[HorizonSolver, ReferencePreview, HorizonData] | None = None
 
     def plan(
         self,
@@ -345,8 +345,10 @@ class _Planner:
             shifted = before.shifted(knots) if knots > 0 else before
             ratio = (last.nominal / numbers.nominal)[:, None]
             angle, start = shifted.start_angle, ratio * shifted.coefficients
-        data = problem.data(start_time, angle, reference, speed_bound, self._known(reference))
-        self._data = reference, data
+        data = problem.data(
+            start_time, angle, reference, speed_bound, self._known(solver, reference)
+        )
+        self._data = solver, reference, data
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, _LEAST_SCALE)
         arrays = data.flat_terms, start, numbers.beliefs
@@ -366,10 +368,11 @@ class _Planner:
         )
         return _Planned(state, outcome, float(np.sqrt(speeds.squares.min())))
 
-    def _known(self, reference: ReferencePreview) -> HorizonData | None:
-        """The last plan's data, where they are of the same motion."""
+    def _known(self, solver: HorizonSolver, reference: ReferencePreview) -> HorizonData | None:
+        """The last plan's data, where they are of the same motion and beliefs."""
         known = self._data
-        return known[1] if known is not None and known[0] is reference else None
+        is_same = known is not None and known[0] is solver and known[1] is reference
+        return known[2] if known is not None and is_same else None
 
     def _make(
         self,
@@ -409,7 +412,6 @@ class _Planner:
                 beliefs=Beliefs.view(numbers.beliefs),
             )
             self._solver = known = key, HorizonSolver(problem)
-            self._data = None
         return known[1]
 
 
