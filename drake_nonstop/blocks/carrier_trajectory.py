@@ -136,7 +136,7 @@ class _TrajectoryAboveReference(DiagramBlock):
             moves=is_sampled and not self.holds_acceleration,
         )
         builder.AddNamedSystem("motion", motion)
-        for name in input_names(motion):
+        for name in sorted(input_names(motion), key="sample_time".__eq__):  # it comes last
             builder.ExportInput(motion.GetInputPort(name), name)
         made = motion.GetOutputPort("carrier_reference")
         if self.holds_acceleration:

@@ -537,7 +537,7 @@ class Circle(LoadTrajectory):
         *roll_pitch_yaw, x, y, z = config.start_pose()
         radius = config.radius
         centre = np.array([x, y]) + radius * np.array([np.cos(direction), np.sin(direction)])
-        offset = np.vstack([centre, np.zeros((3, 2))])
+        offset = np.vstack([centre, np.zeros((_RATES, 2))])
 
         def pose(values: NDArray) -> NDArray:
             """[roll, pitch, yaw, x, y, z] of [roll, pitch, yaw, θ, z], each with derivatives."""
