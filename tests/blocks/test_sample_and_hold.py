@@ -33,7 +33,7 @@ def loop():
     trajectory = builder.AddSystem(RestToRest(constants, config))
     hold = builder.AddSystem(SampleAndHold(constants))
     reader = builder.AddSystem(DiscreteReader(22))
-    builder.Connect(trajectory.get_output_port(), hold.GetInputPort("reference"))
+    builder.Connect(trajectory.GetOutputPort("reference"), hold.GetInputPort("reference"))
     builder.Connect(hold.GetOutputPort("held_reference"), reader.get_input_port())
     for name in ("held_reference", "held_measured_load_state", "sample_time"):
         builder.ExportOutput(hold.GetOutputPort(name), name)
