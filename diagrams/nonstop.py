@@ -62,6 +62,7 @@ from drake_nonstop.mechanics.signals import (
     PARAMETERS_SIZE,
     PHASE_SIZE,
     PLANNED_SIZE,
+    REFERENCE_HIGHER_RATES_SIZE,
     TRACKING_ERROR_SIZE,
     WIND_SIZE,
     WRENCH_SIZE,
@@ -95,10 +96,12 @@ BOXES: dict[str, Box] = {
         variants=load_trajectory.VARIANTS,
         signals={
             "reference": LOAD_REFERENCE_SIZE,
+            "reference_higher_rates": REFERENCE_HIGHER_RATES_SIZE,
             "reference_preview": ABSTRACT,
             "reference_delay": 1,
         },
-        optional=("reference_preview", "reference_delay"),
+        optional=("reference_higher_rates", "reference_preview", "reference_delay"),
+        recorded_where_read=("reference_higher_rates",),
         place=Place(0, 1, 1, Kind.TRAJECTORY),
         swap_keeps_defaults=False,  # each task has times of its own
     ),
@@ -227,12 +230,13 @@ PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
 # The figure's wires, to be read. They follow from the names of the ports, and building
 # the default blocks checks this list against what was built. Where the scenario has a
 # control period, a `sample_and_hold` stands in front of the controllers, in the wires of
-# `measured_load_state` and `reference`.
+# `measured_load_state`, `reference` and `reference_higher_rates`.
 WIRES = """
 load_trajectory.reference -> wrench_controller.reference
 load_trajectory.reference -> optimization_layer.reference
 load_trajectory.reference_preview -> optimization_layer.reference_preview
 load_trajectory.reference -> carrier_trajectory.reference
+load_trajectory.reference_higher_rates -> carrier_trajectory.reference_higher_rates
 
 load_plant.load_state -> load_feedback.load_state
 load_feedback.measured_load_state -> wrench_controller.measured_load_state
@@ -800,17 +804,19 @@ def _first_samples(blocks: Mapping[str, System]) -> dict[str, NDArray]:
     reference = _start_of_reference(blocks)
     if reference is None:
         return {}
-    return {"reference": reference, "measured_load_state": reference[:LOAD_STATE_SIZE]}
+    held = {"reference": reference, "measured_load_state": reference[:LOAD_STATE_SIZE]}
+    higher_rates = _start_of_reference(blocks, "reference_higher_rates")
+    return held if higher_rates is None else held | {"reference_higher_rates": higher_rates}
 
 
-def _start_of_reference(blocks: Mapping[str, System]) -> NDArray | None:
-    """The reference at t = 0, of a trajectory that needs nothing for it."""
+def _start_of_reference(blocks: Mapping[str, System], signal: str = "reference") -> NDArray | None:
+    """The reference at t = 0, or its rates, of a trajectory that needs nothing for it."""
     trajectory = blocks.get("load_trajectory")
     if trajectory is None or trajectory.num_input_ports() > 0:
         return None
     try:
         context = trajectory.CreateDefaultContext()
-        return trajectory.GetOutputPort("reference").Eval(context).copy()
+        return trajectory.GetOutputPort(signal).Eval(context).copy()
     except Exception:  # the start of the run tells it, with the block's name
         return None
 

@@ -18,6 +18,7 @@ from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
+    REFERENCE_HIGHER_RATES_SIZE,
     WIND_SIZE,
 )
 from drake_nonstop.model.block_parameters import LOAD, BlockParameters, rigid_load
@@ -31,6 +32,7 @@ _BOX = "carrier_trajectory"
 _HOLDS = ("second_order", "velocity")
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 _FOR_DERIVATIVES = ("internal_force_higher_rates", "wind_estimate")
+_HIGHER_RATES = "reference_higher_rates"
 
 
 class _TrajectoryAboveLoad(TracedBlock):
@@ -43,7 +45,7 @@ class _TrajectoryAboveLoad(TracedBlock):
         pose: the signal with the load's pose, and its size: a load state, or what begins with
             one.
         stretches: whether the cables do, by their stiffness.
-        derivatives: makes accelerations and jerks as well, of these inputs and two more.
+        derivatives: makes accelerations and jerks as well, of these inputs and three more.
         moves: whether the references move along their velocities between the samples of a
             sampled controller.
     """
@@ -123,7 +125,8 @@ class _TrajectoryAboveReference(DiagramBlock):
         require(config.hold in _HOLDS, f"{_BOX}.hold", config.hold, f"give {' or '.join(_HOLDS)}")
         is_sampled = model.control_period > 0
         self.holds_acceleration = is_sampled and config.hold == "second_order"
-        self.optional_inputs = () if self.holds_acceleration else _FOR_DERIVATIVES
+        unneeded = () if self.holds_acceleration else _FOR_DERIVATIVES
+        self.optional_inputs = (_HIGHER_RATES, *unneeded)
         builder = DiagramBuilder()
         motion = _TrajectoryAboveLoad(
             model,
@@ -133,7 +136,7 @@ class _TrajectoryAboveReference(DiagramBlock):
             moves=is_sampled and not self.holds_acceleration,
         )
         builder.AddNamedSystem("motion", motion)
-        for name in input_names(motion):
+        for name in sorted(input_names(motion), key="sample_time".__eq__):  # it comes last
             builder.ExportInput(motion.GetInputPort(name), name)
         made = motion.GetOutputPort("carrier_reference")
         if self.holds_acceleration:
@@ -173,6 +176,7 @@ def _derivatives(model: Model) -> LateOutputs:
         rates: NDArray,
         internal_force_higher_rates: NDArray,
         wind: NDArray,
+        reference_higher_rates: NDArray,
         *,
         cable_length: NDArray,
         cable_stiffness: NDArray | None = None,
@@ -186,6 +190,7 @@ def _derivatives(model: Model) -> LateOutputs:
             rates,
             internal_force_higher_rates,
             wind,
+            reference_higher_rates,
             pseudo_inverse=pseudo_inverse,
             basis=basis,
         )
@@ -208,6 +213,7 @@ def _derivatives(model: Model) -> LateOutputs:
             *_FOR_DERIVATIVES,
         ),
         dict.fromkeys(_DERIVATIVES, 3 * model.n),
+        {_HIGHER_RATES: REFERENCE_HIGHER_RATES_SIZE},
         key=("carrier derivatives", attachments, basis),
     )
 
@@ -246,6 +252,7 @@ class CarrierTrajectory(_TrajectoryAboveReference):
         - desired_cable_force_rates
         - internal_force_higher_rates
         - wind_estimate
+        - reference_higher_rates
         - sample_time (where the model has a control period)
         output_ports:
         - carrier_reference
@@ -254,12 +261,14 @@ class CarrierTrajectory(_TrajectoryAboveReference):
 
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
     `internal_force_higher_rates` (2m) = [λ̈ (N/s²); λ⃛ (N/s³)] and `wind_estimate` (3, m/s) in W,
-    which only accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) =
-    [positions (m), velocities (m/s)] in W. A time τ after a sample it is p + τ v + τ² a/2 and
-    v + τ a, or, with `hold` "velocity", p + τ v and v.
+    which only accelerations and jerks need; so do `reference_higher_rates` (6) = [angular jerk
+    (rad/s³), snap (m/s⁴)] in W, which may be left unconnected and then are taken as zero;
+    `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W. A
+    time τ after a sample it is p + τ v + τ² a/2 and v + τ a, or, with `hold` "velocity", p + τ v
+    and v.
 
     `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
-    those while the load is on its reference, whose snap and angular jerk are taken as zero, see
+    those while the load is on its reference, whose rates beyond these are taken as zero, see
     `mechanics.force_rates`; between samples they stand still.
 
     Parameters, the fields of `CarrierTrajectoryConfig`:
@@ -293,6 +302,7 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
         - desired_cable_force_rates
         - internal_force_higher_rates
         - wind_estimate
+        - reference_higher_rates
         - sample_time (where the model has a control period)
         output_ports:
         - carrier_reference
@@ -301,12 +311,14 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
 
     `reference` (22), SI, `desired_cable_forces` (3n, N) and their rates (3n, N/s) in W;
     `internal_force_higher_rates` (2m) = [λ̈ (N/s²); λ⃛ (N/s³)] and `wind_estimate` (3, m/s) in W,
-    which only accelerations and jerks need; `sample_time` (1) in s; `carrier_reference` (6n) =
-    [positions (m), velocities (m/s)] in W. A time τ after a sample it is p + τ v + τ² a/2 and
-    v + τ a, or, with `hold` "velocity", p + τ v and v.
+    which only accelerations and jerks need; so do `reference_higher_rates` (6) = [angular jerk
+    (rad/s³), snap (m/s⁴)] in W, which may be left unconnected and then are taken as zero;
+    `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W. A
+    time τ after a sample it is p + τ v + τ² a/2 and v + τ a, or, with `hold` "velocity", p + τ v
+    and v.
 
     `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
-    those while the load is on its reference, whose snap and angular jerk are taken as zero, see
+    those while the load is on its reference, whose rates beyond these are taken as zero, see
     `mechanics.force_rates`; between samples they stand still.
 
     Parameters, the fields of `InextensibleCarrierTrajectoryConfig`:

@@ -17,7 +17,12 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_nonstop.mechanics.circle import circular_motion
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_quaternion
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    REFERENCE_HIGHER_RATES_SIZE,
+    LoadReference,
+    ReferenceHigherRates,
+)
 from drake_nonstop.model.pose_samples import read_samples, sample_array, split_samples
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock
@@ -33,6 +38,7 @@ from drake_nonstop.validation import (
 )
 
 _BOX = "load_trajectory"
+_RATES = 4  # derivatives of the coordinates
 
 
 class LoadTrajectory(DiagramBlock):
@@ -43,19 +49,21 @@ class LoadTrajectory(DiagramBlock):
         name: LoadTrajectory
         output_ports:
         - reference
+        - reference_higher_rates
         - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
+    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
 
     Args:
         trajectory: the rows [roll, pitch, yaw (rad), x, y, z (m)], or other coordinates that
             `pose` converts to these, twice continuously differentiable where the load has to
             follow closely. Before its start and after its end the load rests at its first and
             last pose.
-        pose: maps the coordinates and their three derivatives (4, rows) to those of [roll,
-            pitch, yaw, x, y, z], (4, 6), and runs on object arrays. None: the rows are these.
+        pose: maps the coordinates and their four derivatives (5, rows) to those of [roll,
+            pitch, yaw, x, y, z], (5, 6), and runs on object arrays. None: the rows are these.
         yaw_rate: rad/s, at which the load turns about the vertical besides, at all times.
     """
 
@@ -69,19 +77,23 @@ class LoadTrajectory(DiagramBlock):
         super().__init__()
         builder = DiagramBuilder()
         coordinates = builder.AddNamedSystem(
-            "coordinates", TrajectorySource(trajectory, 3, zero_derivatives_beyond_limits=True)
+            "coordinates",
+            TrajectorySource(trajectory, _RATES, zero_derivatives_beyond_limits=True),
         )
 
-        def reference(values: NDArray, *times: NDArray) -> NDArray:
-            coordinates = pose(values.reshape(4, -1)) if pose else values
+        def reference(values: NDArray, *times: NDArray) -> tuple[NDArray, NDArray]:
+            coordinates = pose(values.reshape(_RATES + 1, -1)) if pose else values
             for time in times:
                 coordinates = coordinates.reshape(-1) + _steady_turn(yaw_rate, time)
             return _reference(coordinates)
 
         traced = TracedBlock(
             reference,
-            inputs={"coordinates": 4 * trajectory.rows()},
-            outputs={"reference": LOAD_REFERENCE_SIZE},
+            inputs={"coordinates": (_RATES + 1) * trajectory.rows()},
+            outputs={
+                "reference": LOAD_REFERENCE_SIZE,
+                "reference_higher_rates": REFERENCE_HIGHER_RATES_SIZE,
+            },
             reads_time=yaw_rate != 0,
         )
         builder.AddNamedSystem("reference", traced)
@@ -90,24 +102,27 @@ class LoadTrajectory(DiagramBlock):
             "preview",
             ConstantValueSource(AbstractValue.Make(_preview(trajectory, reference, yaw_rate != 0))),
         )
-        builder.ExportOutput(traced.get_output_port(), "reference")
+        for name in ("reference", "reference_higher_rates"):
+            builder.ExportOutput(traced.GetOutputPort(name), name)
         builder.ExportOutput(preview.get_output_port(), "reference_preview")
         builder.BuildInto(self)
 
 
 def _preview(
-    trajectory: PiecewisePolynomial, reference: Callable[..., NDArray], reads_time: bool
+    trajectory: PiecewisePolynomial,
+    reference: Callable[..., tuple[NDArray, NDArray]],
+    reads_time: bool,
 ) -> ReferencePreview:
     """What makes the references of a trajectory, by the function that the block traces."""
     rates = [trajectory]
-    for _ in range(3):
+    for _ in range(_RATES):
         rates.append(rates[-1].MakeDerivative())
-    sizes = [4 * trajectory.rows(), *([1] if reads_time else [])]
+    sizes = [(_RATES + 1) * trajectory.rows(), *([1] if reads_time else [])]
     start, end = trajectory.start_time(), trajectory.end_time()
 
     @functools.cache  # most runs do not ask for any
     def traced() -> TracedFunction:
-        return TracedFunction(reference, sizes, name=lambda: _BOX)
+        return TracedFunction(lambda *v: reference(*v)[0], sizes, name=lambda: _BOX)
 
     def references(times: NDArray) -> NDArray:
         values = np.array([rate.vector_values(times) for rate in rates])
@@ -122,12 +137,15 @@ def _preview(
     return ReferencePreview(lambda time: references(np.array([time]))[0], references=references)
 
 
-def _reference(values: NDArray) -> NDArray:
-    """`reference` (22,) of [roll, pitch, yaw, x, y, z] and three derivatives (24,)."""
-    derivatives = values.reshape(4, 2, 3)
+def _reference(values: NDArray) -> tuple[NDArray, NDArray]:
+    """`reference` (22,) and its higher rates (6,), of a pose and its derivatives (30,).
+
+    The pose is [roll, pitch, yaw, x, y, z].
+    """
+    derivatives = values.reshape(_RATES + 1, 2, 3)
     roll_pitch_yaw, positions = derivatives[:, 0], derivatives[:, 1]
-    angular_velocity, angular_acceleration = angular_motion(*roll_pitch_yaw[:3])
-    return np.concatenate(
+    angular_velocity, angular_acceleration, angular_jerk = angular_motion(*roll_pitch_yaw[:4])
+    reference = np.concatenate(
         LoadReference(
             quaternion=roll_pitch_yaw_to_quaternion(roll_pitch_yaw[0]),
             position=positions[0],
@@ -138,12 +156,14 @@ def _reference(values: NDArray) -> NDArray:
             jerk=positions[3],
         )
     )
+    higher_rates = ReferenceHigherRates(angular_jerk=angular_jerk, snap=positions[4])
+    return reference, np.concatenate(higher_rates)
 
 
 def _steady_turn(yaw_rate: float, time: NDArray) -> NDArray:
-    """What it adds to [roll, pitch, yaw, x, y, z] and three derivatives (24,) at a time (1,)."""
+    """What it adds to [roll, pitch, yaw, x, y, z] and its derivatives (30,) at a time (1,)."""
     return np.concatenate(
-        [np.zeros(2), yaw_rate * time, np.zeros(5), np.array([yaw_rate]), np.zeros(15)]
+        [np.zeros(2), yaw_rate * time, np.zeros(5), np.array([yaw_rate]), np.zeros(21)]
     )
 
 
@@ -240,11 +260,13 @@ class RestToRest(LoadTrajectory):
         name: RestToRest
         output_ports:
         - reference
+        - reference_higher_rates
         - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
+    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
 
     Parameters, the fields of `RestToRestConfig`:
         start_position: m
@@ -300,11 +322,13 @@ class ConstantVelocityMove(LoadTrajectory):
         name: ConstantVelocityMove
         output_ports:
         - reference
+        - reference_higher_rates
         - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
+    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
 
     Parameters, the fields of `ConstantVelocityMoveConfig`:
         start_position: m
@@ -387,11 +411,13 @@ class Waypoints(LoadTrajectory):
         name: Waypoints
         output_ports:
         - reference
+        - reference_higher_rates
         - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
+    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
 
     Parameters, the fields of `WaypointsConfig`:
         start_position: m
@@ -476,11 +502,13 @@ class Circle(LoadTrajectory):
         name: Circle
         output_ports:
         - reference
+        - reference_higher_rates
         - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
+    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
 
     Parameters, the fields of `CircleConfig`:
         start_position: m
@@ -509,7 +537,7 @@ class Circle(LoadTrajectory):
         *roll_pitch_yaw, x, y, z = config.start_pose()
         radius = config.radius
         centre = np.array([x, y]) + radius * np.array([np.cos(direction), np.sin(direction)])
-        offset = np.vstack([centre, np.zeros((3, 2))])
+        offset = np.vstack([centre, np.zeros((_RATES, 2))])
 
         def pose(values: NDArray) -> NDArray:
             """[roll, pitch, yaw, x, y, z] of [roll, pitch, yaw, θ, z], each with derivatives."""
@@ -550,11 +578,13 @@ class SteadyTurn(LoadTrajectory):
         name: SteadyTurn
         output_ports:
         - reference
+        - reference_higher_rates
         - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
+    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
 
     Parameters, the fields of `SteadyTurnConfig`:
         start_position: m
@@ -647,11 +677,13 @@ class SampledTrajectory(LoadTrajectory):
         name: SampledTrajectory
         output_ports:
         - reference
+        - reference_higher_rates
         - reference_preview
 
     `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
     angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time.
+    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
+    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
 
     Parameters, the fields of `SampledTrajectoryConfig`:
         file: A CSV file with the samples, read as a scenario is loaded; its first line names the

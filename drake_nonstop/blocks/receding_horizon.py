@@ -51,6 +51,8 @@ from drake_nonstop.validation import require
 _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _LEAST_SCALE = 0.1  # of the trust region at the start of a plan
+_MORE = 4  # times the iterations again, for a plan that needs slack
+_FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
 _NO_PLAN = 0.0  # in place of a scale
 
 
@@ -72,7 +74,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     `optimization.horizon_problem`. The carriers' speeds along it follow from the load's reference,
     which `reference_preview` tells ahead, and the wrench that moves the load along it in still air.
     Where no preview is connected, or `preview` is false, the motion goes on as it does. The plan is
-    written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`.
+    written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`. The first plan
+    starts with the initial ξ and A where these keep the constraints, and else with others.
 
     An update ends as kept where the last plan, shifted, cannot be improved; as solved where a plan
     fulfils all constraints; as relaxed where it is the least infeasible one that was found; and as
@@ -352,7 +355,12 @@ class _Planner:
         key = (start_time, angle, speed_bound, is_new, scale, *(a.tobytes() for a in arrays))
         known = self._last
         if known is None or known[0] != key:
-            self._last = known = key, self._make(solver, data, start, scale, is_new)
+            made = self._make(solver, data, start, scale, is_new)
+            if is_first and not made[0].is_feasible:
+                # Nothing has to go on: the carriers start wherever the plan does.
+                free = HorizonSolver(problem, fixed=0)
+                made = self._make(free, data, start, scale, is_new)
+            self._last = known = key, made
         answer, outcome = known[1]
         speeds = problem.speeds(data, answer.coefficients)
         state = _PlanState(
@@ -376,7 +384,14 @@ class _Planner:
     ) -> tuple[PlanAnswer, Outcome]:
         iterations = _MANY_ITERATIONS if is_new else self._config.max_iterations
         answer = solver.solve(data, start, max_iterations=iterations, scale=scale)
-        if is_new or not answer.is_feasible:
+        if not is_new and not answer.is_feasible:
+            answer = solver.solve(
+                data,
+                answer.coefficients,
+                max_iterations=_MORE * iterations,
+                scale=max(answer.scale, _LEAST_SCALE),
+            )
+        if is_new or answer.slack > _FAR_FROM_FEASIBLE:
             guess = solver.first_guess(data, start[:, : solver.fixed])
             other = solver.solve(data, guess, max_iterations=iterations)
             answer = min(answer, other, key=solver.merit)

@@ -6,11 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, State
 
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LOAD_STATE_SIZE, WIND_SIZE
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    REFERENCE_HIGHER_RATES_SIZE,
+    WIND_SIZE,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
 
-HELD_SIGNALS = {"measured_load_state": LOAD_STATE_SIZE, "reference": LOAD_REFERENCE_SIZE}
+_POSES = ("measured_load_state", "reference")  # begin with a quaternion
+_HIGHER_RATES = "reference_higher_rates"
+HELD_SIGNALS = {
+    "measured_load_state": LOAD_STATE_SIZE,
+    "reference": LOAD_REFERENCE_SIZE,
+    _HIGHER_RATES: REFERENCE_HIGHER_RATES_SIZE,
+}
 
 
 class SampleAndHold(LeafBlock):
@@ -28,15 +39,18 @@ class SampleAndHold(LeafBlock):
         input_ports:
         - measured_load_state
         - reference
+        - reference_higher_rates
         - wind_estimate (where it is held)
         output_ports:
         - held_measured_load_state
         - held_reference
+        - held_reference_higher_rates
         - held_wind_estimate (where it is held)
         - sample_time
 
-    `measured_load_state` (13), `reference` (22) and `wind_estimate` (3) are SI, in W, and so are
-    the held ones; `sample_time` (1) is the time of the sample in s.
+    `measured_load_state` (13), `reference` (22), `reference_higher_rates` (6), which may be left
+    unconnected and then are held as zero, and `wind_estimate` (3) are SI, in W, and so are the
+    held ones; `sample_time` (1) is the time of the sample in s.
 
     Args:
         model: its control period.
@@ -44,6 +58,8 @@ class SampleAndHold(LeafBlock):
             that are not given are a load at rest at the origin.
         holds_wind: whether `wind_estimate` is held, too, for a wind that is not constant.
     """
+
+    optional_inputs = (_HIGHER_RATES,)
 
     def __init__(
         self,
@@ -55,11 +71,16 @@ class SampleAndHold(LeafBlock):
         super().__init__()
         self._inputs = []
         signals = HELD_SIGNALS | ({"wind_estimate": WIND_SIZE} if holds_wind else {})
-        initial_values = {"wind_estimate": np.zeros(WIND_SIZE)} | dict(initial_values or {})
+        at_rest = {
+            name: np.eye(size)[0] if name in _POSES else np.zeros(size)
+            for name, size in signals.items()
+        }
+        initial_values = at_rest | dict(initial_values or {})
         for name, size in signals.items():
             self._inputs.append(self.DeclareVectorInputPort(name, size))
-            initial = initial_values.get(name, np.eye(size)[0])  # an upright load
+            initial = initial_values[name]
             self.DeclareStateOutputPort(f"held_{name}", self.DeclareDiscreteState(initial))
+        self._optional = [*signals].index(_HIGHER_RATES)
         self.DeclareStateOutputPort("sample_time", self.DeclareDiscreteState(1))
         period = model.control_period
         self.DeclareInitializationUnrestrictedUpdateEvent(self._sample)
@@ -68,5 +89,6 @@ class SampleAndHold(LeafBlock):
     def _sample(self, context: Context, state: State) -> None:
         held = state.get_mutable_discrete_state()
         for i, port in enumerate(self._inputs):
-            held.set_value(i, port.Eval(context))
+            if i != self._optional or port.HasValue(context):
+                held.set_value(i, port.Eval(context))
         held.set_value(len(self._inputs), [context.get_time()])

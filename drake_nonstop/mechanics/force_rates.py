@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix, skew
-from drake_nonstop.mechanics.signals import InternalForceHigherRates, LoadReference
+from drake_nonstop.mechanics.signals import (
+    REFERENCE_HIGHER_RATES_SIZE,
+    InternalForceHigherRates,
+    LoadReference,
+    ReferenceHigherRates,
+)
+
+_UNKNOWN = np.zeros(REFERENCE_HIGHER_RATES_SIZE)
 
 
 def second_and_third_force_rates(
@@ -18,6 +25,7 @@ def second_and_third_force_rates(
     rates: NDArray,
     internal_force_higher_rates: NDArray,
     wind: NDArray = STILL_AIR,
+    reference_higher_rates: NDArray = _UNKNOWN,
     *,
     pseudo_inverse: NDArray,
     basis: NDArray,
@@ -26,33 +34,37 @@ def second_and_third_force_rates(
 
     `load` is the controllers' model and `reference` (22,) its motion; `forces` and `rates` are f
     and ḟ (n, 3) in W, `internal_force_higher_rates` (2m,) is [λ̈; λ⃛]; `wind` (3,) is in m/s, in
-    W, and constant; `pseudo_inverse` (3n, 6) and `basis` N₀ (3n, m) are constants in L. With
+    W, and constant; `reference_higher_rates` (6,) is the reference's [angular jerk (rad/s³);
+    snap (m/s⁴)] in W; `pseudo_inverse` (3n, 6) and `basis` N₀ (3n, m) are constants in L. With
     f_i = R ᴸf_i,
 
         d²ᴸf/dt² = G₀† d²ᴸw/dt² + N₀ λ̈,
         d³ᴸf/dt³ = G₀† d³ᴸw/dt³ + N₀ λ⃛,
 
-    where w is the wrench that moves the load along its reference. What the reference does not tell
-    is taken as zero: its snap and its angular jerk, in W, and their rates. So are the second and
-    third rates of what the feedback adds to w. Own derivation.
+    where w is the wrench that moves the load along its reference. What is not told of the reference
+    is taken as zero: the rates of its snap and of its angular jerk, in W. So are the second and
+    third rates of what the feedback adds to w. Without rotation f̈ then is exact. Own derivation.
     """
     desired = LoadReference.view(reference)
     R_WL = rotation_matrix(desired.quaternion)
-    # R_LW and ω in L, and their rates: d(R_LW)/dt = −S(ω) R_LW, and ω̇ is constant in W.
+    higher = ReferenceHigherRates.view(reference_higher_rates)
+    zero = 0 * desired.jerk
+    # R_LW and ω in L, and their rates: d(R_LW)/dt = −S(ω) R_LW, so that dᴸω/dt = R_LW ω̇.
+    alphas = [desired.angular_acceleration, higher.angular_jerk, zero, zero]
     turns, omegas = [R_WL.T], [R_WL.T @ desired.angular_velocity]
     for order in range(3):
         spins = [-skew(omega) for omega in omegas]
-        omegas.append(turns[order] @ desired.angular_acceleration)
+        omegas.append(_product_rate(np.matmul, turns, alphas, order))
         turns.append(_product_rate(np.matmul, spins, turns, order))
-    omegas.append(turns[3] @ desired.angular_acceleration)
+    omegas.append(_product_rate(np.matmul, turns, alphas, 3))
 
     drag = load.drag
     weight = load.mass * load.gravity * np.array([0.0, 0.0, 1.0])
     force_rates = [
         load.mass * desired.acceleration + weight + drag * (desired.velocity - wind),
         load.mass * desired.jerk + drag * desired.acceleration,
-        drag * desired.jerk,
-        0 * desired.jerk,
+        load.mass * higher.snap + drag * desired.jerk,
+        drag * higher.snap,
     ]
     momenta = [load.inertia @ omega for omega in omegas]
 

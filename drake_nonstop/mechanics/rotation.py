@@ -126,12 +126,12 @@ def roll_pitch_yaw_to_quaternion(roll_pitch_yaw: NDArray) -> NDArray:
 
 
 def angular_motion(
-    roll_pitch_yaw: NDArray, rate: NDArray, acceleration: NDArray
-) -> tuple[NDArray, NDArray]:
-    """Angular velocity and acceleration (3,), in W, of moving roll-pitch-yaw angles.
+    roll_pitch_yaw: NDArray, rate: NDArray, acceleration: NDArray, jerk: NDArray
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Angular velocity, acceleration and jerk (3,), in W, of moving roll-pitch-yaw angles.
 
-    ω = E ṙpy, where the columns of E are the axes of roll, pitch and yaw, and
-    ω̇ = E r̈py + Ė ṙpy. Own derivation.
+    ω = E ṙpy, where the columns of E are the axes of roll, pitch and yaw,
+    ω̇ = E r̈py + Ė ṙpy, and ω̈ = E r⃛py + 2 Ė r̈py + Ë ṙpy. Own derivation.
     """
     _, cp, cy = components(np.cos(roll_pitch_yaw))
     _, sp, sy = components(np.sin(roll_pitch_yaw))
@@ -149,6 +149,21 @@ def angular_motion(
     )
     pitch_axis_rate = np.concatenate([-cy * yaw_rate, -sy * yaw_rate, zero])
     axes = np.stack([roll_axis, pitch_axis, yaw_axis], axis=1)
-    return axes @ rate, (
-        axes @ acceleration + roll_axis_rate * roll_rate + pitch_axis_rate * pitch_rate
+    # The pitch axis turns with ẏaw about yaw's axis, and roll's with ν = ẏaw e₃ + ṗitch e_pitch.
+    roll_acceleration, pitch_acceleration, yaw_acceleration = components(acceleration)
+    pitch_axis_second_rate = cross(yaw_axis, yaw_acceleration * pitch_axis) + cross(
+        yaw_axis, yaw_rate * pitch_axis_rate
+    )
+    spin = yaw_rate * yaw_axis + pitch_rate * pitch_axis
+    spin_rate = (
+        yaw_acceleration * yaw_axis + pitch_acceleration * pitch_axis + pitch_rate * pitch_axis_rate
+    )
+    roll_axis_second_rate = cross(spin_rate, roll_axis) + cross(spin, roll_axis_rate)
+    return (
+        axes @ rate,
+        axes @ acceleration + roll_axis_rate * roll_rate + pitch_axis_rate * pitch_rate,
+        axes @ jerk
+        + 2 * (roll_axis_rate * roll_acceleration + pitch_axis_rate * pitch_acceleration)
+        + roll_axis_second_rate * roll_rate
+        + pitch_axis_second_rate * pitch_rate,
     )

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 POSE_SIZE = 7
 LOAD_STATE_SIZE = 13
 LOAD_REFERENCE_SIZE = 22
+REFERENCE_HIGHER_RATES_SIZE = 6
 WRENCH_SIZE = 6
 TRACKING_ERROR_SIZE = 12
 PARAMETERS_SIZE = 2
@@ -79,6 +80,18 @@ class LoadReference(NamedTuple):
             values[..., 16:19],
             values[..., 19:22],
         )
+
+
+class ReferenceHigherRates(NamedTuple):
+    """The rates of a load reference's angular acceleration and of its jerk."""
+
+    angular_jerk: NDArray  # (..., 3), rad/s³
+    snap: NDArray  # (..., 3), m/s⁴
+
+    @classmethod
+    def view(cls, values: NDArray) -> "ReferenceHigherRates":
+        """The parts of an array (..., 6)."""
+        return cls(values[..., :3], values[..., 3:6])
 
 
 class Wrench(NamedTuple):

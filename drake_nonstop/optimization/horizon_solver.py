@@ -18,7 +18,7 @@ from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.systems.tracing import NotFiniteError
 
-PLAN_TOLERANCE = 1e-4  # on the slack of a plan: 0.005 % of a speed
+PLAN_TOLERANCE = 2e-4  # on the slack of a plan: 0.01 % of a speed
 _ANGLE_RADIUS = 0.4  # rad, of the trust region: how far the phases may move in a step
 _COEFFICIENT_RADIUS = 0.4  # likewise for the coefficients, relative to the nominal
 _LARGEST_MARGIN = 0.5  # of constraints that a step takes into account from the start
@@ -326,10 +326,12 @@ def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
     )
 
     def margins_at(x: NDArray) -> NDArray:
-        return search.margins(x[1:], x[:1])[0][0, 0]
+        speeds = search.margins(x[1:], x[:1])[0][0, 0]
+        squares = search.speed_unit**2 * speeds + search.speed_bound**2
+        return np.minimum(speeds, 1 - squares / search.max_speed**2)
 
-    margins = margins_at(problem.nominal)
-    if margins.min() >= -FEASIBILITY_TOLERANCE:
+    speeds, others = search.margins(problem.nominal[1:], problem.nominal[:1])
+    if min(speeds.min(), others.min()) >= -FEASIBILITY_TOLERANCE:
         return problem.nominal
-    found, cost = nearest_feasible(search, margins, margins_at)
+    found, cost = nearest_feasible(search, margins_at(problem.nominal), margins_at)
     return found if np.isfinite(cost) else least_infeasible_on_grid(search)

@@ -38,6 +38,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
 from drake_nonstop.systems.block import LOOP, LeafBlock
 from drake_nonstop.systems.wiring import (
+    HELD,
     maker_of,
     nested,
     optional_inputs,
@@ -537,6 +538,7 @@ def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, 
         if reader.get_input_port(at).get_name() not in optional_inputs(reader)
     }
     if_read = {name for box in BOXES.values() for name in box.recorded_where_read}
+    if_read |= {f"{HELD}{name}" for name in if_read}
     outputs = [nonstop.get_output_port(i) for i in range(nonstop.num_output_ports())]
     ports = {
         port.get_name(): port

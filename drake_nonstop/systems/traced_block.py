@@ -52,13 +52,16 @@ class Equations:
 class LateOutputs(NamedTuple):
     """Outputs that are traced when one of them is evaluated for the first time.
 
-    `function` takes the block's inputs whose names `reads` has, and its parameters; every output
-    feeds through all of these inputs. `outputs` and `key` are as of the block.
+    `function` takes the block's inputs whose names `reads` has, those of `optional`, and its
+    parameters; every output feeds through all of these inputs. Those of `optional`, names and
+    sizes, are inputs of the block besides, which may be left unconnected, and then are zero.
+    `outputs` and `key` are as of the block.
     """
 
     function: Callable
     reads: Sequence[str]
     outputs: Mapping[str, int]
+    optional: Mapping[str, int] = {}
     key: Any = None
 
 
@@ -137,6 +140,7 @@ class TracedBlock(DiagramBlock):
         parts = [_part_of(trace, group, [*made], time) for group in groups]
         if late is not None:
             parts.append(_late_part(late, read, parameters))
+            self.optional_inputs = tuple(late.optional)
         builder = DiagramBuilder()
         sizes = [*read.values()]
         traced = builder.AddNamedSystem("traced", _Traced(parts, sizes, parameters))
@@ -151,6 +155,9 @@ class TracedBlock(DiagramBlock):
         for i, name in enumerate(read):
             if name not in _INNER:
                 builder.ExportInput(inputs_of(i), name)
+        for part in parts:
+            for name in part.optional:
+                builder.ExportInput(traced.GetInputPort(name), name)
         if len(parameters) > 0:
             builder.Connect(traced.GetOutputPort("parameters"), inputs_of(len(read) - 1))
         for name in [*made, *(late.outputs if late is not None else [])]:
@@ -202,6 +209,7 @@ class _Part(NamedTuple):
     # Takes the scalar type and the name of the block, and returns what evaluates the part: a
     # `TracedFunction` or what stands in for one.
     make: Callable[[type, Callable[[], str]], Any]
+    optional: Mapping[str, int] = {}  # inputs besides, which may be left unconnected
 
 
 def _part_of(trace: Trace, group: _Group, names: list[str], time: int) -> _Part:
@@ -227,7 +235,9 @@ def _late_part(
     if len(parameters) > 0:
         function = parameters.as_argument(function, len(names))
         names.append(_NUMBERS)
-    sizes = [inputs[name] for name in names]
+    numbers = [[*inputs].index(name) for name in names]
+    sizes = [*(inputs[name] for name in names), *late.optional.values()]
+    names += late.optional
     whole = range(len(names)), range(len(late.outputs))
 
     def make(scalar: type, name: Callable[[], str]) -> Any:
@@ -237,8 +247,7 @@ def _late_part(
             lambda: Trace(function, sizes, key=late.key).compiled(*whole, name=name)
         )
 
-    numbers = [[*inputs].index(name) for name in names]
-    return _Part(numbers, False, dict(late.outputs), make)
+    return _Part(numbers, False, dict(late.outputs), make, dict(late.optional))
 
 
 class _Traced(InnerBlock):
@@ -257,6 +266,7 @@ class _Traced(InnerBlock):
     def __init__(self, parts: Sequence[_Part], sizes: Sequence[int], parameters: NumericParameters):
         super().__init__()
         self._ports: list[InputPort | None] = []  # of the parts
+        self._optional: list[InputPort] = []  # of the one part that has any
         for k, part in enumerate(parts):
             function = part.make(self.scalar, weakly(self.box))
             size = sum(sizes[i] for i in part.reads)
@@ -266,12 +276,16 @@ class _Traced(InnerBlock):
                 port = self.DeclareVectorInputPort(f"inputs_{k}", size)
                 prerequisites.add(self.input_port_ticket(port.get_index()))
             self._ports.append(port)
+            for name, optional_size in part.optional.items():
+                optional = self.DeclareVectorInputPort(name, optional_size)
+                prerequisites.add(self.input_port_ticket(optional.get_index()))
+                self._optional.append(optional)
             if part.reads_time:
                 prerequisites.add(self.time_ticket())
             self.DeclareVectorOutputPort(
                 f"results_{k}",
                 sum(part.outputs.values()),
-                _callback(weakref.ref(self), k, function, size > 0, part.reads_time),
+                _callback(weakref.ref(self), k, function, part),
                 prerequisites or {self.nothing_ticket()},
             )
         if len(parameters) > 0:
@@ -286,24 +300,35 @@ class _Traced(InnerBlock):
 
 
 def _callback(
-    block: Callable[[], Any], k: int, function: Any, reads_inputs: bool, reads_time: bool
+    block: Callable[[], Any], k: int, function: Any, part: _Part
 ) -> Callable[[Context, BasicVector], None]:
     """What Drake calls for the results of part k of a `_Traced`, to which `block` refers weakly.
 
     A method, given with `weakly`, would take another call of Python.
     """
-    if not reads_inputs:
+    if not part.reads:
         evaluate = function.of_vector
 
         def calc(context: Context, output: BasicVector) -> None:
             output.SetFromVector(evaluate(np.array([context.get_time()])))
 
-    elif reads_time:
+    elif part.reads_time:
         evaluate = function.of_vector_and_time
 
         def calc(context: Context, output: BasicVector) -> None:
             inputs = block()._ports[k].Eval(context)
             output.SetFromVector(evaluate(inputs, context.get_time()))
+
+    elif part.optional:
+        evaluate = function.of_vector
+        zeros = [np.zeros(size) for size in part.optional.values()]
+
+        def calc(context: Context, output: BasicVector) -> None:
+            own = block()
+            vectors = [own._ports[k].Eval(context)]
+            for port, zero in zip(own._optional, zeros, strict=True):
+                vectors.append(port.Eval(context) if port.HasValue(context) else zero)
+            output.SetFromVector(evaluate(np.concatenate(vectors)))
 
     else:
         evaluate = function.of_vector

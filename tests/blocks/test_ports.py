@@ -163,14 +163,15 @@ DISTRIBUTION = (
     ],
 )
 _PULLED = ("reference", "desired_cable_forces", "desired_cable_force_rates")
-_ORBIT = ("internal_force_higher_rates", "wind_estimate")
+_ORBIT = ("internal_force_higher_rates", "wind_estimate", "reference_higher_rates")
+_REFERENCES = ["reference", "reference_higher_rates", "reference_preview"]
 _WINDS = ["wind", "load_wind", "wind_estimate"]
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
 BLOCKS = {
-    moving_reference: ([], ["reference", "reference_preview"], []),
-    ConstantVelocityMove: ([], ["reference", "reference_preview"], []),
+    moving_reference: ([], _REFERENCES, []),
+    ConstantVelocityMove: ([], _REFERENCES, []),
     **dict.fromkeys(
         (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController),
         everything(
@@ -203,9 +204,9 @@ BLOCKS = {
         ),
     ),
     IdealCarriers: everything(["carrier_reference"], ["carrier_state"]),
-    Waypoints: ([], ["reference", "reference_preview"], []),
-    Circle: ([], ["reference", "reference_preview"], []),
-    SampledTrajectory: ([], ["reference", "reference_preview"], []),
+    Waypoints: ([], _REFERENCES, []),
+    Circle: ([], _REFERENCES, []),
+    SampledTrajectory: ([], _REFERENCES, []),
     IdealFeedback: (
         ["load_state"],
         ["measured_load_state"],
@@ -575,7 +576,8 @@ def test_a_quadratic_program_is_solved_on_floats_only():
 @pytest.mark.parametrize("holds_wind", [False, True])
 def test_sample_and_hold_passes_nothing_through(n, holds_wind):
     block = SampleAndHold(model(n, 0.01), holds_wind=holds_wind)
-    inputs = ["measured_load_state", "reference", *(["wind_estimate"] if holds_wind else [])]
+    inputs = ["measured_load_state", "reference", "reference_higher_rates"]
+    inputs += ["wind_estimate"] if holds_wind else []
     assert input_names(block) == inputs
     assert output_names(block) == [*(f"held_{name}" for name in inputs), "sample_time"]
     for name in output_names(block):

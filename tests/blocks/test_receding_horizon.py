@@ -174,6 +174,14 @@ def test_a_bound_and_the_switch_take_effect_with_the_next_plan():
     assert flight.diagnostics.updates == updates
 
 
+def test_a_start_that_the_first_parameters_do_not_keep_is_made_with_others():
+    at_rest = previewed(RestToRestConfig())
+    flight = Flight(layer(speed_bound=1.4), at_rest)
+    planned = flight.advanced(0, 1)
+    assert np.min(carrier_speeds(planned, at_rest, SAMPLE * np.arange(100))) > 1.4
+    assert flight.diagnostics.relaxed == 0
+
+
 def test_a_plan_that_is_late_leaves_the_one_that_exists(flown):
     _, preview, planned = flown
     flight = Flight(layer(time_limit=1e-9), preview)

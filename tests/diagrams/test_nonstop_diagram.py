@@ -111,10 +111,18 @@ def test_every_signal_is_read_but_those_that_only_report(figure):
     }
 
 
+HELD = {
+    "held_measured_load_state": 13,
+    "held_reference": 22,
+    "held_reference_higher_rates": 6,
+    "sample_time": 1,
+}
+
+
 def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
     built = {b.get_name(): wiring.output_sizes(b) for b in sampled_figure.GetSystems()}
     hold = built.pop("sample_and_hold")
-    assert hold == {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
+    assert hold == HELD
     contract = {name: box.sizes(4, 4) for name, box in BOXES.items()}
     for name, signals in NOT_BY_DEFAULT.items():
         for signal in signals:
@@ -135,6 +143,7 @@ def test_contract_asks_for_what_is_read_and_for_tensions_and_wind():
     either |= {"internal_force.internal_force_higher_rates", "phase.planned"}
     either |= {"carrier_trajectory.carrier_reference_acceleration"}
     either |= {"load_trajectory.reference_preview", "optimization_layer.plan"}
+    either |= {"load_trajectory.reference_higher_rates"}
     assert asked | either == {wire.split(" -> ")[0] for wire in figure_wires()} | unread | either
 
 
@@ -151,6 +160,7 @@ def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
     assert BOXES["cables"].sizes(5, 3) == {"cable_forces": 15, "tensions": 5}
     assert BOXES["load_trajectory"].sizes(5, 3) == {
         "reference": 22,
+        "reference_higher_rates": 6,
         "reference_preview": None,
         "reference_delay": 1,
     }
@@ -179,6 +189,7 @@ def test_sampled_controllers_read_the_held_signals(sampled_figure):
     expected = {
         ("load_feedback.measured_load_state", "sample_and_hold.measured_load_state"),
         ("load_trajectory.reference", "sample_and_hold.reference"),
+        ("load_trajectory.reference_higher_rates", "sample_and_hold.reference_higher_rates"),
         ("sample_and_hold.sample_time", "carrier_trajectory.sample_time"),
     }
     for wire in figure_wires():
@@ -186,6 +197,7 @@ def test_sampled_controllers_read_the_held_signals(sampled_figure):
         if target.split(".")[0] in CONTROLLERS and source in (
             "load_feedback.measured_load_state",
             "load_trajectory.reference",
+            "load_trajectory.reference_higher_rates",
         ):
             source = f"sample_and_hold.held_{source.split('.')[1]}"
         expected.add((source, target))
@@ -388,7 +400,7 @@ def test_block_with_other_inputs_is_reported_with_the_signals(inputs, given, wro
     absent = {"diagnostics", "plan", "solve_time"}  # of the optimizer, which is not there
     absent |= {signal for signals in NOT_BY_DEFAULT.values() for signal in signals}
     if period > 0:
-        signals |= {"held_measured_load_state": 13, "held_reference": 22, "sample_time": 1}
+        signals |= HELD
     texts = {signal: size or "abstract" for signal, size in signals.items()}
     listed = [f"{signal} ({texts[signal]})" for signal in sorted(texts.keys() - absent)]
     assert message[len(start) : -len(end)] == ", ".join(listed)

@@ -144,12 +144,26 @@ def test_roll_pitch_yaw_to_quaternion_does_not_flip_its_sign_over_a_full_turn():
 def test_angular_velocity_is_drakes(rng):
     for angles, rate, acceleration in rng.uniform(-1.2, 1.2, (20, 3, 3)):
         expected = RollPitchYaw(angles).CalcAngularVelocityInParentFromRpyDt(rate)
-        omega, _ = angular_motion(angles, rate, acceleration)
+        omega, *_ = angular_motion(angles, rate, acceleration, 0 * rate)
         np.testing.assert_allclose(omega, expected, rtol=0, atol=1e-14)
 
 
 def test_angular_acceleration_is_the_inverse_of_drakes(rng):
     for angles, rate, acceleration in rng.uniform(-1.2, 1.2, (20, 3, 3)):
-        _, alpha = angular_motion(angles, rate, acceleration)
+        _, alpha, _ = angular_motion(angles, rate, acceleration, 0 * rate)
         back = RollPitchYaw(angles).CalcRpyDDtFromRpyDtAndAngularAccelInParent(rate, alpha)
         np.testing.assert_allclose(back, acceleration, rtol=0, atol=1e-12)
+
+
+def test_angular_jerk_is_the_difference_of_the_angular_acceleration(rng):
+    polynomials = rng.uniform(-1, 1, (3, 6))
+
+    def angles(time, order):
+        return [np.polynomial.Polynomial(row).deriv(order)(time) for row in polynomials]
+
+    def motion(time):
+        return angular_motion(*(np.array(angles(time, order)) for order in range(4)))
+
+    for time in (-0.8, 0.1, 0.9):
+        expected = difference(lambda t: motion(t)[1], time)
+        np.testing.assert_allclose(motion(time)[2], expected, rtol=0, atol=1e-8)

@@ -95,8 +95,8 @@ EQUATIONS = {
     "quaternion_rate": (rotation.quaternion_rate, [4, 3]),
     "rotate_quaternion": (rotation.rotate_quaternion, [4, 3]),
     "roll_pitch_yaw_to_quaternion": (rotation.roll_pitch_yaw_to_quaternion, [3]),
-    "angular_motion": (rotation.angular_motion, [3, 3, 3]),
-    "circular_motion": (lambda angle: circle.circular_motion(angle, 1.3), [4]),
+    "angular_motion": (rotation.angular_motion, [3, 3, 3, 3]),
+    "circular_motion": (lambda angle: circle.circular_motion(angle, 1.3), [5]),
     "grasp_matrix": (lambda b: grasp.grasp_matrix(b.reshape(-1, 3)), [9]),
     "cable_forces_and_rates": (
         lambda *a: grasp.cable_forces_and_rates(*a, **GRASP),
@@ -178,7 +178,7 @@ EQUATIONS = {
             pseudo_inverse=GRASP["pseudo_inverse"],
             basis=BASIS,
         ),
-        [22, 3 * N, 3 * N, 2 * N, 3],
+        [22, 3 * N, 3 * N, 2 * N, 3, 6],
     ),
     "motion_after": (
         lambda motion, time, acceleration: (
