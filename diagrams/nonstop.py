@@ -809,9 +809,7 @@ def _first_samples(blocks: Mapping[str, System]) -> dict[str, NDArray]:
     return held if higher_rates is None else held | {"reference_higher_rates": higher_rates}
 
 
-def _start_of_reference(
-    blocks: Mapping[str, System], signal: str = "reference"
-) -> NDArray | None:
+def _start_of_reference(blocks: Mapping[str, System], signal: str = "reference") -> NDArray | None:
     """The reference at t = 0, or its rates, of a trajectory that needs nothing for it."""
     trajectory = blocks.get("load_trajectory")
     if trajectory is None or trajectory.num_input_ports() > 0:
