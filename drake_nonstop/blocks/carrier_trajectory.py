@@ -125,9 +125,8 @@ class _TrajectoryAboveReference(DiagramBlock):
         require(config.hold in _HOLDS, f"{_BOX}.hold", config.hold, f"give {' or '.join(_HOLDS)}")
         is_sampled = model.control_period > 0
         self.holds_acceleration = is_sampled and config.hold == "second_order"
-        self.optional_inputs = (_HIGHER_RATES,)
-        if not self.holds_acceleration:
-            self.optional_inputs += _FOR_DERIVATIVES
+        others = () if self.holds_acceleration else _FOR_DERIVATIVES
+        self.optional_inputs = (_HIGHER_RATES, *others)
         builder = DiagramBuilder()
         motion = _TrajectoryAboveLoad(
             model,
