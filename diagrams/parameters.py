@@ -206,7 +206,8 @@ class _Loop:
             f"{_BUILD}",
         )
         for holder, new in writes:
-            following = [own for own in self._following(holder) if own != name]
+            can_lead = name in holder.parameters.of_system
+            following = self._following(holder) if can_lead else []
             self._write(holder, name, new)
             found = holder.parameters.rules.follow(self._numbers(holder))
             for own in following:
@@ -367,12 +368,12 @@ class _Loop:
     def _following(self, holder: _Holder) -> list[str]:
         """The fields of the config that are "auto", but for those set to another value since."""
         parameters = holder.parameters
-        found = parameters.rules.follow(self._numbers(holder))
+        numbers = self._numbers(holder)
+        found = parameters.rules.follow(numbers)
         return [
             name
             for name in parameters.own
-            if parameters.is_auto(name)
-            and _floats(np.ravel(found[name])) == self._value(holder, name)
+            if parameters.is_auto(name) and _are_same(found[name], numbers[name])
         ]
 
     def _numbers(self, holder: _Holder) -> dict[str, NDArray]:
@@ -496,6 +497,15 @@ def _array(value: Any) -> NDArray:
 def _has_derivatives(value: Any) -> bool:
     array = _array(value)
     return array.dtype == object and any(isinstance(v, AutoDiffXd) for v in array.ravel())
+
+
+def _are_same(one: Any, other: Any) -> bool:
+    """Whether two numbers, or arrays (1,), are equal with their derivatives, none being zeros."""
+    (a,), (b,) = np.ravel(one), np.ravel(other)
+    if not (isinstance(a, AutoDiffXd) or isinstance(b, AutoDiffXd)):
+        return bool(a == b)
+    difference = AutoDiffXd(0.0) + a - b
+    return difference.value() == 0 and not np.any(difference.derivatives())
 
 
 def _floats(vector: Iterable[Any]) -> NDArray:

@@ -11,13 +11,13 @@ from drake_nonstop.studies.figures import make_overlay_figure
 
 # A drawn task: what it changes of the scenario "quintic". `tests/drawn_tasks.py` draws others.
 TASK = [
-    "system.attachments=[[0.4921, -0.0966, 0.0], [0.182, 0.452, 0.0], [-0.5042, -0.0464, 0.0], [0.1307, -0.3868, 0.0]]",  # noqa: E501
-    "system.load_mass=2.5225",
-    "system.cable_length=2.7495",
-    "simulation_duration=16.47",
+    "system.attachments=[[1.0411, -0.1233, -0.1524], [0.8383, 0.6246, 0.1812], [-0.0082, 1.1194, 0.1372], [-0.9558, 0.3693, -0.0841], [-0.9825, -0.5251, -0.0859], [-0.0845, -0.9009, 0.1508], [0.6536, -0.8428, -0.1826]]",  # noqa: E501
+    "system.load_mass=1.2226",
+    "system.cable_length=2.8848",
+    "simulation_duration=13.35",
     "pattern=!HamiltonianCycle {}",
-    "load_trajectory=!RestToRest {displacement: [-2.301, -4.582, 0.5562], roll_pitch_yaw: [-0.1933, -0.0051, -0.0315], start_time: 1.0, move_time: 12.4697}",  # noqa: E501
-    "optimization_layer=!RecedingHorizonOptimizer {speed_bound: 0.7812, frequency: 1.4863, amplitude: 3.496}",  # noqa: E501
+    "load_trajectory=!RestToRest {displacement: [5.3021, 3.0764, 2.9082], roll_pitch_yaw: [-0.2105, 0.0459, 0.0777], start_time: 1.0, move_time: 9.3513}",  # noqa: E501
+    "optimization_layer=!RecedingHorizonOptimizer {speed_bound: 1.0681, frequency: 2.268, amplitude: 0.9545}",  # noqa: E501
 ]
 LAYERS = {"one sample": read_grid("foresight").variants["one sample"], "horizon": []}
 
@@ -39,7 +39,7 @@ def main(duration: float = 20.0, folder: str | Path = "out/foresight") -> None:
         )
     times = curves["horizon"][0]
     figure = make_overlay_figure(
-        "A drawn task of four carriers",
+        f"A drawn task of {quantities.speeds.shape[1]} carriers",
         "speed of the slowest carrier, of the bound",
         curves,
         framed=set(curves),
@@ -57,7 +57,7 @@ def _enlarge_the_slowest(figure, curves) -> None:
     (axes,) = figure.axes
     axes.lines[0].set_linewidth(1.5)
     at = times[np.argmin(speeds)]
-    inset = axes.inset_axes((0.42, 0.06, 0.3, 0.22), xlim=(at - 0.4, at + 0.4), ylim=(0.97, 1.1))
+    inset = axes.inset_axes((0.42, 0.06, 0.3, 0.22), xlim=(at - 0.4, at + 0.4), ylim=(0.75, 1.25))
     for line in axes.lines:
         style = {"color": line.get_color(), "linestyle": line.get_linestyle()}
         inset.plot(line.get_xdata(), line.get_ydata(), linewidth=1.2, **style)

@@ -125,8 +125,8 @@ class _TrajectoryAboveReference(DiagramBlock):
         require(config.hold in _HOLDS, f"{_BOX}.hold", config.hold, f"give {' or '.join(_HOLDS)}")
         is_sampled = model.control_period > 0
         self.holds_acceleration = is_sampled and config.hold == "second_order"
-        others = () if self.holds_acceleration else _FOR_DERIVATIVES
-        self.optional_inputs = (_HIGHER_RATES, *others)
+        unneeded = () if self.holds_acceleration else _FOR_DERIVATIVES
+        self.optional_inputs = (_HIGHER_RATES, *unneeded)
         builder = DiagramBuilder()
         motion = _TrajectoryAboveLoad(
             model,

@@ -110,8 +110,8 @@ class BoundedTensionDistribution(DiagramBlock):
 
     The bounds are those of the commanded tensions. In a simulation the carriers' error along a
     cable times its stiffness comes on top, which is largest where the rates jump: on `quintic` with
-    a `min_tension` of 2.9 N the tensions fall to 2.85 N, because 0.1 mm are 0.05 N (2.89 N with
-    FeedforwardCarrierPid). A run warns of it.
+    a `min_tension` of 2.9 N, CarrierPid and the hold "velocity" the tensions fall to 2.85 N,
+    because 0.1 mm are 0.05 N (2.89 N with FeedforwardCarrierPid). A run warns of it.
 
     .. pydrake_system::
 

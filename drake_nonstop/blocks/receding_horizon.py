@@ -51,7 +51,7 @@ from drake_nonstop.validation import require
 _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _LEAST_SCALE = 0.1  # of the trust region at the start of a plan
-_MORE = 2  # times the iterations again, for a plan that needs slack
+_MORE = 4  # times the iterations again, for a plan that needs slack
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
 _NO_PLAN = 0.0  # in place of a scale
 
@@ -112,7 +112,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     (1) is the ε that was set or is commanded, in m/s.
 
     Parameters, the fields of `RecedingHorizonOptimizerConfig`:
-            speed_bound: m/s, ε
+        speed_bound: m/s, ε
         tightening: the solver aims at (1 + tightening) ε; "auto": computed
         speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
         model_error: share of the load's weight by which its wrench may be off
@@ -321,7 +321,7 @@ class _Planner:
         self._model, self._config, self._name = model, config, name
         self._solver: tuple[bytes, HorizonSolver] | None = None
         self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome]] | None = None
-        self._data: tuple[ReferencePreview, HorizonData] | None = None
+        self._data: tuple[HorizonSolver, ReferencePreview, HorizonData] | None = None
 
     def plan(
         self,
@@ -345,8 +345,10 @@ class _Planner:
             shifted = before.shifted(knots) if knots > 0 else before
             ratio = (last.nominal / numbers.nominal)[:, None]
             angle, start = shifted.start_angle, ratio * shifted.coefficients
-        data = problem.data(start_time, angle, reference, speed_bound, self._known(reference))
-        self._data = reference, data
+        data = problem.data(
+            start_time, angle, reference, speed_bound, self._known(solver, reference)
+        )
+        self._data = solver, reference, data
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, _LEAST_SCALE)
         arrays = data.flat_terms, start, numbers.beliefs
@@ -366,10 +368,11 @@ class _Planner:
         )
         return _Planned(state, outcome, float(np.sqrt(speeds.squares.min())))
 
-    def _known(self, reference: ReferencePreview) -> HorizonData | None:
-        """The last plan's data, where they are of the same motion."""
+    def _known(self, solver: HorizonSolver, reference: ReferencePreview) -> HorizonData | None:
+        """The last plan's data, where they are of the same motion and beliefs."""
         known = self._data
-        return known[1] if known is not None and known[0] is reference else None
+        is_same = known is not None and known[0] is solver and known[1] is reference
+        return known[2] if known is not None and is_same else None
 
     def _make(
         self,
@@ -409,7 +412,6 @@ class _Planner:
                 beliefs=Beliefs.view(numbers.beliefs),
             )
             self._solver = known = key, HorizonSolver(problem)
-            self._data = None
         return known[1]
 
 

@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix, skew
 from drake_nonstop.mechanics.signals import InternalForce, LoadState, Wrench
 
+# Of the tensions that a null space can change; squared, and relative to the largest. Below it rates
+# would be those of a division by nearly zero, as where carriers start symmetrically.
+_DEPENDENT = 1e-8
+
 
 def grasp_matrix(attachments: NDArray) -> NDArray:
     """G₀ (6, 3n) in L: stacked cable forces (3n,) to the wrench [torque; force] (6,).
@@ -97,7 +101,7 @@ def null_space_correction(
     count = len(directions)
     rows = directions.reshape(count, -1) @ null_space
     row_rates = direction_rates.reshape(count, -1) @ null_space
-    inverse = np.linalg.pinv(rows @ rows.T)
+    inverse = np.linalg.pinv(rows @ rows.T, rcond=_DEPENDENT)
     multipliers = inverse @ shortfalls
     change = row_rates @ rows.T
     multiplier_rates = inverse @ (shortfall_rates - (change + change.T) @ multipliers)

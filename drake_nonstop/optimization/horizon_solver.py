@@ -326,10 +326,12 @@ def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
     )
 
     def margins_at(x: NDArray) -> NDArray:
-        return search.margins(x[1:], x[:1])[0][0, 0]
+        speeds = search.margins(x[1:], x[:1])[0][0, 0]
+        squares = search.speed_unit**2 * speeds + search.speed_bound**2
+        return np.minimum(speeds, 1 - squares / search.max_speed**2)
 
-    margins = margins_at(problem.nominal)
-    if margins.min() >= -FEASIBILITY_TOLERANCE:
+    speeds, others = search.margins(problem.nominal[1:], problem.nominal[:1])
+    if min(speeds.min(), others.min()) >= -FEASIBILITY_TOLERANCE:
         return problem.nominal
-    found, cost = nearest_feasible(search, margins, margins_at)
+    found, cost = nearest_feasible(search, margins_at(problem.nominal), margins_at)
     return found if np.isfinite(cost) else least_infeasible_on_grid(search)

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 
+from drake_nonstop.systems.block import number
+
 DEGREE = 4  # of ξ and A, whose third rates are continuous
 
 
@@ -100,19 +102,20 @@ class Plan:
         return self.start_time + self.intervals * self.spacing
 
     def values(self, time: float) -> PlanValues:
-        """The plan at a time in s, not before its start."""
+        """The plan at a time in s, not before its start, in any scalar type."""
         x = (time - self.start_time) / self.spacing
-        piece = min(max(int(x), 0), self.intervals - 1)
-        late = max(x - self.intervals, 0.0)
-        x = min(x - piece, 1.0)
+        place = number(x)
+        piece = min(max(int(place), 0), self.intervals - 1)
+        late = x - self.intervals if place > self.intervals else 0.0
+        x = x - piece if place - piece < 1 else 1.0
         frequency, amplitude = self._pieces[piece]
         rows = _powers(x) / self.spacing ** np.arange(4)[:, None]
-        if late > 0:
+        if place > self.intervals:
             rows[1:] = 0
         turns = frequency @ (x * rows[0] / np.arange(1, DEGREE + 2)) + late * (frequency @ rows[0])
         xi, xi_rate, xi_second_rate, _ = (self.nominal[0] * (rows @ frequency)).tolist()
         A, A_rate, A_second_rate, A_third_rate = (self.nominal[1] * (rows @ amplitude)).tolist()
-        angle = float(self._angles[piece] + self.nominal[0] * self.spacing * turns)
+        angle = self._angles[piece] + self.nominal[0] * self.spacing * turns
         return PlanValues(
             angle, xi, A, xi_rate, A_rate, xi_second_rate, A_second_rate, A_third_rate
         )

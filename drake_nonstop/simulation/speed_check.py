@@ -274,26 +274,37 @@ def _planned(task: Task, *, most: int | None) -> list[_Planned]:
             terms = OrbitTerms.view(np.array(flat))
         solver = HorizonSolver(problem)
         data = problem.data(0.0, 0.0, task.reference, bound)
+        nominal = problem.plan(data, problem.nominal_coefficients())
+        if task.changes_parameters and _ratios(problem, terms, fine, nominal, bound)[0].min() < 1:
+            solver = HorizonSolver(problem, fixed=0)  # a layer then starts with others
         for start in _starts(task, solver, data, intervals):
             answer = solver.solve(data, start, max_iterations=_MAX_ITERATIONS, tolerance=_TOLERANCE)
             plan = answer.plan
-            values = np.array([plan.values(time) for time in fine])
-            speeds = planned_speeds(
-                terms,
-                problem.axes,
-                values[:, 0],
-                values[:, 1],
-                values[:, 2],
-                values[:, 4],
-                rest_length=problem.rest_length,
-                compliance=problem.compliance,
-            )
-            ratios = np.sqrt(speeds.squares) / bound
+            ratios = _ratios(problem, terms, fine, plan, bound)
             reached = float(ratios.min())
-            found.append(_Planned(reached, plan, fine, values[:, 1:3], ratios))
+            parameters = np.array([plan.values(time)[1:3] for time in fine])
+            found.append(_Planned(reached, plan, fine, parameters, ratios))
             if reached >= 1 or len(found) == most:
                 return found
     return found
+
+
+def _ratios(
+    problem: HorizonProblem, terms: OrbitTerms, times: NDArray, plan: Plan, bound: float
+) -> NDArray:
+    """v/ε (l, n) along a plan at times (l,) with these terms."""
+    values = np.array([plan.values(time) for time in times])
+    speeds = planned_speeds(
+        terms,
+        problem.axes,
+        values[:, 0],
+        values[:, 1],
+        values[:, 2],
+        values[:, 4],
+        rest_length=problem.rest_length,
+        compliance=problem.compliance,
+    )
+    return np.sqrt(speeds.squares) / bound
 
 
 def _starts(

@@ -76,10 +76,9 @@ class TaskCheck:
     def _of_formation(self) -> str:
         worst = self.formation.worst
         if self.formation.is_stable:
-            return (
-                "the formation is stable: a small deviation grows by at most "
-                f"{math.exp(self.formation.growth):.3g} times on the way"
-            )
+            growth = math.exp(self.formation.growth)
+            change = "does not grow" if growth <= 1 else f"grows {growth:.3g} times at most"
+            return f"the formation is stable: a small deviation {change} on the way"
         helps = "; or ".join(self.formation_remedies)
         return (
             f"formation = unstable: at t = {worst.time:.1f} s a small deviation grows by "

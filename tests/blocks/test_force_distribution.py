@@ -97,6 +97,25 @@ def test_wide_bounds_change_nothing():
     np.testing.assert_array_equal(distributed(bounded(min_tension=0.1), 0.3), plain)
 
 
+def test_rates_of_cables_that_hardly_differ_are_those_of_cables_alike():
+    """Four cables on a bound, whose tensions three coordinates of the null space decide."""
+    found = []
+    for tilt in (0.0, 5e-7):  # rad
+        block = bounded(min_tension=2.9)
+        context = block.CreateDefaultContext()
+        fix(
+            block,
+            context,
+            measured_load_state=np.array([1.0, tilt / 2, *np.zeros(11)]),
+            wrench=np.array([0, 0, 0, 0, 0, 9.81]),
+            wrench_rate=np.array([0, 0, 0, 0.06, 0.06, 0.06]),
+            internal_force=np.array([1.2, 0, 1.2, 0, 0, -2.4, 0, -2.4]),
+        )
+        names = "desired_cable_forces", "desired_cable_force_rates"
+        found.append([output(block, context, name) for name in names])
+    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-5)
+
+
 def tensions(forces):
     return np.linalg.norm(forces.reshape(-1, 3), axis=1)
 

@@ -54,9 +54,11 @@ SAME = {
         "cables=!IndividualCables {stiffness: [500, 400, 500, 600]}",
     ),
     "optimizer at 50 Hz": (
-        *("line", "simulation_duration=0.4", "optimization_layer.speed_bound=1.2"),
-        "optimization_layer.period=0.02",
+        *("line", "simulation_duration=0.4", "optimization_layer=NonstopOptimizer"),
+        *("optimization_layer.speed_bound=1.2", "optimization_layer.period=0.02"),
+        "phase=AccumulatedPhase",
     ),
+    "a plan": ("line", "simulation_duration=0.4", "optimization_layer.speed_bound=1.2"),
     "late and noisy": (
         *("line", "simulation_duration=1", CONSTANT),
         "load_feedback=!NoisyFeedback {position_noise: 0.001, delay: 0.02}",

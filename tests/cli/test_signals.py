@@ -23,6 +23,7 @@ from tests.helpers import handle_signals_as_a_shell_does
 TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
 _DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
 _GRACE = 2.0  # s, from the second signal to the end
+_UNPLANNED = ["internal_force=InternalForceTrajectory"]  # reads the two signals that they make
 
 _BLOCKS = """
 import sys, time
@@ -191,6 +192,7 @@ def test_two_signals_end_every_command_with_one_sentence(start, tmp_path, seed):
 @pytest.mark.parametrize("block", ["Spins", "Sleeps", "Waits", "Swallows"])
 def test_a_block_that_never_returns_is_ended_and_what_was_flown_is_kept(start, tmp_path, block):
     options = ["--out", "o", "--trust", "--quiet", "--set", f"phase=stays.{block}"]
+    options += _UNPLANNED
     process = start("run", "quintic", *options)
     wait_for(tmp_path / "there")
     process.send_signal(signal.SIGINT)
@@ -208,7 +210,7 @@ def test_a_block_that_never_returns_is_ended_and_what_was_flown_is_kept(start, t
 @pytest.mark.slow
 def test_a_blocks_exit_is_its_error_and_what_was_flown_is_kept(start, tmp_path):
     options = ["--no-figures", "--no-replay", "--out", "o", "--trust", "--quiet"]
-    process = start("run", "quintic", *options, "--set", "phase=stays.Exits")
+    process = start("run", "quintic", *options, "--set", "phase=stays.Exits", *_UNPLANNED)
     code, sentences, _ = ended(process)
     assert code == 1
     assert re.search(r"stopped at t = 0\.3\d+ s: phase \(stays.py:\d+\): SystemExit", sentences[0])
@@ -218,10 +220,9 @@ def test_a_blocks_exit_is_its_error_and_what_was_flown_is_kept(start, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_one_signal_ends_a_run_in_order(start, tmp_path, number):
-    options = ["--no-figures", "--no-replay", "--out", "o", "--trust"]
-    process = start(
-        "run", "quintic", *options, "--set", "simulation_duration=1000", "phase=stays.FliesOn"
-    )
+    options = ["--no-figures", "--no-replay", "--out", "o", "--trust", "--set"]
+    options += ["simulation_duration=1000", "phase=stays.FliesOn", *_UNPLANNED]
+    process = start("run", "quintic", *options)
     wait_for(tmp_path / "there")
     process.send_signal(number)
     code, sentences, _ = ended(process)

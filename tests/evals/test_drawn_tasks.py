@@ -8,7 +8,7 @@ from drawn_tasks import aircraft_task, carriers_task
 
 from drake_nonstop.simulation.aircraft_margins import aircraft_margins
 
-FAILS_TODAY = 1023  # a task on which the layer of one sample falls below the bound
+FAILS_TODAY = 1029  # a task on which the layer of one sample falls below the bound
 
 
 def flown(seed, variant):

@@ -457,7 +457,7 @@ def test_a_run_is_judged_by_the_bound_that_the_scenario_states():
     assert run.scenario.speed_bound == 0.55
     assert run.steps["speed_bound"][-1] == 0.55
     assert type(run.scenario.optimization_layer) is ConstantParametersConfig
-    assert type(scenario.optimization_layer).__name__ == "NonstopOptimizerConfig"  # untouched
+    assert type(scenario.optimization_layer).__name__ == "RecedingHorizonOptimizerConfig"
 
 
 class OwnOptimizer(NonstopOptimizer):

@@ -25,13 +25,13 @@ def test_parts_are_merged_field_by_field_and_so_is_the_same_block():
       system: {load_mass: 1.2}
       pattern:  # nothing of it changes
       load_trajectory: {move_time: 8.0}
-      optimization_layer: !NonstopOptimizer {tightening: 0.02}
+      optimization_layer: !RecedingHorizonOptimizer {tightening: 0.03}
     """
     overrides = [
         "description=with more mass",
         "system.load_mass=1.2",
         "load_trajectory.move_time=8.0",
-        "optimization_layer.tightening=0.02",
+        "optimization_layer.tightening=0.03",
     ]
     assert resolved(parse_scenario(text)) == resolved(load_scenario("quintic", overrides))
 

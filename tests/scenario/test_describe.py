@@ -160,7 +160,15 @@ def test_one_box_is_shown_alone(capsys):
         "optional diagnostics (7), plan (8), solve_time (1),\n"
         "                      speed_bound (1)\n"
     ) in shown
-    assert "  NonstopOptimizer (default)\n    Changes ξ and A as little" in shown
+    assert (
+        "  RecedingHorizonOptimizer (default)\n"
+        "    Plans ξ and A over a horizon such that every carrier stays at or above ε.\n"
+        "    in   reference (22), reference_preview (abstract, optional), "
+        "speed_bound_command (1, optional)\n"
+        "    out  parameters (2), plan (8), diagnostics (7), solve_time (1), speed_bound (1)\n"
+        "    speed_bound          float        0.2          m/s, ε\n"
+    ) in shown
+    assert "  NonstopOptimizer\n    Changes ξ and A as little" in shown
     assert (
         "    in   measured_load_state (13), reference (22), wrench (6), wrench_rate (6), "
         "phase (2),\n"

@@ -53,7 +53,7 @@ def test_a_resolved_scenario_reads_back_to_itself(name):
 
 def test_a_resolved_scenario_names_every_block():
     text = dump_scenario(load_scenario("quintic"))
-    for tag in ("!NonstopOptimizer", "!LoadPlant", "!ShapedPhase", "!HamiltonianCycle"):
+    for tag in ("!RecedingHorizonOptimizer", "!LoadPlant", "!ShapedPhase", "!HamiltonianCycle"):
         assert tag in text
 
 
@@ -129,10 +129,22 @@ def test_a_file_with_defaults_only_needs_no_more_than_its_name(tmp_path):
         ("sytem.load_mass=1", ["sytem", "did you mean system"]),
         ("pattern.phases=[0,0,1,2]", ["pattern.phases", "coincide modulo pi"]),
         ("pattern.phases=[0,1]", ["pattern.phases = [0.0, 1.0]", "4 finite numbers"]),
-        ("optimization_layer.period=0.004", ["period = 0.004", "multiple of the control period"]),
+        (
+            "optimization_layer=!NonstopOptimizer {period: 0.004}",
+            ["period = 0.004", "multiple of the control period"],
+        ),
         ("optimization_layer.speed_bound=-0.1", ["speed_bound = -0.1", "0 (no bound)"]),
-        ("optimization_layer.solver=gurobi", ["solver = gurobi", "snopt, ipopt"]),
-        ("optimization_layer.look_ahead_points=1.5", ["look_ahead_points = 1.5", "whole number"]),
+        (
+            "optimization_layer=!NonstopOptimizer {solver: gurobi}",
+            ["solver = gurobi", "snopt, ipopt"],
+        ),
+        (
+            "optimization_layer=!NonstopOptimizer {look_ahead_points: 1.5}",
+            ["look_ahead_points = 1.5", "whole number"],
+        ),
+        ("optimization_layer.knot_spacing=0.004", ["knot_spacing = 0.004", "control period"]),
+        ("optimization_layer.instants=1.5", ["instants = 1.5", "whole number"]),
+        ("optimization_layer.period=0.02", ["period = 0.02", "one of NonstopOptimizer"]),
         ("phase=!Phase {}", ["phase = !Phase", "!AccumulatedPhase, !PaperPhase"]),
         ("control_period=-1", ["control_period = -1", "0 for continuous"]),
         ("simulation_duration=1:30", ["simulation_duration = 1:30", "plain digits"]),

@@ -8,40 +8,61 @@ from drake_nonstop import Cables, RunStopped, load_scenario, simulate
 
 
 class Faulty(LeafSystem):
-    """Makes a constant signal until 0.1 s, and then something else."""
+    """Makes constant signals; one of them becomes something else after 0.1 s."""
 
-    def __init__(self, signal, value, fault):
+    def __init__(self, signal, fault):
         super().__init__()
+        signals = {signal, *ALSO.get(signal, ())}
+        for name in sorted(signals):
+            value = VALUES[name]
 
-        def calc(context, output):
-            output.SetFromVector(np.array(value) + (fault if context.get_time() > 0.1 else 0.0))
+            def calc(context, output, name=name, value=value):
+                is_wrong = name == signal and context.get_time() > 0.1
+                output.SetFromVector(np.array(value) + (fault if is_wrong else 0.0))
 
-        self.DeclareVectorOutputPort(signal, len(value), calc)
+            self.DeclareVectorOutputPort(name, len(value), calc)
 
 
+VALUES = {
+    "disturbance_wrench": np.zeros(6),
+    "parameters": [2.0, 1.2],
+    "phase": np.zeros(2),
+    "planned": [0.0, 2.0, 1.2, *np.zeros(5)],
+    "internal_force": np.zeros(8),
+    "internal_force_higher_rates": np.zeros(8),
+}
+# What other blocks read of the one that makes a signal.
+ALSO = {
+    "phase": ["planned"],
+    "planned": ["phase"],
+    "internal_force": ["internal_force_higher_rates"],
+    "internal_force_higher_rates": ["internal_force"],
+}
+OF_PHASE = ["internal_force=InternalForceTrajectory"]  # which reads it, and not what is planned
 SIGNALS = [
-    ("load_disturbance", "disturbance_wrench", np.zeros(6)),
-    ("optimization_layer", "parameters", [2.0, 1.2]),
-    ("phase", "phase", np.zeros(2)),
-    ("internal_force", "internal_force", np.zeros(8)),
+    ("load_disturbance", "disturbance_wrench", []),
+    ("optimization_layer", "parameters", []),
+    ("phase", "phase", OF_PHASE),
+    ("phase", "planned", []),
+    ("internal_force", "internal_force", []),
+    ("internal_force", "internal_force_higher_rates", []),
 ]
 CASES = [
     (*signal, fault)
     for signal in SIGNALS
     for fault in (np.nan, np.inf, 1e12)
-    if signal[0] != "phase" or not np.isfinite(fault)  # any finite phase is sound
+    if signal[1] != "phase" or not np.isfinite(fault)  # any finite phase is sound
 ]
 
 
-@pytest.mark.parametrize(("box", "signal", "value", "fault"), CASES)
-def test_the_source_of_a_value_is_named(box, signal, value, fault):
-    scenario = load_scenario("quintic", ["simulation_duration=0.3"])
+@pytest.mark.parametrize(("box", "signal", "settings", "fault"), CASES)
+def test_the_source_of_a_value_is_named(box, signal, settings, fault):
+    overrides = ["simulation_duration=0.3", *settings]
     if box != "load_disturbance":
-        scenario = load_scenario(
-            "quintic", ["simulation_duration=0.3", "load_feedback=DesiredStateFeedback"]
-        )
+        overrides.append("load_feedback=DesiredStateFeedback")
+    scenario = load_scenario("quintic", overrides)
     with pytest.raises(RunStopped, match=f"diverged at t = 0.1.* s: {box} made a value"):
-        simulate(scenario, **{box: lambda model: Faulty(signal, value, fault)})
+        simulate(scenario, **{box: lambda model: Faulty(signal, fault)})
 
 
 def test_a_fault_inside_the_loop_is_blamed_on_its_block():

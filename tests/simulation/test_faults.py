@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop.cli.main import main
+from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
@@ -59,35 +60,57 @@ def test_no_room_for_the_results_leaves_the_earlier_ones(tmp_path, results):
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]
 
 
+layers = pytest.mark.parametrize(
+    ("solver", "settings"),
+    [
+        (
+            HorizonSolver,
+            ["optimization_layer.knot_spacing=0.13", "optimization_layer.horizon=3.25"],
+        ),
+        (UpdateSolver, ["optimization_layer=NonstopOptimizer"]),
+    ],
+)
+
+
+def angle(data):
+    """θ in rad at an update or a plan."""
+    return data.phase[0] if hasattr(data, "phase") else data.start_angle
+
+
+@layers
 def test_a_solver_that_throws_stops_the_run_with_its_cause_and_keeps_what_there_is(
-    tmp_path, monkeypatch, capsys
+    tmp_path, monkeypatch, capsys, solver, settings
 ):
-    solve = UpdateSolver.solve
+    solve = solver.solve
 
-    def failing(solver, data):
-        if data.phase[0] > 0.3:  # rad: after 0.15 s
+    def failing(solver, data, *arguments, **options):
+        if angle(data) > 0.2:  # rad: from 0.1 s on
             raise RuntimeError("the solver\nis out of licences")
-        return solve(solver, data)
+        return solve(solver, data, *arguments, **options)
 
-    monkeypatch.setattr(UpdateSolver, "solve", failing)
-    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF]) == 1
+    monkeypatch.setattr(solver, "solve", failing)
+    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF, *settings]) == 1
     error = capsys.readouterr().err
     assert "RuntimeError: the solver is out of licences" in error
     metrics = json.loads((tmp_path / "metrics.json").read_text())
-    assert 0.1 < metrics["simulated_s"] < 0.2
+    assert 0.09 < metrics["simulated_s"] < 0.2
     with np.load(tmp_path / "signals.npz") as signals:
         assert all(np.isfinite(values).all() for values in signals.values())
 
 
-def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch):
-    def broken(*arguments):
-        parameters, *others = solve(*arguments)
+@layers
+def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch, solver, settings):
+    def broken(*arguments, **options):
+        answer = solve(*arguments, **options)
+        if solver is HorizonSolver:
+            return answer._replace(coefficients=answer.coefficients * np.nan)
+        parameters, *others = answer
         return parameters * np.nan, *others
 
-    solve = UpdateSolver.solve
-    monkeypatch.setattr(UpdateSolver, "solve", broken)
+    solve = solver.solve
+    monkeypatch.setattr(solver, "solve", broken)
     with pytest.raises(ScenarioError, match=r"start = optimization_layer: .*not finite"):
-        simulate(load_scenario("quintic", ["simulation_duration=0.3"]))
+        simulate(load_scenario("quintic", ["simulation_duration=0.3", *settings]))
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.05])

@@ -267,7 +267,9 @@ def test_both_numbers_can_be_told_apart():
 def test_a_limit_that_a_blocks_config_states_has_a_row():
     paths = {limit.path for limit in LIMITS}
     # The search keeps within these; the run has nothing that could exceed them.
-    kept = {f"optimization_layer.max_{name}_rate" for name in ("frequency", "amplitude")}
+    rates = [f"max_{name}_rate" for name in ("frequency", "amplitude")]
+    kept = {f"{box}.{name}" for box in ("optimization_layer", "phase") for name in rates}
+    kept.add("optimization_layer.max_iterations")  # a number that is counted
     kept.add("carrier_controller.max_bank")  # of the command, which the bank cannot overshoot
     for name, box in BOXES.items():
         for config in box.configs:
@@ -303,6 +305,7 @@ def test_a_load_that_falls_is_lost():
 
 def test_a_bound_on_tensions_that_was_not_kept_is_said():
     swap = ["force_distribution=BoundedTensionDistribution", "force_distribution.min_tension=2.9"]
+    swap += ["carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"]
     metrics = compute_metrics(
         simulate(load_scenario("quintic", ["simulation_duration=0.3", *swap]))
     )

@@ -130,7 +130,7 @@ def test_the_optimizer_holds_its_parameters_and_refuses_to_update():
     assert str(error.value) == (
         "scalar type of optimization_layer = AutoDiffXd: it computes with floating-point numbers "
         "only; give ConstantParameters, with its frequency and amplitude, in place of "
-        "NonstopOptimizer"
+        "RecedingHorizonOptimizer"
     )
 
 

@@ -22,7 +22,11 @@ from drake_nonstop import (
 from drake_nonstop.simulation.moved_metrics import moved_metrics
 
 GENERATOR = np.random.default_rng(16)
-FAST_YAW = "load_trajectory.roll_pitch_yaw=[0, 0, 12.566]"
+FAST_YAW = (  # and ξ and A that move in steps, which the carriers' references follow
+    "load_trajectory.roll_pitch_yaw=[0, 0, 12.566]",
+    *("optimization_layer=NonstopOptimizer", "phase=AccumulatedPhase"),
+    *("carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"),
+)
 
 
 def short(*overrides, duration=1.0):
@@ -48,7 +52,10 @@ def test_strongly_damped_cables_are_flown_as_with_a_fifth_of_the_step_or_refused
 
 
 def test_a_warning_of_a_shorter_step_names_the_users_line():
-    overrides = ["control_period=0.1", "optimization_layer.period=0.1"]
+    overrides = [
+        *("control_period=0.1", "optimization_layer=NonstopOptimizer"),
+        "optimization_layer.period=0.1",
+    ]
     with pytest.warns(ScenarioWarning, match="the commanded motion between the") as warned:
         simulate(short(*overrides))
     files = [warning.filename for warning in warned if warning.category is ScenarioWarning]
@@ -84,7 +91,7 @@ def test_an_interrupt_of_the_second_flight_keeps_the_first_and_its_doubt():
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(RunInterrupted) as raised:
-        simulate(short(FAST_YAW, duration=4.0), progress=progress)
+        simulate(short(*FAST_YAW, duration=4.0), progress=progress)
     run = raised.value.run
     assert run.time[-1] == pytest.approx(4.0)
     assert compute_metrics(run)["outcome"] == "unconverged"
@@ -97,6 +104,6 @@ def test_what_is_called_after_each_step_sees_one_flight():
         times.append(simulator.get_context().get_time())
         return StepAction.CONTINUE
 
-    run = simulate(short(FAST_YAW, duration=4.0), after_step=after_step)
+    run = simulate(short(*FAST_YAW, duration=4.0), after_step=after_step)
     assert times == sorted(times)
     assert compute_metrics(run)["outcome"] == "unconverged"

@@ -12,7 +12,7 @@ from drake_nonstop import load_scenario, make_nonstop, set_equilibrium
 
 TRIES = int(os.environ.get("THREAD_TRIES", "3"))
 THREADS = 4
-LOW = "optimization_layer.amplitude=0.6"  # too low for the bound: every update is solved
+LOW = "optimization_layer.amplitude=0.6"  # too low for the bound: every update, or plan, is solved
 
 
 @pytest.fixture
@@ -43,7 +43,8 @@ def flown(config, loop, start):
     "overrides",
     [
         [],
-        [LOW, "optimization_layer.solver=snopt"],
+        [LOW],
+        ["optimization_layer=NonstopOptimizer", LOW, "optimization_layer.solver=snopt"],
         ["fused_plant=true"],
     ],
     ids=lambda overrides: ", ".join(overrides) or "default",

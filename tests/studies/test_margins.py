@@ -13,7 +13,7 @@ def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch)
 
     def few(scenario):
         mass, _, _, delay, _ = axes(scenario)
-        mass.values, delay.values = [0.2, 0.8], [0.0, 0.03, 0.04]
+        mass.values, delay.values = [0.2, 0.8], [0.0, 0.02, 0.03]
         return [mass, delay]
 
     monkeypatch.setattr(margins, "_axes", few)
@@ -30,6 +30,6 @@ def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch)
     assert 0.2 <= mass["high"] < 0.8
     for value, largest in zip(mass["values"], mass["largest"], strict=True):
         assert (largest < 1.0001) == (value <= mass["high"])
-    assert delay["high"] == 0.03
+    assert delay["high"] == 0.02
     with Image.open(tmp_path / "stability.png") as picture:
         assert picture.width > 500
