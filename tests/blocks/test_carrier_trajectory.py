@@ -23,7 +23,13 @@ from drake_nonstop.blocks.internal_force import (
     PlannedInternalForceConfig,
 )
 from drake_nonstop.blocks.load_feedback import DesiredStateFeedback
-from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnConfig
+from drake_nonstop.blocks.load_trajectory import (
+    CircleConfig,
+    ConstantVelocityMove,
+    ConstantVelocityMoveConfig,
+    RestToRestConfig,
+    SteadyTurnConfig,
+)
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.carrier import carrier_motion
@@ -36,7 +42,7 @@ from drake_nonstop.model.pattern import (
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems import traced_block
-from drake_nonstop.systems.wiring import WiringError, input_names
+from drake_nonstop.systems.wiring import WiringError, connections, input_names
 from drake_nonstop.validation import ScenarioError
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
@@ -284,14 +290,77 @@ def test_accelerations_that_cannot_be_made_are_told_with_a_remedy():
             make_nonstop(Scenario(), carrier_controller=controller, **boxes)
 
 
-def test_without_snap_what_is_missing_is_small_while_the_load_moves_slowly():
-    # Of a quintic, over 10 s, of which the snap (0.2 m/s⁴ times the mass) is not told.
-    move = RestToRestConfig(displacement=[1.0, 1.0, 1.0])
+def mistakes(diagram, context, time):
+    """The largest of the carriers' accelerations, by differences of velocities and positions."""
+
+    def position(time):
+        return carriers_at(diagram, context, time)[0][:12]
+
+    _, acceleration, _ = carriers_at(diagram, context, time)
+    by_velocities = difference(lambda t: carriers_at(diagram, context, t)[0][12:], time)
+    by_positions = difference(lambda t: difference(position, t), time)
+    return [np.max(np.abs(acceleration - rate)) for rate in (by_velocities, by_positions)]
+
+
+LINE = ConstantVelocityMoveConfig(start_time=1.0)
+
+
+@pytest.mark.parametrize(
+    "move",
+    [
+        LINE,
+        RestToRestConfig(displacement=[1.0, -1.0, 0.5], move_time=4.0, blend="c4"),
+        CircleConfig(move_time=6.0),
+    ],
+    ids=["line", "septic", "circle"],
+)
+def test_accelerations_have_the_snap_of_the_reference_in_them(move):
     diagram, context = loop_on_its_reference(load_trajectory=move)
-    for time in (2.0, 5.0):
-        _, acceleration, _ = carriers_at(diagram, context, time)
-        velocity = difference(lambda t: carriers_at(diagram, context, t)[0][12:], time)
-        np.testing.assert_allclose(acceleration, velocity, rtol=0, atol=0.01)
+    for time in (0.8, 1.2, 5.0):
+        assert max(mistakes(diagram, context, time)) < 1e-8
+
+
+def test_accelerations_of_a_load_that_turns_lack_its_angular_snap_only():
+    move = RestToRestConfig(roll_pitch_yaw=[0.3, 0.2, 0.8], move_time=3.0)
+    diagram, context = loop_on_its_reference(load_trajectory=move)
+    for time in (0.8, 1.7):
+        assert max(mistakes(diagram, context, time)) < 0.003
+
+
+class OnlyReference(LeafSystem):
+    """A user's own block for a line, which tells its reference only."""
+
+    def __init__(self, model):
+        super().__init__()
+        line = ConstantVelocityMove(model, LINE)
+        preview = line.GetOutputPort("reference_preview").Eval(line.CreateDefaultContext())
+        self.DeclareVectorOutputPort(
+            "reference",
+            22,
+            lambda context, reference: reference.SetFromVector(preview(context.get_time())),
+        )
+
+
+def test_without_the_signal_the_snap_is_taken_as_zero():
+    system, stiff = SystemParameters(), InextensibleCarrierTrajectory
+    loops = [
+        loop_on_its_reference(load_trajectory=block, carrier_trajectory=stiff)
+        for block in (OnlyReference, LINE)
+    ]
+    assert "carrier_trajectory.reference_higher_rates" not in str(connections(loops[0][0]))
+    without, whole = (carriers_at(*loop, 0.8) for loop in loops)
+    np.testing.assert_array_equal(without[0], whole[0])
+    missing = whole[1] - without[1]
+    snap = output(*loops[1], "reference_higher_rates")[3:]
+    # Four equal shares of m·snap, and cables of the tension T: L/T of the part across each cable.
+    forces = output(*loops[1], "desired_cable_forces").reshape(4, 3)
+    tensions = np.linalg.norm(forces, axis=1, keepdims=True)
+    along = forces / tensions
+    share = np.tile(system.load_mass * snap / 4, (4, 1))
+    across = share - np.sum(share * along, axis=1, keepdims=True) * along
+    expected = (system.cable_length / tensions * across).ravel()
+    np.testing.assert_allclose(missing, expected, rtol=0, atol=1e-10)
+    assert np.max(np.abs(missing)) > 0.5
 
 
 @pytest.mark.parametrize("n", [3, 5])

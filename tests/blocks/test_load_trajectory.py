@@ -90,14 +90,14 @@ def case(request):
     return reference_of(block, config), breaks
 
 
-def reference_of(block, config):
-    """The function from time to `reference` (22,), through the port."""
+def reference_of(block, config, name="reference"):
+    """The function from time to `reference` (22,), or another signal, through the port."""
     block = block(model(), config)
     context = block.CreateDefaultContext()
 
     def reference(time):
         context.SetTime(time)
-        return output(block, context, "reference")
+        return output(block, context, name)
 
     return reference
 
@@ -168,6 +168,24 @@ def test_with_c4_the_same_poses_are_reached(block, config, breaks):
     for time in (0.0, *breaks, 20.0):
         np.testing.assert_allclose(smooth(time)[:13], quintic(time)[:13], rtol=0, atol=1e-12)
         check_rates(smooth, time + 0.35)
+
+
+@pytest.mark.parametrize("kind", [*EVERY_KIND, *(f"{name}, c4" for name in SEPTIC)])
+def test_higher_rates_are_the_differences_of_the_reference(kind):
+    name, *septic = kind.split(", ")
+    block, config, breaks = (SEPTIC if septic else EVERY_KIND)[name]
+    reference = reference_of(block, config)
+    higher_rates = reference_of(block, config, "reference_higher_rates")
+    times = [t for t in np.linspace(0.05, 12, 25) if np.min(np.abs(t - np.array(breaks))) > 0.005]
+    assert len(times) > 20
+    largest = 0.0
+    for time in times:
+        now = higher_rates(time)
+        rates = difference(lambda t: reference(t)[13:], time)
+        expected = np.concatenate([rates[:3], rates[6:]])
+        np.testing.assert_allclose(now, expected, rtol=0, atol=1e-8, err_msg=f"at {time}")
+        largest = max(largest, np.max(np.abs(now)))
+    assert largest > 0.01 or name in ("blend 0", "samples")
 
 
 def test_blend_names_a_polynomial():

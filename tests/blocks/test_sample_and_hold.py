@@ -8,6 +8,7 @@ from drake_nonstop.blocks.load_trajectory import RestToRest, RestToRestConfig
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 
 PERIOD = 0.02
+HELD = ("held_reference", "held_reference_higher_rates")
 
 
 class DiscreteReader(LeafSystem):
@@ -33,9 +34,10 @@ def loop():
     trajectory = builder.AddSystem(RestToRest(constants, config))
     hold = builder.AddSystem(SampleAndHold(constants))
     reader = builder.AddSystem(DiscreteReader(22))
-    builder.Connect(trajectory.GetOutputPort("reference"), hold.GetInputPort("reference"))
+    for name in ("reference", "reference_higher_rates"):
+        builder.Connect(trajectory.GetOutputPort(name), hold.GetInputPort(name))
     builder.Connect(hold.GetOutputPort("held_reference"), reader.get_input_port())
-    for name in ("held_reference", "held_measured_load_state", "sample_time"):
+    for name in (*HELD, "held_measured_load_state", "sample_time"):
         builder.ExportOutput(hold.GetOutputPort(name), name)
     builder.ExportOutput(reader.get_output_port(), "read")
     builder.ExportInput(hold.GetInputPort("measured_load_state"), "measured_load_state")
@@ -46,9 +48,9 @@ def loop():
     own = RestToRest(constants, config)
     context = own.CreateDefaultContext()
 
-    def reference(time):
+    def reference(time, name="reference"):
         context.SetTime(time)
-        return output(own, context, "reference")
+        return output(own, context, name)
 
     return diagram, simulator, reference
 
@@ -70,9 +72,23 @@ def test_sample_is_held_until_the_next(loop):
         simulator.AdvanceTo(time)
         (sampled,) = output(diagram, context, "sample_time")
         assert sampled == pytest.approx(PERIOD * int(time / PERIOD), abs=1e-12)
-        np.testing.assert_array_equal(
-            output(diagram, context, "held_reference"), reference(sampled)
-        )
+        for name in HELD:
+            expected = reference(sampled, name.removeprefix("held_"))
+            np.testing.assert_array_equal(output(diagram, context, name), expected)
+        assert np.max(np.abs(expected)) > 1
+
+
+def test_higher_rates_that_nothing_makes_are_held_as_zero():
+    hold = SampleAndHold(model(4, PERIOD))
+    simulator = Simulator(hold)
+    fixed = {"measured_load_state": Motion(80).state(0), "reference": Motion(80).reference(0)}
+    fix(hold, simulator.get_mutable_context(), **fixed)
+    simulator.AdvanceTo(0.05)
+    held = output(hold, simulator.get_context(), "held_reference_higher_rates")
+    np.testing.assert_array_equal(held, np.zeros(6))
+    np.testing.assert_array_equal(
+        output(hold, simulator.get_context(), "held_reference"), fixed["reference"]
+    )
 
 
 def test_each_of_the_two_signals_is_sampled(loop):

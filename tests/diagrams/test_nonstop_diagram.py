@@ -72,7 +72,7 @@ def block_names(diagram):
 
 def test_figure_as_listed_is_the_figure_as_built(figure):
     assert set(wiring.connections(figure)) == figure_wires()
-    assert len(figure_wires()) == 27
+    assert len(figure_wires()) == 28
 
 
 def test_every_box_is_there_under_its_name_with_its_default_block(figure):

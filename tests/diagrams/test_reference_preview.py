@@ -108,7 +108,8 @@ class Jumping(RestToRest):
         (
             lambda model: OwnTrajectory(size=22),
             r"load_trajectory = OwnTrajectory with outputs reference \(22\), reference_preview "
-            r"\(22\): expected reference \(22\), optional reference_preview \(abstract\), ref",
+            r"\(22\): expected reference \(22\), optional reference_higher_rates \(6\), "
+            r"reference_preview \(abstract\), ref",
         ),
     ],
 )

@@ -166,4 +166,4 @@ def test_angular_jerk_is_the_difference_of_the_angular_acceleration(rng):
 
     for time in (-0.8, 0.1, 0.9):
         expected = difference(lambda t: motion(t)[1], time)
-        np.testing.assert_allclose(motion(time)[2], expected, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(motion(time)[2], expected, rtol=0, atol=1e-6)
