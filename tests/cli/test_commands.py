@@ -193,7 +193,9 @@ def test_the_former_name_of_a_field_is_refused_with_its_name_of_today(capsys):
         (["quintic", "--set", "optimization_layer.knot_spacing=0.003"], "multiple"),
         (
             [
-                *("quintic", "--set", "optimization_layer=NonstopOptimizer"),
+                "quintic",
+                "--set",
+                "optimization_layer=NonstopOptimizer",
                 "optimization_layer.period=0.003",
             ],
             "multiple",

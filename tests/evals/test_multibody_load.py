@@ -21,6 +21,8 @@ def test_both_plants_agree(name):
     inertia = size * np.array([[1.2, 0.1, 0.0], [0.1, 1.0, 0.2], [0.0, 0.2, 1.5]])
     overrides += [f"simulated.load_inertia={inertia.tolist()}"]
     overrides += [f"simulated.load_angular_drag={size}"]
+    if name == "static_hold_open_loop":  # which rests where nothing pushes it
+        overrides += ["load_disturbance=!DisturbanceForce {force: [0.1, 0.05, 0.0]}"]
     scenario = changed(scenario, overrides)
     ours, drakes = (
         simulate(load_scenario(name, [*overrides, f"load_plant=!{plant} {{}}"])).signal(
