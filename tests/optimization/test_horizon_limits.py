@@ -210,7 +210,7 @@ def test_the_terminal_set_keeps_the_limits_at_all_phases(name):
 def best_plan(problem, reference, bound, **options):
     data = problem.data(0.0, 0.0, reference, bound)
     solver = HorizonSolver(problem, **options)
-    return data, solver.solve(data, solver.first_guess(data), max_iterations=15)
+    return data, solver.solve(data, solver.first_guess(data), max_iterations=30)
 
 
 def resting(time):
