@@ -126,7 +126,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         min_tension: N; 0: any
         max_tension: N
         min_separation: m, of two carriers over a whole orbit; 0: any
-        horizon: s; 0: 15 intervals between knots, nearly two turns
+        horizon: s; 0: nearly two turns, at least 15 intervals between knots
         knot_spacing: s, also the time between two plans; 0: an eighth of a turn
         instants: between two knots, at which the carriers' flight is constrained
         terminal_knots: of the last part, in which all phases of the orbit are constrained

@@ -56,7 +56,7 @@ Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time i
 class HorizonConfig:
     """The horizon, its cost and its constraints; with those of a `NonstopProblemConfig`."""
 
-    horizon: float = 0.0  # s; 0: 15 intervals between knots, nearly two turns
+    horizon: float = 0.0  # s; 0: nearly two turns, at least 15 intervals between knots
     knot_spacing: float = 0.0  # s, also the time between two plans; 0: an eighth of a turn
     instants: int = 20  # between two knots, at which the carriers' flight is constrained
     terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
@@ -74,12 +74,18 @@ def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon
 
     The knots then are whole control periods (s) apart; 0: there is none.
     """
+    turn = 2 * math.pi / frequency
     spacing = config.knot_spacing
     if spacing == 0:
-        spacing = 2 * math.pi / frequency / 8
+        spacing = turn / 8
         if control_period > 0:
             spacing = max(round(spacing / control_period), 1) * control_period
-    return replace(config, knot_spacing=spacing, horizon=config.horizon or 15 * spacing)
+    return replace(config, knot_spacing=spacing, horizon=config.horizon or _knots(turn, spacing) * spacing)
+
+
+def _knots(turn: float, spacing: float) -> int:
+    """The intervals between knots in nearly two turns: 15 of an eighth of one."""
+    return max(15, math.ceil(1.8 * turn / spacing))
 
 
 class HorizonData(NamedTuple):

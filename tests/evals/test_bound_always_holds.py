@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop import Scenario, compute_metrics, load_scenario, simulate
+from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 
 
 def assert_no_carrier_is_ever_below_its_bound(scenario: Scenario) -> None:
@@ -50,20 +51,35 @@ def test_bound_holds_on_variations(seed):
     assert_no_carrier_is_ever_below_its_bound(variation(seed))
 
 
+def one_sample_ahead(scenario: Scenario, **fields) -> Scenario:
+    """The scenario with the layer that looks one sample ahead."""
+    bound = scenario.optimization_layer.speed_bound
+    scenario.optimization_layer = NonstopOptimizerConfig(speed_bound=bound, **fields)
+    return scenario
+
+
 def test_without_foresight_of_the_orbit_some_variations_break_the_bound():
-    scenario = variation(7)
-    scenario.optimization_layer.orbit_points = 1
+    scenario = one_sample_ahead(variation(7), orbit_points=1)
     carriers = compute_metrics(simulate(scenario))["carriers"]
     assert carriers["time_below_bound_s"] > 0.1
 
 
-@pytest.mark.parametrize(("rate", "control_period"), [(50, 0.01), (100, 0.01), (250, 0.004)])
-@pytest.mark.parametrize("name", ["line", "quintic", "three_carriers"])
-def test_a_higher_bound_holds_at_any_rate_of_the_optimization(name, rate, control_period):
-    scenario = load_scenario(name)
+def assert_a_higher_bound_holds(scenario: Scenario, control_period: float) -> None:
     scenario.control_period = control_period
-    scenario.optimization_layer.period = 1 / rate
     scenario.optimization_layer.speed_bound *= 1.2
-    if name == "line":
-        scenario.simulation_duration = 10.0
+    scenario.simulation_duration = min(10.0, scenario.simulation_duration)
     assert_no_carrier_is_ever_below_its_bound(scenario)
+
+
+@pytest.mark.parametrize(("knots", "control_period"), [(0.2, 0.01), (0.4, 0.01), (0.4, 0.004)])
+@pytest.mark.parametrize("name", ["line", "quintic", "three_carriers"])
+def test_a_higher_bound_holds_with_any_time_between_plans(name, knots, control_period):
+    scenario = load_scenario(name)
+    scenario.optimization_layer.knot_spacing = knots
+    assert_a_higher_bound_holds(scenario, control_period)
+
+
+@pytest.mark.parametrize(("rate", "control_period"), [(50, 0.01), (100, 0.01), (250, 0.004)])
+def test_a_higher_bound_holds_at_any_rate_one_sample_ahead(rate, control_period):
+    scenario = one_sample_ahead(load_scenario("quintic"), period=1 / rate)
+    assert_a_higher_bound_holds(scenario, control_period)
