@@ -80,7 +80,9 @@ def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon
         spacing = turn / 8
         if control_period > 0:
             spacing = max(round(spacing / control_period), 1) * control_period
-    return replace(config, knot_spacing=spacing, horizon=config.horizon or _knots(turn, spacing) * spacing)
+    return replace(
+        config, knot_spacing=spacing, horizon=config.horizon or _knots(turn, spacing) * spacing
+    )
 
 
 def _knots(turn: float, spacing: float) -> int:
