@@ -65,15 +65,14 @@ def _check_spacing(box: str, spacing: float, control_period: float) -> None:
 
 
 def _check_horizon(box: str, given: float, config: HorizonConfig, turn: float) -> None:
-    """Checks the horizon, by the name of the field that makes it: 0 is given for 15 intervals."""
+    """Checks the horizon, 0 is given for what follows from a turn."""
     spacing = config.knot_spacing
     ratio, least = config.horizon / spacing, math.ceil(turn / spacing - _WHOLE)
     require(
         config.horizon >= turn * (1 - _WHOLE),
         f"{box}.horizon",
         given,
-        (f"it is {config.horizon:.10g} s, " if given == 0 else "it is ")
-        + f"shorter than a turn of the carriers; give at least {_multiple(spacing, least)} s",
+        f"it is shorter than a turn of the carriers; give at least {_multiple(spacing, least)} s",
     )
     require(
         abs(ratio - round(ratio)) < _WHOLE,
