@@ -66,8 +66,8 @@ SETTINGS = [
     ("paper_quintic", K_D, (1.21, 1.3), (1.05, 1.11)),
     ("paper_quintic", DELAY, (0.01,), (0.02,)),
     ("paper_quintic", PERIOD, (0.018,), (0.0205,)),
-    ("quintic", MASS, (0.42, 0.45), (0.5, 0.53)),
-    ("quintic", DELAY, (0.03,), (0.04,)),
+    ("quintic", MASS, (0.36, 0.39), (0.45, 0.5)),
+    ("quintic", DELAY, (0.02,), (0.03,)),
 ]
 CASES = [
     (name, setting.format(value), is_stable)
