@@ -41,7 +41,11 @@ from drake_nonstop.optimization.horizon_problem import (
     HorizonProblem,
     timed,
 )
-from drake_nonstop.optimization.horizon_solver import HorizonSolver, PlanAnswer
+from drake_nonstop.optimization.horizon_solver import (
+    LEAST_START_SCALE,
+    HorizonSolver,
+    PlanAnswer,
+)
 from drake_nonstop.optimization.plan import DEGREE, Plan
 from drake_nonstop.optimization.problem_config import LimitsConfig, check_limits, check_pattern
 from drake_nonstop.optimization.update_data import Beliefs
@@ -50,7 +54,6 @@ from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
-_LEAST_SCALE = 0.1  # of the trust region at the start of a plan
 _MORE = 4  # times the iterations again, for a plan that needs slack
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
 _NO_PLAN = 0.0  # in place of a scale
@@ -350,7 +353,7 @@ class _Planner:
         )
         self._data = solver, reference, data
         is_new = is_first or speed_bound != last.speed_bound
-        scale = 1.0 if is_new else max(last.scale, _LEAST_SCALE)
+        scale = 1.0 if is_new else max(last.scale, LEAST_START_SCALE)
         arrays = data.flat_terms, start, numbers.beliefs
         key = (start_time, angle, speed_bound, is_new, scale, *(a.tobytes() for a in arrays))
         known = self._last
@@ -389,7 +392,7 @@ class _Planner:
                 data,
                 answer.coefficients,
                 max_iterations=_MORE * iterations,
-                scale=max(answer.scale, _LEAST_SCALE),
+                scale=max(answer.scale, LEAST_START_SCALE),
             )
         if is_new or answer.slack > _FAR_FROM_FEASIBLE:
             guess = solver.first_guess(data, start[:, : solver.fixed])

@@ -12,19 +12,7 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.nonstop import orbit_ahead
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE
-from drake_nonstop.mechanics.wrench import wrench_and_rate
-
-_NO_FEEDBACK: dict[str, Any] = dict.fromkeys(
-    (
-        "position_gain",
-        "velocity_gain",
-        "position_integral_gain",
-        "orientation_gain",
-        "angular_velocity_gain",
-        "orientation_integral_gain",
-    ),
-    0.0,
-)
+from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 
 
 class OrbitTerms(NamedTuple):
@@ -58,7 +46,7 @@ def orbit_along_reference(
     """
     state = reference[:LOAD_STATE_SIZE]
     wrench, wrench_rate = wrench_and_rate(
-        load, state, reference, np.zeros(WRENCH_SIZE), feedforward=1.0, **_NO_FEEDBACK
+        load, state, reference, np.zeros(WRENCH_SIZE), feedforward=1.0, **NO_FEEDBACK
     )
     forces, rates, _, velocities, omega = orbit_ahead(
         state,

@@ -5,12 +5,27 @@ the opposite sign, since the paper's with −K_ω is anti-damping, and the feedf
 desired motion is added with the weight `feedforward` (0: as in the paper).
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad, load_acceleration
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix, vee
 from drake_nonstop.mechanics.signals import LoadReference, LoadState, TrackingError, Wrench
+
+# The gains of `wrench_and_rate` with which it feeds the reference forward only.
+NO_FEEDBACK: dict[str, Any] = dict.fromkeys(
+    (
+        "position_gain",
+        "velocity_gain",
+        "position_integral_gain",
+        "orientation_gain",
+        "angular_velocity_gain",
+        "orientation_integral_gain",
+    ),
+    0.0,
+)
 
 
 def tracking_error(load_state: NDArray, reference: NDArray) -> NDArray:

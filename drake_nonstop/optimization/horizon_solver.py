@@ -26,6 +26,7 @@ _MOST_ROUNDS = 6  # of a step, each with those constraints that the one before i
 _LEAST_RATIO = 0.1  # of the decrease of the merit to the predicted one, to accept a step
 _GOOD_RATIO = 0.7  # above which the trust region grows
 _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 4.0  # of the trust region
+LEAST_START_SCALE = 0.1  # of the trust region with which a plan goes on from another
 _ROW_TOLERANCE = 1e-6  # on a margin of a step
 _ACTIVE_MARGIN = 0.01  # below which a constraint is likely to decide
 _SEARCH_PHASES = 16

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
+from drake_nonstop.model.block_parameters import AUTO
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.systems.tracing import LARGEST
@@ -17,7 +18,6 @@ from drake_nonstop.validation import (
 )
 
 LEAST_BOUND = 1e-3  # m/s, unless there is none at all: margins are relative to the bound
-AUTO = "auto"  # in the place of a tightening
 _UNCOMPUTED = 0.01  # the tightening of what has no margin computed for it
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 

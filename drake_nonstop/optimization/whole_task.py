@@ -14,12 +14,15 @@ from drake_nonstop.optimization.horizon_problem import (
     Reference,
     timed,
 )
-from drake_nonstop.optimization.horizon_solver import HorizonSolver, PlanAnswer
+from drake_nonstop.optimization.horizon_solver import (
+    LEAST_START_SCALE,
+    HorizonSolver,
+    PlanAnswer,
+)
 from drake_nonstop.optimization.plan import DEGREE
 from drake_nonstop.optimization.problem_config import LimitsConfig
 
 _FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
-_LEAST_SCALE = 0.1  # of the trust region at the start of a plan
 _MAX_ITERATIONS = 20  # of a whole task's
 _TOLERANCE = 3e-4
 
@@ -59,7 +62,7 @@ def receding_coefficients(
             answer = solver.solve(data, start, max_iterations=max_iterations, scale=scale)
         answers.append(answer)
         flown[:, k : k + DEGREE + 1] = answer.coefficients[:, : DEGREE + 1]
-        start, scale = answer.next_start, max(answer.scale, _LEAST_SCALE)
+        start, scale = answer.next_start, max(answer.scale, LEAST_START_SCALE)
         angle = answer.plan.values((k + 1) * spacing).angle
     return flown, answers
 

@@ -10,20 +10,9 @@ from drake_nonstop.mechanics.planned_orbit import (
     orbit_along_reference,
     planned_speeds,
 )
-from drake_nonstop.mechanics.wrench import wrench_and_rate
+from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 
 CABLES = {"rest_length": 0.8, "compliance": 1 / 500}
-NO_GAINS = dict.fromkeys(
-    (
-        "position_gain",
-        "velocity_gain",
-        "position_integral_gain",
-        "orientation_gain",
-        "angular_velocity_gain",
-        "orientation_integral_gain",
-    ),
-    0.0,
-)
 
 
 def terms_of(system, references):
@@ -58,7 +47,7 @@ def test_speeds_are_those_that_force_distribution_and_carrier_trajectory_command
         angles = angle + system.pattern.phases
         internal = [A * np.cos(angles), rate * np.cos(angles) - A * xi * np.sin(angles)]
         wrenches = wrench_and_rate(
-            system.load, reference[:13], reference, np.zeros(6), feedforward=1.0, **NO_GAINS
+            system.load, reference[:13], reference, np.zeros(6), feedforward=1.0, **NO_FEEDBACK
         )
         forces, rates = cable_forces_and_rates(
             reference,
@@ -78,7 +67,7 @@ def test_at_constant_parameters_they_are_the_speeds_of_one_update():
     system, motion = model(5), Motion(8)
     reference, (angle, xi, A) = motion.reference(1.3), (2.1, 1.9, 0.8)
     wrenches = wrench_and_rate(
-        system.load, reference[:13], reference, np.zeros(6), feedforward=1.0, **NO_GAINS
+        system.load, reference[:13], reference, np.zeros(6), feedforward=1.0, **NO_FEEDBACK
     )
     forces, rates, _, velocities, omega = nonstop.orbit_ahead(
         reference[:13],

@@ -9,7 +9,7 @@ from helpers import Motion, difference, irregular, regular, spatial
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
-from drake_nonstop.mechanics.wrench import wrench_and_rate
+from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.pattern import (
     EllipticCarouselConfig,
     HamiltonianCycleConfig,
@@ -23,17 +23,6 @@ from drake_nonstop.optimization.separation import Separation, SeparationConstrai
 
 SMALL = HorizonConfig(
     horizon=4.0, knot_spacing=0.4, instants=10, terminal_phases=36, terminal_amplitudes=17
-)
-NO_GAINS = dict.fromkeys(
-    (
-        "position_gain",
-        "velocity_gain",
-        "position_integral_gain",
-        "orientation_gain",
-        "angular_velocity_gain",
-        "orientation_integral_gain",
-    ),
-    0.0,
 )
 PATTERNS = {
     "cycle-3": (regular(3), HamiltonianCycleConfig()),
@@ -102,7 +91,7 @@ def commanded(problem, plan, reference, times):
             - values.amplitude * values.frequency * np.sin(angles),
         ]
         wrenches = wrench_and_rate(
-            system.load, motion[:13], motion, np.zeros(6), feedforward=1.0, **NO_GAINS
+            system.load, motion[:13], motion, np.zeros(6), feedforward=1.0, **NO_FEEDBACK
         )
         forces, rates = cable_forces_and_rates(
             motion,
