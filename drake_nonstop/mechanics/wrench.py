@@ -14,18 +14,16 @@ from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad, load_accele
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix, vee
 from drake_nonstop.mechanics.signals import LoadReference, LoadState, TrackingError, Wrench
 
-# The gains of `wrench_and_rate` with which it feeds the reference forward only.
-NO_FEEDBACK: dict[str, Any] = dict.fromkeys(
-    (
-        "position_gain",
-        "velocity_gain",
-        "position_integral_gain",
-        "orientation_gain",
-        "angular_velocity_gain",
-        "orientation_integral_gain",
-    ),
-    0.0,
+# The gains of `wrench_and_rate` but for the feedforward, and what they are without feedback.
+FEEDBACK_GAINS = (
+    "position_gain",
+    "velocity_gain",
+    "position_integral_gain",
+    "orientation_gain",
+    "angular_velocity_gain",
+    "orientation_integral_gain",
 )
+NO_FEEDBACK: dict[str, Any] = dict.fromkeys(FEEDBACK_GAINS, 0.0)
 
 
 def tracking_error(load_state: NDArray, reference: NDArray) -> NDArray:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.grasp import grasp_matrix, in_load_frame
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, WRENCH_SIZE
-from drake_nonstop.mechanics.wrench import wrench_and_rate
+from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
-from drake_nonstop.simulation.load_stability import GAINS, NO_GAINS, Growth, LoadDeviations
+from drake_nonstop.simulation.load_stability import Growth, LoadDeviations
 from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
 
@@ -101,7 +101,7 @@ def cable_loads(
         np.zeros(WRENCH_SIZE),
         calm if wind is None else wind,
         feedforward=1.0,
-        **NO_GAINS,
+        **NO_FEEDBACK,
     )
     R_LW, _, wrench_L, _ = in_load_frame(state, wrench, rate)
     values, _ = internal_force(
@@ -180,7 +180,7 @@ def growth_complaint(task: Task, duration: float) -> str:
 
     def rate(of_amplitude: float) -> float:
         parameters = task.nominal * np.array([1.0, of_amplitude])
-        used = NO_GAINS if gains is None else gains
+        used = NO_FEEDBACK if gains is None else gains
         return deviations.growth(task.reference(0.0), parameters, used, wind=task.wind).rate
 
     def is_stable(task: Task, of_amplitude: float = 1.0) -> bool:
@@ -250,7 +250,7 @@ def _other_gains(task: Task, is_stable: _IsStable) -> list[str]:
     if gains is None or not any(np.any(gain) for gain in gains.values()):
         return []
     for factor in _GAIN_FACTORS:
-        if is_stable(task, {name: factor * np.asarray(gains[name]) for name in GAINS}):
+        if is_stable(task, {name: factor * np.asarray(gains[name]) for name in FEEDBACK_GAINS}):
             return [f"gains of the wrench controller {factor:g} times as large"]
     return []
 

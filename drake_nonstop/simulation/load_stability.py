@@ -26,20 +26,15 @@ from drake_nonstop.mechanics.signals import (
     LoadState,
     TrackingError,
 )
-from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
+from drake_nonstop.mechanics.wrench import (
+    FEEDBACK_GAINS,
+    NO_FEEDBACK,
+    tracking_error,
+    wrench_and_rate,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import require
-
-GAINS = (  # of `mechanics.wrench.wrench_and_rate`, but for its feedforward
-    "position_gain",
-    "velocity_gain",
-    "position_integral_gain",
-    "orientation_gain",
-    "angular_velocity_gain",
-    "orientation_integral_gain",
-)
-NO_GAINS: dict[str, Any] = dict.fromkeys(GAINS, 0.0)
 
 _PHASES = 32  # of a turn at which the Jacobian is evaluated
 _TURN_OF_FASTEST = 2.0  # rad, that the fastest mode turns in a step, which a series integrates
@@ -131,13 +126,13 @@ class LoadDeviations:
         reference: NDArray,
         parameters: NDArray,
         angles: NDArray,
-        gains: Mapping[str, Any] = NO_GAINS,
+        gains: Mapping[str, Any] = NO_FEEDBACK,
         *,
         wind: NDArray | None = None,
     ) -> NDArray:
         """The Jacobians (k, 18, 18) at phases θ (k,), rad; other arguments as of `growth`."""
         packed = np.concatenate(
-            [_of_position(gains), *(_matrix(gains[name]).ravel() for name in GAINS[3:])]
+            [_of_position(gains), *(_matrix(gains[name]).ravel() for name in FEEDBACK_GAINS[3:])]
         )
         calm = np.zeros(WIND_SIZE) if wind is None else wind
         desired = LoadReference.view(reference)
@@ -164,7 +159,7 @@ class LoadDeviations:
         self,
         reference: NDArray,
         parameters: NDArray,
-        gains: Mapping[str, Any] = NO_GAINS,
+        gains: Mapping[str, Any] = NO_FEEDBACK,
         *,
         wind: NDArray | None = None,
     ) -> Growth:
@@ -173,7 +168,8 @@ class LoadDeviations:
         Args:
             reference: (22,) of the load; its velocities and accelerations stay as they are.
             parameters: [ξ (rad/s), A (N)] (2,), constant.
-            gains: those of `GAINS`, each a number or (1,), the orientation's also (3, 3), in L.
+            gains: those of `FEEDBACK_GAINS`, each a number or (1,), the orientation's also (3, 3),
+                in L.
             wind: (3,), m/s, in W; None: there is none.
 
         Raises:
@@ -182,7 +178,7 @@ class LoadDeviations:
         """
         angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
         jacobians = self.jacobians(reference, parameters, angles, gains, wind=wind)
-        if not any(np.any(gains[name]) for name in GAINS if "integral" in name):
+        if not any(np.any(gains[name]) for name in FEEDBACK_GAINS if "integral" in name):
             jacobians = jacobians[:, _MOTION, _MOTION]
         period = 2 * math.pi / abs(float(parameters[0]))
         fastest = _fastest(jacobians)
@@ -226,9 +222,11 @@ class LoadDeviations:
         load = RigidLoad(
             mass=mass, inertia=inertia, drag=drag, angular_drag=angular_drag, gravity=gravity
         )
-        given: dict[str, Any] = {name: gains[i : i + 1] for i, name in enumerate(GAINS[:3])}
+        given: dict[str, Any] = {
+            name: gains[i : i + 1] for i, name in enumerate(FEEDBACK_GAINS[:3])
+        }
         matrices = gains[3:].reshape(3, 3, 3)
-        given |= {name: matrices[i] for i, name in enumerate(GAINS[3:])}
+        given |= {name: matrices[i] for i, name in enumerate(FEEDBACK_GAINS[3:])}
         desired = LoadReference.view(reference)
         one = 0 * deviation[:1] + 1
         turn = np.concatenate([one, deviation[:3] / 2])
@@ -288,7 +286,7 @@ class LoadDeviations:
 
 
 def _of_position(gains: Mapping[str, Any]) -> NDArray:
-    return np.array([float(np.ravel(gains[name])[0]) for name in GAINS[:3]])
+    return np.array([float(np.ravel(gains[name])[0]) for name in FEEDBACK_GAINS[:3]])
 
 
 def _matrix(gain: Any) -> NDArray:

@@ -15,14 +15,13 @@ from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE
-from drake_nonstop.mechanics.wrench import wrench_and_rate
+from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonData, HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.optimization.problem_config import amplitude_range
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.optimization.whole_task import receding_coefficients
-from drake_nonstop.simulation.load_stability import NO_GAINS
 from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
 
@@ -176,7 +175,7 @@ def constant_speeds(task: Task, times: NDArray) -> NDArray:
             np.zeros(WRENCH_SIZE),
             task.wind,
             feedforward=1.0,
-            **NO_GAINS,
+            **NO_FEEDBACK,
         )
         angle = np.array([task.limits.frequency * time])
         internal = internal_force(task.nominal, angle, phases=pattern.phases, orders=pattern.orders)

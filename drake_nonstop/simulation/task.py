@@ -18,11 +18,12 @@ from drake_nonstop.blocks.load_feedback import (
 )
 from drake_nonstop.diagrams.box import block_class, is_of_package
 from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.mechanics.wrench import NO_FEEDBACK
 from drake_nonstop.model.system import Model, given_fields, overridden
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.scenario.schema import Scenario, check
-from drake_nonstop.simulation.load_stability import NO_GAINS, LoadDeviations
+from drake_nonstop.simulation.load_stability import LoadDeviations
 from drake_nonstop.validation import require
 
 _ANALYSED = (  # the boxes between the load's state and its cables
@@ -80,7 +81,7 @@ class Task:
     @property
     def effective_gains(self) -> Mapping[str, Any] | None:
         """The gains on what is measured: none where nothing is fed back; None: not known."""
-        return self.gains if self.feeds_back else NO_GAINS
+        return self.gains if self.feeds_back else NO_FEEDBACK
 
     def deviations(self) -> LoadDeviations:
         """Those of the load."""

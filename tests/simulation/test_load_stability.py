@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import regular
 
+from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS
 from drake_nonstop.model.pattern import CarouselConfig, HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.loading import load_scenario
@@ -15,7 +16,7 @@ from drake_nonstop.simulation.formation import (
     find_formation_remedies,
     growth_complaint,
 )
-from drake_nonstop.simulation.load_stability import GAINS, LoadDeviations
+from drake_nonstop.simulation.load_stability import LoadDeviations
 from drake_nonstop.simulation.task import task_of
 from drake_nonstop.validation import ScenarioError
 
@@ -30,7 +31,7 @@ UNSTABLE = [
     "pattern=!HamiltonianCycle {}",
     "optimization_layer.frequency=2.3732",
     "optimization_layer.amplitude=2.0813",
-    *(f"wrench_controller.{name}=0" for name in GAINS),
+    *(f"wrench_controller.{name}=0" for name in FEEDBACK_GAINS),
 ]
 
 
