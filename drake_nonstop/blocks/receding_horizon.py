@@ -65,7 +65,7 @@ class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
 
     tightening: float | str = 0.02  # the solver aims at (1 + tightening) ε; "auto": computed
     preview: bool = True  # read the motion ahead; without it the motion goes on as it does
-    max_iterations: int = 3  # quadratic programs of a plan
+    max_iterations: int = 2  # quadratic programs of a plan
     time_limit: float = float("inf")  # s, of wall time, beyond which the plan that exists goes on
 
 
@@ -393,6 +393,7 @@ class _Planner:
                 answer.coefficients,
                 max_iterations=_MORE * iterations,
                 scale=max(answer.scale, LEAST_START_SCALE),
+                until_feasible=True,
             )
         if is_new or answer.slack > _FAR_FROM_FEASIBLE:
             guess = solver.first_guess(data, start[:, : solver.fixed])

@@ -1,6 +1,7 @@
 """Successive quadratic programs for the nonstop problem over a horizon."""
 
 import math
+import weakref
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,8 +23,10 @@ PLAN_TOLERANCE = 2e-4  # on the slack of a plan: 0.01 % of a speed
 _ANGLE_RADIUS = 0.4  # rad, of the trust region: how far the phases may move in a step
 _COEFFICIENT_RADIUS = 0.4  # likewise for the coefficients, relative to the nominal
 _LARGEST_MARGIN = 0.5  # of constraints that a step takes into account from the start
+_NEAR_MARGIN = 0.3  # likewise of those next to the least ones, where a minimum may move to
 _MOST_ROUNDS = 6  # of a step, each with those constraints that the one before it violates
 _LEAST_RATIO = 0.1  # of the decrease of the merit to the predicted one, to accept a step
+_FAIR_RATIO = 0.3  # below which the trust region shrinks
 _GOOD_RATIO = 0.7  # above which the trust region grows
 _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 4.0  # of the trust region
 LEAST_START_SCALE = 0.1  # of the trust region with which a plan goes on from another
@@ -61,8 +64,8 @@ class HorizonSolver:
     MathematicalProgram: the cost is quadratic as it is, the constraints are linearized with exact
     gradients. Of thousands of constraints a few decide: a step begins with those that are near,
     and is found anew with those that it violates. It is accepted where cost and exact penalty of
-    the slack fall; where they fall less than predicted, a second-order correction is tried
-    (Nocedal and Wright, Numerical Optimization, 2006, section 18.3).
+    the slack fall; where they fall less than predicted and slack is left, a second-order
+    correction is tried (Nocedal and Wright, Numerical Optimization, 2006, section 18.3).
 
     Args:
         problem: what all plans share.
@@ -84,15 +87,17 @@ class HorizonSolver:
         angles = problem.angle_rows()[:, self.fixed :]
         self._angle_rows = np.hstack([angles, np.zeros(angles.shape)])
         self._rate_rows = _difference_rows(problem.largest_differences, count, self.fixed)
+        self._program = _StepProgram(self)
 
     def solve(
         self,
         data: HorizonData,
         start: NDArray,
         *,
-        max_iterations: int = 3,
+        max_iterations: int = 2,
         tolerance: float = 5e-3,
         scale: float = 1.0,
+        until_feasible: bool = False,
     ) -> PlanAnswer:
         """The best plan that is found from coefficients `start` (2, N), whose first are kept.
 
@@ -102,6 +107,7 @@ class HorizonSolver:
             max_iterations: of quadratic programs.
             tolerance: a predicted decrease of the merit below this, relative to it, is converged.
             scale: of the trust region at the start.
+            until_feasible: ends with the first plan that needs no slack.
         """
         problem = self.problem
         x = self._within_limits(start)
@@ -109,7 +115,8 @@ class HorizonSolver:
         merit, slack = self._merit(x, linearization)
         if not math.isfinite(merit):
             raise NotFiniteError(problem.name())
-        program = _StepProgram(self)
+        program = self._program
+        program.forget()
         converged = False
         iterations = 0
         while iterations < max_iterations and scale >= _LEAST_SCALE:
@@ -125,7 +132,8 @@ class HorizonSolver:
                 break
             there = problem.linearization(data, candidate)
             new_merit, new_slack = self._merit(candidate, there)
-            if not merit - new_merit > _GOOD_RATIO * decrease and math.isfinite(new_merit):
+            is_poor = not merit - new_merit > _GOOD_RATIO * decrease
+            if is_poor and new_slack > PLAN_TOLERANCE and math.isfinite(new_merit):
                 # The step again, with the curvature of the constraints along it.
                 margins = there.margins - linearization.changes(candidate - x)
                 found = program.step(x, replace(linearization, margins=margins), scale)
@@ -140,8 +148,10 @@ class HorizonSolver:
                 x, merit, slack, linearization = candidate, new_merit, new_slack, there
             if ratio > _GOOD_RATIO:
                 scale = min(2 * scale, _LARGEST_SCALE)
-            elif ratio < 0.3:
+            elif ratio < _FAIR_RATIO:
                 scale /= 3
+            if until_feasible and slack <= PLAN_TOLERANCE:
+                break
         return PlanAnswer(
             problem.plan(data, x), x, problem.cost(x), slack, iterations, scale, converged
         )
@@ -189,7 +199,7 @@ class _StepProgram:
     """The quadratic program of a step, which is built once and changed from step to step."""
 
     def __init__(self, solver: HorizonSolver):
-        self._owner, self._problem = solver, solver.problem
+        self._owner, self._problem = weakref.proxy(solver), solver.problem
         self._solver = ClarabelSolver()
         self._program = program = MathematicalProgram()
         self._step = program.NewContinuousVariables(len(solver._free), "step")
@@ -212,7 +222,11 @@ class _StepProgram:
         self._rows = program.AddLinearConstraint(
             np.zeros((1, len(both))), np.zeros(1), np.zeros(1), both
         ).evaluator()
-        self._active = np.zeros(0, int)  # constraints that decided the last step
+        self.forget()
+
+    def forget(self) -> None:
+        """Begins a plan: no constraint has decided a step of it."""
+        self._active = np.zeros(0, int)
 
     def step(
         self, x: NDArray, linearization: Linearization, scale: float
@@ -236,7 +250,8 @@ class _StepProgram:
             np.concatenate([-angle, below]), np.concatenate([angle, above])
         )
         dips = linearization.dips(linearization.margins, _LARGEST_MARGIN)
-        chosen = np.union1d(self._active, dips)
+        near = linearization.with_neighbours(dips, linearization.margins, _NEAR_MARGIN)
+        chosen = np.union1d(self._active, near)
         for _ in range(_MOST_ROUNDS):
             found = self._solved(linearization, chosen)
             if found is None:

@@ -34,7 +34,7 @@ def receding_coefficients(
     speed_bound: float,
     *,
     start_angle: float = 0.0,
-    max_iterations: int = 3,
+    max_iterations: int = 2,
 ) -> tuple[NDArray, list[PlanAnswer]]:
     """What plans over a receding horizon make of a task that goes as it is predicted.
 
