@@ -385,20 +385,27 @@ class _Planner:
         scale: float,
         is_new: bool,
     ) -> tuple[PlanAnswer, Outcome]:
-        iterations = _MANY_ITERATIONS if is_new else self._config.max_iterations
-        answer = solver.solve(data, start, max_iterations=iterations, scale=scale)
-        if not is_new and not answer.is_feasible:
-            answer = solver.solve(
+        def improved(coefficients: NDArray, scale: float) -> PlanAnswer:
+            if is_new:
+                return solver.solve(
+                    data, coefficients, max_iterations=_MANY_ITERATIONS, scale=scale
+                )
+            iterations = self._config.max_iterations
+            answer = solver.solve(data, coefficients, max_iterations=iterations, scale=scale)
+            if answer.is_feasible:
+                return answer
+            return solver.solve(
                 data,
                 answer.coefficients,
                 max_iterations=_MORE * iterations,
                 scale=max(answer.scale, LEAST_START_SCALE),
                 until_feasible=True,
             )
+
+        answer = improved(start, scale)
         if is_new or answer.slack > _FAR_FROM_FEASIBLE:
             guess = solver.first_guess(data, start[:, : solver.fixed])
-            other = solver.solve(data, guess, max_iterations=iterations)
-            answer = min(answer, other, key=solver.merit)
+            answer = min(answer, improved(guess, 1.0), key=solver.merit)
         if not answer.is_feasible:
             return answer, Outcome.RELAXED
         is_kept = np.array_equal(answer.coefficients, start)

@@ -87,6 +87,7 @@ class HorizonSolver:
         angles = problem.angle_rows()[:, self.fixed :]
         self._angle_rows = np.hstack([angles, np.zeros(angles.shape)])
         self._rate_rows = _difference_rows(problem.largest_differences, count, self.fixed)
+        self._little_slack = PLAN_TOLERANCE * float(self._weights.min())
         self._program = _StepProgram(self)
 
     def solve(
@@ -105,7 +106,8 @@ class HorizonSolver:
             data: of the plan.
             start: such as those of the last plan, shifted, or of `first_guess`.
             max_iterations: of quadratic programs.
-            tolerance: a predicted decrease of the merit below this, relative to it, is converged.
+            tolerance: a predicted decrease of the merit below this, relative to it, is converged;
+                a plan that needs slack goes on as long as that can fall.
             scale: of the trust region at the start.
             until_feasible: ends with the first plan that needs no slack.
         """
@@ -127,7 +129,10 @@ class HorizonSolver:
                 continue
             candidate, predicted = found
             decrease = merit - predicted
-            if decrease <= tolerance * (abs(merit) + 1e-6):
+            little = tolerance * (abs(merit) + 1e-6)
+            if slack > PLAN_TOLERANCE:
+                little = min(little, self._little_slack)
+            if decrease <= little:
                 converged = True
                 break
             there = problem.linearization(data, candidate)
