@@ -484,7 +484,7 @@ def _made_parts(
             believed,
             scenario.reference_governor,
             trajectory,
-            scenario.optimization_layer,
+            with_margin(scenario.optimization_layer, margin),
             scenario.simulation_duration,
         )
     return _Parts(believed, blocks, watched, margin)

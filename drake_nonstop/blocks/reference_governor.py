@@ -10,7 +10,10 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import BasicVector, Context, System
 
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    REFERENCE_HIGHER_RATES_SIZE,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
 from drake_nonstop.optimization.problem_config import LimitsConfig
@@ -26,7 +29,7 @@ from drake_nonstop.validation import (
 )
 
 _FIELD = "reference_governor"
-_PREVIEW = "reference_preview"
+_PREVIEW, _HIGHER_RATES = "reference_preview", "reference_higher_rates"
 
 
 @dataclass(kw_only=True)
@@ -55,11 +58,14 @@ class ReferenceGovernor(LeafBlock):
         name: ReferenceGovernor
         output_ports:
         - reference
+        - reference_higher_rates
         - reference_preview
         - reference_delay
 
-    `reference` (22) is that of trajectories, in W; `reference_preview` (abstract) is a
-    `ReferencePreview`: the same at any time; `reference_delay` (1) = d in s.
+    `reference` (22) is that of trajectories, in W, and so is `reference_higher_rates` (6), which
+    is left out where the trajectory's preview does not tell it; its snap steps at the knots of d.
+    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time; `reference_delay`
+    (1) = d in s.
 
     Args:
         preview: of the trajectory.
@@ -73,12 +79,21 @@ class ReferenceGovernor(LeafBlock):
     def __init__(self, preview: ReferencePreview, delay: PathDelay):
         super().__init__()
         self._delay = delay
+        has_higher_rates = preview.higher_rates is not None
         self._stretched = ReferencePreview(
             lambda time: delay.stretched(preview, np.array([time]))[0],
             references=lambda times: delay.stretched(preview, times),
+            higher_rates=(
+                (lambda time: delay.stretched_higher_rates(preview, time))
+                if has_higher_rates
+                else None
+            ),
         )
         time = {self.time_ticket()}
         self.DeclareVectorOutputPort("reference", LOAD_REFERENCE_SIZE, self._calc, time)
+        if has_higher_rates:
+            size = REFERENCE_HIGHER_RATES_SIZE
+            self.DeclareVectorOutputPort(_HIGHER_RATES, size, self._calc_higher_rates, time)
         stretched = self._stretched
         self.DeclareAbstractOutputPort(
             _PREVIEW, lambda: Value(stretched), self._calc_preview, {self.nothing_ticket()}
@@ -87,6 +102,9 @@ class ReferenceGovernor(LeafBlock):
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._stretched(self._time(context)))
+
+    def _calc_higher_rates(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._stretched.higher_rates(self._time(context)))
 
     def _calc_preview(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._stretched)
@@ -117,7 +135,7 @@ def governed(
         model: what the controllers believe.
         config: of the governor.
         trajectory: the block for the box `load_trajectory`.
-        layer: the optimization layer's config.
+        layer: the optimization layer's config, with the margin that was computed for it.
         duration: s, how long the motion is looked at.
 
     Raises:

@@ -17,7 +17,8 @@ from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedbackConfig,
 )
 from drake_nonstop.diagrams.box import block_class, is_of_package
-from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.mechanics.stretched_time import stretched_reference
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK
 from drake_nonstop.model.system import Model, given_fields, overridden
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
@@ -94,19 +95,10 @@ class Task:
 
     def slowed(self, factor: float) -> "Task":
         """The same motion in a longer time; a factor of 2 takes twice as long."""
+        rates = np.array([1 / factor, 0.0, 0.0])
 
         def reference(time: float) -> NDArray:
-            values = self.reference(time / factor).copy()
-            parts = LoadReference.view(values)
-            for part, order in (
-                (parts.angular_velocity, 1),
-                (parts.velocity, 1),
-                (parts.angular_acceleration, 2),
-                (parts.acceleration, 2),
-                (parts.jerk, 3),
-            ):
-                part /= factor**order
-            return values
+            return stretched_reference(self.reference(time / factor), rates)
 
         return dataclasses.replace(self, reference=reference, duration=factor * self.duration)
 
@@ -140,7 +132,11 @@ def task_of(scenario: Scenario) -> Task:
     check(scenario)
     scenario = scenario.sampled()
     model = Model(scenario.system, scenario.pattern, scenario.control_period)
-    trajectory = _block("load_trajectory", scenario.load_trajectory, model)
+    if scenario.reference_governor is None:
+        trajectory = _block("load_trajectory", scenario.load_trajectory, model)
+    else:  # as the governor lets it pass
+        loop = make_nonstop(scenario, at_equilibrium=False)
+        trajectory = loop.GetSubsystemByName("load_trajectory")
     names = [trajectory.get_output_port(i).get_name() for i in range(trajectory.num_output_ports())]
     require(
         "reference" in names and trajectory.num_input_ports() == 0,
