@@ -54,7 +54,7 @@ Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time i
 
 @dataclass(kw_only=True)
 class HorizonConfig:
-    """The horizon, its cost and its constraints; with those of a `NonstopProblemConfig`."""
+    """The horizon, its cost and its constraints; with those of a `LimitsConfig`."""
 
     horizon: float = 0.0  # s; 0: nearly two turns, at least 15 intervals between knots
     knot_spacing: float = 0.0  # s, also the time between two plans; 0: an eighth of a turn

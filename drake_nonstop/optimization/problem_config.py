@@ -125,6 +125,9 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
         min_separation=config.min_separation,
     )
     require(config.model_error < 1, f"{box}.model_error", config.model_error, "give less than 1")
+    is_used = config.speed_margin == 0 or config.tightening == AUTO
+    remedy = f"give {box}.tightening: {AUTO}, which alone aims at it, or leave it out"
+    require(is_used, f"{box}.speed_margin", config.speed_margin, remedy)
     require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)
