@@ -1,7 +1,7 @@
 """What slows the load's trajectory down where no ξ and A keep the speed bound with it."""
 
 import warnings
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
-from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
 from drake_nonstop.optimization.stretched_time import PathDelay, stretching
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.validation import (
@@ -164,7 +164,7 @@ def governed(
         largest_rate=config.largest_rate,
         change_time=config.change_time,
         can_plan=can_plan,
-        config=_of(HorizonConfig, layer),
+        config=with_fields_of(HorizonConfig, layer),
         name=lambda: _FIELD,
     )
     if len(found.not_at_rest):
@@ -206,15 +206,9 @@ def _check(model: Model, config: ReferenceGovernorConfig) -> None:
 
 def _limits(layer: Any) -> tuple[LimitsConfig, bool]:
     """Those of a layer's config, and whether it may change ξ and A."""
-    limits = _of(LimitsConfig, layer)
+    limits = with_fields_of(LimitsConfig, layer)
     can_plan = hasattr(layer, "frequency_bounds")
     if not can_plan and hasattr(layer, "frequency") and hasattr(layer, "amplitude"):
         limits.frequency_bounds = [layer.frequency] * 2
         limits.amplitude_bounds = [layer.amplitude] * 2
     return limits, can_plan
-
-
-def _of(kind: type, config: Any) -> Any:
-    """A dataclass of the fields that another config has, too."""
-    names = [field.name for field in fields(kind)]
-    return kind(**{name: getattr(config, name) for name in names if hasattr(config, name)})
