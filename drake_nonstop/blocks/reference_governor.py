@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -79,19 +80,16 @@ class ReferenceGovernor(LeafBlock):
     def __init__(self, preview: ReferencePreview, delay: PathDelay):
         super().__init__()
         self._delay = delay
-        has_higher_rates = preview.higher_rates is not None
+        known = preview.higher_rates is not None
+        higher_rates = partial(delay.stretched_higher_rates, preview) if known else None
         self._stretched = ReferencePreview(
             lambda time: delay.stretched(preview, np.array([time]))[0],
             references=lambda times: delay.stretched(preview, times),
-            higher_rates=(
-                (lambda time: delay.stretched_higher_rates(preview, time))
-                if has_higher_rates
-                else None
-            ),
+            higher_rates=higher_rates,
         )
         time = {self.time_ticket()}
         self.DeclareVectorOutputPort("reference", LOAD_REFERENCE_SIZE, self._calc, time)
-        if has_higher_rates:
+        if higher_rates is not None:
             size = REFERENCE_HIGHER_RATES_SIZE
             self.DeclareVectorOutputPort(_HIGHER_RATES, size, self._calc_higher_rates, time)
         stretched = self._stretched
@@ -104,6 +102,7 @@ class ReferenceGovernor(LeafBlock):
         output.SetFromVector(self._stretched(self._time(context)))
 
     def _calc_higher_rates(self, context: Context, output: BasicVector) -> None:
+        assert self._stretched.higher_rates is not None
         output.SetFromVector(self._stretched.higher_rates(self._time(context)))
 
     def _calc_preview(self, context: Context, output: AbstractValue) -> None:
