@@ -142,6 +142,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         smoothing: τ, in intervals between knots
         slack_weight: ρ
         fixed_coefficients: the first of ξ and A: 4 for three continuous rates
+        overshoot: of a carrier's velocity after a jump of the plan's, of that jump
+        settling_time: s, of that overshoot
+        orbit_tightening: of the speed of the nominal orbits, the least margin
         preview: read the motion ahead; without it the motion goes on as it does
         max_iterations: quadratic programs of a plan
         time_limit: s, of wall time, beyond which the plan that exists goes on

@@ -31,7 +31,14 @@ def check_horizon(box: str, config: HorizonConfig, limits: LimitsConfig, model: 
         limits: checked already, see `check_limits`.
         model: what the controllers believe.
     """
-    require_non_negative(box, horizon=config.horizon, knot_spacing=config.knot_spacing)
+    require_non_negative(
+        box,
+        horizon=config.horizon,
+        knot_spacing=config.knot_spacing,
+        overshoot=config.overshoot,
+        settling_time=config.settling_time,
+        orbit_tightening=config.orbit_tightening,
+    )
     require_positive(
         box,
         amplitude_weight=config.amplitude_weight,

@@ -67,6 +67,9 @@ class HorizonConfig:
     smoothing: float = 0.4  # τ, in intervals between knots
     slack_weight: float = 100.0  # ρ
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
+    overshoot: float = 0.35  # of a carrier's velocity after a jump of the plan's, of that jump
+    settling_time: float = 0.1  # s, of that overshoot
+    orbit_tightening: float = 0.002  # of the speed of the nominal orbits, the least margin
 
 
 def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon:
@@ -98,6 +101,7 @@ class HorizonData(NamedTuple):
     flat_terms: NDArray  # (k, 9n + 3), the `OrbitTerms` at the instants
     terminal: TerminalSet  # at the terminal instants
     speed_bound: float  # m/s, tightened
+    aims: NDArray  # (k, n), m/s, what speeds have to reach at the instants: no less than that
 
     @property
     def terms(self) -> OrbitTerms:
@@ -239,6 +243,7 @@ class HorizonProblem:
         count = self.intervals * config.instants
         # The value at the start is given by the fixed coefficients: no instant is there.
         self.instants = end / count * np.arange(1, count + 1)
+        self._instant_spacing = end / count
         self._terminal_per_knot = config.terminal_instants
         back = np.arange(self._terminal_per_knot * config.terminal_knots)[::-1]
         self._per_knot = count // self.intervals  # instants
@@ -323,12 +328,37 @@ class HorizonProblem:
         flat = np.array([self.terms_at(values) for values in references])
         if known is not None:
             flat = np.concatenate([known, flat])
+        aims = self._aims(flat, speed_bound, bound)
         if last is None or known is None:
-            terminal = self.terminal_set(flat[self._terminal_at], bound)
+            places = self._terminal_at
+            terminal = self.terminal_set(flat[places], aims[places, :, None])
         else:
-            new = self.terminal_set(flat[self._terminal_at[-self._terminal_per_knot :]], bound)
+            places = self._terminal_at[-self._terminal_per_knot :]
+            new = self.terminal_set(flat[places], aims[places, :, None])
             terminal = last.terminal.continued(new, self._terminal_per_knot)
-        return HorizonData(start_time, start_angle, flat, terminal, bound)
+        return HorizonData(start_time, start_angle, flat, terminal, bound, aims)
+
+    def _aims(self, flat_terms: NDArray, speed_bound: float, tightened: float) -> NDArray:
+        """The speeds (k, n) in m/s that carriers have to keep in the plan, at k instants.
+
+        Where the jerk of the reference jumps, so do the planned velocities, by at most
+        (L₀/T + 1/K_c) ‖Δd₀‖, T without A. The carriers then swing past the new velocity by a share
+        of the jump, the `overshoot`, within the `settling_time`. Where they pass low speeds they
+        are off by a share of what their orbits' speeds are elsewhere.
+        """
+        terms, config = OrbitTerms.view(flat_terms), self.config
+        if speed_bound == 0:
+            return np.zeros(terms.forces.shape[:2])
+        reach = self.rest_length / np.linalg.norm(terms.forces, axis=2) + self.compliance
+        jumps = np.zeros(reach.shape)
+        jumps[1:] = reach[1:] * np.linalg.norm(np.diff(terms.rates, axis=0), axis=2)
+        largest = jumps.copy()
+        for i in range(1, math.ceil(config.settling_time / self._instant_spacing)):
+            largest[i:] = np.maximum(largest[i:], jumps[:-i])
+        frequency, amplitude = self.nominal
+        sizes = np.linalg.norm(self.axes[0], axis=1)
+        least = speed_bound + config.orbit_tightening * frequency * amplitude * sizes * reach
+        return np.maximum(tightened, least) + config.overshoot * largest
 
     def _times(self, start_time: float) -> NDArray:
         """The times (k,) of the instants, those of two plans that start at knots to the bit."""
@@ -339,8 +369,8 @@ class HorizonProblem:
         counts = knot * self._per_knot + np.arange(1, len(self.instants) + 1)
         return counts * (spacing / self._per_knot)
 
-    def terminal_set(self, flat_terms: NDArray, speed_bound: float) -> TerminalSet:
-        """The terminal set of flat terms (k, 9n + 3), for the tightened bound in m/s."""
+    def terminal_set(self, flat_terms: NDArray, speed_bound: NDArray | float) -> TerminalSet:
+        """The terminal set of flat terms (k, 9n + 3), for a bound in m/s or those (k, n, 1)."""
         terms = OrbitTerms.view(flat_terms)
         least, most, *tension_squares = product_limits(
             terms,
@@ -449,7 +479,7 @@ class HorizonProblem:
     def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
         """The constraints about coefficients (2, N)."""
         speeds = self.speeds(data, coefficients)
-        limits, bound, unit = self._limits, data.speed_bound, math.sqrt(data.speed_unit)
+        limits, bound, unit = self._limits, data.aims, math.sqrt(data.speed_unit)
         margins = limits.of_speeds(speeds.squares, bound, unit)
         gradients = [speeds.gradients / unit**2]
         if limits.limit_high_speeds:
