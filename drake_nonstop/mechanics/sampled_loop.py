@@ -137,6 +137,42 @@ def overshoot(g: NDArray) -> float:
     return float(np.max(g - np.maximum(g[:1], 0.0)))
 
 
+def known_response(g: NDArray, inputs: NDArray) -> float:
+    """The largest output for inputs (samples, u) that are known, and zero before.
+
+    It is that of a loop at rest before the first sample, at whatever phase the loop is then.
+    """
+    lags, outputs, u = g.shape
+    used = np.flatnonzero(np.any(inputs, axis=0))
+    size = lags + len(inputs) - 1
+    spectrum = np.zeros((size // 2 + 1, outputs), complex)
+    for i in used:
+        spectrum += np.fft.rfft(g[..., i], size, axis=0) * np.fft.rfft(inputs[:, i], size)[:, None]
+    response = np.fft.irfft(spectrum, size, axis=0)[: len(inputs)]
+    return float(np.max(response, initial=0.0))
+
+
+def coloured_deviation(g: NDArray, deviations: NDArray, correlation: float) -> float:
+    """The largest standard deviation of an output under inputs that are coloured noise.
+
+    The inputs are independent, with deviations (u,) and c_{k+1} = ρ c_k + sqrt(1 − ρ²) σ w_k, w
+    white, ρ the `correlation` from sample to sample. An output depends on w_k m samples before by
+    h_m = ρ h_{m−1} + g_m, and beyond the lags of g by what is left of it.
+    """
+    h = np.zeros_like(g[0])
+    variance = np.zeros_like(h)
+    for part in g:
+        h = correlation * h + part
+        variance += h**2
+    variance = (1 - correlation**2) * variance + (correlation * h) ** 2
+    return float(np.sqrt(np.max((variance * deviations**2).sum(axis=-1))))
+
+
+def step_response(g: NDArray, step: NDArray) -> float:
+    """The largest output after inputs (u,) that begin and stay."""
+    return float(np.max(np.cumsum(g @ step, axis=0), initial=0.0))
+
+
 def noise_deviation(g: NDArray, deviations: NDArray) -> float:
     """The largest standard deviation of an output under white inputs of deviations (u,)."""
     return float(np.sqrt(np.max(((g * deviations) ** 2).sum(axis=(0, 2)))))
