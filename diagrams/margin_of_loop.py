@@ -250,12 +250,12 @@ def _disturbance(
         left_out.append(f"{_name(blocks, 'wind')}: what it does to the load")
     if isinstance(wind, GustyWind) and np.any(wind.load_deviations):
         deviations = np.append(np.zeros(3), plant.load.drag * wind.load_deviations)
-        gusts.append(Gust(deviations, wind.correlation_time))
+        gusts.append(Gust(deviations, wind.wave_frequencies))
     if isinstance(other, DisturbanceForce):
         unknown += other.wrench
         if other.gust_force > 0:
             deviations = np.repeat([0.0, other.gust_force], 3)
-            gusts.append(Gust(deviations, other.gust_time))
+            gusts.append(Gust(deviations, other.wave_frequencies))
     elif other is not None and not isinstance(other, NoDisturbance):
         left_out.append(f"{_name(blocks, 'load_disturbance')}: its wrench")
     return Disturbance(believed=believed, unknown=unknown, gusts=tuple(gusts))

@@ -1,11 +1,16 @@
 """Box "load_disturbance": the wrench on the load besides cables and gravity."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context
 
-from drake_nonstop.mechanics.coloured_noise import coloured_noise, random_waves
+from drake_nonstop.mechanics.coloured_noise import (
+    coloured_noise,
+    random_waves,
+    wave_frequencies,
+)
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
@@ -87,7 +92,7 @@ class DisturbanceForce(LeafBlock):
     Attributes:
         wrench: (6,), the constant part.
         gust_force: N, standard deviation on each axis.
-        gust_time: s, correlation time of the gust.
+        wave_frequencies: rad/s, of the waves that the gust consists of.
 
     Raises:
         ScenarioError: a field is out of range.
@@ -107,8 +112,10 @@ class DisturbanceForce(LeafBlock):
         self.wrench = np.concatenate([torque, force])
         self._start_time = config.start_time
         random = np.random.default_rng(config.seed)
-        self._waves = random_waves(random, 3, config.gust_time, count=32, highest=30.0)
-        self.gust_force, self.gust_time = config.gust_force, config.gust_time
+        bands: dict[str, Any] = {"count": 32, "highest": 30.0}
+        self._waves = random_waves(random, 3, config.gust_time, **bands)
+        self.wave_frequencies = wave_frequencies(config.gust_time, **bands)
+        self.gust_force = config.gust_force
         ticket = self.time_ticket()
         self.DeclareVectorOutputPort("disturbance_wrench", WRENCH_SIZE, self._calc, {ticket})
 

@@ -11,7 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, InputPort
 
-from drake_nonstop.mechanics.coloured_noise import Waves, coloured_noise, random_waves
+from drake_nonstop.mechanics.coloured_noise import (
+    Waves,
+    coloured_noise,
+    random_waves,
+    wave_frequencies,
+)
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierStates, LoadState
 from drake_nonstop.mechanics.wind import LOWEST_HEIGHT, power_law, risen_share
 from drake_nonstop.model.system import Model
@@ -339,7 +344,7 @@ class GustyWind(_Profile):
 
     Attributes:
         load_deviations: (3,), m/s, in W, standard deviations of the load's gusts.
-        correlation_time: s, of all gusts.
+        wave_frequencies: rad/s, of the waves that gusts consist of.
 
     Raises:
         ScenarioError: a field is out of range.
@@ -360,7 +365,7 @@ class GustyWind(_Profile):
             "give at most 2, of the horizontal standard deviation",
         )
         require_positive(_BOX, gust_length=config.gust_length, airspeed=config.airspeed)
-        correlation_time = self.correlation_time = config.gust_length / config.airspeed
+        correlation_time = config.gust_length / config.airspeed
         require(
             correlation_time >= _SHORTEST,
             f"{_BOX}.gust_length",
@@ -373,6 +378,7 @@ class GustyWind(_Profile):
             random = np.random.default_rng([config.seed, number])
             return random_waves(random, 3, correlation_time, count=_WAVES, highest=_HIGHEST)
 
+        self.wave_frequencies = wave_frequencies(correlation_time, count=_WAVES, highest=_HIGHEST)
         shares = np.array([1.0, 1.0, config.vertical_share])
         carriers = [waves(i + 1) for i in range(model.n)]
         self._waves = Waves._make(map(np.concatenate, zip(*carriers, strict=True)))

@@ -152,19 +152,19 @@ def known_response(g: NDArray, inputs: NDArray) -> float:
     return float(np.max(response, initial=0.0))
 
 
-def coloured_deviation(g: NDArray, deviations: NDArray, correlation: float) -> float:
-    """The largest standard deviation of an output under inputs that are coloured noise.
+def waves_deviation(
+    g: NDArray, deviations: NDArray, frequencies: NDArray, period: float
+) -> float:
+    """The largest standard deviation of an output under inputs that are sums of waves.
 
-    The inputs are independent, with deviations (u,) and c_{k+1} = ρ c_k + sqrt(1 − ρ²) σ w_k, w
-    white, ρ the `correlation` from sample to sample. An output depends on w_k m samples before by
-    h_m = ρ h_{m−1} + g_m, and beyond the lags of g by what is left of it.
+    The inputs are independent, with deviations (u,), each of waves of equal size, frequencies
+    (rad/s) and random phases. A wave of frequency ω reaches an output as |Σ g_m exp(−iωmT)|, T the
+    `period` in s.
     """
-    h = np.zeros_like(g[0])
-    variance = np.zeros_like(h)
-    for part in g:
-        h = correlation * h + part
-        variance += h**2
-    variance = (1 - correlation**2) * variance + (correlation * h) ** 2
+    lags, outputs, u = g.shape
+    turning = np.exp(-1j * period * np.outer(frequencies, np.arange(lags)))
+    gains = (turning @ g.reshape(lags, -1)).reshape(-1, outputs, u)
+    variance = (np.abs(gains) ** 2).mean(axis=0)
     return float(np.sqrt(np.max((variance * deviations**2).sum(axis=-1))))
 
 

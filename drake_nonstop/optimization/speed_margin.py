@@ -17,13 +17,13 @@ from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
-    coloured_deviation,
     growth,
     known_response,
     noise_deviation,
     overshoot,
     responses,
     step_response,
+    waves_deviation,
 )
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
 from drake_nonstop.mechanics.tethered_loop import (
@@ -90,10 +90,10 @@ class Motion:
 
 
 class Gust(NamedTuple):
-    """First-order coloured noise on the load."""
+    """Coloured noise on the load, a sum of waves of equal size on each axis."""
 
     deviations: NDArray  # (6,), N m and N, in W, standard deviations
-    correlation_time: float  # s
+    frequencies: NDArray  # rad/s, of the waves
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -468,8 +468,8 @@ def _of_disturbance(g: NDArray, disturbance: Disturbance, task: _Task, period: f
     in_world = np.concatenate([g[..., :3] @ start.T, g[..., 3:] @ start.T], axis=-1)
     variance = 0.0
     for gust in disturbance.gusts:
-        correlation = math.exp(-period / gust.correlation_time)
-        variance += coloured_deviation(in_world, gust.deviations, correlation) ** 2
+        spread = waves_deviation(in_world, gust.deviations, gust.frequencies, period)
+        variance += spread**2
     steady = step_response(in_world, disturbance.unknown)
     return DEVIATIONS * math.sqrt(variance) + steady
 
