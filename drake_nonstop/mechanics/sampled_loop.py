@@ -152,9 +152,7 @@ def known_response(g: NDArray, inputs: NDArray) -> float:
     return float(np.max(response, initial=0.0))
 
 
-def waves_deviation(
-    g: NDArray, deviations: NDArray, frequencies: NDArray, period: float
-) -> float:
+def waves_deviation(g: NDArray, deviations: NDArray, frequencies: NDArray, period: float) -> float:
     """The largest standard deviation of an output under inputs that are sums of waves.
 
     The inputs are independent, with deviations (u,), each of waves of equal size, frequencies

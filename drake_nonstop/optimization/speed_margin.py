@@ -231,10 +231,9 @@ class _Task:
         return np.array([frequencies[best], amplitudes[best]])
 
     def derivatives(self, parameters: NDArray, extra: NDArray | None = None) -> _Derivatives:
-        """The carriers' motion for constant [ξ, A] (2,); `extra`, (n, 3) or (k, n, 3), adds to
-        their forces.
+        """The carriers' motion for constant [ξ, A] (2,).
 
-        Rates of forces are those in the load's frame, which turns slowly beside the orbits.
+        `extra`, (n, 3) or (k, n, 3), adds to their forces. Rates of forces are those in the load's frame, which turns slowly beside the orbits.
         """
         xi, A = parameters
         angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
