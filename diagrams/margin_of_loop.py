@@ -1,5 +1,6 @@
 """The speed margin of a loop as configured, from its blocks."""
 
+import contextlib
 import math
 import warnings
 from collections.abc import Mapping
@@ -87,8 +88,9 @@ def margin_of_loop(
         left_out.append("the simulated cables do not stretch")
         return LoopMargin(None, tuple(left_out))
     disturbance = _disturbance(model, plant, blocks, motion, left_out)
-    try:
-        margin = speed_margin(
+
+    def margin_with(disturbance: Disturbance | None) -> SpeedMargin:
+        return speed_margin(
             model,
             plant,
             limits,
@@ -98,10 +100,17 @@ def margin_of_loop(
             instant_spacing=_spacing(limits, model.control_period),
             disturbance=disturbance,
         )
+
+    try:
+        return LoopMargin(margin_with(disturbance), tuple(left_out))
     except NoMarginError as error:
-        left_out.append(str(error))
-        return LoopMargin(None, tuple(left_out))
-    return LoopMargin(margin, tuple(left_out))
+        cause = str(error)
+    if disturbance.is_any:
+        with contextlib.suppress(NoMarginError):
+            margin = margin_with(None)
+            left_out.append(f"wind and load_disturbance, with which {cause}")
+            return LoopMargin(margin, tuple(left_out))
+    return LoopMargin(None, (*left_out, cause))
 
 
 def computed_margin(

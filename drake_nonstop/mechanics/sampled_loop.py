@@ -142,7 +142,7 @@ def known_response(g: NDArray, inputs: NDArray) -> float:
 
     It is that of a loop at rest before the first sample, at whatever phase the loop is then.
     """
-    lags, outputs, u = g.shape
+    lags, outputs = g.shape[:2]
     used = np.flatnonzero(np.any(inputs, axis=0))
     size = lags + len(inputs) - 1
     spectrum = np.zeros((size // 2 + 1, outputs), complex)

@@ -40,7 +40,7 @@ from drake_nonstop.optimization.terminal_set import product_limits
 
 DEVIATIONS = 5.0  # standard deviations of noise: a normal value falls below with 2.9e-7
 _PHASES = 24  # of the orbits, at which speeds and their rates are looked at
-_LOOPS = 12  # about as many phases the loop is linearized
+_LOOPS = 48  # about as many phases the loop is linearized: steps of forces between them count
 _SEEN = 3  # of these phases, at which the shortfalls are looked at
 _MEMORY = 10.0  # s, of the inputs that matter for a shortfall
 _LARGEST_GROWTH = 0.2  # per s, beyond which there is no margin
@@ -109,6 +109,11 @@ class Disturbance:
     believed: NDArray
     unknown: NDArray
     gusts: tuple[Gust, ...] = ()
+
+    @property
+    def is_any(self) -> bool:
+        """Whether anything acts."""
+        return bool(np.any(self.believed) or np.any(self.unknown) or self.gusts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +238,9 @@ class _Task:
     def derivatives(self, parameters: NDArray, extra: NDArray | None = None) -> _Derivatives:
         """The carriers' motion for constant [ξ, A] (2,).
 
-        `extra`, (n, 3) or (k, n, 3), adds to their forces. Rates of forces are those in the load's frame, which turns slowly beside the orbits.
+        `extra`, (n, 3) or (k, n, 3), adds to their forces.
+
+        Rates of forces are those in the load's frame, which turns slowly beside the orbits.
         """
         xi, A = parameters
         angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
