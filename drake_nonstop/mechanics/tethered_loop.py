@@ -19,6 +19,7 @@ from drake_nonstop.mechanics.sampled_loop import SampledLoop, sampled_loop
 
 LOAD_ERRORS = 12  # [e_R, e_p, e_ω, e_v]
 _INTEGRALS = 6
+_WRENCH = 6  # [torque; force]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,11 +79,12 @@ class Inputs(NamedTuple):
     jerk: slice  # (3n,), m/s³
     measurement: slice  # (12,), errors of the measured load: rad, m, rad/s and m/s
     velocity: slice  # (3n,), m/s, by which the planned velocities jumped just after a sample
+    disturbance: slice  # (6,), N m and N, of a wrench on the load that stays for a sample
 
     @classmethod
     def of(cls, n: int) -> "Inputs":
         """Those of n carriers."""
-        sizes = [3 * n, 3 * n, LOAD_ERRORS, 3 * n]
+        sizes = [3 * n, 3 * n, LOAD_ERRORS, 3 * n, _WRENCH]
         ends = np.cumsum([0, *sizes]).tolist()
         return cls(*(slice(a, b) for a, b in pairwise(ends)))
 
@@ -137,7 +139,7 @@ def tethered_loop(
     tension = np.linalg.norm(orbit.forces, axis=1)
     # The state: errors of the load, carriers, their integrals, those of the controller, samples of
     # the delay; then what is held in a sample: reference, its acceleration that is missing, the
-    # feedforward that is, the planned jerk, and desired forces.
+    # feedforward that is, the planned jerk, desired forces, and the wrench on the load.
     sizes = {
         "load": LOAD_ERRORS,
         "position": size,
@@ -151,6 +153,7 @@ def tethered_loop(
         "missing_feedforward": size,
         "jerk": size,
         "desired_force": size if carriers.mass else 0,
+        "disturbance": _WRENCH,
     }
     ends = np.cumsum([0, *sizes.values()]).tolist()
     at = {name: slice(a, b) for name, a, b in zip(sizes, ends, ends[1:], strict=False)}
@@ -180,6 +183,8 @@ def tethered_loop(
         M[at["missing_feedforward"], at["jerk"]] = unit
     if carriers.mass:
         M[velocity, at["desired_force"]] = unit / carriers.mass
+    M[e_omega, at["disturbance"]] = np.hstack([inverse, np.zeros((3, 3))])
+    M[e_v, at["disturbance"]] = np.hstack([np.zeros((3, 3)), eye / load.mass])
     for i, (b, f, T) in enumerate(zip(cables.attachments, orbit.forces, tension, strict=True)):
         along = np.outer(f, f) / T**2
         length = cables.rest_length + T / cables.stiffness
@@ -207,7 +212,7 @@ def tethered_loop(
     if carriers.mass:
         held["desired_force"] = slice(2 * size, 3 * size)
     places = Inputs.of(n)
-    B = np.zeros((ends[-1], places.velocity.stop))
+    B = np.zeros((ends[-1], places.disturbance.stop))
     for name, rows in held.items():
         S[at[name], y] = command.of_errors[rows] * seen
         S[at[name], at["integral"]] = command.of_integrals[rows]
@@ -229,6 +234,7 @@ def tethered_loop(
     B[at["jerk"], places.jerk] = unit
     B[velocity, places.velocity] = -unit
     B[position, places.velocity] = -period * unit  # of the time that it is not noticed
+    B[at["disturbance"], places.disturbance] = np.eye(_WRENCH)
     outputs = np.zeros((n, ends[-1]))
     for i, v in enumerate(orbit.velocities):
         outputs[i, velocity.start + 3 * i : velocity.start + 3 * i + 3] = -v / np.linalg.norm(v)

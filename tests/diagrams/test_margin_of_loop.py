@@ -18,6 +18,7 @@ from drake_nonstop.optimization.problem_config import (
     highest_speed_bound,
     tightened_bound,
 )
+from drake_nonstop.optimization.speed_margin import DEVIATIONS
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.linearized_loop import LinearizedLoop
@@ -181,6 +182,29 @@ def test_a_heavier_load_slows_the_carriers_by_its_share(as_it_is):
     share = margin_with("optimization_layer.model_error=0.02").margin
     assert as_it_is.model == 0
     assert 0.01 * 0.55 < share.model < 0.05 * 2.0
+
+
+def test_a_force_in_still_air_and_the_wind_that_makes_it_count_alike(as_it_is):
+    """A wind that is not believed is a force of its drag, 0.7 N s/m by default."""
+    wind = "wind=!SteadyWind {velocity: [0.2, 0, 0], believed: [0, 0, 0]}"
+    force = "load_disturbance=!DisturbanceForce {force: [0.14, 0, 0]}"
+    shares = [margin_with(given).margin.disturbance for given in (wind, force)]
+    assert shares[0] == pytest.approx(shares[1], rel=1e-9)
+    assert shares[0] > 0 == as_it_is.disturbance
+
+
+def test_gusts_spread_speeds_as_in_a_run():
+    gusts = "wind=!GustyWind {load_gust: 0.05, gust: 0, gust_length: 3}"
+    scenario = load_scenario("three_carriers", [*RESTING, gusts, "simulation_duration=12"])
+    quiet = changed(scenario, ["wind=StillAir"])
+    gusty, without = (simulate(s, check_step=StepCheck.NOTHING) for s in (scenario, quiet))
+    speeds = [
+        np.linalg.norm(CarrierStates.view(run.steps["carrier_state"]).velocities, axis=-1)
+        for run in (gusty, without)
+    ]
+    measured = float(np.std((speeds[0] - speeds[1])[100:]))
+    predicted = margin_with(gusts).margin.disturbance / DEVIATIONS
+    assert 0.3 * predicted < measured < predicted
 
 
 def test_a_septic_reference_has_no_jumps(as_it_is):
