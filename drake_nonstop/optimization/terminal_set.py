@@ -78,10 +78,9 @@ def product_limits(
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """The limits on s = A ξ, and the range of the squared tensions, over all phases.
 
-    At amplitudes (a,) in N and k instants, for constant ξ and A, and a bound in m/s for all carriers
-    or bounds (k, n, 1). By the upper roots of c + 2 b s + a s² = ε² or v_max², see
-    `speed_squares`. Where there are none s is not limited from
-    below; from above it is by what makes the carrier slowest.
+    At amplitudes (a,) in N and k instants, for constant ξ and A, and a bound in m/s of all carriers
+    or bounds (k, n, 1). By the upper roots of c + 2 b s + a s² = ε² or v_max², see `speed_squares`.
+    Where there are none s is not limited from below; from above it is by what makes the carrier slowest.
 
     Returns:
         The least and the most s (k, a) in N/s, inf without a limit; the least and the largest

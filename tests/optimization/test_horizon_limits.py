@@ -181,7 +181,8 @@ def test_speeds_have_margins_of_their_own_after_jumps_of_the_jerk_and_beside_fas
     problem = HorizonProblem(before.model, before.limits, config, lambda: "test")
     slow = problem.data(0.0, 0.0, lambda time: still, 0.01)
     speeds = np.sqrt(problem.speeds(slow, problem.nominal_coefficients()).squares)
-    np.testing.assert_allclose(slow.aims - 0.01, 0.1 * speeds.max(axis=0)[None], rtol=0.1)
+    shares = (slow.aims - 0.01) / speeds.max(axis=0)
+    assert np.all((shares > 0.07) & (shares < 0.1))
 
 
 @pytest.mark.parametrize("name", ["cycle-4", "ellipse-6"])
