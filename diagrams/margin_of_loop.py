@@ -19,13 +19,14 @@ from drake_nonstop.blocks.force_distribution import CableForceDistribution
 from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedback,
     DesiredStateFeedback,
+    EstimatedFeedback,
     IdealFeedback,
     NoisyFeedback,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadReference, TrackingError
-from drake_nonstop.mechanics.tethered_loop import LOAD_ERRORS, Carriers
+from drake_nonstop.mechanics.tethered_loop import LOAD_ERRORS, Carriers, Estimator
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig, NonstopProblemConfig
@@ -170,6 +171,7 @@ def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
     measurement = blocks.get("load_feedback")
     period = model.control_period or _CONTINUOUS
     deviations, is_measured, delay = np.zeros(LOAD_ERRORS), np.ones(LOAD_ERRORS), 0
+    estimator = None
     if isinstance(measurement, NoisyFeedback):
         deviations = measurement.deviations
         delay = round(measurement.delay_periods * measurement.period / period)
@@ -178,6 +180,10 @@ def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
             delay = _MOST_DELAY
         if abs(measurement.period - period) > 1e-9:
             left_out.append("load_feedback.period differs from the controllers': noise that stays")
+        if isinstance(measurement, EstimatedFeedback):
+            estimator = Estimator.of(
+                measurement.rotation_gain, measurement.translation_gain, measurement.period
+            )
     elif isinstance(measurement, DesiredStateFeedback):
         is_measured = np.zeros(LOAD_ERRORS)
     elif isinstance(measurement, DesiredAttitudeFeedback):
@@ -186,7 +192,12 @@ def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
     elif not isinstance(measurement, IdealFeedback):
         left_out.append(f"{_name(blocks, 'load_feedback')}: what it makes of the load's state")
     return Feedback(
-        gains=gains, deviations=deviations, is_measured=is_measured, delay=delay, period=period
+        gains=gains,
+        deviations=deviations,
+        is_measured=is_measured,
+        delay=delay,
+        period=period,
+        estimator=estimator,
     )
 
 
