@@ -276,8 +276,8 @@ class EstimatedFeedbackConfig(NoisyFeedbackConfig):
     believed_orientation_noise: float = 0.02  # rad
     believed_velocity_noise: float = 0.0  # m/s; 0: measured exactly
     believed_angular_velocity_noise: float = 0.0  # rad/s; 0: measured exactly
-    process_acceleration: float = 1.0  # m/s², deviation of its mean over a period
-    process_angular_acceleration: float = 2.0  # rad/s², likewise
+    process_acceleration: float = 0.05  # m/s², deviation of its mean over a period
+    process_angular_acceleration: float = 0.05  # rad/s², likewise
 
 
 class EstimatedFeedback(NoisyFeedback):
