@@ -46,6 +46,7 @@ _LONGEST = 600.0  # s, of a task that is looked at
 _CONTINUOUS = 0.002  # s, for which continuous controllers are taken as held
 _JUMP = 0.1  # of the largest jerk, from which on a change between two instants may be a jump
 _HALVINGS = 10  # of an interval with a change, after which a smooth one is small
+_EXACT = 1 - 1e-9  # a gain of rates that are taken as they are measured
 _MOST_DELAY = 20  # samples
 
 
@@ -184,6 +185,8 @@ def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
             estimator = Estimator.of(
                 measurement.rotation_gain, measurement.translation_gain, measurement.period
             )
+            if min(measurement.rotation_gain[1, 1], measurement.translation_gain[1, 1]) < _EXACT:
+                left_out.append("load_feedback believes in noise of rates: its estimate's lag")
     elif isinstance(measurement, DesiredStateFeedback):
         is_measured = np.zeros(LOAD_ERRORS)
     elif isinstance(measurement, DesiredAttitudeFeedback):

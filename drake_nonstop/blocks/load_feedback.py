@@ -294,6 +294,10 @@ class EstimatedFeedback(NoisyFeedback):
     integrated from it; a pose without noise is, too. The rotation is corrected multiplicatively,
     see `mechanics.load_estimate`.
 
+    The process's deviations trade noise for lag. The defaults are for exact rates, with which there
+    is no lag, and what the pose's measurement corrects is small; where rates are noisy, too, give
+    about the load's largest accelerations.
+
     The estimate begins with the load's true state, and is made anew every `period`: at the instant
     of a sample, the one that a controller holds has that instant's measurement in it; between two
     samples it goes on with its velocities. It is one of the delayed state: no delay is made up for.
