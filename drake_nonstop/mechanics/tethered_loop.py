@@ -153,8 +153,8 @@ def tethered_loop(
     size = 3 * n
     tension = np.linalg.norm(orbit.forces, axis=1)
     # The state: errors of the load, carriers, their integrals, those of the controller, samples of
-    # the delay, the estimate; then what is held in a sample: reference, its acceleration that is missing, the
-    # feedforward that is, the planned jerk, and desired forces.
+    # the delay, the estimate; then what is held in a sample: reference, its acceleration that is
+    # missing, the feedforward that is, the planned jerk, and desired forces.
     sizes = {
         "load": LOAD_ERRORS,
         "position": size,
