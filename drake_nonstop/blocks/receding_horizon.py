@@ -1,5 +1,6 @@
 """Plans of ξ and A over a receding horizon, for the box "Optimization Layer" of the figure."""
 
+import math
 import time as clock
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -323,7 +324,7 @@ class _Planner:
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig, name: Any):
         self._model, self._config, self._name = model, config, name
         self._solver: tuple[bytes, HorizonSolver] | None = None
-        self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome]] | None = None
+        self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome, float]] | None = None
         self._data: tuple[HorizonSolver, ReferencePreview, HorizonData] | None = None
 
     def plan(
@@ -363,13 +364,13 @@ class _Planner:
                 # Nothing has to go on: the carriers start wherever the plan does.
                 free = HorizonSolver(problem, fixed=0)
                 made = self._make(free, data, start, scale, is_new)
-            self._last = known = key, made
-        answer, outcome = known[1]
-        speeds = problem.speeds(data, answer.coefficients)
+            squares = problem.speeds(data, made[0].coefficients).squares
+            self._last = known = key, (*made, math.sqrt(squares.min()))
+        answer, outcome, slowest = known[1]
         state = _PlanState(
             start_time, angle, answer.scale, speed_bound, numbers.nominal, answer.coefficients
         )
-        return _Planned(state, outcome, float(np.sqrt(speeds.squares.min())))
+        return _Planned(state, outcome, slowest)
 
     def _known(self, solver: HorizonSolver, reference: ReferencePreview) -> HorizonData | None:
         """The last plan's data, where they are of the same motion and beliefs."""

@@ -306,11 +306,14 @@ class HorizonProblem:
     ) -> HorizonData:
         """The data of a plan from a time in s and phase in rad on, for ε in m/s.
 
-        Where `last` is of the same reference and bound, and began one interval between knots
-        before, what both have in common is taken from it.
+        Where `last` is of the same reference and bound, and began at the same time or one interval
+        between knots before, what both have in common is taken from it.
         """
         bound = tightened_bound(self.limits, speed_bound)
         spacing = self.config.knot_spacing
+        is_same = last is not None and last.start_time == start_time
+        if last is not None and is_same and last.speed_bound == bound:
+            return last._replace(start_angle=start_angle)
         known: NDArray | None = None
         is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
         if last is not None and is_next and last.speed_bound == bound:
