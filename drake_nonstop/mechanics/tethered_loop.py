@@ -64,7 +64,11 @@ class Cables:
 
 
 class Estimator(NamedTuple):
-    """A filter of the measured errors: e⁺ = K y + (I − K) F e, from sample to sample."""
+    """The errors of a filter of the load's state: d⁺ = (I − K) F d + K (those of its measurement).
+
+    Its predictions are taken as exact, as they are to T²/12 times a change of the acceleration
+    where rates are measured exactly. Phases that each stand still would make that change jump.
+    """
 
     gain: NDArray  # K (12, 12)
     transition: NDArray  # F (12, 12)
@@ -147,7 +151,7 @@ def tethered_loop(
         period: T of the samples, s.
         delay: of the measurement, in samples.
         is_measured: (12,), 0 for errors that the controller takes as zero, else 1; None: all 1.
-        estimator: of the measured errors, which then takes the measurement's place; or None.
+        estimator: of the load, whose estimate then takes the measurement's place; or None.
     """
     n = len(orbit.forces)
     size = 3 * n
@@ -231,9 +235,8 @@ def tethered_loop(
     if estimator:
         errors, estimate = estimator.gain, at["estimate"]
         measured[:, estimate] = (np.eye(LOAD_ERRORS) - errors) @ estimator.transition
-    measured[:, y] = errors
-    if estimator:
         S[estimate], B[estimate, places.measurement] = measured, errors
+    measured[:, y] = np.eye(LOAD_ERRORS)
     for name, rows in held.items():
         S[at[name]] = (command.of_errors[rows] * seen) @ measured
         S[at[name], at["integral"]] = command.of_integrals[rows]
