@@ -55,6 +55,7 @@ from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
+_MOST_ITERATIONS = 100  # of any other
 _MORE = 4  # times the iterations again, for a plan that needs slack
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
 _NO_PLAN = 0.0  # in place of a scale
@@ -436,4 +437,10 @@ def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> No
     check_limits(box, config, model)
     check_horizon(box, config, config, model)
     check_pattern(box, model, "RecedingHorizonOptimizer")
+    require(
+        1 <= config.max_iterations <= _MOST_ITERATIONS,
+        f"{box}.max_iterations",
+        config.max_iterations,
+        f"give 1 to {_MOST_ITERATIONS}",
+    )
     require(config.time_limit > 0, f"{box}.time_limit", config.time_limit, "give a time above zero")

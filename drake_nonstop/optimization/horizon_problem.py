@@ -29,7 +29,7 @@ from drake_nonstop.mechanics.planned_orbit import (
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, PlannedParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
@@ -54,7 +54,7 @@ Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time i
 
 @dataclass(kw_only=True)
 class HorizonConfig:
-    """The horizon, its cost and its constraints; with those of a `NonstopProblemConfig`."""
+    """The horizon, its cost and its constraints; with those of a `LimitsConfig`."""
 
     horizon: float = 0.0  # s; 0: nearly two turns, at least 15 intervals between knots
     knot_spacing: float = 0.0  # s, also the time between two plans; 0: an eighth of a turn
@@ -432,6 +432,19 @@ class HorizonProblem:
             amplitude * (rows.rate @ d),
             **self._cables,
         )
+
+    def squares_along(self, terms: OrbitTerms, planned: NDArray) -> NDArray:
+        """The squared speeds (k, n) at k instants, of the plan's values (k, 8) there."""
+        values = PlannedParameters.view(planned)
+        return planned_speeds(
+            terms,
+            self.axes,
+            values.angle[:, 0],
+            values.frequency[:, 0],
+            values.amplitude[:, 0],
+            values.amplitude_rate[:, 0],
+            **self._cables,
+        ).squares
 
     def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
         """The constraints about coefficients (2, N)."""

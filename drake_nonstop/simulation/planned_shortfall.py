@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.signals import (
     PLANNED_SIZE,
     CarrierStates,
@@ -44,18 +44,8 @@ def largest_shortfall(run: Run) -> float | None:
     problem = HorizonProblem(model, limits, horizon, lambda: "planned speeds")
     flown = np.linalg.norm(states.velocities, axis=-1)
     # The first values are not those of a plan that has begun.
-    values = PlannedParameters.view(planned[1:])
-    speeds = planned_speeds(
-        OrbitTerms.view(np.array([problem.terms_at(reference) for reference in references[1:]])),
-        problem.axes,
-        values.angle[:, 0],
-        values.frequency[:, 0],
-        values.amplitude[:, 0],
-        values.amplitude_rate[:, 0],
-        rest_length=problem.rest_length,
-        compliance=problem.compliance,
-    )
-    planned_speed = np.sqrt(speeds.squares)
+    terms = np.array([problem.terms_at(reference) for reference in references[1:]])
+    planned_speed = np.sqrt(problem.squares_along(OrbitTerms.view(terms), planned[1:]))
     wanted = planned_speed.copy()
     if len(wanted) > _SETTLING + len(_AHEAD):
         # Where a plan jumps, as where the reference's jerk does, what it was before.
