@@ -21,6 +21,7 @@ from drake_nonstop.blocks.load_disturbance import DisturbanceForce, NoDisturbanc
 from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedback,
     DesiredStateFeedback,
+    EstimatedFeedback,
     IdealFeedback,
     NoisyFeedback,
 )
@@ -28,7 +29,7 @@ from drake_nonstop.blocks.wind import GustyWind, SteadyWind, StillAir, WindProfi
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import WRENCH_SIZE, LoadReference, TrackingError
-from drake_nonstop.mechanics.tethered_loop import LOAD_ERRORS, Carriers
+from drake_nonstop.mechanics.tethered_loop import LOAD_ERRORS, Carriers, Estimator
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig, NonstopProblemConfig
@@ -50,6 +51,7 @@ _LONGEST = 600.0  # s, of a task that is looked at
 _CONTINUOUS = 0.002  # s, for which continuous controllers are taken as held
 _JUMP = 0.1  # of the largest jerk, from which on a change between two instants may be a jump
 _HALVINGS = 10  # of an interval with a change, after which a smooth one is small
+_EXACT = 1 - 1e-9  # a gain of rates that are taken as they are measured
 _MOST_DELAY = 20  # samples
 
 
@@ -185,6 +187,7 @@ def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
     measurement = blocks.get("load_feedback")
     period = model.control_period or _CONTINUOUS
     deviations, is_measured, delay = np.zeros(LOAD_ERRORS), np.ones(LOAD_ERRORS), 0
+    estimator = None
     if isinstance(measurement, NoisyFeedback):
         deviations = measurement.deviations
         delay = round(measurement.delay_periods * measurement.period / period)
@@ -193,6 +196,12 @@ def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
             delay = _MOST_DELAY
         if abs(measurement.period - period) > 1e-9:
             left_out.append("load_feedback.period differs from the controllers': noise that stays")
+        if isinstance(measurement, EstimatedFeedback):
+            estimator = Estimator.of(
+                measurement.rotation_gain, measurement.translation_gain, measurement.period
+            )
+            if min(measurement.rotation_gain[1, 1], measurement.translation_gain[1, 1]) < _EXACT:
+                left_out.append("load_feedback believes in noise of rates: its estimate's lag")
     elif isinstance(measurement, DesiredStateFeedback):
         is_measured = np.zeros(LOAD_ERRORS)
     elif isinstance(measurement, DesiredAttitudeFeedback):
@@ -201,7 +210,12 @@ def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
     elif not isinstance(measurement, IdealFeedback):
         left_out.append(f"{_name(blocks, 'load_feedback')}: what it makes of the load's state")
     return Feedback(
-        gains=gains, deviations=deviations, is_measured=is_measured, delay=delay, period=period
+        gains=gains,
+        deviations=deviations,
+        is_measured=is_measured,
+        delay=delay,
+        period=period,
+        estimator=estimator,
     )
 
 

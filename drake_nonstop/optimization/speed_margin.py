@@ -29,6 +29,7 @@ from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
 from drake_nonstop.mechanics.tethered_loop import (
     Cables,
     Carriers,
+    Estimator,
     Inputs,
     Orbit,
     tethered_loop,
@@ -63,6 +64,7 @@ class Feedback:
         is_measured: (12,), 0 for what the controller takes as desired, else 1.
         delay: of the measurement, in samples.
         period: between samples, s.
+        estimator: of the errors, behind the measurement; None: there is none.
     """
 
     gains: Mapping[str, Any]
@@ -70,6 +72,7 @@ class Feedback:
     is_measured: NDArray
     delay: int
     period: float
+    estimator: Estimator | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -329,6 +332,7 @@ class _Loops:
                 period=feedback.period,
                 delay=feedback.delay,
                 is_measured=feedback.is_measured,
+                estimator=feedback.estimator,
             )
             for orbit in orbits
         ]

@@ -80,7 +80,8 @@ def product_limits(
 
     At amplitudes (a,) in N and k instants, for constant ξ and A, and a bound in m/s of all carriers
     or bounds (k, n, 1). By the upper roots of c + 2 b s + a s² = ε² or v_max², see `speed_squares`.
-    Where there are none s is not limited from below; from above it is by what makes the carrier slowest.
+    Where there are none s is not limited from below; from above it is by what makes the carrier
+    slowest.
 
     Returns:
         The least and the most s (k, a) in N/s, inf without a limit; the least and the largest
