@@ -129,12 +129,12 @@ def bounded_response(
     return float(np.max(np.minimum(bounds * gain, slow).sum(axis=-1)))
 
 
-def overshoot(g: NDArray) -> float:
-    """The largest output beyond its way from the first value to zero, after one of the inputs.
+def overshoot(g: NDArray) -> NDArray:
+    """The largest outputs (o, u) beyond their way from the first value to zero, after each input.
 
     Of responses g (lags, o, u) to single inputs: the largest g_m − max(g_0, 0).
     """
-    return float(np.max(g - np.maximum(g[:1], 0.0)))
+    return np.max(g - np.maximum(g[:1], 0.0), axis=0)
 
 
 def known_response(g: NDArray, inputs: NDArray) -> float:

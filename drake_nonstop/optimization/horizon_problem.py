@@ -338,27 +338,44 @@ class HorizonProblem:
             terminal = last.terminal.continued(new, self._terminal_per_knot)
         return HorizonData(start_time, start_angle, flat, terminal, bound, aims)
 
-    def _aims(self, flat_terms: NDArray, speed_bound: float, tightened: float) -> NDArray:
-        """The speeds (k, n) in m/s that carriers have to keep in the plan, at k instants.
+    def jump_margins(self, flat_terms: NDArray, spacing: float) -> NDArray:
+        """What the speeds (k, n) have to keep above the bound after jumps of the plan, m/s.
 
         Where the jerk of the reference jumps, so do the planned velocities, by at most
         (L₀/T + 1/K_c) ‖Δd₀‖, T without A. The carriers then swing past the new velocity by a share
-        of the jump, the `overshoot`, within the `settling_time`. Where they pass low speeds they
-        are off by a share of what their orbits' speeds are elsewhere.
+        of the jump, the `overshoot`, within the `settling_time`. Own derivation.
+
+        Args:
+            flat_terms: (k, 9n + 3), at evenly spaced instants.
+            spacing: s, of the instants.
         """
         terms, config = OrbitTerms.view(flat_terms), self.config
+        jumps = np.zeros(terms.forces.shape[:2])
+        changes = np.linalg.norm(np.diff(terms.rates, axis=0), axis=2)
+        jumps[1:] = self._reach(terms)[1:] * changes
+        largest = jumps.copy()
+        for i in range(1, math.ceil(config.settling_time / spacing)):
+            largest[i:] = np.maximum(largest[i:], jumps[:-i])
+        return config.overshoot * largest
+
+    def _reach(self, terms: OrbitTerms) -> NDArray:
+        """By how much (k, n) a carrier moves with a force across its cable, m/N."""
+        return self.rest_length / np.linalg.norm(terms.forces, axis=2) + self.compliance
+
+    def _aims(self, flat_terms: NDArray, speed_bound: float, tightened: float) -> NDArray:
+        """The speeds (k, n) in m/s that carriers have to keep in the plan, at k instants.
+
+        Where carriers pass low speeds they are off by a share of what their orbits' speeds are
+        elsewhere.
+        """
+        terms = OrbitTerms.view(flat_terms)
         if speed_bound == 0:
             return np.zeros(terms.forces.shape[:2])
-        reach = self.rest_length / np.linalg.norm(terms.forces, axis=2) + self.compliance
-        jumps = np.zeros(reach.shape)
-        jumps[1:] = reach[1:] * np.linalg.norm(np.diff(terms.rates, axis=0), axis=2)
-        largest = jumps.copy()
-        for i in range(1, math.ceil(config.settling_time / self._instant_spacing)):
-            largest[i:] = np.maximum(largest[i:], jumps[:-i])
         frequency, amplitude = self.nominal
         sizes = np.linalg.norm(self.axes[0], axis=1)
-        least = speed_bound + config.orbit_tightening * frequency * amplitude * sizes * reach
-        return np.maximum(tightened, least) + config.overshoot * largest
+        orbits = frequency * amplitude * sizes * self._reach(terms)
+        least = np.maximum(tightened, speed_bound + self.config.orbit_tightening * orbits)
+        return least + self.jump_margins(flat_terms, self._instant_spacing)
 
     def _times(self, start_time: float) -> NDArray:
         """The times (k,) of the instants, those of two plans that start at knots to the bit."""

@@ -51,6 +51,7 @@ _NEAR = 1.5  # of the speed that is aimed at, up to which a speed may dip below 
 _AMPLITUDE_WEIGHT = 4.0  # of (A/A₀ − 1)² beside (ξ/ξ₀ − 1)², as plans weigh them
 _FIRST = 0.02  # of ε, a margin to begin with
 _REPEATS = 4  # of the margin, as a larger one asks for faster orbits
+_LEAST_SPEED = 1e-9  # m/s
 _SAME = 1.1  # of a margin, by which the next one is larger to begin with
 
 
@@ -418,15 +419,17 @@ def _of_jump(g: NDArray, task: "_Task", orbit: Orbit, limits: LimitsConfig) -> f
     """By how much (m/s) a carrier is slower than both speeds before and after a planned jump.
 
     Its velocity goes from one to the other, on a chord Δv long, which is Δv²/(8 v) below two speeds
-    v, and overshoots. `g` (lags, j n, 3n) are the responses to jumps of the planned velocities.
+    v, and overshoots. A horizon keeps a share of Δv there by itself: what is left counts. `g`
+    (lags, j n, 3n) are the responses to jumps of the planned velocities.
     """
     columns = _velocity_jumps(task, orbit) @ task.motion.jerk_jumps.T
     n = task.model.n
     # The first output, just after the jump, is the jump itself.
     steps = (g.reshape(len(g), -1, n, g.shape[-1]) @ columns).reshape(-1, n, columns.shape[1])
-    largest = np.max(np.linalg.norm(columns.reshape(n, 3, -1), axis=1))
-    chord = largest**2 / (8 * limits.speed_bound) if limits.speed_bound > 0 else 0.0
-    return overshoot(steps) + min(float(chord), float(largest))
+    sizes = np.linalg.norm(columns.reshape(n, 3, -1), axis=1)
+    chords = np.minimum(sizes**2 / (8 * max(limits.speed_bound, _LEAST_SPEED)), sizes)
+    kept = limits.overshoot if isinstance(limits, HorizonConfig) else 0.0
+    return max(0.0, float(np.max(overshoot(steps) + chords - kept * sizes)))
 
 
 def _velocity_jumps(task: _Task, orbit: Orbit) -> NDArray:

@@ -14,7 +14,7 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.simulation.run import Run, UnknownSignalError
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, UnknownSignalError
 
 _SETTLING = 5  # samples at 100 Hz, in which a carrier goes from one planned speed to another
 _AHEAD = (56.0, -140.0, 120.0, -35.0)  # of the values 5, 6, 7 and 8 samples before: a cubic's value
@@ -25,7 +25,8 @@ def largest_shortfall(run: Run) -> float | None:
 
     The planned speeds are those along the reference, in still air, of the ξ, A and θ that the loop
     flies: the signal `planned`, or `parameters` and `phase`. Where they jump, the lower one of
-    before and after counts for 50 ms. None where there is no such signal, or the layer keeps no
+    before and after counts for 50 ms; what a plan over a horizon keeps there beyond its margin is
+    left out. None where there is no such signal, or the layer keeps no
     speed bound.
     """
     limits = run.scenario.optimization_layer
@@ -40,7 +41,9 @@ def largest_shortfall(run: Run) -> float | None:
         return None
     scenario = run.scenario
     model = Model(scenario.system, scenario.pattern, scenario.control_period)
-    horizon = timed(HorizonConfig(), limits.frequency, scenario.control_period)
+    plans_ahead = isinstance(limits, HorizonConfig)
+    config = limits if isinstance(limits, HorizonConfig) else HorizonConfig()
+    horizon = timed(config, limits.frequency, scenario.control_period)
     problem = HorizonProblem(model, limits, horizon, lambda: "planned speeds")
     flown = np.linalg.norm(states.velocities, axis=-1)
     # The first values are not those of a plan that has begun.
@@ -55,6 +58,8 @@ def largest_shortfall(run: Run) -> float | None:
             for i, weight in enumerate(_AHEAD)
         )
         wanted[-count:] = np.minimum(wanted[-count:], before)
+    if plans_ahead:
+        wanted -= problem.jump_margins(terms, SIGNAL_PERIOD)
     return float(np.max(wanted - flown[1:]))
 
 
