@@ -206,8 +206,8 @@ def growth_complaint(task: Task, duration: float) -> str:
         used = NO_FEEDBACK if gains is None else gains
         return deviations.growth(task.reference(0.0), parameters, used, wind=task.wind).rate
 
-    def sampled(of_amplitude: float) -> SampledGrowth | None:
-        parameters = task.nominal * np.array([1.0, of_amplitude])
+    def sampled() -> SampledGrowth | None:
+        parameters = task.nominal
         loads = cable_loads(task.flown, task.reference(0.0), parameters, task.wind)
         share = task.flown.load_mass * task.flown.gravity / task.flown.n
         if loads.least_tension > LITTLE_TENSION * share:
@@ -215,17 +215,17 @@ def growth_complaint(task: Task, duration: float) -> str:
         return sampled_growth(task, lambda time: parameters, _TURN / parameters[0])
 
     def is_stable(task: Task, of_amplitude: float = 1.0) -> bool:
-        grows = rate(of_amplitude) * duration >= _MOST_GROWN
-        return not grows and not _is_lost(sampled(of_amplitude))
+        return rate(of_amplitude) * duration < _MOST_GROWN
 
-    found, between = rate(1.0), sampled(1.0)
-    if found * duration < _MOST_GROWN and not _is_lost(between):
-        return ""
+    found = rate(1.0)
     remedy = "let drake-nonstop check try what helps"
+    if found * duration < _MOST_GROWN:
+        between = sampled()
+        if between is None or not _is_lost(between):
+            return ""
+        return f"formation = unstable: {said_of(between)}; {remedy}"
     if (amplitude := _largest_amplitude(task, is_stable)) is not None:
         remedy = f"give optimization_layer.amplitude of at most {amplitude:.3g} N, or {remedy}"
-    if between is not None and found * duration < _MOST_GROWN:
-        return f"formation = unstable: {said_of(between)}; {remedy}"
     return (
         "formation = unstable: at the start a small deviation of the load grows by "
         f"{found:.2g} 1/s; {remedy}"
@@ -247,7 +247,7 @@ def find_formation_remedies(
     """What makes an unstable formation stable, at rest and where it is least so: each was tried.
 
     Those are a smaller A, an offset in the null space that evens the shares out, other gains, and
-    other attachments. With a smaller A, ξ and A are planned anew.
+    other attachments; where a cable is nearly slack it is a smaller A, with a plan of its own.
     """
     at = parameters or (lambda time: task.nominal)
     times = sorted({0.0, found.worst.time, *(i.time for i in found.on_the_way[::3])})
@@ -261,16 +261,13 @@ def find_formation_remedies(
             )
             if instant.rate * task.duration >= _MOST_GROWN:
                 return False
-        if used is not None and task.feedback is not None:
-            task = replace(task, feedback=replace(task.feedback, gains={**task.feedback.gains, **used}))
-        smaller = np.array([1.0, of_amplitude])
-        return not _is_lost(sampled_growth(task, lambda time: at(time) * smaller))
+        return True
 
+    if found.is_lost_between_samples:  # by the tension, which A decides
+        smaller = _replanned(task)
+        return [] if smaller is None else [f"optimization_layer.amplitude={smaller:g}"]
     remedies = []
-    amplitude = _largest_amplitude(task, is_stable)
-    if amplitude is not None and found.is_lost_between_samples:
-        amplitude = _replanned(task, amplitude)
-    if amplitude is not None:
+    if (amplitude := _largest_amplitude(task, is_stable)) is not None:
         remedies.append(f"optimization_layer.amplitude={amplitude:.3g}")
     remedies += _other_gains(task, is_stable)
     for name, changed in _other_formations(task):
@@ -294,19 +291,20 @@ def _largest_amplitude(task: Task, is_stable: _IsStable) -> float | None:
     return low * task.limits.amplitude
 
 
-def _replanned(task: Task, amplitude: float) -> float | None:
-    """An amplitude (N), the given one or less, whose own plan is stable; None: none was found."""
+def _replanned(task: Task) -> float | None:
+    """A smaller amplitude (N), whose own plan is stable and keeps the bound; None: none was found."""
+    amplitude = task.limits.amplitude
     for _ in range(_REPLANS):
-        amplitude = float(f"{amplitude:.3g}")
+        amplitude = float(f"{_SMALLER * amplitude:.3g}")
         changed = replace(task, limits=replace(task.limits, amplitude=amplitude))
         with contextlib.suppress(ScenarioError):
-            plan = check_speeds(changed, is_quick=True).plan
+            speeds = check_speeds(changed, is_quick=True)
+            plan = speeds.plan
             formation = find_formation(
                 changed, None if plan is None else lambda time: np.array(plan.values(time)[1:3])
             )
-            if formation.is_stable:
+            if formation.is_stable and speeds.is_feasible:
                 return amplitude
-        amplitude *= _SMALLER
     return None
 
 

@@ -6,7 +6,7 @@ and feedback is unstable for that part of the turn, which an analysis without sa
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -41,7 +41,11 @@ class SampledGrowth(NamedTuple):
 
 
 def sampled_growth(
-    task: Task, parameters: Callable[[float], NDArray], duration: float | None = None
+    task: Task,
+    parameters: Callable[[float], NDArray],
+    duration: float | None = None,
+    *,
+    enough: float = _LARGEST,
 ) -> SampledGrowth | None:
     """The largest growth along a plan; None: no cable has little tension, or the loop is not known.
 
@@ -51,9 +55,12 @@ def sampled_growth(
         task: what is flown.
         parameters: [ξ (rad/s), A (N)] (2,) at a time in s.
         duration: s, from the start; None: all of the task.
+        enough: a factor with which the search ends.
     """
-    if task.carriers is None or task.feedback is None or not math.isfinite(task.flown.cable_stiffness):
+    is_known = task.carriers is not None and task.feedback is not None
+    if not is_known or not math.isfinite(task.flown.cable_stiffness):
         return None
+    assert task.feedback is not None
     period = task.feedback.period
     count = max(2, int((task.duration if duration is None else duration) / period))
     times = period * np.arange(count)
@@ -67,15 +74,17 @@ def sampled_growth(
     for first, end in _stretches(tensions.min(axis=1), LITTLE_TENSION * share):
         samples = range(max(first - 1, 0) * _SCREEN, min((end + 1) * _SCREEN, count))[:left]
         left -= len(samples)
-        maps = [_transition(task, _orbit(task, times[k], angles[k], values[k])) for k in samples]
-        if not maps:
+        if len(samples) == 0:
             break
-        factor, start, last = _largest(maps, task, math.ceil(_WITHIN / period))
+        maps = (_transition(task, _orbit(task, times[k], angles[k], values[k])) for k in samples)
+        factor, start, last = _largest(maps, task, math.ceil(_WITHIN / period), enough)
         if found is None or factor > found.factor:
             near = tensions[first:end]
             cable = int(np.argmin(near.min(axis=0)))
-            begin, finish = times[samples[start]], times[samples[last]] + period
+            begin, finish = float(times[samples[start]]), float(times[samples[last]] + period)
             found = SampledGrowth(factor, begin, finish, float(near.min()), cable + 1)
+            if factor >= enough:
+                break
     return found
 
 
@@ -141,22 +150,23 @@ def _stretches(tensions: NDArray, limit: float) -> list[tuple[int, int]]:
     return sorted(map(tuple, edges), key=lambda ends: float(tensions[slice(*ends)].min()))
 
 
-def _largest(maps: list[NDArray], task: Task, window: int) -> tuple[float, int, int]:
+def _largest(
+    maps: Iterable[NDArray], task: Task, window: int, enough: float
+) -> tuple[float, int, int]:
     """The largest growth of a pose within `window` maps, and the first and last map of it."""
-    size = len(maps[0])
     radius = float(np.linalg.norm(task.flown.attachments, axis=1).max())
     scale = np.array([radius] * 3 + [1.0] * 3)
-    begun = np.zeros((size, 6))
-    begun[:6] = np.diag(1 / scale)
-    states = np.zeros((size, 0, 6))
+    states: NDArray | None = None
     best = (0.0, 0, 0)
     for k, transition in enumerate(maps):
-        states = np.concatenate([states, begun[:, None]], axis=1)[:, -window:]
+        begun = np.zeros((len(transition), 1, 6))
+        begun[:6, 0] = np.diag(1 / scale)
+        states = begun if states is None else np.concatenate([states, begun], axis=1)[:, -window:]
         states = np.tensordot(transition, states, axes=1)
         poses = np.moveaxis(states[:6] * scale[:, None, None], 1, 0)
         factors = np.linalg.norm(poses, ord=2, axis=(1, 2))
         j = int(np.argmax(factors))
         best = max(best, (float(factors[j]), k + 1 - len(factors) + j, k))
-        if best[0] > _LARGEST:
+        if best[0] >= enough:
             break
     return best
