@@ -131,9 +131,7 @@ def _name(blocks: Mapping[str, System], box: str) -> str:
     return f"{box} = {type(blocks[box]).__name__}" if box in blocks else f"{box} = None"
 
 
-def carriers_of(
-    model: Model, blocks: Mapping[str, System], left_out: list[str]
-) -> Carriers | None:
+def carriers_of(model: Model, blocks: Mapping[str, System], left_out: list[str]) -> Carriers | None:
     """The carriers' loops; None where they are not known, and a sentence why is added."""
     controller: Any = blocks.get("carrier_controller")
     dynamics, trajectory = blocks.get("carrier_dynamics"), blocks.get("carrier_trajectory")
@@ -161,9 +159,7 @@ def carriers_of(
     )
 
 
-def feedback_of(
-    model: Model, blocks: Mapping[str, System], left_out: list[str]
-) -> Feedback | None:
+def feedback_of(model: Model, blocks: Mapping[str, System], left_out: list[str]) -> Feedback | None:
     """The load's feedback; None where the wrench controller is not known."""
     gains = getattr(blocks.get("wrench_controller"), "gains", None)
     if gains is None:

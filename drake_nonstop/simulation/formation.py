@@ -292,20 +292,25 @@ def _largest_amplitude(task: Task, is_stable: _IsStable) -> float | None:
 
 
 def _replanned(task: Task) -> float | None:
-    """A smaller amplitude (N), whose own plan is stable and keeps the bound; None: none was found."""
+    """A smaller amplitude (N) whose own plan is stable and keeps the bound; None: none is found."""
     amplitude = task.limits.amplitude
     for _ in range(_REPLANS):
         amplitude = float(f"{_SMALLER * amplitude:.3g}")
         changed = replace(task, limits=replace(task.limits, amplitude=amplitude))
         with contextlib.suppress(ScenarioError):
-            speeds = check_speeds(changed, is_quick=True)
-            plan = speeds.plan
-            formation = find_formation(
-                changed, None if plan is None else lambda time: np.array(plan.values(time)[1:3])
-            )
-            if formation.is_stable and speeds.is_feasible:
+            if _is_sound(changed):
                 return amplitude
     return None
+
+
+def _is_sound(task: Task) -> bool:
+    speeds = check_speeds(task, is_quick=True)
+    plan = speeds.plan
+    if not speeds.is_feasible:
+        return False
+    if plan is None:
+        return find_formation(task).is_stable
+    return find_formation(task, lambda time: np.array(plan.values(time)[1:3])).is_stable
 
 
 def _other_gains(task: Task, is_stable: _IsStable) -> list[str]:

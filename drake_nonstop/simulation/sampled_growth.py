@@ -103,9 +103,7 @@ def _orbit(task: Task, time: float, angle: float, parameters: NDArray) -> Orbit:
     )
     pattern = model.pattern
     internal = np.concatenate(
-        internal_force(
-            parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders
-        )
+        internal_force(parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders)
     )
     forces, rates = cable_forces_and_rates(
         state,
@@ -121,7 +119,8 @@ def _orbit(task: Task, time: float, angle: float, parameters: NDArray) -> Orbit:
 
 
 def _transition(task: Task, orbit: Orbit) -> NDArray:
-    assert task.carriers is not None and task.feedback is not None
+    assert task.carriers is not None
+    assert task.feedback is not None
     flown, feedback = task.flown, task.feedback
     cables = Cables(
         attachments=flown.attachments,
