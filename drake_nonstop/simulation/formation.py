@@ -29,7 +29,7 @@ from drake_nonstop.validation import ScenarioError
 Parameters = Callable[[float], NDArray]  # [ξ (rad/s), A (N)] (2,) at a time in s
 
 _MOST_GROWN = 1.0  # logarithm of what becomes of a deviation of 1, of a sound task
-_MOST_SAMPLED = 100.0  # times its size, that a deviation grows within half a second: 1 mm to 10 cm
+_MOST_SAMPLED = 30.0  # times its size, that a deviation grows within half a second: 1 mm to 3 cm
 _GAIN_FACTORS = (2.0, 4.0, 8.0, 0.5, 0.25)
 _HALVINGS = 6  # of the range of A
 _LEAST_AMPLITUDE = 0.05  # of the nominal A
@@ -79,7 +79,7 @@ class Formation(NamedTuple):
     def is_stable(self) -> bool:
         """Whether no deviation grows beyond e times its size until the task's end.
 
-        Where cables are nearly slack, none may grow beyond a hundred times within half a second.
+        Where cables are nearly slack, none may grow beyond thirty times its size within half a second.
         """
         return self.growth < _MOST_GROWN and not self.is_lost_between_samples
 

@@ -146,7 +146,7 @@ def _stretches(tensions: NDArray, limit: float) -> list[tuple[int, int]]:
     """First and end of each in which tensions (k,) are below a limit, the least tension first."""
     is_low = np.concatenate([[False], tensions < limit, [False]])
     edges = np.flatnonzero(np.diff(is_low.astype(int))).reshape(-1, 2).tolist()
-    return sorted(map(tuple, edges), key=lambda ends: float(tensions[slice(*ends)].min()))
+    return sorted(((a, b) for a, b in edges), key=lambda ends: float(tensions[slice(*ends)].min()))
 
 
 def _largest(
