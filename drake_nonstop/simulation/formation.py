@@ -79,7 +79,7 @@ class Formation(NamedTuple):
     def is_stable(self) -> bool:
         """Whether no deviation grows beyond e times its size until the task's end.
 
-        Where cables are nearly slack, none may grow beyond thirty times its size within half a second.
+        Where cables are nearly slack, none may grow thirty times within half a second.
         """
         return self.growth < _MOST_GROWN and not self.is_lost_between_samples
 
