@@ -13,6 +13,7 @@ from drake_nonstop.simulation.formation import (
     FormationInstant,
     find_formation,
     find_formation_remedies,
+    said_of,
 )
 from drake_nonstop.simulation.speed_check import (
     SpeedCheck,
@@ -80,6 +81,11 @@ class TaskCheck:
             change = "does not grow" if growth <= 1 else f"grows {growth:.3g} times at most"
             return f"the formation is stable: a small deviation {change} on the way"
         helps = "; or ".join(self.formation_remedies)
+        if self.formation.is_lost_between_samples and self.formation.sampled is not None:
+            return (
+                f"formation = unstable: {said_of(self.formation.sampled)}; "
+                f"{'give ' + helps if helps else 'nothing that was tried helps'}"
+            )
         return (
             f"formation = unstable: at t = {worst.time:.1f} s a small deviation grows by "
             f"{worst.rate:.2g} 1/s{_without(worst)}; "
@@ -194,6 +200,7 @@ def task_dictionary(found: TaskCheck) -> dict[str, Any]:
             "verdict": of_formation,
             "is_stable": formation.is_stable,
             "growth": formation.growth,
+            "sampled_growth": formation.sampled and formation.sampled._asdict(),
             "remedies": [*found.formation_remedies],
             "instants": [
                 {
