@@ -76,7 +76,7 @@ from drake_nonstop.model.system import (
     given_fields,
     overridden,
 )
-from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
+from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE, MISSED_LIMITS_SIZE
 from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig
 from drake_nonstop.optimization.speed_margin import SpeedMargin, with_margin
 from drake_nonstop.systems import wiring
@@ -129,8 +129,9 @@ BOXES: dict[str, Box] = {
             "plan": PLANNED_SIZE,
             "solve_time": 1,
             "speed_bound": 1,
+            "missed_limits": MISSED_LIMITS_SIZE,
         },
-        optional=("diagnostics", "plan", "solve_time", "speed_bound"),
+        optional=("diagnostics", "plan", "solve_time", "speed_bound", "missed_limits"),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
         feeds_fused_plant=True,

@@ -120,6 +120,10 @@ class NonstopOptimizer(SpeedBoundLayer):
         min_tension: N; 0: any
         max_tension: N
         min_separation: m, of two carriers over a whole orbit; 0: any
+        max_lift_share: of C_Lmax, what aircraft need at most
+        max_bank: rad, of aircraft, to either side
+        max_climb: rad, of aircraft, up or down
+        max_thrust_share: of the range of an aircraft's thrust, about its middle
         look_ahead_points: instants from now to the next update; 1: now, as in the paper
         look_ahead_time: s, from the next update to the orbit ahead, where points > 1
         orbit_points: phases of the orbit ahead; 1: the present one, as in the paper

@@ -129,6 +129,10 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         min_tension: N; 0: any
         max_tension: N
         min_separation: m, of two carriers over a whole orbit; 0: any
+        max_lift_share: of C_Lmax, what aircraft need at most
+        max_bank: rad, of aircraft, to either side
+        max_climb: rad, of aircraft, up or down
+        max_thrust_share: of the range of an aircraft's thrust, about its middle
         horizon: s; 0: nearly two turns, at least 15 intervals between knots
         knot_spacing: s, also the time between two plans; 0: an eighth of a turn
         instants: between two knots, at which the carriers' flight is constrained

@@ -19,6 +19,7 @@ from drake_nonstop.validation import (
 
 LEAST_BOUND = 1e-3  # m/s, unless there is none at all: margins are relative to the bound
 _UNCOMPUTED = 0.01  # the tightening of what has no margin computed for it
+FLIGHT_LIMITS = ("max_lift_share", "max_bank", "max_climb", "max_thrust_share")
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
@@ -40,6 +41,10 @@ class LimitsConfig(StrictFields):
     min_tension: float = 0.0  # N; 0: any
     max_tension: float = math.inf  # N
     min_separation: float = 0.0  # m, of two carriers over a whole orbit; 0: any
+    max_lift_share: float = math.inf  # of C_Lmax, what aircraft need at most
+    max_bank: float = math.inf  # rad, of aircraft, to either side
+    max_climb: float = math.inf  # rad, of aircraft, up or down
+    max_thrust_share: float = math.inf  # of the range of an aircraft's thrust, about its middle
 
 
 @dataclass(kw_only=True)
@@ -128,6 +133,7 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
     require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)
+    _check_flight_limits(box, config, model)
     for name, start, bounds in (
         ("frequency", config.frequency, config.frequency_bounds),
         ("amplitude", config.amplitude, amplitude_range(config, model)),
@@ -182,6 +188,7 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
         ("max_amplitude_rate", 0.0),
         ("max_speed", tightened_bound(config, config.speed_bound) / (1 - tightening)),
         ("max_tension", least_ratio * config.min_tension),
+        *((name, 0.0) for name in FLIGHT_LIMITS),
     ):
         value = getattr(config, name)
         require(
@@ -190,6 +197,18 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
             value,
             f"give a number greater than {least:g}, or .inf for no limit",
         )
+
+
+def _check_flight_limits(box: str, config: LimitsConfig, model: Model) -> None:
+    for name in FLIGHT_LIMITS:
+        value = getattr(config, name)
+        if value == math.inf:
+            continue
+        remedy = "it limits aircraft, and system.aircraft is none; give .inf for no limit"
+        require(model.aircraft is not None, f"{box}.{name}", value, remedy)
+        most = 1.0 if name.endswith("share") else math.pi / 2
+        remedy = f"give at most {most:.4g}, or .inf for no limit"
+        require(value <= most, f"{box}.{name}", value, remedy)
 
 
 def _check_choices(box: str, config: NonstopProblemConfig) -> None:
