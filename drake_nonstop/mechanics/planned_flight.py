@@ -7,13 +7,14 @@ wind enters by the velocity through the air alone, v_b − Rᵀw. In three steps
 
 - `flight_terms` (wrench and load motion given) or `flight_along_reference` (both of a reference):
   what depends on neither phase, ξ nor A, a `FlightTerms`;
-- `planned_products`: with these and a `PlannedOrbit`, the six scalar products of the velocity
-  through the air V_a, the needed force F = m (v̇ + g e₃) + f and the vertical that decide all
-  needs, `FlightProducts`, and their gradients;
+- `flight_products` (numbers or symbols): with these and a `PlannedOrbit`, the six scalar products
+  of the velocity through the air V_a, the needed force F = m (v̇ + g e₃) + f and the vertical that
+  decide all needs, `FlightProducts`; `planned_products`: of numbers, with their gradients;
 - `flight_needs` (numbers or symbols): airspeed, ‖F‖, C_L, bank, climb and thrust of such products,
   `FlightNeeds`, by the exact inverse `lift_and_thrust`; `needs_gradients`: of these.
 
-`planned_flight` does the last two at once. Stall alone needs ‖F‖ and V only: `stall_factor`.
+`planned_flight` does the last two at once, with gradients. Stall alone needs ‖F‖ and V only, see
+`stall_factor`.
 With the forces and rates of `mechanics.nonstop.orbit_ahead`,
 
     f = f₀ + A u,   ᴸḟ = d + Ȧ u + A ξ u′,   ᴸf̈ = d₂ + (Ä − A ξ²) u + (2 Ȧ ξ + A ξ̇) u′,
@@ -226,6 +227,87 @@ def flight_along_reference(
     return terms._replace(second_rates=seconds @ R_WL - of_turning).flat
 
 
+class _Flight(NamedTuple):
+    """What `flight_products` and its gradients share; components come first, (3, k, n)."""
+
+    u: NDArray
+    along: NDArray  # u′
+    force: NDArray  # f
+    r: NDArray
+    s: NDArray
+    velocity: NDArray  # V_a
+    needed: NDArray  # F
+    square: NDArray  # (k, n), T²
+    swing: NDArray  # L₀/T
+    a: NDArray
+    b: NDArray
+
+
+def flight_products(
+    aircraft: Aircraft,
+    terms: FlightTerms,
+    axes: tuple[NDArray, NDArray],
+    orbit: PlannedOrbit,
+    *,
+    rest_length: Any,
+    compliance: Any,
+) -> FlightProducts:
+    """The products (k, n) at k instants, of numbers or symbols.
+
+    Args:
+        aircraft: its mass and gravity count.
+        terms: at k instants, or at one (1, ...).
+        axes: p and q (n, 3), in L, of `mechanics.nonstop.orbit_axes`.
+        orbit: at the instants.
+        rest_length: L₀, m.
+        compliance: 1/K_c, m/N.
+    """
+    cables = {"rest_length": rest_length, "compliance": compliance}
+    up = _instants_last(terms.up)
+    return _products(_flight(aircraft, terms, axes, orbit, **cables), up)
+
+
+def _products(flight: _Flight, up: NDArray) -> FlightProducts:
+    velocity, needed = flight.velocity, flight.needed
+    return FlightProducts(
+        _dot(velocity, velocity),
+        _dot(needed, needed),
+        _dot(needed, velocity),
+        _dot(needed, up),
+        _dot(velocity, up),
+        _dot(_cross(needed, velocity), up),
+    )
+
+
+def _flight(
+    aircraft: Aircraft,
+    terms: FlightTerms,
+    axes: tuple[NDArray, NDArray],
+    orbit: PlannedOrbit,
+    *,
+    rest_length: Any,
+    compliance: Any,
+) -> _Flight:
+    p, q = (axis.T[:, None] for axis in axes)
+    angle, xi, xi_rate, A, A_rate, A_second = (values[:, None] for values in orbit)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    u, along = cosine * p + sine * q, cosine * q - sine * p
+    f_0, d, d_2, v_b, a_b = (_by_component(vectors) for vectors in terms[:5])
+    omega, alpha, up = (_instants_last(vectors) for vectors in terms[5:])
+    force = f_0 + A * u
+    rate = d + A_rate * u + (A * xi) * along
+    second_rate = d_2 + (A_second - A * xi * xi) * u + (2 * A_rate * xi + A * xi_rate) * along
+    r, s = _turned(omega, alpha, force, rate, second_rate)
+    square = _dot(force, force)
+    swing = rest_length / np.sqrt(square)
+    a = _dot(force, r) / square
+    b = (_dot(r, r) + _dot(force, s)) / square - 3 * a * a
+    velocity = v_b + (swing + compliance) * r - (swing * a) * force
+    acceleration = a_b + swing * (s - 2 * a * r - b * force) + compliance * s
+    needed = aircraft.mass * (acceleration + aircraft.gravity * up) + force
+    return _Flight(u, along, force, r, s, velocity, needed, square, swing, a, b)
+
+
 def planned_products(
     aircraft: Aircraft,
     terms: FlightTerms,
@@ -235,101 +317,61 @@ def planned_products(
     rest_length: Any,
     compliance: Any,
 ) -> tuple[FlightProducts, FlightProducts]:
-    """The products (k, n) at k instants, and their gradients (6, k, n) by `orbit`; floats only.
+    """`flight_products` of numbers, and their gradients (6, k, n) by the parts of `orbit`.
 
-    Args:
-        aircraft: its mass and gravity count.
-        terms: at k instants.
-        axes: p and q (n, 3), in L, of `mechanics.nonstop.orbit_axes`.
-        orbit: at the instants.
-        rest_length: L₀, m.
-        compliance: 1/K_c, m/N.
+    Terms are at k instants; arguments as of `flight_products`.
     """
-    p, q = (axis.T[:, None] for axis in axes)
-    angle, xi, xi_rate, A, A_rate, A_second = (values[:, None] for values in orbit)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    u, along = cosine * p + sine * q, cosine * q - sine * p
-    f_0, d, d_2, v_b, a_b = (_by_component(vectors) for vectors in terms[:5])
-    omega, alpha, up = (vectors.T[:, :, None] for vectors in terms[5:])
+    cables = {"rest_length": rest_length, "compliance": compliance}
+    flight = _flight(aircraft, terms, axes, orbit, **cables)
+    _, xi, xi_rate, A, A_rate, A_second = (values[:, None] for values in orbit)
+    omega, alpha, up = (_instants_last(vectors)[:, None] for vectors in terms[5:])
+    u, along, swing, a, b = flight.u, flight.along, flight.swing, flight.a, flight.b
     by_u, by_along = A_second - A * xi * xi, 2 * A_rate * xi + A * xi_rate
-    force = f_0 + A * u
-    own_rate = d + A_rate * u + (A * xi) * along
-    own_second = d_2 + by_u * u + by_along * along
-    # Tangents (3, 6, k, n) by the parts of the orbit, of which many are zero.
+    # Tangents (3, 6, k, n) by the parts of the orbit.
     zero = np.zeros(u.shape)
-    by_amplitude_rate = 2 * xi * along
+    turned = A_rate * along - (A * xi) * u
     of_force = np.stack([A * along, zero, zero, u, zero, zero], axis=1)
-    of_rate = np.stack(
-        [A_rate * along - (A * xi) * u, A * along, zero, xi * along, u, zero], axis=1
-    )
+    of_rate = np.stack([turned, A * along, zero, xi * along, u, zero], axis=1)
     of_second = np.stack(
         [
             by_u * along - by_along * u,
-            2 * (A_rate * along - (A * xi) * u),
+            2 * turned,
             A * along,
             xi_rate * along - xi * xi * u,
-            by_amplitude_rate,
+            2 * xi * along,
             u,
         ],
         axis=1,
     )
-    wide_omega, wide_alpha, wide_up = (v[:, None] for v in (omega, alpha, up))
-    r, s = _turned(omega, alpha, force, own_rate, own_second)
-    of_r, of_s = _turned(wide_omega, wide_alpha, of_force, of_rate, of_second)
-
-    square = _dot(force, force)
-    swing = rest_length / np.sqrt(square)
-    f_r, r_r, f_s = _dot(force, r), _dot(r, r), _dot(force, s)
-    a = f_r / square
-    b = (r_r + f_s) / square - 3 * a * a
-    reach = swing + compliance
-    bending = s - 2 * a * r - b * force
-    velocity = v_b + reach * r - (swing * a) * force
-    needed = (
-        aircraft.mass * (a_b + aircraft.gravity * up + swing * bending + compliance * s) + force
-    )
-
-    wide_force, wide_r, wide_s = (v[:, None] for v in (force, r, s))
-    of_log = _dot(wide_force, of_force) / square  # of ln T
-    of_f_r = _dot(of_force, wide_r) + _dot(wide_force, of_r)
-    of_a = of_f_r / square - 2 * a * of_log
+    of_r, of_s = _turned(omega, alpha, of_force, of_rate, of_second)
+    force, r, s = (vectors[:, None] for vectors in (flight.force, flight.r, flight.s))
+    reach, square = swing + compliance, flight.square
+    of_log = _dot(force, of_force) / square  # of ln T
+    of_a = (_dot(of_force, r) + _dot(force, of_r)) / square - 2 * a * of_log
     of_b = (
-        (2 * _dot(wide_r, of_r) + _dot(of_force, wide_s) + _dot(wide_force, of_s)) / square
-        - 2 * (r_r + f_s) / square * of_log
+        (2 * _dot(r, of_r) + _dot(of_force, s) + _dot(force, of_s)) / square
+        - 2 * (b + 3 * a * a) * of_log
         - 6 * a * of_a
     )
-    of_swing = -swing * of_log
     of_velocity = (
         reach * of_r
         - (swing * a) * of_force
-        + of_swing * (r - a * force)[:, None]
-        - (swing * of_a) * wide_force
+        - (swing * of_log) * (r - a * force)
+        - (swing * of_a) * force
     )
-    of_bending = of_s - 2 * a * of_r - b * of_force - 2 * of_a * wide_r - of_b * wide_force
-    of_needed = (
-        aircraft.mass * (of_swing * bending[:, None] + swing * of_bending + compliance * of_s)
-        + of_force
-    )
-    across = _cross(needed, velocity)
-    wide_needed, wide_velocity = needed[:, None], velocity[:, None]
-    products = FlightProducts(
-        _dot(velocity, velocity),
-        _dot(needed, needed),
-        _dot(needed, velocity),
-        _dot(needed, up),
-        _dot(velocity, up),
-        _dot(across, up),
-    )
-    up_across, velocity_up = _cross(velocity, up)[:, None], _cross(up, needed)[:, None]
+    of_bending = of_s - 2 * a * of_r - b * of_force - 2 * of_a * r - of_b * force
+    of_bending = of_bending - of_log * (s - 2 * a * r - b * force)
+    of_needed = aircraft.mass * (swing * of_bending + compliance * of_s) + of_force
+    velocity, needed = flight.velocity[:, None], flight.needed[:, None]
     gradients = FlightProducts(
-        2 * _dot(wide_velocity, of_velocity),
-        2 * _dot(wide_needed, of_needed),
-        _dot(of_needed, wide_velocity) + _dot(wide_needed, of_velocity),
-        _dot(of_needed, wide_up),
-        _dot(of_velocity, wide_up),
-        _dot(of_needed, up_across) + _dot(of_velocity, velocity_up),
+        2 * _dot(velocity, of_velocity),
+        2 * _dot(needed, of_needed),
+        _dot(of_needed, velocity) + _dot(needed, of_velocity),
+        _dot(of_needed, up),
+        _dot(of_velocity, up),
+        _dot(of_needed, _cross(velocity, up)) + _dot(of_velocity, _cross(up, needed)),
     )
-    return products, gradients
+    return _products(flight, up[:, 0]), gradients
 
 
 def flight_needs(aircraft: Aircraft, products: FlightProducts) -> FlightNeeds:
@@ -439,6 +481,11 @@ def _turned(
 def _by_component(vectors: NDArray) -> NDArray:
     """Vectors (..., 3) with their components first, (3, ...)."""
     return np.ascontiguousarray(np.moveaxis(vectors, -1, 0))
+
+
+def _instants_last(vectors: NDArray) -> NDArray:
+    """Vectors (k, 3) as (3, k, 1), which broadcasts to (3, k, n)."""
+    return vectors.T[:, :, None]
 
 
 def _dot(a: NDArray, b: NDArray) -> NDArray:

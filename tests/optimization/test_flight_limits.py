@@ -11,9 +11,7 @@ from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
 from drake_nonstop.optimization.flight_limits import FlightLimits
 from drake_nonstop.optimization.problem_config import LimitsConfig
 
-AIRCRAFT = make_aircraft(
-    AircraftParameters(model="rascal_110"), cable_length=150.0, gravity=9.81
-)
+AIRCRAFT = make_aircraft(AircraftParameters(model="rascal_110"), cable_length=150.0, gravity=9.81)
 CONFIG = LimitsConfig(
     tightening=0.0,
     max_lift_share=0.9,
@@ -49,7 +47,8 @@ def test_a_margin_is_negative_beyond_its_limit(rng):
     ]
     for margin, is_kept in zip(margins, kept, strict=True):
         np.testing.assert_array_equal(margin >= 0, is_kept)
-        assert is_kept.any() and not is_kept.all()
+        assert is_kept.any()
+        assert not is_kept.all()
 
 
 @pytest.mark.parametrize("field", [f for f in FlightNeeds._fields if f != "lift"])
