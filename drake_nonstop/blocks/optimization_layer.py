@@ -40,6 +40,7 @@ from drake_nonstop.optimization.gradual_change import limit_step, raised_bound, 
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
     check_problem,
+    with_stated_bound,
 )
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.systems.block import LeafBlock
@@ -111,7 +112,7 @@ class NonstopOptimizer(SpeedBoundLayer):
     through but a command to the `speed_bound`.
 
     Parameters, the fields of `NonstopOptimizerConfig`:
-        speed_bound: m/s, ε
+        speed_bound: m/s, ε; of aircraft also "1.4 V_s", of the stall speed
         tightening: the solver aims at (1 + tightening) ε; "auto": computed
         speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
         model_error: share of the load's weight by which its wrench may be off
@@ -150,7 +151,7 @@ class NonstopOptimizer(SpeedBoundLayer):
     optional_inputs = (COMMAND, _WIND)
 
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
-        config = config or NonstopOptimizerConfig()
+        config = with_stated_bound(BOX, config or NonstopOptimizerConfig(), model.aircraft)
         super().__init__(model, config, check_problem)
         if self.scalar is float:
             self.solver = UpdateSolver(model, config, self.get_name)
@@ -276,7 +277,7 @@ class ConstantParametersConfig(StrictFields):
 
     frequency: float = 2.0  # rad/s, ξ
     amplitude: float = 1.2  # N, A; 0 for a constant pattern, and for no other
-    speed_bound: float = 0.2  # m/s, ε; reported, not enforced
+    speed_bound: float | str = 0.2  # m/s, ε; reported, not enforced; also "1.4 V_s"
 
 
 class ConstantParameters(LeafBlock):
@@ -298,7 +299,7 @@ class ConstantParameters(LeafBlock):
     Parameters, the fields of `ConstantParametersConfig`:
         frequency: rad/s, ξ
         amplitude: N, A; 0 for a constant pattern, and for no other
-        speed_bound: m/s, ε; reported, not enforced
+        speed_bound: m/s, ε; reported, not enforced; also "1.4 V_s"
 
     Raises:
         ScenarioError: frequency or amplitude is not positive, an amplitude is given for a pattern
@@ -310,7 +311,7 @@ class ConstantParameters(LeafBlock):
 
     def __init__(self, model: Model, config: ConstantParametersConfig | None = None):
         super().__init__()
-        config = config or ConstantParametersConfig()
+        config = with_stated_bound(BOX, config or ConstantParametersConfig(), model.aircraft)
         _check_constants(model, config)
         self.parameters = BlockParameters(
             model, config=config, own=asdict(config), rules=Rules(check=_check_constants)

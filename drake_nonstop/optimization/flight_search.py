@@ -34,9 +34,11 @@ def nearest_within_limits(problem: UpdateProblem) -> tuple[NDArray, float]:
     """
     previous = problem.previous
     found = _descend(problem, previous)
+    lower, upper = problem.known_bounds
+    is_narrow = bool(np.all(upper < (1 + _FAR) * lower))
     size = np.max(np.abs(found.x / previous - 1))
-    if found.is_feasible and size < _FAR:
-        return found.x, problem.cost(found.x)
+    if is_narrow or (found.is_feasible and size < _FAR):
+        return found.x, problem.cost(found.x) if found.is_feasible else math.inf
     other = _descend(problem, _best_of_grid(problem))
     points = sorted((found, other), key=lambda point: _order(problem, point))
     best = points[-1]

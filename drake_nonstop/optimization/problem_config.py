@@ -1,8 +1,11 @@
 """The fields of the nonstop problem, and the checks of their values."""
 
 import math
-from dataclasses import dataclass, field
+import typing
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
+from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
 from drake_nonstop.model.block_parameters import AUTO
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.local_solver import LocalSolver
@@ -23,11 +26,14 @@ FLIGHT_LIMITS = ("max_lift_share", "max_bank", "max_climb", "max_thrust_share")
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
+_Config = TypeVar("_Config")
+
+
 @dataclass(kw_only=True)
 class LimitsConfig(StrictFields):
     """The bound, the nominal ξ and A, and what limits them and the carriers' flight."""
 
-    speed_bound: float = 0.2  # m/s, ε
+    speed_bound: float | str = 0.2  # m/s, ε; of aircraft also "1.4 V_s", of the stall speed
     tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε; "auto": computed
     speed_margin: float = 0.0  # m/s above ε that "auto" aims at; 0: computed for the loop
     model_error: float = 0.0  # share of the load's weight by which its wrench may be off
@@ -63,6 +69,43 @@ class NonstopProblemConfig(LimitsConfig):
     change_time: float = 2.0  # s, in which a bound or a switch set during a run takes effect
     solver: str = "search"  # "search", "grid", "snopt", "ipopt" or "nlopt"
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
+
+
+def stated_speed_bound(field: str, value: Any, aircraft: Aircraft | None) -> Any:
+    """What is stated as a bound, in m/s: a text such as "1.4 V_s" is a multiple of the stall speed.
+
+    What is no text is returned as it is.
+
+    Args:
+        field: its name in error messages.
+        value: as stated.
+        aircraft: whose stall speed counts, with its own weight; None: the carriers are none.
+
+    Raises:
+        ScenarioError: a text is no such multiple, or there are no aircraft.
+    """
+    if not isinstance(value, str):
+        return value
+    number, unit = value.split() if len(value.split()) == 2 else ("", "")
+    try:
+        share = float(number) if unit == "V_s" else math.nan
+    except ValueError:
+        share = math.nan
+    remedy = 'give a number of m/s, without quotes, or a multiple of the stall speed, as "1.4 V_s"'
+    require(0 < share < math.inf, field, value, remedy)
+    remedy = "only aircraft have a stall speed, and system.aircraft is none; give a number of m/s"
+    if aircraft is None:
+        require(False, field, value, remedy)
+    return float(share * stall_speed(typing.cast(Aircraft, aircraft)))
+
+
+def with_stated_bound(box: str, config: _Config, aircraft: Aircraft | None) -> _Config:
+    """The config with its `speed_bound` in m/s, see `stated_speed_bound`."""
+    bound: Any = config.speed_bound
+    if not isinstance(bound, str):
+        return config
+    stated = stated_speed_bound(f"{box}.speed_bound", bound, aircraft)
+    return replace(config, speed_bound=stated)
 
 
 def amplitude_range(config: LimitsConfig, model: Model) -> list[float]:
