@@ -39,6 +39,7 @@ from drake_nonstop.optimization.diagnostics import (
 from drake_nonstop.optimization.gradual_change import limit_step, raised_bound, step_towards
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
+    SpeedBound,
     check_problem,
     with_stated_bound,
 )
@@ -277,7 +278,7 @@ class ConstantParametersConfig(StrictFields):
 
     frequency: float = 2.0  # rad/s, ξ
     amplitude: float = 1.2  # N, A; 0 for a constant pattern, and for no other
-    speed_bound: float | str = 0.2  # m/s, ε; reported, not enforced; also "1.4 V_s"
+    speed_bound: SpeedBound = 0.2  # m/s, ε; reported, not enforced; also "1.4 V_s"
 
 
 class ConstantParameters(LeafBlock):

@@ -28,12 +28,17 @@ _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 _Config = TypeVar("_Config")
 
+if typing.TYPE_CHECKING:
+    SpeedBound = float  # what it is in a sampled scenario, see `with_stated_bound`
+else:
+    SpeedBound = float | str
+
 
 @dataclass(kw_only=True)
 class LimitsConfig(StrictFields):
     """The bound, the nominal ξ and A, and what limits them and the carriers' flight."""
 
-    speed_bound: float | str = 0.2  # m/s, ε; of aircraft also "1.4 V_s", of the stall speed
+    speed_bound: SpeedBound = 0.2  # m/s, ε; of aircraft also "1.4 V_s", of the stall speed
     tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε; "auto": computed
     speed_margin: float = 0.0  # m/s above ε that "auto" aims at; 0: computed for the loop
     model_error: float = 0.0  # share of the load's weight by which its wrench may be off
@@ -100,12 +105,12 @@ def stated_speed_bound(field: str, value: Any, aircraft: Aircraft | None) -> Any
 
 
 def with_stated_bound(box: str, config: _Config, aircraft: Aircraft | None) -> _Config:
-    """The config with its `speed_bound` in m/s, see `stated_speed_bound`."""
-    bound: Any = config.speed_bound
-    if not isinstance(bound, str):
+    """The dataclass with its `speed_bound` in m/s, see `stated_speed_bound`."""
+    own: Any = config
+    if not isinstance(own.speed_bound, str):
         return config
-    stated = stated_speed_bound(f"{box}.speed_bound", bound, aircraft)
-    return replace(config, speed_bound=stated)
+    stated = stated_speed_bound(f"{box}.speed_bound", own.speed_bound, aircraft)
+    return replace(own, speed_bound=stated)
 
 
 def amplitude_range(config: LimitsConfig, model: Model) -> list[float]:

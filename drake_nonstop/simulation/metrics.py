@@ -157,6 +157,11 @@ class Metric:
         return value if self.scale == 1 or value is None else self.scale * value
 
 
+def _missed(limit: str) -> Callable[[RunQuantities], int]:
+    """How many updates miss the limit of that name."""
+    return lambda run: run.missed_limits[limit]
+
+
 METRICS = (
     Metric(
         path="outcome",
@@ -507,7 +512,7 @@ METRICS = (
     *(
         Metric(
             path=f"optimizer.missed_limits.{name}",
-            measure=lambda run, name=name: run.missed_limits[name],
+            measure=_missed(name),
             label=f"updates that miss the limit of the {name}",
             better=Better.LOWER,
             needs_aircraft=True,
