@@ -140,7 +140,7 @@ def _has_margin(config: LimitsConfig) -> bool:
     return config.tightening == AUTO and config.speed_margin > 0
 
 
-def limit_tightening(config: LimitsConfig) -> float:
+def limit_tightening(config: Any) -> float:
     """The share by which limits other than the speed bound are tightened."""
     return _UNCOMPUTED if isinstance(config.tightening, str) else config.tightening
 
@@ -181,7 +181,7 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
     require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)
-    _check_flight_limits(box, config, model)
+    check_flight_limits(box, config, model)
     for name, start, bounds in (
         ("frequency", config.frequency, config.frequency_bounds),
         ("amplitude", config.amplitude, amplitude_range(config, model)),
@@ -247,7 +247,8 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
         )
 
 
-def _check_flight_limits(box: str, config: LimitsConfig, model: Model) -> None:
+def check_flight_limits(box: str, config: Any, model: Model) -> None:
+    """Raises ScenarioError for the first limit of aircraft, of `FLIGHT_LIMITS`, that cannot be."""
     for name in FLIGHT_LIMITS:
         value = getattr(config, name)
         if value == math.inf:
