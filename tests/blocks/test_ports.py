@@ -59,6 +59,7 @@ from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.blocks.load_trajectory import (
     Circle,
     ConstantVelocityMove,
+    PlannedTurn,
     RestToRest,
     RestToRestConfig,
     SampledTrajectory,
@@ -207,6 +208,7 @@ BLOCKS = {
     Waypoints: ([], _REFERENCES, []),
     Circle: ([], _REFERENCES, []),
     SampledTrajectory: ([], _REFERENCES, []),
+    PlannedTurn: everything(["planned"], ["reference", "reference_higher_rates"]),
     IdealFeedback: (
         ["load_state"],
         ["measured_load_state"],
