@@ -87,12 +87,21 @@ def test_the_planned_turn_has_the_rates_of_its_pose():
 
 
 def test_a_pattern_with_orbits_is_refused():
-    scenario = load_scenario("aircraft_rest")
     with pytest.raises(ScenarioError) as error:
-        TurnRateOptimizer(Model(scenario.system, scenario.pattern))
+        make_nonstop(load_scenario("aircraft_rest", [LAYER, TURN, SHAPED]))
     assert str(error.value) == (
         "optimization_layer = TurnRateOptimizer: the pattern has orbits, which it does not size; "
         "give pattern: !ConstantSpread and load_trajectory: !PlannedTurn, or another "
+        "optimization_layer"
+    )
+
+
+def test_a_load_that_turns_at_another_rate_is_refused():
+    with pytest.raises(ScenarioError) as error:
+        make_nonstop(load_scenario("aircraft_co_rotating", [LAYER, SHAPED]))
+    assert str(error.value) == (
+        "load_trajectory = SteadyTurn: the load does not turn at the rate that optimization_layer "
+        "= TurnRateOptimizer makes; give !PlannedTurn, and phase: !ShapedPhase, or another "
         "optimization_layer"
     )
 
