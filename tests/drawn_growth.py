@@ -75,9 +75,3 @@ def measured_growth(scenario: Scenario) -> float:
     _, distances = deviations(scenario, scenario.simulation_duration)
     logarithms = np.log(distances)
     return float(np.max(logarithms - np.minimum.accumulate(logarithms)))
-
-
-def measured_loss(scenario: Scenario) -> float:
-    """The last time, s, at which two flights without end are still near each other."""
-    times, _ = deviations(scenario, scenario.simulation_duration)
-    return float(times[-1]) if len(times) else 0.0

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from drawn_growth import measured_growth, measured_loss, measured_rate
+from drawn_growth import measured_growth, measured_rate
 from drawn_tasks import aircraft_task, carriers_task
 from numpy.typing import NDArray
 
@@ -158,10 +158,7 @@ def check(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> di
         outcome = "sound" if speeds.is_feasible else "infeasible"
         if not formation.is_stable:
             outcome = "unstable"
-            if formation.is_lost_between_samples and formation.sampled is not None:
-                figures |= {"lost_from": formation.sampled.start, "lost_by": formation.sampled.end}
-                figures["measured_loss"] = measured_loss(scenario)
-            elif formation.at_rest.rate > _UNSTABLE:
+            if formation.at_rest.rate > _UNSTABLE:
                 figures["measured_rate_at_rest"] = measured_rate(scenario)
             else:
                 figures["measured_growth"] = measured_growth(scenario)

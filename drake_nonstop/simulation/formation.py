@@ -3,7 +3,6 @@
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,25 +16,17 @@ from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK, wrench_a
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.simulation.load_stability import Growth, LoadDeviations
-from drake_nonstop.simulation.sampled_growth import (
-    LITTLE_TENSION,
-    SampledGrowth,
-    sampled_growth,
-)
-from drake_nonstop.simulation.speed_check import check_speeds
+from drake_nonstop.simulation.sampled_growth import sampled_rate
 from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
 
 Parameters = Callable[[float], NDArray]  # [ξ (rad/s), A (N)] (2,) at a time in s
 
 _MOST_GROWN = 1.0  # logarithm of what becomes of a deviation of 1, of a sound task
-_MOST_SAMPLED = 30.0  # times its size, that a deviation grows within half a second: 1 mm to 3 cm
 _GAIN_FACTORS = (2.0, 4.0, 8.0, 0.5, 0.25)
 _HALVINGS = 6  # of the range of A
 _LEAST_AMPLITUDE = 0.05  # of the nominal A
-_REPLANS, _SMALLER = 4, 0.85  # of a smaller A, and by how much it is made smaller
 _HORIZONTAL_WEIGHT = 1e-3  # of an offset's horizontal forces beside the shares that it evens out
-_TURN = 2 * math.pi  # rad
 _ANGLES = 2 * np.pi * np.arange(72) / 72  # rad, of the orbit
 
 
@@ -60,11 +51,13 @@ class FormationInstant(NamedTuple):
     loads: CableLoads
     free: Growth  # without control
     controlled: Growth | None  # with the scenario's; None: it is not known
+    sampled_rate: float | None  # 1/s, with its samples and carriers; None: they are not known
 
     @property
     def rate(self) -> float:
-        """1/s, with control, or without where that is not known."""
-        return (self.controlled or self.free).rate
+        """1/s, the larger one with control, or without where that is not known."""
+        rate = (self.controlled or self.free).rate
+        return rate if self.sampled_rate is None else max(rate, self.sampled_rate)
 
 
 class Formation(NamedTuple):
@@ -73,20 +66,11 @@ class Formation(NamedTuple):
     at_rest: FormationInstant  # at the start, with the first ξ and A
     on_the_way: tuple[FormationInstant, ...]
     growth: float  # at most, of the logarithm of a deviation, from any instant on: ∫ of the rate
-    sampled: SampledGrowth | None  # None: no cable has little tension, or the loop is not known
 
     @property
     def is_stable(self) -> bool:
-        """Whether no deviation grows beyond e times its size until the task's end.
-
-        Where cables are nearly slack, none may grow thirty times within half a second.
-        """
-        return self.growth < _MOST_GROWN and not self.is_lost_between_samples
-
-    @property
-    def is_lost_between_samples(self) -> bool:
-        """Whether the sampled loop loses the load while a cable is nearly slack."""
-        return _is_lost(self.sampled)
+        """Whether no deviation grows beyond e times its size until the task's end."""
+        return self.growth < _MOST_GROWN
 
     @property
     def instants(self) -> tuple[FormationInstant, ...]:
@@ -97,10 +81,6 @@ class Formation(NamedTuple):
     def worst(self) -> FormationInstant:
         """That with the largest rate."""
         return max(self.instants, key=lambda instant: instant.rate)
-
-
-def _is_lost(found: SampledGrowth | None) -> bool:
-    return found is not None and found.factor >= _MOST_SAMPLED
 
 
 def cable_loads(
@@ -161,6 +141,7 @@ def formation_at(
         cable_loads(task.flown, reference, parameters, task.wind),
         deviations.growth(reference, parameters, wind=task.wind),
         controlled,
+        None if gains is None else sampled_rate(task, reference, parameters, gains),
     )
 
 
@@ -186,7 +167,7 @@ def find_formation(
     for instant in instants:
         total = max(0.0, total + part * instant.rate)
         largest = max(largest, total)
-    return Formation(at_rest, instants, largest, sampled_growth(task, at))
+    return Formation(at_rest, instants, largest)
 
 
 def growth_complaint(task: Task, duration: float) -> str:
@@ -206,38 +187,18 @@ def growth_complaint(task: Task, duration: float) -> str:
         used = NO_FEEDBACK if gains is None else gains
         return deviations.growth(task.reference(0.0), parameters, used, wind=task.wind).rate
 
-    def sampled() -> SampledGrowth | None:
-        parameters = task.nominal
-        loads = cable_loads(task.flown, task.reference(0.0), parameters, task.wind)
-        share = task.flown.load_mass * task.flown.gravity / task.flown.n
-        if loads.least_tension > LITTLE_TENSION * share:
-            return None
-        return sampled_growth(task, lambda time: parameters, _TURN / parameters[0])
-
     def is_stable(task: Task, of_amplitude: float = 1.0) -> bool:
         return rate(of_amplitude) * duration < _MOST_GROWN
 
     found = rate(1.0)
     remedy = "let drake-nonstop check try what helps"
     if found * duration < _MOST_GROWN:
-        between = sampled()
-        if between is None or not _is_lost(between):
-            return ""
-        return f"formation = unstable: {said_of(between)}; {remedy}"
+        return ""
     if (amplitude := _largest_amplitude(task, is_stable)) is not None:
         remedy = f"give optimization_layer.amplitude of at most {amplitude:.3g} N, or {remedy}"
     return (
         "formation = unstable: at the start a small deviation of the load grows by "
         f"{found:.2g} 1/s; {remedy}"
-    )
-
-
-def said_of(found: SampledGrowth) -> str:
-    """What a growth between samples is like, for a sentence."""
-    return (
-        f"at t = {found.start:.2f} s cable {found.cable} has little tension, {found.tension:.2g} N "
-        f"at least, and within {found.end - found.start:.2f} s a small deviation grows "
-        f"{found.factor:.2g} times in the sampled loop"
     )
 
 
@@ -247,7 +208,7 @@ def find_formation_remedies(
     """What makes an unstable formation stable, at rest and where it is least so: each was tried.
 
     Those are a smaller A, an offset in the null space that evens the shares out, other gains, and
-    other attachments; where a cable is nearly slack it is a smaller A, with a plan of its own.
+    other attachments.
     """
     at = parameters or (lambda time: task.nominal)
     times = sorted({0.0, found.worst.time, *(i.time for i in found.on_the_way[::3])})
@@ -263,9 +224,6 @@ def find_formation_remedies(
                 return False
         return True
 
-    if found.is_lost_between_samples:  # by the tension, which A decides
-        smaller = _replanned(task)
-        return [] if smaller is None else [f"optimization_layer.amplitude={smaller:g}"]
     remedies = []
     if (amplitude := _largest_amplitude(task, is_stable)) is not None:
         remedies.append(f"optimization_layer.amplitude={amplitude:.3g}")
@@ -289,28 +247,6 @@ def _largest_amplitude(task: Task, is_stable: _IsStable) -> float | None:
         middle = (low + high) / 2
         low, high = (middle, high) if is_stable(task, of_amplitude=middle) else (low, middle)
     return low * task.limits.amplitude
-
-
-def _replanned(task: Task) -> float | None:
-    """A smaller amplitude (N) whose own plan is stable and keeps the bound; None: none is found."""
-    amplitude = task.limits.amplitude
-    for _ in range(_REPLANS):
-        amplitude = float(f"{_SMALLER * amplitude:.3g}")
-        changed = replace(task, limits=replace(task.limits, amplitude=amplitude))
-        with contextlib.suppress(ScenarioError):
-            if _is_sound(changed):
-                return amplitude
-    return None
-
-
-def _is_sound(task: Task) -> bool:
-    speeds = check_speeds(task, is_quick=True)
-    plan = speeds.plan
-    if not speeds.is_feasible:
-        return False
-    if plan is None:
-        return find_formation(task).is_stable
-    return find_formation(task, lambda time: np.array(plan.values(time)[1:3])).is_stable
 
 
 def _other_gains(task: Task, is_stable: _IsStable) -> list[str]:
