@@ -11,6 +11,7 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
 """
 
 import copy
+import math
 import sys
 import warnings
 from collections.abc import Callable, Collection, Mapping
@@ -40,6 +41,7 @@ from drake_nonstop.blocks import (
 )
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
 from drake_nonstop.diagrams.box import (
     ABSTRACT,
     Box,
@@ -76,7 +78,7 @@ from drake_nonstop.model.system import (
     given_fields,
     overridden,
 )
-from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE
+from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE, MISSED_LIMITS_SIZE
 from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig
 from drake_nonstop.optimization.speed_margin import SpeedMargin, with_margin
 from drake_nonstop.systems import wiring
@@ -129,8 +131,9 @@ BOXES: dict[str, Box] = {
             "plan": PLANNED_SIZE,
             "solve_time": 1,
             "speed_bound": 1,
+            "missed_limits": MISSED_LIMITS_SIZE,
         },
-        optional=("diagnostics", "plan", "solve_time", "speed_bound"),
+        optional=("diagnostics", "plan", "solve_time", "speed_bound", "missed_limits"),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
         feeds_fused_plant=True,
@@ -472,6 +475,7 @@ def _made_parts(
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
     blocks = {name: blocks[name] for name in [*BOXES, *blocks] if name in blocks}
     _require_motion(believed, blocks)
+    _check_turn(believed, blocks)
     _check_command(blocks)
     _check_plan(blocks)
     _check_accelerations(blocks)
@@ -507,6 +511,28 @@ def _require_motion(model: Model, blocks: Mapping[str, System]) -> None:
             "its carriers keep their places above the load, which does not turn at the start, and "
             "would stop; give load_trajectory: !SteadyTurn, or a pattern with orbits",
         )
+
+
+def _check_turn(model: Model, blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where a layer's rate is not that at which the load turns."""
+    layer, trajectory = (blocks.get(name) for name in (LAYER, "load_trajectory"))
+    if type(layer) is not TurnRateOptimizer:
+        return
+    require(
+        model.pattern.is_constant,
+        LAYER,
+        "TurnRateOptimizer",
+        "the pattern has orbits, which it does not size; give pattern: !ConstantSpread and "
+        "load_trajectory: !PlannedTurn, or another optimization_layer",
+    )
+    is_own = isinstance(trajectory, load_trajectory.VARIANTS)
+    require(
+        not is_own or type(trajectory) is load_trajectory.PlannedTurn,
+        "load_trajectory",
+        type(trajectory).__name__,
+        "the load does not turn at the rate that optimization_layer = TurnRateOptimizer makes; "
+        "give !PlannedTurn, and phase: !ShapedPhase, or another optimization_layer",
+    )
 
 
 def _check_command(blocks: Mapping[str, System]) -> None:
@@ -613,7 +639,7 @@ def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     _warn_of_unshaped_parameters(blocks)
     _warn_of_unread_plan(blocks)
     _warn_of_unflown_aircraft(scenario, blocks)
-    _warn_of_unknown_aircraft(blocks)
+    _warn_of_unlimited_aircraft(blocks)
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
@@ -691,16 +717,17 @@ def _warn_of_unflown_aircraft(scenario: LoopConfig, blocks: Mapping[str, System]
         )
 
 
-def _warn_of_unknown_aircraft(blocks: Mapping[str, System]) -> None:
-    """Tells of an optimization layer that keeps a speed bound, and no aircraft in the air."""
+def _warn_of_unlimited_aircraft(blocks: Mapping[str, System]) -> None:
+    """Tells of an optimization layer that keeps a speed bound, and no limit of aircraft."""
     dynamics, layer = blocks.get("carrier_dynamics"), blocks.get("optimization_layer")
     if dynamics is None or type(layer) is not optimization_layer.NonstopOptimizer:
         return
-    if "aircraft_command" in wiring.input_names(dynamics):
+    flies = "aircraft_command" in wiring.input_names(dynamics)
+    if flies and math.isinf(layer.parameters.config.max_lift_share):
         warnings.warn(
-            "optimization_layer = NonstopOptimizer: it does not know aircraft yet and may ask of "
-            "them what they cannot fly; give optimization_layer: !ConstantParameters, with which "
-            "they fly",
+            "optimization_layer.max_lift_share = inf: the layer may ask of aircraft what they "
+            "cannot fly; give at most the lift_share of carrier_controller, such as 0.85, and "
+            "max_bank and max_thrust_share, or optimization_layer: !ConstantParameters",
             ScenarioWarning,
             stacklevel=5,
         )

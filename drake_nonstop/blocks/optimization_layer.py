@@ -18,30 +18,38 @@ from drake_nonstop.blocks.speed_bound_layer import (
     SpeedBoundLayer,
     require_no_command,
 )
+from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
     PHASE_SIZE,
+    WIND_SIZE,
     WRENCH_SIZE,
 )
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
+    MISSED_LIMITS_SIZE,
     Outcome,
+    count_missed,
     count_update,
     update_count,
 )
 from drake_nonstop.optimization.gradual_change import limit_step, raised_bound, step_towards
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
+    SpeedBound,
     check_problem,
+    with_stated_bound,
 )
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
+
+_WIND = "wind_estimate"  # an optional input, of aircraft
 
 
 @dataclass(kw_only=True)
@@ -60,16 +68,17 @@ class NonstopOptimizer(SpeedBoundLayer):
         min J(x)  such that  ‖v_i(x, τ)‖² ≥ ((1 + tightening) ε)²,  i = 1 … n,
 
     at instants τ up to the next update and at phases of the orbit `look_ahead_time` after it,
-    optionally together with limits of tensions, speeds, separations and of the rates of ξ and A.
-    x⁻ is what the layer has asked for before, and not what is flown: behind a `ShapedPhase` ξ and A
+    optionally together with limits of tensions, speeds, separations and of the rates of ξ and A. x⁻
+    is what the layer has asked for before, and not what is flown: behind a `ShapedPhase` ξ and A
     follow a step within 6.4/bandwidth but for 5 %, which is the default of that time. Without
     `amplitude_bounds` A stays between 0.004 and 3 times a cable's share of the load's weight, or
-    half and twice the initial A where that is wider. `tightening` covers the
-    difference between predicted and simulated speeds. If x⁻ fulfils the constraints it is kept;
-    else `solver` looks for the cheapest x that does, and where none is found the least infeasible
-    one is taken. `diagnostics` tells how the update ended, see `Outcome`. The prediction, which is
-    for still air, the constraints and the solvers are described in diagrams/optimization_layer.md;
-    the speeds are those over the ground.
+    half and twice the initial A where that is wider. `tightening` covers the difference between
+    predicted and simulated speeds. Of aircraft v_i is the velocity through the air, in the steady
+    wind that the controllers believe, and what they need of lift, bank, climb and thrust may be
+    limited, too; other carriers' speeds are those over the ground. If x⁻ fulfils the constraints it
+    is kept; else `solver` looks for the cheapest x that does, and where none is found the least
+    infeasible one is taken. `diagnostics` tells how the update ended, see `Outcome`. The
+    prediction, the constraints and the solvers are described in diagrams/optimization_layer.md.
 
     `set_speed_bound` and `set_enabled` change parameters of the context during a run, which also
     holds the initial ξ and A, their bounds and what is believed of load, cables and pattern. Where
@@ -89,24 +98,28 @@ class NonstopOptimizer(SpeedBoundLayer):
         - wrench
         - wrench_rate
         - phase
+        - wind_estimate
         - speed_bound_command
         output_ports:
         - parameters
         - diagnostics
         - solve_time
         - speed_bound
+        - missed_limits
 
-    `measured_load_state` (13), `reference` (22), `wrench` and `wrench_rate` (6, [torque;
-    force]), all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `speed_bound_command` (1) in m/s, of the range of
-    `set_speed_bound`, may be left unconnected; `parameters` (2) = [ξ (rad/s), A (N)];
-    `diagnostics` (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest
-    speed minus the untightened ε (m/s)], the fields of `Diagnostics`; `solve_time` (1) is the
-    wall time in s that the last update took, from its inputs to its answer; `speed_bound` (1) is
-    the ε that was set or is commanded, in m/s. All outputs are state or parameters: nothing feeds
-    through but a command to the `speed_bound`.
+    `measured_load_state` (13), `reference` (22), `wrench` and `wrench_rate` (6, [torque; force]),
+    all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `speed_bound_command` (1) in m/s, of the range of
+    `set_speed_bound`, may be left unconnected; `parameters` (2) = [ξ (rad/s), A (N)]; `diagnostics`
+    (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest speed minus the
+    untightened ε (m/s)], the fields of `Diagnostics`; `solve_time` (1) is the wall time in s that
+    the last update took, from its inputs to its answer; `speed_bound` (1) is the ε that was set or
+    is commanded, in m/s. With aircraft there are `wind_estimate` (3, m/s, in W), which may be left
+    unconnected in still air, and `missed_limits` (5), the fields of `MissedLimits`: how many
+    updates ended without keeping each. All outputs are state or parameters: nothing feeds through
+    but a command to the `speed_bound`.
 
     Parameters, the fields of `NonstopOptimizerConfig`:
-        speed_bound: m/s, ε
+        speed_bound: m/s, ε; of aircraft also "1.4 V_s"
         tightening: the solver aims at (1 + tightening) ε; "auto": computed
         speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
         model_error: share of the load's weight by which its wrench may be off
@@ -120,6 +133,10 @@ class NonstopOptimizer(SpeedBoundLayer):
         min_tension: N; 0: any
         max_tension: N
         min_separation: m, of two carriers over a whole orbit; 0: any
+        max_lift_share: of C_Lmax, what aircraft need at most
+        max_bank: rad, of aircraft, to either side
+        max_climb: rad, of aircraft, up or down
+        max_thrust_share: of the range of an aircraft's thrust, about its middle
         look_ahead_points: instants from now to the next update; 1: now, as in the paper
         look_ahead_time: s, from the next update to the orbit ahead, where points > 1
         orbit_points: phases of the orbit ahead; 1: the present one, as in the paper
@@ -138,8 +155,10 @@ class NonstopOptimizer(SpeedBoundLayer):
             control period; during a run, the command is out of range.
     """
 
+    optional_inputs = (COMMAND, _WIND)
+
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
-        config = config or NonstopOptimizerConfig()
+        config = with_stated_bound(BOX, config or NonstopOptimizerConfig(), model)
         super().__init__(model, config, check_problem)
         if self.scalar is float:
             self.solver = UpdateSolver(model, config, self.get_name)
@@ -150,6 +169,9 @@ class NonstopOptimizer(SpeedBoundLayer):
         self._wrench = self.DeclareVectorInputPort("wrench", WRENCH_SIZE)
         self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", WRENCH_SIZE)
         self._phase = self.DeclareVectorInputPort("phase", PHASE_SIZE)
+        self._wind = self._missed = None
+        if model.aircraft is not None:
+            self._wind = self.DeclareVectorInputPort(_WIND, WIND_SIZE)
         self._state = self.DeclareDiscreteState([config.frequency, config.amplitude])
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
@@ -163,6 +185,9 @@ class NonstopOptimizer(SpeedBoundLayer):
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
         self.declare_bound()
+        if model.aircraft is not None:
+            self._missed = self.DeclareDiscreteState(MISSED_LIMITS_SIZE)
+            self.DeclareStateOutputPort("missed_limits", self._missed)
         # Offset = period: with offset 0 the periodic event would repeat the first one.
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         # An event at each sample of the controllers, of which every `_samples_per_update`-th is an
@@ -223,9 +248,12 @@ class NonstopOptimizer(SpeedBoundLayer):
             wrench_rate,
             (wrench_rate - last_wrench_rate) / self._period,
         )
+        wind = np.zeros(WIND_SIZE)
+        if self._wind is not None and self._wind.HasValue(context):
+            wind = self._wind.Eval(context)
         start = time.perf_counter()
         data = self.solver.update_data(
-            *inputs, speed_bound=bound, updates=updates, beliefs=numbers.beliefs
+            *inputs, speed_bound=bound, updates=updates, beliefs=numbers.beliefs, wind=wind
         )
         parameters, outcome, slowest_speed = self.solver.solve(data)
         if is_changing or is_rising:
@@ -238,6 +266,10 @@ class NonstopOptimizer(SpeedBoundLayer):
             is_changing = is_rising or outcome > Outcome.SOLVED
         solve_time = time.perf_counter() - start
         count_update(diagnostics, outcome, slowest_speed - bound)
+        if self._missed is not None:
+            missed = context.get_discrete_state(self._missed).CopyToVector()
+            count_missed(missed, self.solver.problem(data).missed_kinds(parameters))
+            discrete_state.set_value(self._missed, missed)
         discrete_state.set_value(self._state, parameters)
         discrete_state.set_value(self._diagnostics, diagnostics)
         discrete_state.set_value(self._last_wrench_rate, wrench_rate)
@@ -252,7 +284,7 @@ class ConstantParametersConfig(StrictFields):
 
     frequency: float = 2.0  # rad/s, ξ
     amplitude: float = 1.2  # N, A; 0 for a constant pattern, and for no other
-    speed_bound: float = 0.2  # m/s, ε; reported, not enforced
+    speed_bound: SpeedBound = 0.2  # m/s, ε; reported, not enforced; also "1.4 V_s"
 
 
 class ConstantParameters(LeafBlock):
@@ -274,7 +306,7 @@ class ConstantParameters(LeafBlock):
     Parameters, the fields of `ConstantParametersConfig`:
         frequency: rad/s, ξ
         amplitude: N, A; 0 for a constant pattern, and for no other
-        speed_bound: m/s, ε; reported, not enforced
+        speed_bound: m/s, ε; reported, not enforced; also "1.4 V_s"
 
     Raises:
         ScenarioError: frequency or amplitude is not positive, an amplitude is given for a pattern
@@ -286,7 +318,7 @@ class ConstantParameters(LeafBlock):
 
     def __init__(self, model: Model, config: ConstantParametersConfig | None = None):
         super().__init__()
-        config = config or ConstantParametersConfig()
+        config = with_stated_bound(BOX, config or ConstantParametersConfig(), model)
         _check_constants(model, config)
         self.parameters = BlockParameters(
             model, config=config, own=asdict(config), rules=Rules(check=_check_constants)
@@ -343,4 +375,9 @@ def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (RecedingHorizonOptimizer, NonstopOptimizer, ConstantParameters)
+VARIANTS = (
+    RecedingHorizonOptimizer,
+    NonstopOptimizer,
+    TurnRateOptimizer,
+    ConstantParameters,
+)

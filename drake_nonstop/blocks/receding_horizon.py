@@ -48,7 +48,12 @@ from drake_nonstop.optimization.horizon_solver import (
     PlanAnswer,
 )
 from drake_nonstop.optimization.plan import DEGREE, Plan
-from drake_nonstop.optimization.problem_config import LimitsConfig, check_limits, check_pattern
+from drake_nonstop.optimization.problem_config import (
+    LimitsConfig,
+    check_limits,
+    check_pattern,
+    with_stated_bound,
+)
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.validation import require
@@ -117,7 +122,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     (1) is the ε that was set or is commanded, in m/s.
 
     Parameters, the fields of `RecedingHorizonOptimizerConfig`:
-        speed_bound: m/s, ε
+        speed_bound: m/s, ε; of aircraft also "1.4 V_s"
         tightening: the solver aims at (1 + tightening) ε; "auto": computed
         speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
         model_error: share of the load's weight by which its wrench may be off
@@ -131,6 +136,10 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         min_tension: N; 0: any
         max_tension: N
         min_separation: m, of two carriers over a whole orbit; 0: any
+        max_lift_share: of C_Lmax, what aircraft need at most
+        max_bank: rad, of aircraft, to either side
+        max_climb: rad, of aircraft, up or down
+        max_thrust_share: of the range of an aircraft's thrust, about its middle
         horizon: s; 0: nearly two turns, at least 15 intervals between knots
         knot_spacing: s, also the time between two plans; 0: an eighth of a turn
         instants: between two knots, at which the carriers' flight is constrained
@@ -158,7 +167,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     optional_inputs = (_PREVIEW, COMMAND)
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
-        config = config or RecedingHorizonOptimizerConfig()
+        config = with_stated_bound(BOX, config or RecedingHorizonOptimizerConfig(), model)
         super().__init__(model, config, _check, _structure)
         config = timed(config, config.frequency, model.control_period)
         self._model, self._config = model, config

@@ -29,7 +29,7 @@ from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState
 _UP = np.array([0.0, 0.0, 1.0])
 _LEAST = 1e-12  # beside squares of speeds and of direction vectors, which may vanish
 _ROUNDING = 1e-9  # of a limit
-_LARGEST_ANGLE = 0.6  # rad, of attack, far beyond stall, that a command is looked for within
+LARGEST_ANGLE = 0.6  # rad, of attack, far beyond stall, that a command is looked for within
 _ITERATIONS = 2  # of Newton's method: to 2e-13 rad in flight; each multiplies an Expression by 11
 
 
@@ -92,6 +92,11 @@ def air_frame(air_velocity: NDArray) -> AirFrame:
     return AirFrame(airspeed, forward, cross(forward, upward), upward)
 
 
+def pressure_force(aircraft: Aircraft, airspeed: NDArray) -> NDArray:
+    """The force q S (...,), N, at airspeeds (...,), m/s."""
+    return aircraft.air_density / 2 * airspeed * airspeed * aircraft.wing_area
+
+
 def angle_of_attack(aircraft: Aircraft, lift: NDArray) -> NDArray:
     """α (...,), rad, of lift coefficients."""
     return (lift - aircraft.lift_at_zero_angle) / aircraft.lift_slope
@@ -116,7 +121,7 @@ def air_force(
         thrust: T (...,), N.
     """
     frame = air_frame(air_velocity)
-    pressure = _pressure_force(aircraft, frame.airspeed[..., 0])
+    pressure = pressure_force(aircraft, frame.airspeed[..., 0])
     angle = angle_of_attack(aircraft, lift)
     along = thrust * np.cos(angle) - pressure * drag_coefficient(aircraft, lift)
     across = thrust * np.sin(angle) + pressure * lift
@@ -161,18 +166,35 @@ def required_command(
         wind: w (..., 3), m/s, in W.
     """
     frame = air_frame(velocity - wind)
-    pressure = _pressure_force(aircraft, frame.airspeed[..., 0])
     along = (force * frame.forward).sum(axis=-1)
     sideward = (force * frame.right).sum(axis=-1)
     upward = (force * frame.up).sum(axis=-1)
     across = np.sqrt(sideward * sideward + upward * upward + _LEAST)
     bank = 2 * np.arctan(sideward / (across + upward + _LEAST))
+    lift, thrust = lift_and_thrust(aircraft, along, across, frame.airspeed[..., 0])
+    return AircraftCommand(lift, bank, thrust)
+
+
+def lift_and_thrust(
+    aircraft: Aircraft, along: NDArray, across: NDArray, airspeed: NDArray
+) -> tuple[NDArray, NDArray]:
+    """C_L and thrust (...,) that make given forces along and across the flight through the air.
+
+    As told for `required_command`.
+
+    Args:
+        aircraft: the parameters.
+        along: F_x (...,), N.
+        across: the size N (...,) of the part of F across the flight, N.
+        airspeed: V (...,), m/s.
+    """
+    pressure = pressure_force(aircraft, airspeed)
     slope = aircraft.lift_slope
     without_thrust = angle_of_attack(aircraft, across / pressure)
-    lift = aircraft.lift_at_zero_angle + slope * _clipped(without_thrust, _LARGEST_ANGLE)
+    lift = aircraft.lift_at_zero_angle + slope * _clipped(without_thrust, LARGEST_ANGLE)
     drag = drag_coefficient(aircraft, lift)
     angle = without_thrust * slope / (slope + drag + along / pressure)
-    angle = _clipped(angle, _LARGEST_ANGLE)
+    angle = _clipped(angle, LARGEST_ANGLE)
     for _ in range(_ITERATIONS):
         lift = aircraft.lift_at_zero_angle + slope * angle
         forward_thrust = along + pressure * drag_coefficient(aircraft, lift)
@@ -182,10 +204,10 @@ def required_command(
         derivative = pressure * (slope + drag_slope * tangent)
         derivative = derivative + forward_thrust * (1 + tangent * tangent)
         angle = angle - residual / derivative
-    angle = _clipped(angle, _LARGEST_ANGLE)
+    angle = _clipped(angle, LARGEST_ANGLE)
     lift = aircraft.lift_at_zero_angle + slope * angle
     thrust = (along + pressure * drag_coefficient(aircraft, lift)) / np.cos(angle)
-    return AircraftCommand(lift, bank, thrust)
+    return lift, thrust
 
 
 def thrust_limits(aircraft: Aircraft, airspeed: NDArray) -> tuple[NDArray, NDArray]:
@@ -340,11 +362,6 @@ def _lift_in_gusts(
 ) -> NDArray:
     gust = (wind - own.slow_wind).reshape(-1, 3)
     return limited_lift(aircraft, own.lift + gust_lift(aircraft, air_velocity, own.bank, gust))
-
-
-def _pressure_force(aircraft: Aircraft, airspeed: NDArray) -> NDArray:
-    """The force q S (...,), N."""
-    return aircraft.air_density / 2 * airspeed * airspeed * aircraft.wing_area
 
 
 def _clipped(a: NDArray, limit: float | NDArray) -> NDArray:

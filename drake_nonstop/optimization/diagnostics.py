@@ -1,5 +1,6 @@
 """How the updates of the optimization layer ended, and how often."""
 
+from collections.abc import Collection
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -33,6 +34,26 @@ class Diagnostics(NamedTuple):
         return cls(*[values[..., i] for i in range(DIAGNOSTICS_SIZE)])
 
 
+class MissedLimits(NamedTuple):
+    """The entries of the signal `missed_limits` (5): numbers, or logs (k,).
+
+    How many updates ended with a plan that does not keep the bound on the airspeed, or a limit of
+    the aircraft.
+    """
+
+    airspeed: NDArray | float
+    lift: NDArray | float
+    bank: NDArray | float
+    climb: NDArray | float
+    thrust: NDArray | float
+
+    @classmethod
+    def view(cls, values: NDArray) -> "MissedLimits":
+        """The entries (...) of an array (..., 5)."""
+        return cls(*[values[..., i] for i in range(MISSED_LIMITS_SIZE)])
+
+
+MISSED_LIMITS_SIZE = len(MissedLimits._fields)
 DIAGNOSTICS_SIZE = len(Diagnostics._fields)
 _PLACES = {name: place for place, name in enumerate(Diagnostics._fields)}
 
@@ -43,6 +64,12 @@ def count_update(diagnostics: NDArray, outcome: Outcome, speed_margin: float) ->
     diagnostics[_PLACES["updates"]] += 1
     diagnostics[_PLACES[outcome.name.lower()]] += 1
     diagnostics[_PLACES["speed_margin"]] = speed_margin
+
+
+def count_missed(missed: NDArray, kinds: Collection[str]) -> None:
+    """Adds an update that misses limits of these names to the vector `missed_limits`, in place."""
+    for kind in set(kinds):
+        missed[MissedLimits._fields.index(kind)] += 1
 
 
 def update_count(diagnostics: NDArray) -> int:

@@ -1,9 +1,11 @@
 """The fields of the nonstop problem, and the checks of their values."""
 
 import math
-from dataclasses import dataclass, field
+import typing
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
+from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
 from drake_nonstop.model.block_parameters import AUTO
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.local_solver import LocalSolver
@@ -21,15 +23,22 @@ from drake_nonstop.validation import (
 
 LEAST_BOUND = 1e-3  # m/s, unless there is none at all: margins are relative to the bound
 _UNCOMPUTED = 0.01  # the tightening of what has no margin computed for it
+FLIGHT_LIMITS = ("max_lift_share", "max_bank", "max_climb", "max_thrust_share")
 _Config = TypeVar("_Config")
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
+
+
+if typing.TYPE_CHECKING:
+    SpeedBound = float  # what it is in a sampled scenario, see `with_stated_bound`
+else:
+    SpeedBound = float | str
 
 
 @dataclass(kw_only=True)
 class LimitsConfig(StrictFields):
     """The bound, the nominal ξ and A, and what limits them and the carriers' flight."""
 
-    speed_bound: float = 0.2  # m/s, ε
+    speed_bound: SpeedBound = 0.2  # m/s, ε; of aircraft also "1.4 V_s"
     tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε; "auto": computed
     speed_margin: float = 0.0  # m/s above ε that "auto" aims at; 0: computed for the loop
     model_error: float = 0.0  # share of the load's weight by which its wrench may be off
@@ -43,6 +52,10 @@ class LimitsConfig(StrictFields):
     min_tension: float = 0.0  # N; 0: any
     max_tension: float = math.inf  # N
     min_separation: float = 0.0  # m, of two carriers over a whole orbit; 0: any
+    max_lift_share: float = math.inf  # of C_Lmax, what aircraft need at most
+    max_bank: float = math.inf  # rad, of aircraft, to either side
+    max_climb: float = math.inf  # rad, of aircraft, up or down
+    max_thrust_share: float = math.inf  # of the range of an aircraft's thrust, about its middle
 
 
 @dataclass(kw_only=True)
@@ -61,6 +74,43 @@ class NonstopProblemConfig(LimitsConfig):
     change_time: float = 2.0  # s, in which a bound or a switch set during a run takes effect
     solver: str = "search"  # "search", "grid", "snopt", "ipopt" or "nlopt"
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
+
+
+def stated_speed_bound(field: str, value: Any, aircraft: Aircraft | None) -> Any:
+    """What is stated as a bound, in m/s: a text such as "1.4 V_s" is a multiple of the stall speed.
+
+    What is no text is returned as it is.
+
+    Args:
+        field: its name in error messages.
+        value: as stated.
+        aircraft: whose stall speed counts, with its own weight; None: the carriers are none.
+
+    Raises:
+        ScenarioError: a text is no such multiple, or there are no aircraft.
+    """
+    if not isinstance(value, str):
+        return value
+    number, unit = value.split() if len(value.split()) == 2 else ("", "")
+    try:
+        share = float(number) if unit == "V_s" else math.nan
+    except ValueError:
+        share = math.nan
+    remedy = 'give a number of m/s, without quotes, or a multiple of the stall speed, as "1.4 V_s"'
+    require(0 < share < math.inf, field, value, remedy)
+    remedy = "only aircraft have a stall speed, and system.aircraft is none; give a number of m/s"
+    if aircraft is None:
+        require(False, field, value, remedy)
+    return float(share * stall_speed(typing.cast(Aircraft, aircraft)))
+
+
+def with_stated_bound(box: str, config: _Config, model: Model) -> _Config:
+    """The dataclass with its `speed_bound` in m/s, see `stated_speed_bound`."""
+    own: Any = config
+    if not isinstance(own.speed_bound, str):
+        return config
+    stated = stated_speed_bound(f"{box}.speed_bound", own.speed_bound, model.aircraft)
+    return replace(own, speed_bound=stated)
 
 
 def with_fields_of(kind: type[_Config], config: Any) -> _Config:
@@ -96,7 +146,7 @@ def _has_margin(config: LimitsConfig) -> bool:
     return config.tightening == AUTO and config.speed_margin > 0
 
 
-def limit_tightening(config: LimitsConfig) -> float:
+def limit_tightening(config: Any) -> float:
     """The share by which limits other than the speed bound are tightened."""
     return _UNCOMPUTED if isinstance(config.tightening, str) else config.tightening
 
@@ -140,6 +190,7 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
     require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)
+    check_flight_limits(box, config, model)
     for name, start, bounds in (
         ("frequency", config.frequency, config.frequency_bounds),
         ("amplitude", config.amplitude, amplitude_range(config, model)),
@@ -194,6 +245,7 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
         ("max_amplitude_rate", 0.0),
         ("max_speed", tightened_bound(config, config.speed_bound) / (1 - tightening)),
         ("max_tension", least_ratio * config.min_tension),
+        *((name, 0.0) for name in FLIGHT_LIMITS),
     ):
         value = getattr(config, name)
         require(
@@ -202,6 +254,19 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
             value,
             f"give a number greater than {least:g}, or .inf for no limit",
         )
+
+
+def check_flight_limits(box: str, config: Any, model: Model) -> None:
+    """Raises ScenarioError for the first limit of aircraft, of `FLIGHT_LIMITS`, that cannot be."""
+    for name in FLIGHT_LIMITS:
+        value = getattr(config, name)
+        if value == math.inf:
+            continue
+        remedy = "it limits aircraft, and system.aircraft is none; give .inf for no limit"
+        require(model.aircraft is not None, f"{box}.{name}", value, remedy)
+        most = 1.0 if name.endswith("share") else math.pi / 2
+        remedy = f"give at most {most:.4g}, or .inf for no limit"
+        require(value <= most, f"{box}.{name}", value, remedy)
 
 
 def _check_choices(box: str, config: NonstopProblemConfig) -> None:
@@ -246,7 +311,7 @@ def check_pattern(box: str, model: Model, block: str) -> None:
         box,
         block,
         "the pattern has no orbits that it could change; give !ConstantParameters with "
-        "amplitude: 0, or a pattern with orbits",
+        "amplitude: 0, for aircraft !TurnRateOptimizer, or a pattern with orbits",
     )
     require(
         all(order == 1 for order in model.pattern.harmonics),

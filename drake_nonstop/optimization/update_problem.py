@@ -86,6 +86,79 @@ class UpdateProblem:
             return margins
         return np.append(margins, self._separation_margin(x))
 
+    @property
+    def speed_count(self) -> int:
+        """How many margins, the first ones, are those of the speed bound."""
+        return self._traced.constraints.speed_count
+
+    def infeasibility_order(self, margins: NDArray) -> tuple[float, float]:
+        """What is larger for the better one of the margins of two infeasible points."""
+        return self._traced.constraints.infeasibility_order(margins)
+
+    def change_cost(self) -> nonstop.QuadraticChangeCost:
+        """The cost of the step from x⁻, for phases that do not depend on ξ."""
+        config = self._traced.config
+        return nonstop.quadratic_change_cost(
+            self.previous,
+            self.data.phase[0] + self._traced.model.pattern.phases,
+            internal_force_weight=config.internal_force_weight,
+            internal_force_rate_weight=config.internal_force_rate_weight,
+            anchor_weight=float(self.data.anchor_weight[0]),
+            nominal=self.beliefs.nominal,
+        )
+
+    def margins_but_separation(self, x: NDArray) -> NDArray:
+        """The margins (r,) at x but for that of the separation; for reading."""
+        return self._margins_and_worst(x)[0]
+
+    def margins_and_jacobian(self, x: NDArray) -> tuple[NDArray, NDArray]:
+        """The margins (r,) at x but for that of the separation, and their Jacobian (r, 2)."""
+        margins, jacobian = self._traced.margins_and_jacobian(x, self.vector)
+        return margins.copy(), jacobian.copy()
+
+    def missed_kinds(self, x: NDArray) -> list[str]:
+        """The names of `MissedLimits` that aircraft do not keep at x."""
+        traced = self._traced
+        if traced.model.aircraft is None:
+            return []
+        margins = self._margins_and_worst(x)[0]
+        count, kinds = traced.constraints.speed_count, traced.flight_limits.kinds
+        flight = margins[len(margins) - count * len(kinds) :].reshape(len(kinds), count)
+        worst = zip(["airspeed", *kinds], [margins[:count].min(), *flight.min(axis=1)], strict=True)
+        return [kind for kind, least in worst if least < -FEASIBILITY_TOLERANCE]
+
+    def margins_on_grid(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
+        """The worst margin (k, q) of the speeds, and that of all else, with limits of aircraft.
+
+        At amplitudes (k,), N, and frequencies (q,), rad/s; with the phases that these give.
+        """
+        if self.phase_jumps:
+            columns = [self._on_grid(amplitudes, f) for f in frequencies[:, None]]
+            speeds, others = (
+                np.concatenate(of_all, axis=1) for of_all in zip(*columns, strict=True)
+            )
+            return speeds, others
+        return self._on_grid(amplitudes, frequencies)
+
+    def _on_grid(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
+        """The same, with the phases of the first frequency."""
+        traced, shape = self._traced, (len(amplitudes), len(frequencies))
+        first = float(frequencies[0])
+        own = self.search_problem_at(first) if self.phase_jumps else self.search_problem
+        speeds, others = own.margins(amplitudes, frequencies)
+        x = np.array([first, self.previous[1]])
+        flat, angles = (part.copy() for part in traced.flight_terms(x, self.vector))
+        rows, count = len(angles), len(amplitudes) * len(frequencies)
+        flight = traced.flight_margins(
+            np.tile(flat.reshape(rows, -1), (count, 1)),
+            np.tile(angles, count),
+            np.repeat(np.tile(frequencies, len(amplitudes)), rows),
+            np.repeat(np.repeat(amplitudes, len(frequencies)), rows),
+            self.data,
+        )
+        worst = np.min([of_kind.reshape(count, -1).min(axis=1) for of_kind in flight], axis=0)
+        return speeds.min(axis=2), np.minimum(others, worst.reshape(shape))
+
     def speed_margins(self, x: NDArray) -> NDArray:
         """The worse margin of each speed at x, which may have limits on either side."""
         return self._traced.constraints.worse_of_each_speed(self._margins_and_worst(x)[0])
@@ -218,7 +291,8 @@ class UpdateProblem:
         return self._last[1], self._last[2]
 
     def _computed_margins(self, x: NDArray) -> NDArray:
-        if self._traced.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS:
+        traced = self._traced
+        if traced.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS or traced.has_flight_limits:
             return self._traced.margins(x, self.vector)[0].copy()
         frequency, amplitude = Parameters.view(x)
         terms = self._terms_at(float(frequency[0])) if self.phase_jumps else self._terms

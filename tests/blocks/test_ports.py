@@ -60,6 +60,7 @@ from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.blocks.load_trajectory import (
     Circle,
     ConstantVelocityMove,
+    PlannedTurn,
     RestToRest,
     RestToRestConfig,
     SampledTrajectory,
@@ -208,6 +209,7 @@ BLOCKS = {
     Waypoints: ([], _REFERENCES, []),
     Circle: ([], _REFERENCES, []),
     SampledTrajectory: ([], _REFERENCES, []),
+    PlannedTurn: everything(["planned"], ["reference", "reference_higher_rates"]),
     IdealFeedback: (
         ["load_state"],
         ["measured_load_state"],
@@ -226,9 +228,10 @@ BLOCKS = {
             "wrench",
             "wrench_rate",
             "phase",
+            "wind_estimate",
             "speed_bound_command",
         ],
-        ["parameters", "diagnostics", "solve_time", "speed_bound"],
+        ["parameters", "diagnostics", "solve_time", "speed_bound", "missed_limits"],
         [("speed_bound_command", "speed_bound")],
     ),
     ConstantParameters: (

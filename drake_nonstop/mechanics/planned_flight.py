@@ -1,0 +1,566 @@
+"""What aircraft need along a planned orbit, with exact gradients.
+
+For optimization: the airspeed, lift, bank, climb and thrust that a point-mass aircraft needs to fly
+the orbit above a moving load at a phase θ, with ξ and A that change, and their gradients by θ, ξ,
+ξ̇, A, Ȧ and Ä. All vectors are components in the load's frame L, in which the pattern is constant;
+wind enters by the velocity through the air alone, v_b − Rᵀw. In three steps, each usable alone:
+
+- `flight_terms` (wrench and load motion given) or `flight_along_reference` (both of a reference):
+  what depends on neither phase, ξ nor A, a `FlightTerms`;
+- `flight_products` (numbers or symbols): with these and a `PlannedOrbit`, the six scalar products
+  of the velocity through the air V_a, the needed force F = m (v̇ + g e₃) + f and the vertical that
+  decide all needs, `FlightProducts`; `planned_products`: of numbers, with their gradients;
+- `flight_needs` (numbers or symbols): airspeed, ‖F‖, C_L, bank, climb and thrust of such products,
+  `FlightNeeds`, by the exact inverse `lift_and_thrust`; `needs_gradients`: of these.
+
+`planned_flight` does the last two at once, with gradients. Stall alone needs ‖F‖ and V only, see
+`stall_factor`.
+With the forces and rates of `mechanics.nonstop.orbit_ahead`,
+
+    f = f₀ + A u,   ᴸḟ = d + Ȧ u + A ξ u′,   ᴸf̈ = d₂ + (Ä − A ξ²) u + (2 Ȧ ξ + A ξ̇) u′,
+    r = ᴸḟ + ω × f,   s = ᴸf̈ + 2 ω × ᴸḟ + α × f + ω × (ω × f),
+
+and a = f·r/T², b = (r·r + f·s)/T² − 3 a², T = ‖f‖,
+
+    V_a = v_b + (L₀/T) (r − a f) + r/K_c,   v̇ = a_b + (L₀/T) (s − 2 a r − b f) + s/K_c,
+
+as `carrier_motion` and `carrier_acceleration`. Own derivation.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.aircraft import (
+    LARGEST_ANGLE,
+    Aircraft,
+    drag_coefficient,
+    lift_and_thrust,
+    pressure_force,
+)
+from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
+from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
+from drake_nonstop.mechanics.rotation import cross, rotation_matrix
+from drake_nonstop.mechanics.signals import (
+    LOAD_STATE_SIZE,
+    WRENCH_SIZE,
+    LoadReference,
+    Wrench,
+)
+from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
+
+_UP = np.array([0.0, 0.0, 1.0])
+_LEAST = 1e-12  # beside squares that may vanish
+
+
+class FlightTerms(NamedTuple):
+    """What the flight of n aircraft depends on besides the `PlannedOrbit`, in L."""
+
+    forces: NDArray  # (..., n, 3), N, f₀
+    rates: NDArray  # (..., n, 3), N/s, d, of the components in L, as the next
+    second_rates: NDArray  # (..., n, 3), N/s², d₂
+    velocities: NDArray  # (..., n, 3), m/s, v_b of the attachments, through the air
+    accelerations: NDArray  # (..., n, 3), m/s², a_b of the attachments
+    angular_velocity: NDArray  # (..., 3), rad/s, ω
+    angular_acceleration: NDArray  # (..., 3), rad/s², α
+    up: NDArray  # (..., 3), e₃
+
+    @classmethod
+    def view(cls, values: NDArray) -> "FlightTerms":
+        """The parts of an array (..., 15n + 9)."""
+        lead = values.shape[:-1]
+        parts = values[..., :-9].reshape(*lead, 5, -1, 3)
+        rest = values[..., -9:].reshape(*lead, 3, 3)
+        return cls(*(parts[..., i, :, :] for i in range(5)), *(rest[..., i, :] for i in range(3)))
+
+    @property
+    def flat(self) -> NDArray:
+        """The array (..., 15n + 9) of which these are the parts."""
+        vectors, lead = self[:5], self.up.shape[:-1]
+        return np.concatenate([*(v.reshape(*lead, -1) for v in vectors), *self[5:]], axis=-1)
+
+
+class PlannedOrbit(NamedTuple):
+    """Phase, ξ and A with their rates at k instants; gradients are by these, in this order."""
+
+    angle: NDArray  # (k,), rad, θ
+    frequency: NDArray  # (k,), rad/s, ξ
+    frequency_rate: NDArray  # (k,), rad/s², ξ̇
+    amplitude: NDArray  # (k,), N, A
+    amplitude_rate: NDArray  # (k,), N/s, Ȧ
+    amplitude_second_rate: NDArray  # (k,), N/s², Ä
+
+
+class FlightProducts(NamedTuple):
+    """The products that decide what an aircraft needs, or their gradients; of any one shape."""
+
+    v_v: NDArray  # V_a·V_a, m²/s², the squared airspeed
+    f_f: NDArray  # F·F, N²
+    f_v: NDArray  # F·V_a
+    f_up: NDArray  # F·e₃
+    v_up: NDArray  # V_a·e₃
+    triple: NDArray  # e₃·(F × V_a)
+
+
+class FlightNeeds(NamedTuple):
+    """What aircraft need, or its gradients; of any one shape."""
+
+    airspeed: NDArray  # m/s
+    force: NDArray  # N, ‖F‖
+    lift: NDArray  # C_L
+    bank: NDArray  # rad, positive to the right
+    climb: NDArray  # rad, of the path through the air
+    thrust: NDArray  # N
+
+
+class PlannedFlight(NamedTuple):
+    """What n aircraft need at k instants, and the gradients."""
+
+    needs: FlightNeeds  # (k, n)
+    gradients: FlightNeeds  # (6, k, n), by the parts of a `PlannedOrbit`
+
+
+def flight_terms(
+    state: NDArray,
+    motion: NDArray,
+    wrench: NDArray,
+    wrench_rate: NDArray,
+    wrench_second_rate: NDArray,
+    wind: NDArray = STILL_AIR,
+    *,
+    pseudo_inverse: NDArray,
+    offset: NDArray,
+    attachments: NDArray,
+) -> FlightTerms:
+    """The terms of a load with a given motion and wrench, of numbers or symbols.
+
+    Args:
+        state: of the load (13,), or what begins with one; turns the load-frame forces.
+        motion: (22,), with the accelerations, that the carriers follow, such as a reference.
+        wrench: (6,), in W, and its first two rates.
+        wrench_rate: (6,).
+        wrench_second_rate: (6,).
+        wind: w (3,), m/s, in W.
+        pseudo_inverse: (3n, 6), in L.
+        offset: (3n,), N, in L.
+        attachments: (n, 3), m, in L.
+    """
+    own, moving = LoadReference.view(state), LoadReference.view(motion)
+    R_LW = rotation_matrix(own.quaternion).T
+    omega = R_LW @ own.angular_velocity
+    alpha = R_LW @ moving.angular_acceleration
+
+    def rotated(values: NDArray) -> tuple[NDArray, NDArray]:
+        parts = Wrench.view(values)
+        return R_LW @ parts.torque, R_LW @ parts.force
+
+    parts = [rotated(values) for values in (wrench, wrench_rate, wrench_second_rate)]
+    of_components: list[list[NDArray]] = [[], [], []]
+    for value, rate, second_rate in zip(*parts, strict=True):
+        own_rate = rate - cross(omega, value)
+        own_second = second_rate - cross(omega, rate) - cross(omega, own_rate) - cross(alpha, value)
+        for found, component in zip(of_components, (value, own_rate, own_second), strict=True):
+            found.append(component)
+    forces, rates, second_rates = (pseudo_inverse @ np.concatenate(c) for c in of_components)
+    turn = R_LW @ rotation_matrix(moving.quaternion)
+    levers = attachments @ turn.T
+    turning = R_LW @ moving.angular_velocity
+    swing = cross(turning, levers)
+    velocities = R_LW @ (moving.velocity - wind) + swing
+    accelerations = R_LW @ moving.acceleration + cross(alpha, levers) + cross(turning, swing)
+    return FlightTerms(
+        (forces + offset).reshape(-1, 3),
+        rates.reshape(-1, 3),
+        second_rates.reshape(-1, 3),
+        velocities,
+        accelerations,
+        omega,
+        alpha,
+        R_LW @ _UP,
+    )
+
+
+def flight_along_reference(
+    load: RigidLoad,
+    reference: NDArray,
+    wind: NDArray = STILL_AIR,
+    *,
+    pseudo_inverse: NDArray,
+    offset: NDArray,
+    attachments: NDArray,
+) -> NDArray:
+    """The flat `FlightTerms` (15n + 9,) of a load on its `reference` (22,), of numbers or symbols.
+
+    The wrench is that which moves the load along its reference in the steady `wind` (3,), m/s,
+    in W. The reference's angular jerk and snap are taken as zero. Others as of `flight_terms`.
+    """
+    state = reference[:LOAD_STATE_SIZE]
+    wrench, wrench_rate = wrench_and_rate(
+        load, state, reference, np.zeros(WRENCH_SIZE), wind, feedforward=1.0, **NO_FEEDBACK
+    )
+    terms = flight_terms(
+        state,
+        reference,
+        wrench,
+        wrench_rate,
+        np.zeros(WRENCH_SIZE),
+        wind,
+        pseudo_inverse=pseudo_inverse,
+        offset=offset,
+        attachments=attachments,
+    )
+    R_WL = rotation_matrix(LoadReference.view(reference).quaternion)
+    omega, alpha = terms.angular_velocity, terms.angular_acceleration
+    turning = cross(omega, terms.forces)
+    seconds, _ = second_and_third_force_rates(
+        load,
+        reference,
+        terms.forces @ R_WL.T,
+        (terms.rates + turning) @ R_WL.T,
+        np.zeros(2),
+        wind,
+        pseudo_inverse=pseudo_inverse,
+        basis=np.zeros((len(pseudo_inverse), 1)),
+    )
+    of_turning = 2 * cross(omega, terms.rates) + cross(alpha, terms.forces) + cross(omega, turning)
+    return terms._replace(second_rates=seconds @ R_WL - of_turning).flat
+
+
+class _Flight(NamedTuple):
+    """What `flight_products` and its gradients share; components come first, (3, k, n)."""
+
+    u: NDArray
+    along: NDArray  # u′
+    force: NDArray  # f
+    r: NDArray
+    s: NDArray
+    velocity: NDArray  # V_a
+    needed: NDArray  # F
+    square: NDArray  # (k, n), T²
+    swing: NDArray  # L₀/T
+    a: NDArray
+    b: NDArray
+
+
+def flight_products(
+    aircraft: Aircraft,
+    terms: FlightTerms,
+    axes: tuple[NDArray, NDArray],
+    orbit: PlannedOrbit,
+    *,
+    rest_length: Any,
+    compliance: Any,
+) -> FlightProducts:
+    """The products (k, n) at k instants, of numbers or symbols.
+
+    Args:
+        aircraft: its mass and gravity count.
+        terms: at k instants, or at one (1, ...).
+        axes: p and q (n, 3), in L, of `mechanics.nonstop.orbit_axes`.
+        orbit: at the instants.
+        rest_length: L₀, m.
+        compliance: 1/K_c, m/N.
+    """
+    cables = {"rest_length": rest_length, "compliance": compliance}
+    up = _instants_last(terms.up)
+    return _products(_flight(aircraft, terms, axes, orbit, **cables), up)
+
+
+def _products(flight: _Flight, up: NDArray) -> FlightProducts:
+    velocity, needed = flight.velocity, flight.needed
+    return FlightProducts(
+        _dot(velocity, velocity),
+        _dot(needed, needed),
+        _dot(needed, velocity),
+        _dot(needed, up),
+        _dot(velocity, up),
+        _dot(_cross(needed, velocity), up),
+    )
+
+
+def _flight(
+    aircraft: Aircraft,
+    terms: FlightTerms,
+    axes: tuple[NDArray, NDArray],
+    orbit: PlannedOrbit,
+    *,
+    rest_length: Any,
+    compliance: Any,
+) -> _Flight:
+    p, q = (axis.T[:, None] for axis in axes)
+    angle, xi, xi_rate, A, A_rate, A_second = (values[:, None] for values in orbit)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    u, along = cosine * p + sine * q, cosine * q - sine * p
+    f_0, d, d_2, v_b, a_b = (_by_component(vectors) for vectors in terms[:5])
+    omega, alpha, up = (_instants_last(vectors) for vectors in terms[5:])
+    force = f_0 + A * u
+    rate = d + A_rate * u + (A * xi) * along
+    second_rate = d_2 + (A_second - A * xi * xi) * u + (2 * A_rate * xi + A * xi_rate) * along
+    r, s = _turned(omega, alpha, force, rate, second_rate)
+    square = _dot(force, force)
+    swing = rest_length / np.sqrt(square)
+    a = _dot(force, r) / square
+    b = (_dot(r, r) + _dot(force, s)) / square - 3 * a * a
+    velocity = v_b + (swing + compliance) * r - (swing * a) * force
+    acceleration = a_b + swing * (s - 2 * a * r - b * force) + compliance * s
+    needed = aircraft.mass * (acceleration + aircraft.gravity * up) + force
+    return _Flight(u, along, force, r, s, velocity, needed, square, swing, a, b)
+
+
+def turning_terms(
+    motion: NDArray,
+    wrench: NDArray,
+    wrench_rate: NDArray,
+    wind: NDArray,
+    rates: NDArray,
+    angles: NDArray,
+    *,
+    pseudo_inverse: NDArray,
+    offset: NDArray,
+    attachments: NDArray,
+) -> FlightTerms:
+    """The terms of a load that turns about the vertical with its carriers, at k rates and angles.
+
+    They are `flight_terms` of the motion with another yaw and yaw rate, at a constant force in W
+    but for its rate, and a constant torque in L. With A = 0, which does not count, the products
+    then are those of aircraft that keep their places above the load; the squared airspeed is
+    quadratic in the rate. Own derivation.
+
+    Args:
+        motion: (22,), of the load, such as a reference.
+        wrench: (6,), in W.
+        wrench_rate: (6,), of which that of the force counts.
+        wind: w (3,), m/s, in W.
+        rates: (k,), rad/s, of the turn.
+        angles: (k,), rad, by which the load has turned on from its present yaw.
+        pseudo_inverse: (3n, 6), in L.
+        offset: (3n,), N, in L.
+        attachments: (n, 3), m, in L.
+    """
+    own, n = LoadReference.view(motion), len(attachments)
+    start = rotation_matrix(own.quaternion)
+    cosine, sine, zero = np.cos(angles), np.sin(angles), 0 * angles
+    turned = np.stack([cosine, -sine, zero, sine, cosine, zero, zero, zero, zero + 1], axis=-1)
+    R_WL = turned.reshape(-1, 3, 3) @ start
+    up = start.T @ _UP
+    omega = rates[:, None] * up
+    force, force_rate, velocity, acceleration = (
+        vector @ R_WL
+        for vector in (
+            Wrench.view(wrench).force,
+            Wrench.view(wrench_rate).force,
+            own.velocity - wind,
+            own.acceleration,
+        )
+    )
+    own_rate = force_rate - cross(omega, force)
+    own_second = -cross(omega, force_rate) - cross(omega, own_rate)
+    torque = Wrench.view(wrench).torque @ start + 0 * force
+    by_torque, by_force = pseudo_inverse[:, :3], pseudo_inverse[:, 3:]
+
+    def in_cables(torque: NDArray, force: NDArray) -> NDArray:
+        return (torque @ by_torque.T + force @ by_force.T).reshape(-1, n, 3)
+
+    turning = omega[:, None]
+    swing = cross(turning, attachments)
+    return FlightTerms(
+        in_cables(torque, force) + offset.reshape(n, 3),
+        in_cables(0 * torque, own_rate),
+        in_cables(0 * torque, own_second),
+        velocity[:, None] + swing,
+        acceleration[:, None] + cross(turning, swing),
+        omega,
+        0 * omega,
+        up + 0 * omega,
+    )
+
+
+def planned_products(
+    aircraft: Aircraft,
+    terms: FlightTerms,
+    axes: tuple[NDArray, NDArray],
+    orbit: PlannedOrbit,
+    *,
+    rest_length: Any,
+    compliance: Any,
+) -> tuple[FlightProducts, FlightProducts]:
+    """`flight_products` of numbers, and their gradients (6, k, n) by the parts of `orbit`.
+
+    Terms are at k instants; arguments as of `flight_products`.
+    """
+    cables = {"rest_length": rest_length, "compliance": compliance}
+    flight = _flight(aircraft, terms, axes, orbit, **cables)
+    _, xi, xi_rate, A, A_rate, A_second = (values[:, None] for values in orbit)
+    omega, alpha, up = (_instants_last(vectors)[:, None] for vectors in terms[5:])
+    u, along, swing, a, b = flight.u, flight.along, flight.swing, flight.a, flight.b
+    by_u, by_along = A_second - A * xi * xi, 2 * A_rate * xi + A * xi_rate
+    # Tangents (3, 6, k, n) by the parts of the orbit.
+    zero = np.zeros(u.shape)
+    turned = A_rate * along - (A * xi) * u
+    of_force = np.stack([A * along, zero, zero, u, zero, zero], axis=1)
+    of_rate = np.stack([turned, A * along, zero, xi * along, u, zero], axis=1)
+    of_second = np.stack(
+        [
+            by_u * along - by_along * u,
+            2 * turned,
+            A * along,
+            xi_rate * along - xi * xi * u,
+            2 * xi * along,
+            u,
+        ],
+        axis=1,
+    )
+    of_r, of_s = _turned(omega, alpha, of_force, of_rate, of_second)
+    force, r, s = (vectors[:, None] for vectors in (flight.force, flight.r, flight.s))
+    reach, square = swing + compliance, flight.square
+    of_log = _dot(force, of_force) / square  # of ln T
+    of_a = (_dot(of_force, r) + _dot(force, of_r)) / square - 2 * a * of_log
+    of_b = (
+        (2 * _dot(r, of_r) + _dot(of_force, s) + _dot(force, of_s)) / square
+        - 2 * (b + 3 * a * a) * of_log
+        - 6 * a * of_a
+    )
+    of_velocity = (
+        reach * of_r
+        - (swing * a) * of_force
+        - (swing * of_log) * (r - a * force)
+        - (swing * of_a) * force
+    )
+    of_bending = of_s - 2 * a * of_r - b * of_force - 2 * of_a * r - of_b * force
+    of_bending = of_bending - of_log * (s - 2 * a * r - b * force)
+    of_needed = aircraft.mass * (swing * of_bending + compliance * of_s) + of_force
+    velocity, needed = flight.velocity[:, None], flight.needed[:, None]
+    gradients = FlightProducts(
+        2 * _dot(velocity, of_velocity),
+        2 * _dot(needed, of_needed),
+        _dot(of_needed, velocity) + _dot(needed, of_velocity),
+        _dot(of_needed, up),
+        _dot(of_velocity, up),
+        _dot(of_needed, _cross(velocity, up)) + _dot(of_velocity, _cross(up, needed)),
+    )
+    return _products(flight, up[:, 0]), gradients
+
+
+def flight_needs(aircraft: Aircraft, products: FlightProducts) -> FlightNeeds:
+    """What aircraft need, of products of numbers or symbols of one shape (...,).
+
+    As `required_command` for the same F and V_a, to round-off.
+    """
+    airspeed = np.sqrt(products.v_v + _LEAST)
+    force = np.sqrt(products.f_f + _LEAST)
+    along = products.f_v / airspeed
+    across = np.sqrt(products.f_f - along * along + _LEAST)
+    climb_sine = products.v_up / airspeed
+    climb_cosine = np.sqrt(1 - climb_sine * climb_sine + _LEAST)
+    sideward = products.triple / (airspeed * climb_cosine)
+    upward = (products.f_up - climb_sine * along) / climb_cosine
+    lift, thrust = lift_and_thrust(aircraft, along, across, airspeed)
+    return FlightNeeds(
+        airspeed,
+        force,
+        lift,
+        2 * np.arctan(sideward / (across + upward + _LEAST)),
+        np.arctan(climb_sine / climb_cosine),
+        thrust,
+    )
+
+
+def needs_gradients(
+    aircraft: Aircraft, products: FlightProducts, gradients: FlightProducts
+) -> tuple[FlightNeeds, FlightNeeds]:
+    """The needs (...,) of products (...,), and their gradients (g, ...) from those of the products.
+
+    Those of C_L and thrust are of the equations that the inverse solves, by the implicit function
+    theorem; where the angle of attack is at its end, that of C_L is zero.
+    """
+    needs = flight_needs(aircraft, products)
+    airspeed, lift, thrust = needs.airspeed, needs.lift, needs.thrust
+    along = products.f_v / airspeed
+    across = np.sqrt(products.f_f - along * along + _LEAST)
+    climb_sine, climb_cosine = np.sin(needs.climb), np.cos(needs.climb)
+    of_airspeed = gradients.v_v / (2 * airspeed)
+    of_along = (gradients.f_v - along * of_airspeed) / airspeed
+    of_across = (gradients.f_f / 2 - along * of_along) / across
+    of_sine = (gradients.v_up - climb_sine * of_airspeed) / airspeed
+    of_climb = of_sine / climb_cosine
+    of_climb_cosine = -climb_sine * of_climb
+    side, upward = across * np.sin(needs.bank), across * np.cos(needs.bank)
+    of_side = (gradients.triple / airspeed - side * climb_cosine * of_airspeed / airspeed) / (
+        climb_cosine
+    ) - side * of_climb_cosine / climb_cosine
+    of_upward = (
+        gradients.f_up - of_sine * along - climb_sine * of_along - upward * of_climb_cosine
+    ) / climb_cosine
+    of_bank = (upward * of_side - side * of_upward) / (across * across)
+
+    pressure = pressure_force(aircraft, airspeed)
+    of_pressure = 2 * pressure / airspeed * of_airspeed
+    slope = aircraft.lift_slope
+    angle = (lift - aircraft.lift_at_zero_angle) / slope
+    cosine, sine = np.cos(angle), np.sin(angle)
+    drag = drag_coefficient(aircraft, lift)
+    by_angle = pressure * slope + thrust * cosine  # of N = q S C_L + T sin α
+    by_angle_along = thrust * sine + pressure * 2 * aircraft.induced_drag * lift * slope  # of −F_x
+    determinant = cosine * by_angle + sine * by_angle_along
+    of_n, of_x = of_across - lift * of_pressure, of_along + drag * of_pressure
+    of_angle = (cosine * of_n - sine * of_x) / determinant
+    of_thrust = (by_angle * of_x + by_angle_along * of_n) / determinant
+    is_inside = np.abs(angle) < LARGEST_ANGLE * (1 - _LEAST)
+    of_lift = np.where(is_inside, slope * of_angle, 0.0)
+    of_thrust = np.where(is_inside, of_thrust, of_x / cosine)
+    of_force = gradients.f_f / (2 * needs.force)
+    return needs, FlightNeeds(of_airspeed, of_force, of_lift, of_bank, of_climb, of_thrust)
+
+
+def planned_flight(
+    aircraft: Aircraft,
+    terms: FlightTerms,
+    axes: tuple[NDArray, NDArray],
+    orbit: PlannedOrbit,
+    *,
+    rest_length: Any,
+    compliance: Any,
+) -> PlannedFlight:
+    """What aircraft need at k instants of a plan; arguments as of `planned_products`."""
+    cables = {"rest_length": rest_length, "compliance": compliance}
+    products = planned_products(aircraft, terms, axes, orbit, **cables)
+    return PlannedFlight(*needs_gradients(aircraft, *products))
+
+
+def stall_factor(aircraft: Aircraft, lift_share: float) -> float | NDArray:
+    """κ_s = ½ ρ S s C_Lmax (N s²/m²): ‖F‖ ≤ κ_s V² keeps C_L within a share s of C_Lmax.
+
+    Within some percent: ‖F‖ holds all of the thrust less the drag, and C_L not that part of the
+    thrust which lifts.
+    """
+    return aircraft.air_density / 2 * aircraft.wing_area * lift_share * aircraft.max_lift
+
+
+def _turned(
+    omega: NDArray, alpha: NDArray, force: NDArray, rate: NDArray, second_rate: NDArray
+) -> tuple[NDArray, NDArray]:
+    """The rates in W, in L, of a vector whose components in L have these (3, ...)."""
+    turning = _cross(omega, force)
+    second = second_rate + 2 * _cross(omega, rate) + _cross(alpha, force) + _cross(omega, turning)
+    return rate + turning, second
+
+
+def _by_component(vectors: NDArray) -> NDArray:
+    """Vectors (..., 3) with their components first, (3, ...)."""
+    return np.ascontiguousarray(np.moveaxis(vectors, -1, 0))
+
+
+def _instants_last(vectors: NDArray) -> NDArray:
+    """Vectors (k, 3) as (3, k, 1), which broadcasts to (3, k, n)."""
+    return vectors.T[:, :, None]
+
+
+def _dot(a: NDArray, b: NDArray) -> NDArray:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: NDArray, b: NDArray) -> NDArray:
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )

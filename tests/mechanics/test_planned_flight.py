@@ -1,0 +1,335 @@
+"""What aircraft need along a planned orbit, against the inverse, other motions and differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import Motion, difference
+
+from drake_nonstop.mechanics import nonstop
+from drake_nonstop.mechanics.aircraft import needed_force, required_command, stall_speed
+from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_motion
+from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
+from drake_nonstop.mechanics.grasp import cable_forces_and_rates
+from drake_nonstop.mechanics.internal_force import planned_internal_force
+from drake_nonstop.mechanics.planned_flight import (
+    FlightNeeds,
+    FlightTerms,
+    PlannedOrbit,
+    flight_along_reference,
+    flight_products,
+    flight_terms,
+    planned_flight,
+    planned_products,
+    stall_factor,
+    turning_terms,
+)
+from drake_nonstop.mechanics.resting_orbit import resting_orbits
+from drake_nonstop.mechanics.rotation import quaternion_product, rotation_matrix
+from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
+from drake_nonstop.model.aircraft import AircraftParameters
+from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
+from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.simulation.aircraft_margins import aircraft_needs
+
+WIND = np.array([1.9, -0.8, 0.3])
+ORBIT = np.array([0.6, 0.01, 1.0, 0.02, -0.01])  # ξ, ξ̇, A, Ȧ, Ä
+CORNERS = [[1.5, 0.0, 0.0], [0.0, 1.5, 0.0], [-1.5, 0.0, 0.0], [0.0, -1.5, 0.0]]
+
+
+def aircraft_model(pattern=None, length=150.0):
+    system = SystemParameters(
+        load_mass=10.0,
+        load_inertia=[[5.6, 0.2, 0.1], [0.2, 5.1, 0.0], [0.1, 0.0, 9.2]],
+        load_drag=0.6,
+        attachments=CORNERS,
+        cable_length=length,
+        cable_stiffness=120.0,
+        aircraft=AircraftParameters(model="rascal_110"),
+    )
+    carousel = EllipticCarouselConfig(
+        spread=6.75, phase_turns=2, radial=3.3, tangential=4.5, vertical=4.9
+    )
+    return Model(system, pattern or carousel)
+
+
+def cables_of(model):
+    return {"rest_length": model.cable_length, "compliance": model.cable_compliance}
+
+
+def geometry_of(model):
+    return {
+        "pseudo_inverse": model.pseudo_inverse,
+        "offset": model.pattern.offset,
+        "attachments": model.attachments,
+    }
+
+
+def axes_of(model):
+    return nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
+
+
+def plan(rng, count):
+    shares = rng.uniform(0.8, 1.2, (5, count))
+    return PlannedOrbit(rng.uniform(0, 6, count), *(ORBIT[:, None] * shares))
+
+
+def stack(references, model, wind):
+    rows = [
+        flight_along_reference(model.load, reference, wind, **geometry_of(model))
+        for reference in references
+    ]
+    return FlightTerms.view(np.array(rows))
+
+
+def slow_motion(seed, share=0.2):
+    """A reference (22,) with everything in motion, in slow motion."""
+    reference = Motion(seed).reference(0.7)
+    powers = np.repeat([0, 1, 2, 3], [7, 6, 6, 3])
+    return reference * share**powers
+
+
+def commanded(model, reference, orbit, wind):
+    """Carriers' velocity, acceleration and cable force in W, by the chain that commands them."""
+    angle, xi, xi_rate, A, A_rate, A_second = orbit
+    planned = np.array([angle, xi, A, xi_rate, A_rate, 0.0, A_second, 0.0])
+    pattern = model.pattern
+    values, rates, seconds, thirds = planned_internal_force(
+        planned, phases=pattern.phases, orders=pattern.orders
+    )
+    wrenches = wrench_and_rate(
+        model.load, reference[:13], reference, np.zeros(6), wind, feedforward=1.0, **NO_FEEDBACK
+    )
+    maps = {"pseudo_inverse": model.pseudo_inverse, "basis": pattern.basis}
+    forces, force_rates = cable_forces_and_rates(
+        reference, *wrenches, np.concatenate([values, rates]), **maps, offset=pattern.offset
+    )
+    second, _ = second_and_third_force_rates(
+        model.load, reference, forces, force_rates, np.concatenate([seconds, thirds]), wind, **maps
+    )
+    cables = {"attachments": model.attachments, **cables_of(model)}
+    _, velocities = carrier_motion(reference, forces, force_rates, **cables)
+    acceleration = carrier_acceleration(reference, forces, force_rates, second, **cables)
+    return velocities, acceleration, forces
+
+
+def test_needs_are_those_of_the_exact_inverse_of_the_commanded_motion(rng):
+    model = aircraft_model()
+    orbit = plan(rng, 6)
+    references = [slow_motion(i) for i in range(6)]
+    found = planned_flight(
+        model.aircraft, stack(references, model, WIND), axes_of(model), orbit, **cables_of(model)
+    ).needs
+    for i, (reference, instant) in enumerate(zip(references, np.transpose(orbit), strict=True)):
+        velocities, acceleration, forces = commanded(model, reference, instant, WIND)
+        force = needed_force(model.aircraft, acceleration, forces)
+        told = required_command(model.aircraft, force, velocities, WIND)
+        air = velocities - WIND
+        for name, expected in (
+            ("airspeed", np.linalg.norm(air, axis=1)),
+            ("force", np.linalg.norm(force, axis=1)),
+            ("lift", told.lift),
+            ("bank", told.bank),
+            ("climb", np.arcsin(air[:, 2] / np.linalg.norm(air, axis=1))),
+            ("thrust", told.thrust),
+        ):
+            np.testing.assert_allclose(
+                getattr(found, name)[i], expected, rtol=1e-8, atol=1e-8, err_msg=name
+            )
+
+
+def test_gradients_are_central_differences(rng):
+    model = aircraft_model()
+    terms = stack([slow_motion(i) for i in range(5)], model, WIND)
+    orbit = plan(rng, 5)
+    others = model.aircraft, terms, axes_of(model)
+    found = planned_flight(*others, orbit, **cables_of(model)).gradients
+    for i, (name, values) in enumerate(orbit._asdict().items()):
+
+        def needs(shift, name=name, values=values):
+            moved = orbit._replace(**{name: values + shift})
+            return np.array(planned_flight(*others, moved, **cables_of(model)).needs)
+
+        expected = FlightNeeds(*difference(needs, 0.0))
+        for field in FlightNeeds._fields:
+            gradient = getattr(found, field)[i]
+            scale = 1 + np.abs(getattr(expected, field)).max()
+            np.testing.assert_allclose(
+                gradient, getattr(expected, field), atol=1e-7 * scale, err_msg=f"{field} by {name}"
+            )
+
+
+def test_terms_of_a_wrench_have_the_second_rates_of_its_components(rng):
+    """The force in L, its first and second rates, of a wrench that is smooth in time."""
+    model, motion = aircraft_model(), Motion(3)
+    size, start = rng.uniform(5, 20, 6), rng.uniform(0, 6, 6)
+
+    def wrench(time, order=0):
+        return size * 0.9**order * np.sin(0.9 * time + start + order * np.pi / 2)
+
+    def terms(time):
+        reference = motion.reference(time)
+        return flight_terms(
+            reference[:13], reference, *(wrench(time, i) for i in range(3)), **geometry_of(model)
+        )
+
+    now = terms(0.4)
+    for rate, of in (("rates", "forces"), ("second_rates", "rates")):
+        expected = difference(lambda t, of=of: getattr(terms(t), of), 0.4)
+        np.testing.assert_allclose(getattr(now, rate), expected, atol=1e-8)
+
+    def in_world(time):
+        return terms(time).velocities @ rotation_matrix(motion.reference(time)[:4]).T
+
+    turned = now.accelerations @ rotation_matrix(motion.reference(0.4)[:4]).T
+    np.testing.assert_allclose(turned, difference(in_world, 0.4), atol=1e-8)
+
+
+@pytest.mark.parametrize("yaw_rate", [0.0, 0.4])
+def test_above_a_resting_load_needs_are_those_of_the_margins(yaw_rate):
+    """`aircraft_margins` takes the exact orbit in time; here it is the plan at one instant."""
+    pattern = ConstantSpreadConfig(spread=30.0) if yaw_rate else None
+    model = aircraft_model(pattern, 60.0 if yaw_rate else 150.0)
+    phases = np.linspace(0, 6, 7)
+    xi, A = 0.595, 0.0 if yaw_rate else 1.0
+    reference = np.zeros(22)
+    reference[0], reference[9] = 1.0, yaw_rate
+    motion = resting_orbits(
+        model.load,
+        reference,
+        phases / xi,
+        np.array([xi, A]),
+        yaw_rate=yaw_rate,
+        load_wind=WIND,
+        attachments=model.attachments,
+        pseudo_inverse=model.pseudo_inverse,
+        basis=model.pattern.basis,
+        phases=model.pattern.phases,
+        orders=model.pattern.orders,
+        offset=model.pattern.offset,
+        **cables_of(model),
+    )
+    expected = aircraft_needs(model.aircraft, motion, np.broadcast_to(WIND, motion.positions.shape))
+    turned = []
+    for phase in phases:
+        angle = yaw_rate * phase / xi
+        moved = reference.copy()
+        moved[0], moved[3] = np.cos(angle / 2), np.sin(angle / 2)
+        turned.append(moved)
+    constant = [np.full(7, value) for value in (xi, 0.0, A, 0.0, 0.0)]
+    needs = planned_flight(
+        model.aircraft,
+        stack(turned, model, WIND),
+        axes_of(model),
+        PlannedOrbit(phases, *constant),
+        **cables_of(model),
+    ).needs
+    for name in ("airspeed", "lift", "bank", "climb", "thrust"):
+        np.testing.assert_allclose(
+            getattr(needs, name), getattr(expected, name), rtol=1e-7, atol=1e-7, err_msg=name
+        )
+
+
+def test_closed_forms_of_level_orbits_that_turn_with_the_load():
+    """theory: tan ϑ = C/f₀, tan φ = [V²/gR − μ tan ϑ]/(1 + μ), C_L = 2 (W + f₀)/(ρ S V² cos φ)."""
+    spread, rate, length = 30.0, 0.4, 60.0
+    model = aircraft_model(ConstantSpreadConfig(spread=spread), length)
+    model.cable_compliance = 0.0
+    model.load = replace(model.load, inertia=np.diag([5.6, 5.6, 11.2]))
+    aircraft = model.aircraft
+    reference = np.zeros(22)
+    reference[0], reference[9] = 1.0, rate
+    orbit = PlannedOrbit(*(np.array([value]) for value in (0.0, 0.4, 0.0, 0.0, 0.0, 0.0)))
+    terms = stack([reference], model, np.zeros(3))
+    needs = planned_flight(aircraft, terms, axes_of(model), orbit, **cables_of(model)).needs
+    share = 10.0 * 9.81 / 4
+    tangent = spread / share
+    radius = 1.5 + length * tangent / np.hypot(1, tangent)
+    speed, ratio = rate * radius, 10.0 / (4 * aircraft.mass)
+    bank = np.arctan((speed**2 / (9.81 * radius) - ratio * tangent) / (1 + ratio))
+    lift = 2 * (aircraft.mass * 9.81 + share) / (1.225 * 0.98 * speed**2 * np.cos(bank))
+    np.testing.assert_allclose(needs.airspeed, speed, rtol=1e-9)
+    np.testing.assert_allclose(np.abs(needs.bank), bank, rtol=1e-6)
+    np.testing.assert_allclose(needs.climb, 0, atol=1e-9)
+    np.testing.assert_allclose(needs.lift, lift, rtol=0.02)  # without the thrust's T sin α
+    assert np.all(needs.lift < lift)
+
+
+def test_wind_only_shifts_the_velocity_of_the_attachments(rng):
+    model = aircraft_model()
+    orbit, references = plan(rng, 4), [slow_motion(i) for i in range(4)]
+    still, windy = (stack(references, model, wind) for wind in (np.zeros(3), WIND))
+    # The drag of the load changes the forces, too: those are of the still air here.
+    shifted = still._replace(velocities=windy.velocities)
+    others = axes_of(model), orbit
+    products, _ = planned_products(model.aircraft, shifted, *others, **cables_of(model))
+    for i, reference in enumerate(references):
+        own = commanded(model, reference, np.transpose(orbit)[i], np.zeros(3))[0] - WIND
+        np.testing.assert_allclose(products.v_v[i], (own**2).sum(axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("wind", [0.0, 3.0])
+def test_the_stall_factor_bounds_the_lift_share(wind):
+    """‖F‖ ≤ κ V² asks for up to 3 % more in still air, and for 7 % where thrust is large."""
+    model = aircraft_model()
+    aircraft = model.aircraft
+    weight = aircraft.mass * aircraft.gravity
+    assert stall_factor(aircraft, 1.0) * stall_speed(aircraft) ** 2 == pytest.approx(weight)
+    count = 40
+    orbit = PlannedOrbit(
+        np.linspace(0, 6.2, count), *(np.full(count, v) for v in (0.595, 0.0, 1.0, 0.0, 0.0))
+    )
+    terms = stack([np.eye(22)[0]] * count, model, np.array([wind, 0.0, 0.0]))
+    needs = planned_flight(aircraft, terms, axes_of(model), orbit, **cables_of(model)).needs
+    share = needs.force / (stall_factor(aircraft, 1.0) * needs.airspeed**2)
+    ratio = share / (needs.lift / aircraft.max_lift)
+    assert ratio.min() > 1.0
+    assert ratio.max() < (1.07 if wind else 1.03)
+
+
+def test_terms_of_a_turning_load_are_those_of_its_turned_motion(rng):
+    model = aircraft_model(ConstantSpreadConfig(spread=30.0), 60.0)
+    motion = slow_motion(2)
+    motion[[7, 8, 13, 14, 15]] = 0.0  # about the vertical, at a constant rate
+    motion[9] = 0.0
+    wrench = np.concatenate([rng.normal(size=3), [3.0, -2.0, 98.0]])
+    force_rate = rng.normal(size=3)
+    rates, angles = rng.uniform(0.2, 0.6, 5), rng.uniform(0, 6, 5)
+    others = geometry_of(model)
+    found = turning_terms(
+        motion, wrench, np.concatenate([np.zeros(3), force_rate]), WIND, rates, angles, **others
+    )
+    for i, (rate, angle) in enumerate(zip(rates, angles, strict=True)):
+        turn = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
+        moved = motion.copy()
+        moved[:4] = quaternion_product(turn, motion[:4])
+        moved[9] = rate
+        R_turn = rotation_matrix(turn)
+        torque = R_turn @ wrench[:3]
+        omega = np.array([0.0, 0.0, rate])
+        torque_rate = np.cross(omega, torque)
+        expected = flight_terms(
+            moved,
+            moved,
+            np.concatenate([torque, wrench[3:]]),
+            np.concatenate([torque_rate, force_rate]),
+            np.concatenate([np.cross(omega, torque_rate), np.zeros(3)]),
+            WIND,
+            **others,
+        )
+        for name in FlightTerms._fields:
+            np.testing.assert_allclose(
+                getattr(found, name)[i], getattr(expected, name), atol=1e-12, err_msg=name
+            )
+
+
+def test_the_squared_airspeed_is_quadratic_in_the_rate_of_a_turn(rng):
+    model = aircraft_model(ConstantSpreadConfig(spread=30.0), 60.0)
+    motion, wrench = np.eye(22)[0], np.array([0, 0, 0, 2.0, 0, 98.1])
+    rates = np.linspace(0.1, 0.9, 9)
+    terms = turning_terms(
+        motion, wrench, np.zeros(6), WIND, rates, np.full(9, 1.1), **geometry_of(model)
+    )
+    orbit = PlannedOrbit(*(np.zeros(1) for _ in PlannedOrbit._fields))
+    products = flight_products(model.aircraft, terms, axes_of(model), orbit, **cables_of(model))
+    np.testing.assert_allclose(np.diff(products.v_v, n=3, axis=0), 0, atol=1e-9)

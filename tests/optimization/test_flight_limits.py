@@ -1,0 +1,74 @@
+"""The limits of aircraft as margins: their signs, and their gradients by differences."""
+
+import math
+
+import numpy as np
+import pytest
+
+from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits
+from drake_nonstop.mechanics.planned_flight import FlightNeeds
+from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
+from drake_nonstop.optimization.flight_limits import FlightLimits
+from drake_nonstop.optimization.problem_config import LimitsConfig
+
+AIRCRAFT = make_aircraft(AircraftParameters(model="rascal_110"), cable_length=150.0, gravity=9.81)
+CONFIG = LimitsConfig(
+    tightening=0.0,
+    max_lift_share=0.9,
+    max_bank=math.radians(45),
+    max_climb=math.radians(20),
+    max_thrust_share=0.9,
+)
+
+
+def needs_at(rng, *shape):
+    return FlightNeeds(
+        airspeed=rng.uniform(9, 20, shape),
+        force=rng.uniform(50, 120, shape),
+        lift=np.zeros(shape),
+        bank=rng.uniform(-1, 1, shape),
+        climb=rng.uniform(-0.5, 0.5, shape),
+        thrust=rng.uniform(-20, 50, shape),
+    )
+
+
+def test_a_margin_is_negative_beyond_its_limit(rng):
+    needs = needs_at(rng, 400)
+    margins = FlightLimits(CONFIG).margins(AIRCRAFT, needs)
+    over_stall = needs.airspeed / stall_speed(AIRCRAFT)
+    load_factor = needs.force / (AIRCRAFT.mass * 9.81)
+    least, most = thrust_limits(AIRCRAFT, needs.airspeed)
+    kept = [
+        load_factor <= 0.9 * over_stall**2,
+        np.abs(needs.bank) <= math.radians(45),
+        np.abs(needs.climb) <= math.radians(20),
+        needs.thrust <= most - 0.05 * (most - least),
+        needs.thrust >= least + 0.05 * (most - least),
+    ]
+    for margin, is_kept in zip(margins, kept, strict=True):
+        np.testing.assert_array_equal(margin >= 0, is_kept)
+        assert is_kept.any()
+        assert not is_kept.all()
+
+
+@pytest.mark.parametrize("field", [f for f in FlightNeeds._fields if f != "lift"])
+def test_gradients_are_central_differences(field, rng):
+    needs, step = needs_at(rng, 20), 1e-5
+    limits = FlightLimits(CONFIG)
+    zero = np.zeros((1, 20))
+    by = FlightNeeds(*(zero for _ in needs))._replace(**{field: zero + 1})
+    found = limits.gradients(AIRCRAFT, needs, by)
+    up, down = (
+        limits.margins(AIRCRAFT, needs._replace(**{field: getattr(needs, field) + shift}))
+        for shift in (step, -step)
+    )
+    for gradient, above, below in zip(found, up, down, strict=True):
+        np.testing.assert_allclose(gradient[0], (above - below) / (2 * step), atol=1e-8)
+
+
+def test_only_enabled_limits_have_margins_and_they_are_tightened(rng):
+    assert FlightLimits(LimitsConfig()).kinds == []
+    limits = FlightLimits(LimitsConfig(tightening=0.1, max_bank=0.5))
+    needs = needs_at(rng, 3)._replace(bank=np.array([0.44, -0.46, 0.5]))
+    (margins,) = limits.margins(AIRCRAFT, needs)
+    np.testing.assert_array_equal(margins >= 0, [True, False, False])
