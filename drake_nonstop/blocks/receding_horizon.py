@@ -12,6 +12,7 @@ from pydrake.systems.framework import (
     Context,
     DiscreteStateIndex,
     DiscreteValues,
+    InputPort,
     ValueProducer,
 )
 
@@ -22,16 +23,20 @@ from drake_nonstop.blocks.speed_bound_layer import (
     SpeedBoundLayer,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     PARAMETERS_SIZE,
     PLANNED_SIZE,
+    WIND_SIZE,
     PlannedParameters,
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
+    MISSED_LIMITS_SIZE,
     Outcome,
+    count_missed,
     count_update,
 )
 from drake_nonstop.optimization.horizon_check import check_horizon
@@ -43,6 +48,7 @@ from drake_nonstop.optimization.horizon_problem import (
 )
 from drake_nonstop.optimization.horizon_solver import (
     LEAST_START_SCALE,
+    PLAN_TOLERANCE,
     HorizonSolver,
     PlanAnswer,
 )
@@ -53,6 +59,7 @@ from drake_nonstop.systems.block import weakly
 from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
+_WIND = "wind_estimate"  # an optional input, of aircraft
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _MORE = 4  # times the iterations again, for a plan that needs slack
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
@@ -154,7 +161,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             preview ends before the horizon.
     """
 
-    optional_inputs = (_PREVIEW, COMMAND)
+    optional_inputs = (_PREVIEW, _WIND, COMMAND)
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
         config = config or RecedingHorizonOptimizerConfig()
@@ -163,6 +170,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self._model, self._config = model, config
         self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
         self._preview = self.DeclareAbstractInputPort(_PREVIEW, Value(object()))
+        self._wind: InputPort | None = None
+        if model.aircraft is not None:
+            self._wind = self.DeclareVectorInputPort(_WIND, WIND_SIZE)
         self._planner = _Planner(model, config, self.get_name) if self.scalar is float else None
         count = round(config.horizon / config.knot_spacing) + DEGREE
         nominal = np.array([config.frequency, config.amplitude])
@@ -176,6 +186,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self._plan_entry = entry.cache_index()
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
+        self._missed = self.DeclareDiscreteState(MISSED_LIMITS_SIZE)
         self._values: DiscreteStateIndex | None = None
         if model.control_period > 0:
             self._values = self.DeclareDiscreteState(_resting(nominal))
@@ -186,6 +197,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self.DeclareVectorOutputPort("plan", PLANNED_SIZE, self._calc_values, sources)
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
+        if model.aircraft is not None:
+            self.DeclareStateOutputPort("missed_limits", self._missed)
         self.declare_bound()
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         self._sample_period = model.control_period or config.knot_spacing
@@ -244,7 +257,12 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         last = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
         start = clock.perf_counter()
         planned = self._planner.plan(
-            context.get_time(), self._reference_ahead(context), bound, numbers, last
+            context.get_time(),
+            self._reference_ahead(context),
+            bound,
+            numbers,
+            last,
+            self._wind_in(context),
         )
         solve_time = clock.perf_counter() - start
         if solve_time > self._config.time_limit and last.scale != _NO_PLAN:
@@ -253,11 +271,20 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
             count_update(diagnostics, planned.outcome, planned.slowest_speed - bound)
             discrete_state.set_value(self._diagnostics, diagnostics)
+            missed = context.get_discrete_state(self._missed).CopyToVector()
+            count_missed(missed, planned.missed)
+            discrete_state.set_value(self._missed, missed)
         discrete_state.set_value(self._plan, planned.state.flat())
         discrete_state.set_value(self._solve_time, [solve_time])
         if self._values is not None:
             plan = planned.state.plan(self._config.knot_spacing)
             discrete_state.set_value(self._values, plan.values(context.get_time()))
+
+    def _wind_in(self, context: Context) -> NDArray:
+        """The wind (3,) that the aircraft fly in, as far as it is known, m/s, in W."""
+        if self._wind is None or not self._wind.HasValue(context):
+            return STILL_AIR
+        return self._wind.Eval(context).copy()
 
     def _reference_ahead(self, context: Context) -> ReferencePreview:
         """The load's reference at times from now on."""
@@ -315,6 +342,7 @@ class _Planned(NamedTuple):
     state: _PlanState
     outcome: Outcome
     slowest_speed: float  # m/s, along the plan
+    missed: set[str]  # of the names of `MissedLimits`
 
 
 class _Planner:
@@ -337,8 +365,9 @@ class _Planner:
         speed_bound: float,
         numbers: LayerNumbers,
         last: _PlanState,
+        wind: NDArray,
     ) -> _Planned:
-        """The next plan, from a time in s on, which goes on from the last one."""
+        """The next plan, from a time in s on, in a wind (3,), which goes on from the last one."""
         solver = self._solver_for(numbers)
         problem, spacing = solver.problem, self._config.knot_spacing
         start_time = spacing * np.floor(time / spacing + 1e-6)
@@ -353,12 +382,12 @@ class _Planner:
             ratio = (last.nominal / numbers.nominal)[:, None]
             angle, start = shifted.start_angle, ratio * shifted.coefficients
         data = problem.data(
-            start_time, angle, reference, speed_bound, self._known(solver, reference)
+            start_time, angle, reference, speed_bound, self._known(solver, reference), wind
         )
         self._data = solver, reference, data
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, LEAST_START_SCALE)
-        arrays = data.flat_terms, start, numbers.beliefs
+        arrays = data.flat_terms, data.flat_flight, start, numbers.beliefs
         key = (start_time, angle, speed_bound, is_new, scale, *(a.tobytes() for a in arrays))
         known = self._last
         if known is None or known[0] != key:
@@ -373,7 +402,11 @@ class _Planner:
         state = _PlanState(
             start_time, angle, answer.scale, speed_bound, numbers.nominal, answer.coefficients
         )
-        return _Planned(state, outcome, float(np.sqrt(speeds.squares.min())))
+        missed: set[str] = set()
+        if not answer.is_feasible:
+            margins = problem.margins(data, answer.coefficients)
+            missed = problem.missed(margins, PLAN_TOLERANCE)
+        return _Planned(state, outcome, float(np.sqrt(speeds.squares.min())), missed)
 
     def _known(self, solver: HorizonSolver, reference: ReferencePreview) -> HorizonData | None:
         """The last plan's data, where they are of the same motion and beliefs."""
