@@ -23,13 +23,16 @@ from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
     PHASE_SIZE,
+    WIND_SIZE,
     WRENCH_SIZE,
 )
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
+    MISSED_LIMITS_SIZE,
     Outcome,
+    count_missed,
     count_update,
     update_count,
 )
@@ -42,6 +45,8 @@ from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
+
+_WIND = "wind_estimate"  # an optional input, of aircraft
 
 
 @dataclass(kw_only=True)
@@ -142,6 +147,8 @@ class NonstopOptimizer(SpeedBoundLayer):
             control period; during a run, the command is out of range.
     """
 
+    optional_inputs = (COMMAND, _WIND)
+
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
         config = config or NonstopOptimizerConfig()
         super().__init__(model, config, check_problem)
@@ -154,6 +161,9 @@ class NonstopOptimizer(SpeedBoundLayer):
         self._wrench = self.DeclareVectorInputPort("wrench", WRENCH_SIZE)
         self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", WRENCH_SIZE)
         self._phase = self.DeclareVectorInputPort("phase", PHASE_SIZE)
+        self._wind = self._missed = None
+        if model.aircraft is not None:
+            self._wind = self.DeclareVectorInputPort(_WIND, WIND_SIZE)
         self._state = self.DeclareDiscreteState([config.frequency, config.amplitude])
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
@@ -167,6 +177,9 @@ class NonstopOptimizer(SpeedBoundLayer):
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
         self.declare_bound()
+        if model.aircraft is not None:
+            self._missed = self.DeclareDiscreteState(MISSED_LIMITS_SIZE)
+            self.DeclareStateOutputPort("missed_limits", self._missed)
         # Offset = period: with offset 0 the periodic event would repeat the first one.
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         # An event at each sample of the controllers, of which every `_samples_per_update`-th is an
@@ -227,9 +240,12 @@ class NonstopOptimizer(SpeedBoundLayer):
             wrench_rate,
             (wrench_rate - last_wrench_rate) / self._period,
         )
+        wind = np.zeros(WIND_SIZE)
+        if self._wind is not None and self._wind.HasValue(context):
+            wind = self._wind.Eval(context)
         start = time.perf_counter()
         data = self.solver.update_data(
-            *inputs, speed_bound=bound, updates=updates, beliefs=numbers.beliefs
+            *inputs, speed_bound=bound, updates=updates, beliefs=numbers.beliefs, wind=wind
         )
         parameters, outcome, slowest_speed = self.solver.solve(data)
         if is_changing or is_rising:
@@ -242,6 +258,10 @@ class NonstopOptimizer(SpeedBoundLayer):
             is_changing = is_rising or outcome > Outcome.SOLVED
         solve_time = time.perf_counter() - start
         count_update(diagnostics, outcome, slowest_speed - bound)
+        if self._missed is not None:
+            missed = context.get_discrete_state(self._missed).CopyToVector()
+            count_missed(missed, self.solver.problem(data).missed_kinds(parameters))
+            discrete_state.set_value(self._missed, missed)
         discrete_state.set_value(self._state, parameters)
         discrete_state.set_value(self._diagnostics, diagnostics)
         discrete_state.set_value(self._last_wrench_rate, wrench_rate)

@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import nonstop
-from drake_nonstop.mechanics.rigid_load import RigidLoad, load_acceleration
+from drake_nonstop.mechanics.planned_flight import (
+    FlightTerms,
+    PlannedOrbit,
+    flight_needs,
+    flight_products,
+    flight_terms,
+)
+from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad, load_acceleration
+from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
@@ -16,6 +24,7 @@ from drake_nonstop.mechanics.signals import (
     Parameters,
 )
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.flight_limits import FlightLimits
 from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.problem_config import (
     LimitsConfig,
@@ -55,7 +64,9 @@ class TracedProblem:
 
     Three traced functions of x = [ξ, A] (2,) and the flat vector of an `UpdateData`: `terms`,
     `margins` and `cost`. `margins` are in the order of `ConstraintMargins`, without that of the
-    separation. `data_size` is that of the vector, and `beliefs` are those of model and config.
+    separation, and those of `FlightLimits` come last. The speeds of aircraft are those through the
+    air, of other carriers over the ground. `data_size` is that of the vector, and `beliefs` are
+    those of model and config.
 
     Args:
         model: what the controllers believe.
@@ -83,11 +94,30 @@ class TracedProblem:
         axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
         self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
         self.constraints = ConstraintMargins(config, len(self._instant_of_row) * model.n)
+        self.flight_limits = FlightLimits(config)
         self.separation = SeparationConstraint(self.constraints.min_separation, self._axes)
         self.terms = self._compiled(self._trace_terms)
         self.cost = self._compiled(self._trace_cost)
-        if self.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS:
+        self.use_trace = (
+            self.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS or self.has_flight_limits
+        )
+        if self.use_trace:
             self.margins = self._compiled(self._trace_margins)
+
+    @property
+    def has_flight_limits(self) -> bool:
+        """Whether what aircraft need is limited."""
+        return bool(self.flight_limits.kinds)
+
+    @cached_property
+    def flight_terms(self) -> TracedFunction:
+        """The flat `FlightTerms` at each of the rows, one after the other, and their phases."""
+        return self._compiled(self._trace_flight_terms)
+
+    @cached_property
+    def margins_and_jacobian(self) -> TracedFunction:
+        """`margins`, with their exact Jacobian by x as one more output."""
+        return self._compiled(self._trace_margins, jacobian_of=0)
 
     @cached_property
     def margins(self) -> TracedFunction:
@@ -115,7 +145,7 @@ class TracedProblem:
         """`cost` and `margins`, each with one more output: its exact Jacobian by x."""
         return (
             self._compiled(self._trace_cost, jacobian_of=0),
-            self._compiled(self._trace_margins, jacobian_of=0),
+            self.margins_and_jacobian,
         )
 
     def bounds(self, previous: NDArray, beliefs: Beliefs) -> tuple[NDArray, NDArray]:
@@ -148,35 +178,39 @@ class TracedProblem:
             pattern.basis,
             pattern.phases,
             model.offset_parameter,
+            model.aircraft,
         )
+
+    def _trace_instants(self, data: UpdateData) -> list[tuple[NDArray, NDArray, NDArray]]:
+        """The load's state and motion (22,) at each instant, and the wind that counts there."""
+        state, reference, model = data.load_state, data.reference, self.model
+        beliefs = Beliefs.view(data.beliefs)
+        wind = STILL_AIR if model.aircraft is None else data.wind
+        load = _load_of(beliefs)
+        accelerations = load_acceleration(load, state, data.wrench, wind)
+        found = []
+        for instant in self._instants:
+            ahead = nonstop.advance(state, *accelerations, instant)
+            motion = np.concatenate([ahead, *accelerations, np.zeros(3)])
+            if self.config.load_motion == "desired":
+                desired = LoadReference.view(reference)
+                rates = desired.angular_acceleration, desired.acceleration
+                moved = nonstop.advance(reference[:LOAD_STATE_SIZE], *rates, instant)
+                motion = np.concatenate([moved, *rates, desired.jerk])
+            found.append((ahead, motion, wind))
+        return found
 
     def _trace_orbits(self, data: UpdateData) -> tuple[NDArray, NDArray, NDArray]:
         """The products (25, instants, n), and the last instant's forces and levers (n, 3)."""
-        state, reference, model = data.load_state, data.reference, self.model
-        beliefs = Beliefs.view(data.beliefs)
-        load = RigidLoad(
-            mass=beliefs.load_mass,
-            inertia=beliefs.load_inertia.reshape(3, 3),
-            drag=beliefs.load_drag,
-            angular_drag=beliefs.load_angular_drag,
-            gravity=beliefs.gravity,
-        )
-        accelerations = load_acceleration(load, state, data.wrench)
+        model, beliefs = self.model, Beliefs.view(data.beliefs)
         offset = beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n)
         products = []
-        for instant in self._instants:
-            ahead = motion = nonstop.advance(state, *accelerations, instant)
-            if self.config.load_motion == "desired":
-                desired = LoadReference.view(reference)
-                motion = nonstop.advance(
-                    reference[:LOAD_STATE_SIZE],
-                    desired.angular_acceleration,
-                    desired.acceleration,
-                    instant,
-                )
+        for instant, (ahead, motion, wind) in zip(
+            self._instants, self._trace_instants(data), strict=True
+        ):
             forces, rates, levers, velocities, omega = nonstop.orbit_ahead(
                 ahead,
-                motion,
+                motion[:LOAD_STATE_SIZE],
                 data.wrench,
                 data.wrench_rate,
                 data.wrench_second_rate,
@@ -185,8 +219,39 @@ class TracedProblem:
                 offset=offset,
                 attachments=model.attachments,
             )
+            if model.aircraft is not None:
+                velocities = velocities - rotation_matrix(ahead[:4]).T @ wind
             products.append(nonstop.speed_products(forces, rates, velocities, omega, *self._axes))
         return np.stack(products, axis=1), forces, levers
+
+    def _trace_flight_terms(self, x: NDArray, vector: NDArray) -> tuple[NDArray, NDArray]:
+        """The flat `FlightTerms` (rows, 15n + 9), and the phases (rows,)."""
+        data, model = UpdateData.view(vector), self.model
+        beliefs = Beliefs.view(data.beliefs)
+        rate, second_rate = data.wrench_rate, data.wrench_second_rate
+        found = []
+        for instant, (ahead, motion, wind) in zip(
+            self._instants, self._trace_instants(data), strict=True
+        ):
+            terms = flight_terms(
+                ahead,
+                motion,
+                data.wrench + instant * (rate + instant / 2 * second_rate),
+                rate + instant * second_rate,
+                second_rate,
+                wind,
+                pseudo_inverse=_without_round_off(model.pseudo_inverse),
+                offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
+                attachments=model.attachments,
+            )
+            found.append(terms.flat)
+        return np.stack(found)[self._instant_of_row], self._angles_of_rows(x, data)
+
+    def _angles_of_rows(self, x: NDArray, data: UpdateData) -> NDArray:
+        """The phases (rows,), rad."""
+        angle = nonstop.phase_of(x, data.previous, data.phase)
+        ahead = angle + Parameters.view(data.previous).frequency * self._instants
+        return np.concatenate([ahead[: self._points], ahead[-1:] + data.orbit_turn + self._turns])
 
     def _trace_terms(self, x: NDArray, vector: NDArray) -> tuple[NDArray, ...]:
         """The `SpeedTerms`."""
@@ -212,7 +277,42 @@ class TracedProblem:
     def _trace_margins(self, x: NDArray, vector: NDArray) -> NDArray:
         data = UpdateData.view(vector)
         terms = SpeedTerms.from_flat(*self.terms.traced(x, vector))
-        return self.margins_of(terms, *Parameters.view(x), data)
+        margins = self.margins_of(terms, *Parameters.view(x), data)
+        if not self.has_flight_limits:
+            return margins
+        flat, angles = self._trace_flight_terms(x, vector)
+        flight = self.flight_margins(flat, angles, *Parameters.view(x), data)
+        return np.concatenate([margins, *(of_kind.ravel() for of_kind in flight)])
+
+    def flight_margins(
+        self,
+        flat_terms: NDArray,
+        angles: NDArray,
+        frequency: NDArray,
+        amplitude: NDArray,
+        data: UpdateData,
+    ) -> list[NDArray]:
+        """The margins (k, n) of `flight_limits` at k instants, of numbers or symbols.
+
+        Args:
+            flat_terms: (k, 15n + 9).
+            angles: θ (k,), rad.
+            frequency: ξ (k,) or (1,), rad/s.
+            amplitude: A (k,) or (1,), N.
+            data: of the update.
+        """
+        aircraft, beliefs = self.model.aircraft, Beliefs.view(data.beliefs)
+        assert aircraft is not None
+        none = np.zeros(1)
+        products = flight_products(
+            aircraft,
+            FlightTerms.view(flat_terms),
+            self._axes,
+            PlannedOrbit(angles, frequency, none, amplitude, none, none),
+            rest_length=beliefs.rest_length,
+            compliance=beliefs.compliance,
+        )
+        return self.flight_limits.margins(aircraft, flight_needs(aircraft, products))
 
     def _trace_cost(self, x: NDArray, vector: NDArray) -> NDArray:
         data = UpdateData.view(vector)
@@ -226,6 +326,16 @@ class TracedProblem:
             anchor_weight=data.anchor_weight,
             nominal=Beliefs.view(data.beliefs).nominal,
         )
+
+
+def _load_of(beliefs: Beliefs) -> RigidLoad:
+    return RigidLoad(
+        mass=beliefs.load_mass,
+        inertia=beliefs.load_inertia.reshape(3, 3),
+        drag=beliefs.load_drag,
+        angular_drag=beliefs.load_angular_drag,
+        gravity=beliefs.gravity,
+    )
 
 
 def beliefs_of(model: Model, config: LimitsConfig) -> Beliefs:

@@ -10,6 +10,7 @@ from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
     PHASE_SIZE,
+    WIND_SIZE,
     WRENCH_SIZE,
 )
 
@@ -33,6 +34,7 @@ class UpdateData(NamedTuple):
     speed_unit: NDArray  # (1,), m/s, scales the margins of the speed bound
     orbit_turn: NDArray  # (1,), rad, added to the phases of the orbit ahead
     anchor_weight: NDArray  # (1,)
+    wind: NDArray  # (3,), m/s, of aircraft; it does not count for other carriers
     beliefs: NDArray  # what the controllers believe, a flat `Beliefs`; (0,): what the solver does
 
     @classmethod
@@ -72,6 +74,7 @@ _SIZES = (  # of the parts, in their order
     WRENCH_SIZE,
     WRENCH_SIZE,
     *(1 for _ in ("speed_bound", "speed_unit", "orbit_turn", "anchor_weight")),
+    WIND_SIZE,
 )
 _ENDS = list(accumulate(_SIZES))
 _PARTS = [slice(end - size, end) for size, end in zip(_SIZES, _ENDS, strict=True)]

@@ -14,7 +14,6 @@ from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.separation import Separation
 from drake_nonstop.optimization.traced_problem import (
-    MIN_SPEEDS_FOR_ARRAYS,
     SpeedTerms,
     TracedProblem,
 )
@@ -85,6 +84,58 @@ class UpdateProblem:
         if self._separation is None:
             return margins
         return np.append(margins, self._separation_margin(x))
+
+    @property
+    def speed_count(self) -> int:
+        """How many margins, the first ones, are those of the speed bound."""
+        return self._traced.constraints.speed_count
+
+    def infeasibility_order(self, margins: NDArray) -> tuple[float, float]:
+        """What is larger for the better one of the margins of two infeasible points."""
+        return self._traced.constraints.infeasibility_order(margins)
+
+    def margins_and_jacobian(self, x: NDArray) -> tuple[NDArray, NDArray]:
+        """The margins (r,) at x but for that of the separation, and their Jacobian (r, 2)."""
+        margins, jacobian = self._traced.margins_and_jacobian(x, self.vector)
+        return margins.copy(), jacobian.copy()
+
+    def missed_kinds(self, x: NDArray) -> list[str]:
+        """The names of `MissedLimits` that aircraft do not keep at x."""
+        traced = self._traced
+        if traced.model.aircraft is None:
+            return []
+        margins = self._margins_and_worst(x)[0]
+        count, kinds = traced.constraints.speed_count, traced.flight_limits.kinds
+        flight = margins[len(margins) - count * len(kinds) :].reshape(len(kinds), count)
+        worst = zip(["airspeed", *kinds], [margins[:count].min(), *flight.min(axis=1)], strict=True)
+        return [kind for kind, least in worst if least < -FEASIBILITY_TOLERANCE]
+
+    def margins_on_grid(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
+        """The worst margin (k, q) of the speeds, and that of all else, with limits of aircraft.
+
+        At amplitudes (k,), N, and frequencies (q,), rad/s; with the phases that these give.
+        """
+        columns = [self._column(amplitudes, float(f)) for f in frequencies]
+        speeds, others = (np.stack(of_all, axis=1) for of_all in zip(*columns, strict=True))
+        return speeds, others
+
+    def _column(self, amplitudes: NDArray, frequency: float) -> tuple[NDArray, NDArray]:
+        """Those (k,) of one frequency."""
+        traced = self._traced
+        own = self.search_problem_at(frequency) if self.phase_jumps else self.search_problem
+        speeds, others = own.margins(amplitudes, np.array([frequency]))
+        x = np.array([frequency, self.previous[1]])
+        flat, angles = (part.copy() for part in traced.flight_terms(x, self.vector))
+        rows, count = len(angles), len(amplitudes)
+        flight = traced.flight_margins(
+            np.tile(flat.reshape(rows, -1), (count, 1)),
+            np.tile(angles, count),
+            np.array([frequency]),
+            np.repeat(amplitudes, rows),
+            self.data._replace(beliefs=np.concatenate(self.beliefs)),
+        )
+        worst = np.min([of_kind.reshape(count, -1).min(axis=1) for of_kind in flight], axis=0)
+        return speeds.min(axis=2)[:, 0], np.minimum(others[:, 0], worst)
 
     def speed_margins(self, x: NDArray) -> NDArray:
         """The worse margin of each speed at x, which may have limits on either side."""
@@ -218,7 +269,7 @@ class UpdateProblem:
         return self._last[1], self._last[2]
 
     def _computed_margins(self, x: NDArray) -> NDArray:
-        if self._traced.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS:
+        if self._traced.use_trace:
             return self._traced.margins(x, self.vector)[0].copy()
         frequency, amplitude = Parameters.view(x)
         terms = self._terms_at(float(frequency[0])) if self.phase_jumps else self._terms

@@ -11,6 +11,7 @@ from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.active_set_search import nearest_feasible
 from drake_nonstop.optimization.diagnostics import Outcome
+from drake_nonstop.optimization.flight_search import nearest_within_limits
 from drake_nonstop.optimization.grid_search import cheapest_on_grid, least_infeasible_on_grid
 from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig, tightened_bound
@@ -20,6 +21,7 @@ from drake_nonstop.optimization.update_problem import UpdateProblem
 from drake_nonstop.systems.tracing import TracedFunction
 
 _NOT_GIVEN = np.zeros(0)
+_STILL_AIR = np.zeros(3)
 _COST_TOLERANCE = 1e-4  # relative; what the global search finds has to be cheaper by more
 _REST_TOLERANCE = 1e-3  # m/s, rad/s, m/s², rad/s²; a reference that moves less is at rest
 
@@ -29,7 +31,7 @@ class Answer(NamedTuple):
 
     parameters: NDArray  # (2,), the next [ξ, A], rad/s and N
     outcome: Outcome
-    slowest_speed: float  # m/s, predicted
+    slowest_speed: float  # m/s, predicted, of aircraft through the air
 
 
 class UpdateSolver:
@@ -72,6 +74,7 @@ class UpdateSolver:
         speed_bound: float,
         updates: int = 0,
         beliefs: NDArray | None = None,
+        wind: NDArray = _STILL_AIR,
     ) -> UpdateData:
         """The data of an update.
 
@@ -86,6 +89,7 @@ class UpdateSolver:
             speed_bound: m/s, ε before it is tightened.
             updates: how many there were before this one: selects the phases of the orbit ahead.
             beliefs: a flat `Beliefs`; none: those of model and config.
+            wind: (3,), m/s, in W, that aircraft fly in.
         """
         config = self._config
         anchor_weight = self._anchor_weight
@@ -105,6 +109,7 @@ class UpdateSolver:
             speed_unit=bound if speed_bound else np.ones(1),  # without a bound any speed is enough
             orbit_turn=self._orbit_turns[updates % config.orbit_updates],
             anchor_weight=anchor_weight,
+            wind=wind,
             beliefs=_NOT_GIVEN if beliefs is None else beliefs,
         )
 
@@ -174,6 +179,8 @@ class UpdateSolver:
 
     def _searched_among_known(self, problem: UpdateProblem) -> tuple[NDArray, float]:
         """Likewise, with no other encounters of carriers than those that are known."""
+        if self._traced.has_flight_limits:
+            return nearest_within_limits(problem)
         if self._config.solver == "grid" or problem.phase_jumps:
             return cheapest_on_grid(
                 problem.search_problem_at, float(problem.previous[0]), problem.cost

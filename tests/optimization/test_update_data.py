@@ -29,7 +29,7 @@ def test_update_data_are_found_by_their_names():
         speed_bound=0.5,
         updates=7,
     )
-    assert np.concatenate(data).shape == (61,)
+    assert np.concatenate(data).shape == (64,)
     assert np.concatenate(solver.problem(data).data).shape == (update_data_size(0),)
     parts = UpdateData.view(np.concatenate(data))
     np.testing.assert_array_equal(parts.previous, START)

@@ -1,0 +1,203 @@
+"""A search for ξ and A within the limits of aircraft, by exact gradients.
+
+What aircraft need is no polynomial in ξ, so that no interval of it is known to be forbidden. The
+search follows the gradients: successive projections onto the linearized margins, from the last ξ
+and A on. Where these do not end at a feasible point it begins anew at the best point of a grid
+over the bounds.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.nonstop import QuadraticChangeCost
+from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.search_problem import least_infeasible
+from drake_nonstop.optimization.update_problem import UpdateProblem
+
+_MOST_STEPS = 20
+_FIRST_RADIUS = 0.2  # relative to ξ and A, of the first step
+_SHORTEST = 1e-5  # relative, a step that ends the search
+_GRID = 12  # points a side
+_FAR = 0.1  # relative, a step of which something closer may lie elsewhere
+_HALVINGS = 12  # of the range of what linearized margins may lack
+_MOST_EXCHANGES = 60
+_ROUNDING = 1e-12
+
+
+def nearest_within_limits(problem: UpdateProblem) -> tuple[NDArray, float]:
+    """The [ξ, A] (2,) of the least cost that keeps all margins, and its cost.
+
+    Where none is found the least infeasible one that was met, and inf.
+    """
+    previous = problem.previous
+    found = _descend(problem, previous)
+    size = np.max(np.abs(found.x / previous - 1))
+    if found.is_feasible and size < _FAR:
+        return found.x, problem.cost(found.x)
+    other = _descend(problem, _best_of_grid(problem))
+    points = sorted((found, other), key=lambda point: _order(problem, point))
+    best = points[-1]
+    return best.x, problem.cost(best.x) if best.is_feasible else math.inf
+
+
+class _Point(NamedTuple):
+    x: NDArray  # (2,)
+    margins: NDArray
+    jacobian: NDArray  # (r, 2), of the margins by x
+
+    @property
+    def violation(self) -> float:
+        return max(0.0, -float(self.margins.min()))
+
+    @property
+    def is_feasible(self) -> bool:
+        return self.violation <= FEASIBILITY_TOLERANCE
+
+
+def _order(problem: UpdateProblem, point: _Point) -> tuple[float, ...]:
+    """What is larger for the better one of two points."""
+    if point.is_feasible:
+        return 1.0, -problem.cost(point.x)
+    return 0.0, *problem.infeasibility_order(point.margins)
+
+
+def _at(problem: UpdateProblem, x: NDArray) -> _Point:
+    return _Point(x, *problem.margins_and_jacobian(x))
+
+
+def _descend(problem: UpdateProblem, start: NDArray) -> _Point:
+    """The last point of the steps from `start` on."""
+    lower, upper = problem.known_bounds
+    cost = problem.search_problem.change_cost()
+    point, radius = _at(problem, np.clip(start, lower, upper)), _FIRST_RADIUS
+    for _ in range(_MOST_STEPS):
+        reach = radius * point.x
+        low, high = np.maximum(lower, point.x - reach), np.minimum(upper, point.x + reach)
+        target = _step(cost, point, low, high, problem.speed_count)
+        length = np.max(np.abs(target - point.x) / point.x)
+        if length <= _SHORTEST:
+            break
+        new = _at(problem, target)
+        if new.violation <= max(FEASIBILITY_TOLERANCE, 0.9 * point.violation):
+            was_short = length <= _SHORTEST**0.5 and new.is_feasible
+            point, radius = new, min(2 * radius, 1.0)
+            if was_short:
+                break  # what is left is of the second order in it
+        else:
+            radius = 0.3 * min(radius, length)
+    return point
+
+
+def _step(
+    cost: QuadraticChangeCost, point: _Point, low: NDArray, high: NDArray, speed_count: int
+) -> NDArray:
+    """The cheapest [ξ, A] (2,) within bounds that the linearized margins allow.
+
+    Where there is none, one that lacks the least; a margin of the speed bound counts ten times.
+    """
+    hessian, gradient = _quadratic(cost, point.x)
+    root = np.linalg.cholesky(hessian)
+    best = -np.linalg.solve(root.T, np.linalg.solve(root, gradient))
+    shift = point.x
+    rows = np.vstack([point.jacobian, np.eye(2), -np.eye(2)])
+    offsets = np.concatenate([-point.margins, low - shift, shift - high])
+    weights = np.zeros(len(offsets))
+    weights[:speed_count], weights[speed_count : len(point.margins)] = 0.1, 1.0
+    # In coordinates of which the cost is the squared distance, z = Rᵀ δ.
+    normals = np.linalg.solve(root, rows.T).T
+    sizes = np.linalg.norm(normals, axis=1) + _ROUNDING
+    normals, offsets, weights = normals / sizes[:, None], offsets / sizes, weights / sizes
+    goal = root.T @ best
+
+    found = nearest_in_polygon(goal, normals, offsets)
+    if found is None:
+        least, most = 0.0, 10 * point.violation + _ROUNDING
+        found = nearest_in_polygon(goal, normals, offsets - most * weights)
+        for _ in range(_HALVINGS):
+            middle = (least + most) / 2
+            other = nearest_in_polygon(goal, normals, offsets - middle * weights)
+            if other is None:
+                least = middle
+            else:
+                most, found = middle, other
+    if found is None:
+        return point.x
+    return np.clip(shift + np.linalg.solve(root.T, found), low, high)
+
+
+def _quadratic(cost: QuadraticChangeCost, x: NDArray) -> tuple[NDArray, NDArray]:
+    """The Hessian and the gradient at x of the cost with s = A ξ linearized."""
+    frequency, amplitude = x
+    by_s = np.array([amplitude, frequency])
+    hessian = np.diag([1 + cost.anchor_weight, cost.amplitude_weight + cost.anchor_weight])
+    hessian = hessian + cost.rate_weight * np.outer(by_s, by_s)
+    before = np.array([cost.frequency, cost.amplitude])
+    nominal = np.array([cost.nominal_frequency, cost.nominal_amplitude])
+    gradient = np.array([1.0, cost.amplitude_weight]) * (x - before)
+    gradient = gradient + cost.anchor_weight * (x - nominal)
+    change = frequency * amplitude - cost.frequency * cost.amplitude
+    return hessian, gradient + cost.rate_weight * change * by_s
+
+
+def nearest_in_polygon(point: NDArray, normals: NDArray, offsets: NDArray) -> NDArray | None:
+    """The point (2,) of {z: N z ≥ c} that is closest to another one; None: there is none.
+
+    By exchanges of at most two active constraints: what is violated most becomes active, so that
+    the distance grows with each. The rows of N (r, 2) have the norm 1.
+    """
+    active: list[int] = []
+    z = point
+    for _ in range(_MOST_EXCHANGES):
+        slack = normals @ z - offsets
+        worst = int(slack.argmin())
+        if slack[worst] >= -_ROUNDING * (1 + abs(offsets[worst])):
+            return z
+        if worst in active:
+            return z  # by rounding
+        closest, best = math.inf, None
+        for others in ([], *([i] for i in active)):
+            chosen = [worst, *others]
+            candidate = _on_lines(point, normals[chosen], offsets[chosen])
+            if candidate is None:
+                continue
+            trial = [*active, worst]
+            least = (normals[trial] @ candidate - offsets[trial]).min()
+            distance = float(((candidate - point) ** 2).sum())
+            if least >= -1e-9 * (1 + math.sqrt(distance)) and distance < closest:
+                closest, best = distance, (candidate, chosen)
+        if best is None:
+            return None
+        z, active = best
+    return None
+
+
+def _on_lines(point: NDArray, normals: NDArray, offsets: NDArray) -> NDArray | None:
+    """The closest point of one line, or where two meet; None: they are parallel."""
+    if len(normals) == 1:
+        return point + (offsets[0] - normals[0] @ point) * normals[0]
+    (a, b), (c, d) = normals.tolist()
+    determinant = a * d - b * c
+    if abs(determinant) < _ROUNDING:
+        return None
+    p, q = offsets.tolist()
+    return np.array([d * p - b * q, a * q - c * p]) / determinant
+
+
+def _best_of_grid(problem: UpdateProblem) -> NDArray:
+    """The cheapest feasible [ξ, A] (2,) of a grid over the bounds, or the least infeasible one."""
+    frequencies, amplitudes = np.geomspace(*problem.known_bounds, _GRID).T
+    speeds, others = problem.margins_on_grid(amplitudes, frequencies)
+    is_feasible = (speeds >= 0) & (others >= 0)
+    costs = [
+        [
+            problem.cost(np.array([f, a])) if is_feasible[i, j] else math.inf
+            for j, f in enumerate(frequencies)
+        ]
+        for i, a in enumerate(amplitudes)
+    ]
+    chosen = int(np.argmin(costs)) if is_feasible.any() else least_infeasible(speeds, others)
+    i, j = np.unravel_index(chosen, speeds.shape)
+    return np.array([frequencies[j], amplitudes[i]])
