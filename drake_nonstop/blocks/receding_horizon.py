@@ -87,6 +87,10 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`. The first plan
     starts with the initial ξ and A where these keep the constraints, and else with others.
 
+    The speeds of aircraft are those through the air, in the wind that `wind_estimate` tells at the
+    time of a plan, taken as steady; not connected: in still air. What they need of lift, bank,
+    climb and thrust is limited along the plan and, at its end, on the whole orbits of ξ and A.
+
     An update ends as kept where the last plan, shifted, cannot be improved; as solved where a plan
     fulfils all constraints; as relaxed where it is the least infeasible one that was found; and as
     held where it took more than `time_limit`: the last plan then goes on. Without a limit runs are
@@ -106,6 +110,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         input_ports:
         - reference
         - reference_preview
+        - wind_estimate
         - speed_bound_command
         output_ports:
         - parameters
@@ -113,13 +118,15 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         - diagnostics
         - solve_time
         - speed_bound
+        - missed_limits
 
-    `reference` (22) in W; `reference_preview`, abstract-valued, a `ReferencePreview`, and
-    `speed_bound_command` (1) in m/s may be left unconnected; `parameters` (2) = [ξ (rad/s), A (N)];
-    `plan` (8) = [θ (rad), ξ (rad/s), A (N), ξ̇ (rad/s²), Ȧ (N/s), ξ̈ (rad/s³), Ä (N/s²), A⃛
-    (N/s³)]; `diagnostics` (7), the fields of `Diagnostics`, whose speed margin is the smallest of
-    the whole horizon; `solve_time` (1) is the wall time in s that the last plan took; `speed_bound`
-    (1) is the ε that was set or is commanded, in m/s.
+    `reference` (22) in W; `reference_preview`, abstract-valued, a `ReferencePreview`,
+    `wind_estimate` (3) in m/s, in W, and `speed_bound_command` (1) in m/s may be left unconnected;
+    `parameters` (2) = [ξ (rad/s), A (N)]; `plan` (8) = [θ (rad), ξ (rad/s), A (N), ξ̇ (rad/s²),
+    Ȧ (N/s), ξ̈ (rad/s³), Ä (N/s²), A⃛ (N/s³)]; `diagnostics` (7), the fields of `Diagnostics`,
+    whose speed margin is the smallest of the whole horizon; `solve_time` (1) is the wall time in s
+    that the last plan took; `speed_bound` (1) is the ε that was set or is commanded, in m/s;
+    `missed_limits` (5), the fields of `MissedLimits`.
 
     Parameters, the fields of `RecedingHorizonOptimizerConfig`:
         speed_bound: m/s, ε
@@ -186,7 +193,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self._plan_entry = entry.cache_index()
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
-        self._missed = self.DeclareDiscreteState(MISSED_LIMITS_SIZE)
+        self._missed: DiscreteStateIndex | None = None
         self._values: DiscreteStateIndex | None = None
         if model.control_period > 0:
             self._values = self.DeclareDiscreteState(_resting(nominal))
@@ -197,9 +204,10 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self.DeclareVectorOutputPort("plan", PLANNED_SIZE, self._calc_values, sources)
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
-        if model.aircraft is not None:
-            self.DeclareStateOutputPort("missed_limits", self._missed)
         self.declare_bound()
+        if model.aircraft is not None:
+            self._missed = self.DeclareDiscreteState(MISSED_LIMITS_SIZE)
+            self.DeclareStateOutputPort("missed_limits", self._missed)
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         self._sample_period = model.control_period or config.knot_spacing
         self._samples_per_plan = round(config.knot_spacing / self._sample_period)
@@ -271,9 +279,10 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
             count_update(diagnostics, planned.outcome, planned.slowest_speed - bound)
             discrete_state.set_value(self._diagnostics, diagnostics)
-            missed = context.get_discrete_state(self._missed).CopyToVector()
-            count_missed(missed, planned.missed)
-            discrete_state.set_value(self._missed, missed)
+            if self._missed is not None:
+                missed = context.get_discrete_state(self._missed).CopyToVector()
+                count_missed(missed, planned.missed)
+                discrete_state.set_value(self._missed, missed)
         discrete_state.set_value(self._plan, planned.state.flat())
         discrete_state.set_value(self._solve_time, [solve_time])
         if self._values is not None:
