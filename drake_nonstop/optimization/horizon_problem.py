@@ -277,6 +277,8 @@ class HorizonProblem:
         # Some of the instants, the same ones in each interval.
         self._terminal_at = count - 1 - back * self._per_knot // self._terminal_per_knot
         self.terminal_instants = self.instants[self._terminal_at]
+        # What aircraft need on whole orbits is limited at the ends of the intervals.
+        self._orbits_of = np.arange(1, config.terminal_knots + 1) * self._terminal_per_knot - 1
         self._limits = ConstraintMargins(limits, 0)
         self.max_speed = self._limits.max_speed  # m/s, tightened
         self._flight_limits = FlightLimits(limits)
@@ -578,7 +580,7 @@ class HorizonProblem:
         terminal_slack = self.intervals + (self.intervals + 1) * terminal_kinds
         terminal = np.arange(len(self.terminal_instants))
         phases = len(self._orbit_angles) if of_flight else 0
-        self._orbits = (len(terminal), phases, of_flight)
+        self._orbits = (len(self._orbits_of), phases, of_flight)
         orbits = math.prod(self._orbits)
         self._slack_of = np.concatenate(
             [
@@ -591,7 +593,7 @@ class HorizonProblem:
             [
                 np.repeat(np.arange(count), n + others + of_flight),
                 np.tile(count + terminal, len(terminal_slack)),
-                np.repeat(count + terminal, phases * of_flight),
+                np.repeat(count + self._orbits_of, phases * of_flight),
             ]
         )
         names = [*self._flight_limits.kinds, "airspeed", ""]
@@ -604,7 +606,7 @@ class HorizonProblem:
             [
                 np.tile(of_instant, count),
                 np.repeat(of_terminal, len(terminal)),
-                np.tile(own, len(terminal) * phases),
+                np.tile(own, len(self._orbits_of) * phases),
             ]
         )
         weights = np.full(self.intervals + 1, self.config.knot_spacing)
@@ -619,13 +621,13 @@ class HorizonProblem:
     def _flight_margins(self, data: HorizonData, coefficients: NDArray) -> tuple[NDArray, NDArray]:
         """Those of aircraft's limits (k, m) and their gradients (6, k, m), by the `Slopes`.
 
-        At the instants, and after them at all phases of the orbits of the terminal instants.
+        At the instants, and after them at all phases of orbits at the ends of the last intervals.
         """
         aircraft = self.model.aircraft
         assert aircraft is not None
         c, d = coefficients
         frequency, amplitude = self.nominal
-        rows, at, angles = self._rows, self._terminal_at, self._orbit_angles
+        rows, at, angles = self._rows, self._terminal_at[self._orbits_of], self._orbit_angles
         along = PlannedOrbit(
             data.start_angle + frequency * (rows.integral @ c),
             frequency * (rows.value @ c),
