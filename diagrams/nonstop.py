@@ -11,6 +11,7 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
 """
 
 import copy
+import math
 import sys
 import warnings
 from collections.abc import Callable, Collection, Mapping
@@ -613,7 +614,7 @@ def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     _warn_of_unread_wind(blocks)
     _warn_of_unshaped_parameters(blocks)
     _warn_of_unflown_aircraft(scenario, blocks)
-    _warn_of_unknown_aircraft(blocks)
+    _warn_of_unlimited_aircraft(blocks)
     if scenario.fused_plant:
         config = scenario.simulator_config
         blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
@@ -674,16 +675,17 @@ def _warn_of_unflown_aircraft(scenario: LoopConfig, blocks: Mapping[str, System]
         )
 
 
-def _warn_of_unknown_aircraft(blocks: Mapping[str, System]) -> None:
-    """Tells of an optimization layer that keeps a speed bound, and no aircraft in the air."""
+def _warn_of_unlimited_aircraft(blocks: Mapping[str, System]) -> None:
+    """Tells of an optimization layer that keeps a speed bound, and no limit of aircraft."""
     dynamics, layer = blocks.get("carrier_dynamics"), blocks.get("optimization_layer")
     if dynamics is None or type(layer) is not optimization_layer.NonstopOptimizer:
         return
-    if "aircraft_command" in wiring.input_names(dynamics):
+    flies = "aircraft_command" in wiring.input_names(dynamics)
+    if flies and math.isinf(layer.parameters.config.max_lift_share):
         warnings.warn(
-            "optimization_layer = NonstopOptimizer: it does not know aircraft yet and may ask of "
-            "them what they cannot fly; give optimization_layer: !ConstantParameters, with which "
-            "they fly",
+            "optimization_layer.max_lift_share = inf: the layer may ask of aircraft what they "
+            "cannot fly; give at most the lift_share of carrier_controller, such as 0.85, and "
+            "max_bank and max_thrust_share, or optimization_layer: !ConstantParameters",
             ScenarioWarning,
             stacklevel=5,
         )

@@ -19,8 +19,10 @@ from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_quaternion
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
+    PLANNED_SIZE,
     REFERENCE_HIGHER_RATES_SIZE,
     LoadReference,
+    PlannedParameters,
     ReferenceHigherRates,
 )
 from drake_nonstop.model.pose_samples import read_samples, sample_array, split_samples
@@ -628,6 +630,99 @@ class SteadyTurn(LoadTrajectory):
 
 
 @dataclass(kw_only=True)
+class PlannedTurnConfig(_Move):
+    """A turn about the vertical at ξ, at rest or on the way from rest to rest."""
+
+    displacement: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
+    start_time: float = 0.0  # s, of the displacement
+    move_time: float = 10.0  # s, of the displacement
+
+
+class PlannedTurn(DiagramBlock):
+    """The load turns about the vertical at the planned ξ: its yaw is the phase θ.
+
+    As `SteadyTurn`, but at a rate that an `optimization_layer` may change. What makes `planned` has
+    to make smooth ξ: give `phase: !ShapedPhase`. With `ConstantSpread` the carriers fly level
+    circles.
+
+    .. pydrake_system::
+
+        name: PlannedTurn
+        input_ports:
+        - planned
+        output_ports:
+        - reference
+        - reference_higher_rates
+
+    `planned` (8) = [θ (rad), ξ (rad/s), A (N), ξ̇ (rad/s²), Ȧ (N/s), ξ̈ (rad/s³), Ä (N/s²), A⃛
+    (N/s³)], of which those of θ and ξ count; `reference` (22) = [quaternion w x y z, position (m),
+    angular velocity (rad/s), velocity (m/s), angular acceleration (rad/s²), acceleration (m/s²),
+    jerk (m/s³)], in W. `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
+
+    Parameters, the fields of `PlannedTurnConfig`:
+        start_position: m
+        start_roll_pitch_yaw: rad
+        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
+            septic.
+        displacement: m
+        start_time: s, of the displacement
+        move_time: s, of the displacement
+
+    Raises:
+        ScenarioError: move_time is not above zero, start_time is negative, a vector does not hold
+            3 finite numbers, or `blend` is another text.
+    """
+
+    def __init__(self, model: Model, config: PlannedTurnConfig | None = None):
+        super().__init__()
+        config = config or PlannedTurnConfig()
+        require_non_negative(_BOX, start_time=config.start_time)
+        require_positive(_BOX, move_time=config.move_time)
+        displacement = require_array(f"{_BOX}.displacement", config.displacement, [3], "metres")
+        trajectory = _rest_to_rest(
+            [config.start_pose()],
+            [np.concatenate([np.zeros(3), displacement])],
+            [config.start_time],
+            [config.move_time],
+            config.smooth_step(),
+        )
+        builder = DiagramBuilder()
+        coordinates = builder.AddNamedSystem(
+            "coordinates",
+            TrajectorySource(trajectory, _RATES, zero_derivatives_beyond_limits=True),
+        )
+
+        def reference(values: NDArray, planned: NDArray) -> tuple[NDArray, NDArray]:
+            plan = PlannedParameters.view(planned)
+            rates = (
+                plan.angle,
+                plan.frequency,
+                plan.frequency_rate,
+                plan.frequency_second_rate,
+                np.zeros(1),
+            )
+            turn = [np.concatenate([np.zeros(2), rate, np.zeros(3)]) for rate in rates]
+            return _reference(values + np.concatenate(turn))
+
+        traced = builder.AddNamedSystem(
+            "reference",
+            TracedBlock(
+                reference,
+                inputs={"coordinates": (_RATES + 1) * trajectory.rows(), "planned": PLANNED_SIZE},
+                outputs={
+                    "reference": LOAD_REFERENCE_SIZE,
+                    "reference_higher_rates": REFERENCE_HIGHER_RATES_SIZE,
+                },
+            ),
+        )
+        builder.Connect(coordinates.get_output_port(), traced.GetInputPort("coordinates"))
+        builder.ExportInput(traced.GetInputPort("planned"), "planned")
+        for name in ("reference", "reference_higher_rates"):
+            builder.ExportOutput(traced.GetOutputPort(name), name)
+        builder.BuildInto(self)
+
+
+@dataclass(kw_only=True)
 class SampledTrajectoryConfig(StrictFields):
     """A smooth curve through poses at given times, from a file or in the scenario itself."""
 
@@ -715,4 +810,5 @@ VARIANTS = (
     Circle,
     SampledTrajectory,
     SteadyTurn,
+    PlannedTurn,
 )

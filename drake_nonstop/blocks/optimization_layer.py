@@ -18,6 +18,7 @@ from drake_nonstop.blocks.speed_bound_layer import (
     SpeedBoundLayer,
     require_no_command,
 )
+from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -39,7 +40,9 @@ from drake_nonstop.optimization.diagnostics import (
 from drake_nonstop.optimization.gradual_change import limit_step, raised_bound, step_towards
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
+    SpeedBound,
     check_problem,
+    with_stated_bound,
 )
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.systems.block import LeafBlock
@@ -65,16 +68,17 @@ class NonstopOptimizer(SpeedBoundLayer):
         min J(x)  such that  ‖v_i(x, τ)‖² ≥ ((1 + tightening) ε)²,  i = 1 … n,
 
     at instants τ up to the next update and at phases of the orbit `look_ahead_time` after it,
-    optionally together with limits of tensions, speeds, separations and of the rates of ξ and A.
-    x⁻ is what the layer has asked for before, and not what is flown: behind a `ShapedPhase` ξ and A
+    optionally together with limits of tensions, speeds, separations and of the rates of ξ and A. x⁻
+    is what the layer has asked for before, and not what is flown: behind a `ShapedPhase` ξ and A
     follow a step within 6.4/bandwidth but for 5 %, which is the default of that time. Without
     `amplitude_bounds` A stays between 0.004 and 3 times a cable's share of the load's weight, or
-    half and twice the initial A where that is wider. `tightening` covers the
-    difference between predicted and simulated speeds. If x⁻ fulfils the constraints it is kept;
-    else `solver` looks for the cheapest x that does, and where none is found the least infeasible
-    one is taken. `diagnostics` tells how the update ended, see `Outcome`. The prediction, which is
-    for still air, the constraints and the solvers are described in diagrams/optimization_layer.md;
-    the speeds are those over the ground.
+    half and twice the initial A where that is wider. `tightening` covers the difference between
+    predicted and simulated speeds. Of aircraft v_i is the velocity through the air, in the steady
+    wind that the controllers believe, and what they need of lift, bank, climb and thrust may be
+    limited, too; other carriers' speeds are those over the ground. If x⁻ fulfils the constraints it
+    is kept; else `solver` looks for the cheapest x that does, and where none is found the least
+    infeasible one is taken. `diagnostics` tells how the update ended, see `Outcome`. The
+    prediction, the constraints and the solvers are described in diagrams/optimization_layer.md.
 
     `set_speed_bound` and `set_enabled` change parameters of the context during a run, which also
     holds the initial ξ and A, their bounds and what is believed of load, cables and pattern. Where
@@ -94,24 +98,28 @@ class NonstopOptimizer(SpeedBoundLayer):
         - wrench
         - wrench_rate
         - phase
+        - wind_estimate
         - speed_bound_command
         output_ports:
         - parameters
         - diagnostics
         - solve_time
         - speed_bound
+        - missed_limits
 
-    `measured_load_state` (13), `reference` (22), `wrench` and `wrench_rate` (6, [torque;
-    force]), all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `speed_bound_command` (1) in m/s, of the range of
-    `set_speed_bound`, may be left unconnected; `parameters` (2) = [ξ (rad/s), A (N)];
-    `diagnostics` (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest
-    speed minus the untightened ε (m/s)], the fields of `Diagnostics`; `solve_time` (1) is the
-    wall time in s that the last update took, from its inputs to its answer; `speed_bound` (1) is
-    the ε that was set or is commanded, in m/s. All outputs are state or parameters: nothing feeds
-    through but a command to the `speed_bound`.
+    `measured_load_state` (13), `reference` (22), `wrench` and `wrench_rate` (6, [torque; force]),
+    all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `speed_bound_command` (1) in m/s, of the range of
+    `set_speed_bound`, may be left unconnected; `parameters` (2) = [ξ (rad/s), A (N)]; `diagnostics`
+    (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest speed minus the
+    untightened ε (m/s)], the fields of `Diagnostics`; `solve_time` (1) is the wall time in s that
+    the last update took, from its inputs to its answer; `speed_bound` (1) is the ε that was set or
+    is commanded, in m/s. With aircraft there are `wind_estimate` (3, m/s, in W), which may be left
+    unconnected in still air, and `missed_limits` (5), the fields of `MissedLimits`: how many
+    updates ended without keeping each. All outputs are state or parameters: nothing feeds through
+    but a command to the `speed_bound`.
 
     Parameters, the fields of `NonstopOptimizerConfig`:
-        speed_bound: m/s, ε
+        speed_bound: m/s, ε; of aircraft also "1.4 V_s", of the stall speed
         tightening: the solver aims at (1 + tightening) ε; "auto": computed
         speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
         model_error: share of the load's weight by which its wrench may be off
@@ -150,7 +158,7 @@ class NonstopOptimizer(SpeedBoundLayer):
     optional_inputs = (COMMAND, _WIND)
 
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
-        config = config or NonstopOptimizerConfig()
+        config = with_stated_bound(BOX, config or NonstopOptimizerConfig(), model.aircraft)
         super().__init__(model, config, check_problem)
         if self.scalar is float:
             self.solver = UpdateSolver(model, config, self.get_name)
@@ -276,7 +284,7 @@ class ConstantParametersConfig(StrictFields):
 
     frequency: float = 2.0  # rad/s, ξ
     amplitude: float = 1.2  # N, A; 0 for a constant pattern, and for no other
-    speed_bound: float = 0.2  # m/s, ε; reported, not enforced
+    speed_bound: SpeedBound = 0.2  # m/s, ε; reported, not enforced; also "1.4 V_s"
 
 
 class ConstantParameters(LeafBlock):
@@ -298,7 +306,7 @@ class ConstantParameters(LeafBlock):
     Parameters, the fields of `ConstantParametersConfig`:
         frequency: rad/s, ξ
         amplitude: N, A; 0 for a constant pattern, and for no other
-        speed_bound: m/s, ε; reported, not enforced
+        speed_bound: m/s, ε; reported, not enforced; also "1.4 V_s"
 
     Raises:
         ScenarioError: frequency or amplitude is not positive, an amplitude is given for a pattern
@@ -310,7 +318,7 @@ class ConstantParameters(LeafBlock):
 
     def __init__(self, model: Model, config: ConstantParametersConfig | None = None):
         super().__init__()
-        config = config or ConstantParametersConfig()
+        config = with_stated_bound(BOX, config or ConstantParametersConfig(), model.aircraft)
         _check_constants(model, config)
         self.parameters = BlockParameters(
             model, config=config, own=asdict(config), rules=Rules(check=_check_constants)
@@ -367,4 +375,9 @@ def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (RecedingHorizonOptimizer, NonstopOptimizer, ConstantParameters)
+VARIANTS = (
+    RecedingHorizonOptimizer,
+    NonstopOptimizer,
+    ConstantParameters,
+    TurnRateOptimizer,
+)

@@ -53,7 +53,12 @@ from drake_nonstop.optimization.horizon_solver import (
     PlanAnswer,
 )
 from drake_nonstop.optimization.plan import DEGREE, Plan
-from drake_nonstop.optimization.problem_config import LimitsConfig, check_limits, check_pattern
+from drake_nonstop.optimization.problem_config import (
+    LimitsConfig,
+    check_limits,
+    check_pattern,
+    with_stated_bound,
+)
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.validation import require
@@ -129,7 +134,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     `missed_limits` (5), the fields of `MissedLimits`.
 
     Parameters, the fields of `RecedingHorizonOptimizerConfig`:
-        speed_bound: m/s, ε
+        speed_bound: m/s, ε; of aircraft also "1.4 V_s", of the stall speed
         tightening: the solver aims at (1 + tightening) ε; "auto": computed
         speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
         model_error: share of the load's weight by which its wrench may be off
@@ -171,7 +176,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     optional_inputs = (_PREVIEW, _WIND, COMMAND)
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
-        config = config or RecedingHorizonOptimizerConfig()
+        config = with_stated_bound(BOX, config or RecedingHorizonOptimizerConfig(), model.aircraft)
         super().__init__(model, config, _check, _structure)
         config = timed(config, config.frequency, model.control_period)
         self._model, self._config = model, config

@@ -308,6 +308,74 @@ def _flight(
     return _Flight(u, along, force, r, s, velocity, needed, square, swing, a, b)
 
 
+def turning_terms(
+    motion: NDArray,
+    wrench: NDArray,
+    wrench_rate: NDArray,
+    wind: NDArray,
+    rates: NDArray,
+    angles: NDArray,
+    *,
+    pseudo_inverse: NDArray,
+    offset: NDArray,
+    attachments: NDArray,
+) -> FlightTerms:
+    """The terms of a load that turns about the vertical with its carriers, at k rates and angles.
+
+    They are `flight_terms` of the motion with another yaw and yaw rate, at a constant force in W
+    but for its rate, and a constant torque in L. With A = 0, which does not count, the products
+    then are those of aircraft that keep their places above the load; the squared airspeed is
+    quadratic in the rate. Own derivation.
+
+    Args:
+        motion: (22,), of the load, such as a reference.
+        wrench: (6,), in W.
+        wrench_rate: (6,), of which that of the force counts.
+        wind: w (3,), m/s, in W.
+        rates: (k,), rad/s, of the turn.
+        angles: (k,), rad, by which the load has turned on from its present yaw.
+        pseudo_inverse: (3n, 6), in L.
+        offset: (3n,), N, in L.
+        attachments: (n, 3), m, in L.
+    """
+    own, n = LoadReference.view(motion), len(attachments)
+    start = rotation_matrix(own.quaternion)
+    cosine, sine, zero = np.cos(angles), np.sin(angles), 0 * angles
+    turned = np.stack([cosine, -sine, zero, sine, cosine, zero, zero, zero, zero + 1], axis=-1)
+    R_WL = turned.reshape(-1, 3, 3) @ start
+    up = start.T @ _UP
+    omega = rates[:, None] * up
+    force, force_rate, velocity, acceleration = (
+        vector @ R_WL
+        for vector in (
+            Wrench.view(wrench).force,
+            Wrench.view(wrench_rate).force,
+            own.velocity - wind,
+            own.acceleration,
+        )
+    )
+    own_rate = force_rate - cross(omega, force)
+    own_second = -cross(omega, force_rate) - cross(omega, own_rate)
+    torque = Wrench.view(wrench).torque @ start + 0 * force
+    by_torque, by_force = pseudo_inverse[:, :3], pseudo_inverse[:, 3:]
+
+    def in_cables(torque: NDArray, force: NDArray) -> NDArray:
+        return (torque @ by_torque.T + force @ by_force.T).reshape(-1, n, 3)
+
+    turning = omega[:, None]
+    swing = cross(turning, attachments)
+    return FlightTerms(
+        in_cables(torque, force) + offset.reshape(n, 3),
+        in_cables(0 * torque, own_rate),
+        in_cables(0 * torque, own_second),
+        velocity[:, None] + swing,
+        acceleration[:, None] + cross(turning, swing),
+        omega,
+        0 * omega,
+        up + 0 * omega,
+    )
+
+
 def planned_products(
     aircraft: Aircraft,
     terms: FlightTerms,

@@ -5,12 +5,24 @@ A margin is negative where its limit is not kept. Lift is limited by the norm of
 at which it would not tell what to do.
 """
 
+from typing import Any, Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import Aircraft, thrust_limits
 from drake_nonstop.mechanics.planned_flight import FlightNeeds, stall_factor
-from drake_nonstop.optimization.problem_config import LimitsConfig, limit_tightening
+from drake_nonstop.optimization.problem_config import limit_tightening
+
+
+class StatedLimits(Protocol):
+    """A config with limits of aircraft, such as a `LimitsConfig`."""
+
+    tightening: Any  # see `limit_tightening`
+    max_lift_share: float
+    max_bank: float
+    max_climb: float
+    max_thrust_share: float
 
 
 class FlightLimits:
@@ -24,7 +36,7 @@ class FlightLimits:
             names of `MissedLimits`.
     """
 
-    def __init__(self, config: LimitsConfig):
+    def __init__(self, config: StatedLimits):
         smaller = 1 - limit_tightening(config)
         self._lift_share = smaller * config.max_lift_share
         self._bank, self._climb = smaller * config.max_bank, smaller * config.max_climb

@@ -25,6 +25,7 @@ _FAR = 0.1  # relative, a step of which something closer may lie elsewhere
 _HALVINGS = 12  # of the range of what linearized margins may lack
 _MOST_EXCHANGES = 60
 _ROUNDING = 1e-12
+_SPEED_WEIGHT = 10.0  # of what a margin of the speed bound lacks, beside the others
 
 
 def nearest_within_limits(problem: UpdateProblem) -> tuple[NDArray, float]:
@@ -34,9 +35,11 @@ def nearest_within_limits(problem: UpdateProblem) -> tuple[NDArray, float]:
     """
     previous = problem.previous
     found = _descend(problem, previous)
+    lower, upper = problem.known_bounds
+    is_narrow = bool(np.all(upper < (1 + _FAR) * lower))
     size = np.max(np.abs(found.x / previous - 1))
-    if found.is_feasible and size < _FAR:
-        return found.x, problem.cost(found.x)
+    if is_narrow or (found.is_feasible and size < _FAR):
+        return found.x, problem.cost(found.x) if found.is_feasible else math.inf
     other = _descend(problem, _best_of_grid(problem))
     points = sorted((found, other), key=lambda point: _order(problem, point))
     best = points[-1]
@@ -47,14 +50,15 @@ class _Point(NamedTuple):
     x: NDArray  # (2,)
     margins: NDArray
     jacobian: NDArray  # (r, 2), of the margins by x
+    weights: NDArray  # (r,), of what the margins lack
 
     @property
     def violation(self) -> float:
-        return max(0.0, -float(self.margins.min()))
+        return max(0.0, -float((self.margins * self.weights).min()))
 
     @property
     def is_feasible(self) -> bool:
-        return self.violation <= FEASIBILITY_TOLERANCE
+        return bool(self.margins.min() >= -FEASIBILITY_TOLERANCE)
 
 
 def _order(problem: UpdateProblem, point: _Point) -> tuple[float, ...]:
@@ -65,7 +69,9 @@ def _order(problem: UpdateProblem, point: _Point) -> tuple[float, ...]:
 
 
 def _at(problem: UpdateProblem, x: NDArray) -> _Point:
-    return _Point(x, *problem.margins_and_jacobian(x))
+    margins, jacobian = problem.margins_and_jacobian(x)
+    weights = np.where(np.arange(len(margins)) < problem.speed_count, _SPEED_WEIGHT, 1.0)
+    return _Point(x, margins, jacobian, weights)
 
 
 def _descend(problem: UpdateProblem, start: NDArray) -> _Point:
@@ -76,7 +82,7 @@ def _descend(problem: UpdateProblem, start: NDArray) -> _Point:
     for _ in range(_MOST_STEPS):
         reach = radius * point.x
         low, high = np.maximum(lower, point.x - reach), np.minimum(upper, point.x + reach)
-        target = _step(cost, point, low, high, problem.speed_count)
+        target = _step(cost, point, low, high)
         length = np.max(np.abs(target - point.x) / point.x)
         if length <= _SHORTEST:
             break
@@ -91,12 +97,10 @@ def _descend(problem: UpdateProblem, start: NDArray) -> _Point:
     return point
 
 
-def _step(
-    cost: QuadraticChangeCost, point: _Point, low: NDArray, high: NDArray, speed_count: int
-) -> NDArray:
+def _step(cost: QuadraticChangeCost, point: _Point, low: NDArray, high: NDArray) -> NDArray:
     """The cheapest [ξ, A] (2,) within bounds that the linearized margins allow.
 
-    Where there is none, one that lacks the least; a margin of the speed bound counts ten times.
+    Where there is none, one that lacks the least.
     """
     hessian, gradient = _quadratic(cost, point.x)
     root = np.linalg.cholesky(hessian)
@@ -104,8 +108,7 @@ def _step(
     shift = point.x
     rows = np.vstack([point.jacobian, np.eye(2), -np.eye(2)])
     offsets = np.concatenate([-point.margins, low - shift, shift - high])
-    weights = np.zeros(len(offsets))
-    weights[:speed_count], weights[speed_count : len(point.margins)] = 0.1, 1.0
+    weights = np.concatenate([1 / point.weights, np.zeros(4)])  # bounds have no slack
     # In coordinates of which the cost is the squared distance, z = Rᵀ δ.
     normals = np.linalg.solve(root, rows.T).T
     sizes = np.linalg.norm(normals, axis=1) + _ROUNDING
@@ -114,7 +117,7 @@ def _step(
 
     found = nearest_in_polygon(goal, normals, offsets)
     if found is None:
-        least, most = 0.0, 10 * point.violation + _ROUNDING
+        least, most = 0.0, point.violation + _ROUNDING
         found = nearest_in_polygon(goal, normals, offsets - most * weights)
         for _ in range(_HALVINGS):
             middle = (least + most) / 2

@@ -1,8 +1,11 @@
 """The fields of the nonstop problem, and the checks of their values."""
 
 import math
-from dataclasses import dataclass, field
+import typing
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
+from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
 from drake_nonstop.model.block_parameters import AUTO
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.local_solver import LocalSolver
@@ -23,11 +26,19 @@ FLIGHT_LIMITS = ("max_lift_share", "max_bank", "max_climb", "max_thrust_share")
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
+_Config = TypeVar("_Config")
+
+if typing.TYPE_CHECKING:
+    SpeedBound = float  # what it is in a sampled scenario, see `with_stated_bound`
+else:
+    SpeedBound = float | str
+
+
 @dataclass(kw_only=True)
 class LimitsConfig(StrictFields):
     """The bound, the nominal ξ and A, and what limits them and the carriers' flight."""
 
-    speed_bound: float = 0.2  # m/s, ε
+    speed_bound: SpeedBound = 0.2  # m/s, ε; of aircraft also "1.4 V_s", of the stall speed
     tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε; "auto": computed
     speed_margin: float = 0.0  # m/s above ε that "auto" aims at; 0: computed for the loop
     model_error: float = 0.0  # share of the load's weight by which its wrench may be off
@@ -65,6 +76,43 @@ class NonstopProblemConfig(LimitsConfig):
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
 
 
+def stated_speed_bound(field: str, value: Any, aircraft: Aircraft | None) -> Any:
+    """What is stated as a bound, in m/s: a text such as "1.4 V_s" is a multiple of the stall speed.
+
+    What is no text is returned as it is.
+
+    Args:
+        field: its name in error messages.
+        value: as stated.
+        aircraft: whose stall speed counts, with its own weight; None: the carriers are none.
+
+    Raises:
+        ScenarioError: a text is no such multiple, or there are no aircraft.
+    """
+    if not isinstance(value, str):
+        return value
+    number, unit = value.split() if len(value.split()) == 2 else ("", "")
+    try:
+        share = float(number) if unit == "V_s" else math.nan
+    except ValueError:
+        share = math.nan
+    remedy = 'give a number of m/s, without quotes, or a multiple of the stall speed, as "1.4 V_s"'
+    require(0 < share < math.inf, field, value, remedy)
+    remedy = "only aircraft have a stall speed, and system.aircraft is none; give a number of m/s"
+    if aircraft is None:
+        require(False, field, value, remedy)
+    return float(share * stall_speed(typing.cast(Aircraft, aircraft)))
+
+
+def with_stated_bound(box: str, config: _Config, aircraft: Aircraft | None) -> _Config:
+    """The dataclass with its `speed_bound` in m/s, see `stated_speed_bound`."""
+    own: Any = config
+    if not isinstance(own.speed_bound, str):
+        return config
+    stated = stated_speed_bound(f"{box}.speed_bound", own.speed_bound, aircraft)
+    return replace(own, speed_bound=stated)
+
+
 def amplitude_range(config: LimitsConfig, model: Model) -> list[float]:
     """The bounds on A (N): the config's, or those that follow from the load's weight."""
     if config.amplitude_bounds != []:
@@ -92,7 +140,7 @@ def _has_margin(config: LimitsConfig) -> bool:
     return config.tightening == AUTO and config.speed_margin > 0
 
 
-def limit_tightening(config: LimitsConfig) -> float:
+def limit_tightening(config: Any) -> float:
     """The share by which limits other than the speed bound are tightened."""
     return _UNCOMPUTED if isinstance(config.tightening, str) else config.tightening
 
@@ -133,7 +181,7 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
     require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)
-    _check_flight_limits(box, config, model)
+    check_flight_limits(box, config, model)
     for name, start, bounds in (
         ("frequency", config.frequency, config.frequency_bounds),
         ("amplitude", config.amplitude, amplitude_range(config, model)),
@@ -199,7 +247,8 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
         )
 
 
-def _check_flight_limits(box: str, config: LimitsConfig, model: Model) -> None:
+def check_flight_limits(box: str, config: Any, model: Model) -> None:
+    """Raises ScenarioError for the first limit of aircraft, of `FLIGHT_LIMITS`, that cannot be."""
     for name in FLIGHT_LIMITS:
         value = getattr(config, name)
         if value == math.inf:

@@ -20,6 +20,7 @@ from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
+    WRENCH_SIZE,
     LoadReference,
     Parameters,
 )
@@ -103,6 +104,9 @@ class TracedProblem:
         )
         if self.use_trace:
             self.margins = self._compiled(self._trace_margins)
+        if self.has_flight_limits:
+            self.flight_terms = self._compiled(self._trace_flight_terms)
+            self.margins_and_jacobian = self._compiled(self._trace_margins, jacobian_of=0)
 
     @property
     def has_flight_limits(self) -> bool:
@@ -200,6 +204,14 @@ class TracedProblem:
             found.append((ahead, motion, wind))
         return found
 
+    def _second_rate(self, data: UpdateData) -> NDArray:
+        """The wrench's second rate (6,) that counts: of aircraft none.
+
+        It is a difference quotient. On cables of a hundred metres 1 N/s² is some 5 m/s², and a jump
+        of the rate between two updates is no acceleration.
+        """
+        return data.wrench_second_rate if self.model.aircraft is None else np.zeros(WRENCH_SIZE)
+
     def _trace_orbits(self, data: UpdateData) -> tuple[NDArray, NDArray, NDArray]:
         """The products (25, instants, n), and the last instant's forces and levers (n, 3)."""
         model, beliefs = self.model, Beliefs.view(data.beliefs)
@@ -213,7 +225,7 @@ class TracedProblem:
                 motion[:LOAD_STATE_SIZE],
                 data.wrench,
                 data.wrench_rate,
-                data.wrench_second_rate,
+                self._second_rate(data),
                 time=instant,
                 pseudo_inverse=_without_round_off(model.pseudo_inverse),
                 offset=offset,
@@ -228,7 +240,6 @@ class TracedProblem:
         """The flat `FlightTerms` (rows, 15n + 9), and the phases (rows,)."""
         data, model = UpdateData.view(vector), self.model
         beliefs = Beliefs.view(data.beliefs)
-        rate, second_rate = data.wrench_rate, data.wrench_second_rate
         found = []
         for instant, (ahead, motion, wind) in zip(
             self._instants, self._trace_instants(data), strict=True
@@ -236,9 +247,9 @@ class TracedProblem:
             terms = flight_terms(
                 ahead,
                 motion,
-                data.wrench + instant * (rate + instant / 2 * second_rate),
-                rate + instant * second_rate,
-                second_rate,
+                data.wrench + instant * data.wrench_rate,
+                data.wrench_rate,
+                self._second_rate(data),
                 wind,
                 pseudo_inverse=_without_round_off(model.pseudo_inverse),
                 offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),

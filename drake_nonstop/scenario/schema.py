@@ -24,7 +24,8 @@ from drake_nonstop.model.pattern import (
     LinearPatternConfig,
     SpreadCarouselConfig,
 )
-from drake_nonstop.model.system import SystemOverrides, SystemParameters
+from drake_nonstop.model.system import SystemOverrides, SystemParameters, aircraft_in
+from drake_nonstop.optimization.problem_config import stated_speed_bound
 from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.by_fields import comparable, reduced
 from drake_nonstop.scenario.run_limits import RunLimits, check_limits
@@ -177,15 +178,22 @@ class Scenario(_Boxes):
 
     @property
     def speed_bound(self) -> float:
-        """The ε (m/s) that the optimization layer's config states; 0 where it states none."""
-        return getattr(self.optimization_layer, "speed_bound", 0.0)
+        """The ε (m/s) that the optimization layer's config states; 0 where it states none.
+
+        Raises:
+            ScenarioError: it is stated as a text that is no multiple of the stall speed, or there
+                are no aircraft.
+        """
+        stated = getattr(self.optimization_layer, "speed_bound", 0.0)
+        aircraft = aircraft_in(self.system) if isinstance(stated, str) else None
+        return stated_speed_bound("optimization_layer.speed_bound", stated, aircraft)
 
     def check(self) -> None:
         """Checks all fields' types, and the ranges of those that belong to no box; see `check`."""
         check(self)
 
     def sampled(self, generator: RandomGenerator | None = None) -> "Scenario":
-        """The scenario with a number drawn for each distribution that its fields hold.
+        """The scenario with a number drawn for each distribution, and its speed bound in m/s.
 
         The numbers are drawn by a generator of their own, whose seed is `random_seed`, in the
         order of the fields in `dump_scenario`, and in that of a list's entries. A whole number is
@@ -316,7 +324,18 @@ def sample(
     scenario = distributions.mapped(scenario, Scenario, "", draw)
     if values:
         check(scenario)
-    return scenario, values
+    return _with_speed_bound(scenario), values
+
+
+def _with_speed_bound(scenario: Scenario) -> Scenario:
+    """The scenario with a speed bound in m/s, where it is stated as a multiple of another speed."""
+    layer = scenario.optimization_layer
+    if not isinstance(getattr(layer, "speed_bound", None), str):
+        return scenario
+    scenario, layer = copy.copy(scenario), copy.copy(layer)
+    layer.speed_bound = scenario.speed_bound
+    scenario.optimization_layer = layer
+    return scenario
 
 
 def check_name(name: str) -> None:

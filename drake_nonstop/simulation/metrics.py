@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.optimization.diagnostics import MissedLimits
 from drake_nonstop.simulation.outcome import find_warnings, judge
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
@@ -154,6 +155,11 @@ class Metric:
     def shown(self, value: Any) -> Any:
         """A stored value in the unit that is shown."""
         return value if self.scale == 1 or value is None else self.scale * value
+
+
+def _missed(limit: str) -> Callable[[RunQuantities], int]:
+    """How many updates miss the limit of that name."""
+    return lambda run: run.missed_limits[limit]
 
 
 METRICS = (
@@ -400,6 +406,15 @@ METRICS = (
         run_text=RunText(line="aircraft", text="airspeed from {:.3g} {unit}"),
     ),
     Metric(
+        path="aircraft.airspeed_above_bound_min_m_s",
+        measure=lambda run: run.least_speed_above_bound,
+        label="least airspeed above the bound",
+        unit="m/s",
+        better=Better.HIGHER,
+        needs_aircraft=True,
+        run_text=RunText(line="aircraft", text="{:+.3g} {unit} above the bound"),
+    ),
+    Metric(
         path="aircraft.airspeed_over_stall_min",
         measure=lambda run: run.flight.least_airspeed_over_stall,
         label="least airspeed over the stall speed",
@@ -493,6 +508,16 @@ METRICS = (
         label="updates held",
         better=Better.LOWER,
         run_text=RunText(line="optimizer", text="{} held (no solution)"),
+    ),
+    *(
+        Metric(
+            path=f"optimizer.missed_limits.{name}",
+            measure=_missed(name),
+            label=f"updates that miss the limit of the {name}",
+            better=Better.LOWER,
+            needs_aircraft=True,
+        )
+        for name in MissedLimits._fields
     ),
     Metric(
         path="optimizer.solve_time_ms.p50",

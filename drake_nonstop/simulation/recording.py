@@ -58,6 +58,7 @@ _EVERY_STEP = (
     "tensions",
     "command_saturation",
     "diagnostics",
+    "missed_limits",
     "speed_bound",
     WALL_TIME,
 )

@@ -18,7 +18,7 @@ from drake_nonstop.mechanics.rotation import (
 )
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Parameters, Pose
 from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
-from drake_nonstop.optimization.diagnostics import Diagnostics
+from drake_nonstop.optimization.diagnostics import Diagnostics, MissedLimits
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.planned_shortfall import largest_shortfall
 from drake_nonstop.simulation.run import Run
@@ -277,9 +277,27 @@ class RunQuantities:
         )
 
     @cached_property
+    def bounded_speeds(self) -> NDArray:
+        """The speeds (k, n), m/s, that ε bounds: of aircraft through the air, else over ground."""
+        return self.flight.state.airspeed if self.has_aircraft else self.speeds
+
+    @cached_property
     def time_below_bound(self) -> float:
         """For how long a carrier was below ε, s."""
-        return self.duration_of(np.any(self.speeds < self.speed_bounds[:, None], axis=1))
+        return self.duration_of(np.any(self.bounded_speeds < self.speed_bounds[:, None], axis=1))
+
+    @cached_property
+    def least_speed_above_bound(self) -> float:
+        """The least of any carrier's speed, of `bounded_speeds`, minus ε, m/s."""
+        return float(np.min(self.bounded_speeds - self.speed_bounds[:, None]))
+
+    @cached_property
+    def missed_limits(self) -> dict[str, int]:
+        """How many updates ended without keeping a limit of aircraft, by its name."""
+        if "missed_limits" not in self.run.steps:
+            return dict.fromkeys(MissedLimits._fields, 0)
+        last = MissedLimits.view(self.run.steps["missed_limits"][-1])
+        return {name: int(count) for name, count in last._asdict().items()}
 
     @cached_property
     def carrier_separation(self) -> float:

@@ -1,5 +1,7 @@
 """Aircraft as a block: states, trim, energies, stall and parameters of the context."""
 
+import warnings
+
 import numpy as np
 import pytest
 from aircraft_loops import controller, flying
@@ -204,15 +206,20 @@ def test_aircraft_that_are_not_flown_are_told():
         make_nonstop(scenario)
 
 
-def test_a_layer_that_does_not_know_aircraft_is_told_before_they_fly():
+def test_a_layer_without_limits_of_aircraft_is_told_before_they_fly():
     other = "optimization_layer=!NonstopOptimizer {period: 0.04}"
     pattern = "pattern=!SpreadCarousel {spread: 6.75}"
     with pytest.warns(ScenarioWarning) as warned:
         make_nonstop(load_scenario("aircraft_rest", [other, pattern]), at_equilibrium=False)
     assert [str(warning.message) for warning in warned] == [
-        "optimization_layer = NonstopOptimizer: it does not know aircraft yet and may ask of them "
-        "what they cannot fly; give optimization_layer: !ConstantParameters, with which they fly"
+        "optimization_layer.max_lift_share = inf: the layer may ask of aircraft what they cannot "
+        "fly; give at most the lift_share of carrier_controller, such as 0.85, and max_bank and "
+        "max_thrust_share, or optimization_layer: !ConstantParameters"
     ]
+    limited = other.replace("}", ", max_lift_share: 0.85, speed_bound: 10}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        make_nonstop(load_scenario("aircraft_rest", [limited, pattern]), at_equilibrium=False)
 
 
 def test_a_short_flight_is_ok_and_keeps_to_its_references():

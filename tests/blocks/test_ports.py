@@ -225,9 +225,10 @@ BLOCKS = {
             "wrench",
             "wrench_rate",
             "phase",
+            "wind_estimate",
             "speed_bound_command",
         ],
-        ["parameters", "diagnostics", "solve_time", "speed_bound"],
+        ["parameters", "diagnostics", "solve_time", "speed_bound", "missed_limits"],
         [("speed_bound_command", "speed_bound")],
     ),
     ConstantParameters: (

@@ -1,0 +1,138 @@
+"""The rate at which a load turns with its aircraft: the formation that has no amplitude.
+
+The carriers keep their places above the load. At each phase of a turn the squared airspeed is
+quadratic in the rate, and what the aircraft need is smooth in it: the search is one over intervals
+of one number.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics import nonstop
+from drake_nonstop.mechanics.planned_flight import (
+    PlannedOrbit,
+    flight_needs,
+    flight_products,
+    turning_terms,
+)
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.amplitude_intervals import allowed_intervals
+from drake_nonstop.optimization.diagnostics import Outcome
+from drake_nonstop.optimization.flight_limits import FlightLimits
+from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+
+_RATES = 64  # at which the least infeasible one is looked for
+_TOLERANCE = 1e-6  # relative, of a rate
+
+
+class TurnUpdate(NamedTuple):
+    """What varies from update to update, in W."""
+
+    previous: float  # rad/s, the last rate
+    nominal: float  # rad/s, what the anchor pulls to
+    anchor_weight: float
+    low: float  # rad/s, the bounds of the rate
+    high: float  # rad/s
+    motion: NDArray  # (22,), of the load
+    wrench: NDArray  # (6,)
+    wrench_rate: NDArray  # (6,)
+    wind: NDArray  # (3,), m/s
+    speed_bound: float  # m/s, tightened; 0: none
+
+
+class TurnAnswer(NamedTuple):
+    """The answer of one update."""
+
+    rate: float  # rad/s
+    outcome: Outcome
+    slowest_speed: float  # m/s, predicted, through the air
+    missed: list[str]  # names of `MissedLimits`
+
+
+class TurnRateSolver:
+    """Changes the rate as little as keeps the airspeed and the limits of aircraft over a turn.
+
+    Args:
+        model: what the controllers believe, with aircraft.
+        limits: of the aircraft.
+        phases: of a turn, at which these hold.
+    """
+
+    def __init__(self, model: Model, limits: FlightLimits, phases: int):
+        assert model.aircraft is not None
+        self._model, self._aircraft, self._limits = model, model.aircraft, limits
+        self._angles = 2 * np.pi * np.arange(phases) / phases
+        self._axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
+
+    def margins(self, update: TurnUpdate, rates: NDArray) -> tuple[NDArray, NDArray]:
+        """The worst margin (1 + limits, k) of the airspeed and of each limit, at rates (k,).
+
+        And the least airspeed (k,), m/s.
+        """
+        model, count = self._model, len(self._angles)
+        terms = turning_terms(
+            update.motion,
+            update.wrench,
+            update.wrench_rate,
+            update.wind,
+            np.repeat(rates, count),
+            np.tile(self._angles, len(rates)),
+            pseudo_inverse=model.pseudo_inverse,
+            offset=model.pattern.offset,
+            attachments=model.attachments,
+        )
+        products = flight_products(
+            self._aircraft,
+            terms,
+            self._axes,
+            PlannedOrbit(*(np.zeros(1) for _ in PlannedOrbit._fields)),
+            rest_length=model.cable_length,
+            compliance=model.cable_compliance,
+        )
+        needs = flight_needs(self._aircraft, products)
+        squares = needs.airspeed * needs.airspeed
+        unit = update.speed_bound or 1.0
+        found = [
+            (squares - update.speed_bound**2) / unit**2,
+            *self._limits.margins(self._aircraft, needs),
+        ]
+        worst = [margin.reshape(len(rates), -1).min(axis=1) for margin in found]
+        return np.stack(worst), np.sqrt(squares.reshape(len(rates), -1).min(axis=1))
+
+    def solve(self, update: TurnUpdate) -> TurnAnswer:
+        """The answer of one update."""
+        previous = min(max(update.previous, update.low), update.high)
+        weight = update.anchor_weight
+        wanted = (update.previous + weight * update.nominal) / (1 + weight)
+        wanted = min(max(wanted, update.low), update.high)
+
+        def worst(rates: NDArray) -> NDArray:
+            return self.margins(update, rates)[0].min(axis=0)
+
+        if worst(np.array([wanted]))[0] >= -FEASIBILITY_TOLERANCE:
+            is_kept = abs(wanted - update.previous) <= _TOLERANCE * update.previous
+            return self._answer(update, wanted, Outcome.KEPT if is_kept else Outcome.SOLVED)
+        intervals = allowed_intervals(worst, update.low, update.high, previous)
+        if intervals:
+            nearest = [min(max(wanted, low), high) for low, high in intervals]
+            rate = min(nearest, key=lambda rate: abs(rate - wanted))
+            return self._answer(update, rate, Outcome.SOLVED)
+        rates = np.append(np.geomspace(update.low, update.high, _RATES), previous)
+        margins, _ = self.margins(update, rates)
+        # As of other searches: the speeds first, and where they are kept what lacks the least.
+        order = np.lexsort([margins.min(axis=0), np.minimum(margins[0], 0.0)])
+        rate = float(rates[order[-1]])
+        is_held = abs(rate - update.previous) <= _TOLERANCE * update.previous
+        return self._answer(update, rate, Outcome.HELD if is_held else Outcome.RELAXED)
+
+    def _answer(self, update: TurnUpdate, rate: float, outcome: Outcome) -> TurnAnswer:
+        margins, slowest = self.margins(update, np.array([rate]))
+        kinds = ["airspeed", *self._limits.kinds]
+        missed = [
+            kind
+            for kind, margin in zip(kinds, margins[:, 0], strict=True)
+            if margin < -FEASIBILITY_TOLERANCE
+        ]
+        return TurnAnswer(rate, outcome, float(slowest[0]), missed)
