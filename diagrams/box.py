@@ -135,6 +135,9 @@ def block_of(config: type) -> Any:
     return getattr(sys.modules.get(config.__module__), name, None)
 
 
+_BOUND = "speed_bound"
+
+
 def kept_parameters(
     fields: Mapping[str, Any], old: type, new: type, keeps_defaults: bool
 ) -> dict[str, Any]:
@@ -148,6 +151,9 @@ def kept_parameters(
     """
     types = typing.get_type_hints(new)
     shared = [key for key, kind in typing.get_type_hints(old).items() if types.get(key) == kind]
+    # A config of the user's own may take a number only, where others also take a text.
+    if _BOUND in types and not isinstance(fields.get(_BOUND), str):
+        shared.append(_BOUND)
     kept = {key: fields[key] for key in shared if key in fields}
     if not keeps_defaults:
         default = dataclasses.asdict(old())

@@ -41,6 +41,7 @@ from drake_nonstop.blocks import (
 )
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
 from drake_nonstop.diagrams.box import (
     ABSTRACT,
     Box,
@@ -474,6 +475,7 @@ def _made_parts(
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
     blocks = {name: blocks[name] for name in [*BOXES, *blocks] if name in blocks}
     _require_motion(believed, blocks)
+    _check_turn(believed, blocks)
     _check_command(blocks)
     _check_plan(blocks)
     _check_accelerations(blocks)
@@ -486,7 +488,7 @@ def _made_parts(
             believed,
             scenario.reference_governor,
             trajectory,
-            scenario.optimization_layer,
+            with_margin(scenario.optimization_layer, margin),
             scenario.simulation_duration,
         )
     return _Parts(believed, blocks, watched, margin)
@@ -509,6 +511,28 @@ def _require_motion(model: Model, blocks: Mapping[str, System]) -> None:
             "its carriers keep their places above the load, which does not turn at the start, and "
             "would stop; give load_trajectory: !SteadyTurn, or a pattern with orbits",
         )
+
+
+def _check_turn(model: Model, blocks: Mapping[str, System]) -> None:
+    """Raises ScenarioError where a layer's rate is not that at which the load turns."""
+    layer, trajectory = (blocks.get(name) for name in (LAYER, "load_trajectory"))
+    if type(layer) is not TurnRateOptimizer:
+        return
+    require(
+        model.pattern.is_constant,
+        LAYER,
+        "TurnRateOptimizer",
+        "the pattern has orbits, which it does not size; give pattern: !ConstantSpread and "
+        "load_trajectory: !PlannedTurn, or another optimization_layer",
+    )
+    is_own = isinstance(trajectory, load_trajectory.VARIANTS)
+    require(
+        not is_own or type(trajectory) is load_trajectory.PlannedTurn,
+        "load_trajectory",
+        type(trajectory).__name__,
+        "the load does not turn at the rate that optimization_layer = TurnRateOptimizer makes; "
+        "give !PlannedTurn, and phase: !ShapedPhase, or another optimization_layer",
+    )
 
 
 def _check_command(blocks: Mapping[str, System]) -> None:
@@ -613,6 +637,7 @@ def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     believed, blocks, *_ = parts
     _warn_of_unread_wind(blocks)
     _warn_of_unshaped_parameters(blocks)
+    _warn_of_unread_plan(blocks)
     _warn_of_unflown_aircraft(scenario, blocks)
     _warn_of_unlimited_aircraft(blocks)
     if scenario.fused_plant:
@@ -649,10 +674,27 @@ def _warn_of_unshaped_parameters(blocks: Mapping[str, System]) -> None:
         return
     changes = not isinstance(layer, optimization_layer.ConstantParameters)
     if changes and "parameters" in wiring.input_names(internal):
+        plans = layer is not None and "plan" in wiring.output_names(layer)
+        other = "" if plans else ", or give phase=AccumulatedPhase"
         warnings.warn(
             f"internal_force = {type(internal).__name__}: it reads parameters, which phase = "
             "ShapedPhase smooths, so that its rates are others than those that are flown; have it "
-            "read planned, as PlannedInternalForce does, or give phase=AccumulatedPhase",
+            f"read planned, as PlannedInternalForce does{other}",
+            ScenarioWarning,
+            stacklevel=5,
+        )
+
+
+def _warn_of_unread_plan(blocks: Mapping[str, System]) -> None:
+    """Tells of a phase that goes its own way beside a layer's plan of it."""
+    layer, own = blocks.get(LAYER), blocks.get("phase")
+    if layer is None or own is None or "plan" not in wiring.output_names(layer):
+        return
+    if "plan" not in wiring.input_names(own):
+        warnings.warn(
+            f"phase = {type(own).__name__}: it does not read the plan of optimization_layer = "
+            f"{type(layer).__name__}, and departs from the phase that is planned with; give "
+            "phase=ShapedPhase, or optimization_layer=NonstopOptimizer, which reads the phase",
             ScenarioWarning,
             stacklevel=5,
         )

@@ -158,7 +158,7 @@ class NonstopOptimizer(SpeedBoundLayer):
     optional_inputs = (COMMAND, _WIND)
 
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
-        config = with_stated_bound(BOX, config or NonstopOptimizerConfig(), model.aircraft)
+        config = with_stated_bound(BOX, config or NonstopOptimizerConfig(), model)
         super().__init__(model, config, check_problem)
         if self.scalar is float:
             self.solver = UpdateSolver(model, config, self.get_name)
@@ -318,7 +318,7 @@ class ConstantParameters(LeafBlock):
 
     def __init__(self, model: Model, config: ConstantParametersConfig | None = None):
         super().__init__()
-        config = with_stated_bound(BOX, config or ConstantParametersConfig(), model.aircraft)
+        config = with_stated_bound(BOX, config or ConstantParametersConfig(), model)
         _check_constants(model, config)
         self.parameters = BlockParameters(
             model, config=config, own=asdict(config), rules=Rules(check=_check_constants)

@@ -16,7 +16,7 @@ from pydrake.systems.framework import (
 )
 
 from drake_nonstop.mechanics.cable import compliance_of
-from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules
+from drake_nonstop.model.block_parameters import AIRCRAFT_NUMBERS, LOAD, BlockParameters, Rules
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.problem_config import (
     LimitsConfig,
@@ -62,7 +62,11 @@ def _layer_parameters(
         (*LOAD, "cable_length", "cable_stiffness", *model.offset_parameter),
         config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
         own=_OWN,
-        rules=Rules(check=check_all, structure=structure),
+        rules=Rules(
+            check=check_all,
+            structure=structure,
+            fixed=AIRCRAFT_NUMBERS if model.aircraft is not None else (),
+        ),
     )
 
 
@@ -104,7 +108,6 @@ class SpeedBoundLayer(LeafBlock):
         model: what the controllers believe.
         config: the layer's.
         check: raises ScenarioError for a config of the named box that cannot be used.
-        structure: what of model and config decides how the layer is built, see `Rules`.
         structure: what of model and config decides how the layer is built, see `Rules`.
 
     Attributes:

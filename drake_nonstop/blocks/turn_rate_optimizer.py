@@ -13,8 +13,13 @@ from drake_nonstop.mechanics.signals import (
     WIND_SIZE,
     WRENCH_SIZE,
 )
-from drake_nonstop.model.block_parameters import BlockParameters, Rules, required_aircraft
-from drake_nonstop.model.system import Model
+from drake_nonstop.model.block_parameters import (
+    AIRCRAFT_NUMBERS,
+    BlockParameters,
+    Rules,
+    required_aircraft,
+)
+from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
     MISSED_LIMITS_SIZE,
@@ -43,13 +48,14 @@ from drake_nonstop.validation import (
 )
 
 _WIND = "wind_estimate"  # an optional input
+_FIXED = (*AIRCRAFT_NUMBERS, "cable_stiffness", OFFSET)
 
 
 @dataclass(kw_only=True)
 class TurnRateOptimizerConfig(StrictFields):
     """The bound on the airspeed, the limits of the aircraft, and the rate of the turn."""
 
-    speed_bound: SpeedBound = "1.3 V_s"  # m/s, ε; also "1.4 V_s", of the stall speed
+    speed_bound: SpeedBound = 10.0  # m/s, ε; also "1.4 V_s", of the stall speed
     tightening: float = 0.01  # the solver aims at (1 + tightening) ε
     frequency: float = 0.4  # rad/s, ξ at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 2.0])  # rad/s
@@ -113,8 +119,8 @@ class TurnRateOptimizer(LeafBlock):
         period: s, between updates
 
     Raises:
-        ScenarioError: the system has no aircraft, the pattern has orbits, a parameter is out of
-            range, or the period is no multiple of the control period.
+        ScenarioError: the system has no aircraft, a parameter is out of range, or the period is no
+            multiple of the control period.
     """
 
     is_sampled = True
@@ -123,11 +129,11 @@ class TurnRateOptimizer(LeafBlock):
     def __init__(self, model: Model, config: TurnRateOptimizerConfig | None = None):
         super().__init__()
         required_aircraft(model, BOX, "TurnRateOptimizer")
-        config = with_stated_bound(BOX, config or TurnRateOptimizerConfig(), model.aircraft)
+        config = with_stated_bound(BOX, config or TurnRateOptimizerConfig(), model)
         _check(model, config)
         self._config = config
         self.parameters = BlockParameters(
-            model, config=config, own=("speed_bound",), rules=Rules(check=_check)
+            model, config=config, own=("speed_bound",), rules=Rules(check=_check, fixed=_FIXED)
         )
         declare_parameters(self, self.parameters)
         self._solver = TurnRateSolver(model, FlightLimits(config), config.orbit_points)
@@ -201,13 +207,6 @@ class TurnRateOptimizer(LeafBlock):
 
 
 def _check(model: Model, config: TurnRateOptimizerConfig) -> None:
-    require(
-        model.pattern.is_constant,
-        BOX,
-        "TurnRateOptimizer",
-        "the pattern has orbits, which it does not size; give pattern: !ConstantSpread and "
-        "load_trajectory: !PlannedTurn, or another optimization_layer",
-    )
     values = asdict(config)
     require_positive(BOX, frequency=config.frequency, period=config.period)
     require_non_negative(BOX, tightening=config.tightening, anchor_weight=config.anchor_weight)

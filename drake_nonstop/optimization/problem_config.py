@@ -12,6 +12,7 @@ from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import (
     StrictFields,
+    fields_of,
     is_number,
     require,
     require_array,
@@ -23,10 +24,9 @@ from drake_nonstop.validation import (
 LEAST_BOUND = 1e-3  # m/s, unless there is none at all: margins are relative to the bound
 _UNCOMPUTED = 0.01  # the tightening of what has no margin computed for it
 FLIGHT_LIMITS = ("max_lift_share", "max_bank", "max_climb", "max_thrust_share")
+_Config = TypeVar("_Config")
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
-
-_Config = TypeVar("_Config")
 
 if typing.TYPE_CHECKING:
     SpeedBound = float  # what it is in a sampled scenario, see `with_stated_bound`
@@ -104,13 +104,19 @@ def stated_speed_bound(field: str, value: Any, aircraft: Aircraft | None) -> Any
     return float(share * stall_speed(typing.cast(Aircraft, aircraft)))
 
 
-def with_stated_bound(box: str, config: _Config, aircraft: Aircraft | None) -> _Config:
+def with_stated_bound(box: str, config: _Config, model: Model) -> _Config:
     """The dataclass with its `speed_bound` in m/s, see `stated_speed_bound`."""
     own: Any = config
     if not isinstance(own.speed_bound, str):
         return config
-    stated = stated_speed_bound(f"{box}.speed_bound", own.speed_bound, aircraft)
+    stated = stated_speed_bound(f"{box}.speed_bound", own.speed_bound, model.aircraft)
     return replace(own, speed_bound=stated)
+
+
+def with_fields_of(kind: type[_Config], config: Any) -> _Config:
+    """A config of the fields that another one has, too; its others are the defaults."""
+    names = [field.name for field in fields_of(kind)]
+    return kind(**{name: getattr(config, name) for name in names if hasattr(config, name)})
 
 
 def amplitude_range(config: LimitsConfig, model: Model) -> list[float]:
@@ -178,6 +184,9 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
         min_separation=config.min_separation,
     )
     require(config.model_error < 1, f"{box}.model_error", config.model_error, "give less than 1")
+    is_used = config.speed_margin == 0 or config.tightening == AUTO
+    remedy = f"give {box}.tightening: {AUTO}, which alone aims at it, or leave it out"
+    require(is_used, f"{box}.speed_margin", config.speed_margin, remedy)
     require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)
@@ -302,7 +311,7 @@ def check_pattern(box: str, model: Model, block: str) -> None:
         box,
         block,
         "the pattern has no orbits that it could change; give !ConstantParameters with "
-        "amplitude: 0, or a pattern with orbits",
+        "amplitude: 0, for aircraft !TurnRateOptimizer, or a pattern with orbits",
     )
     require(
         all(order == 1 for order in model.pattern.harmonics),

@@ -314,6 +314,7 @@ class TracedProblem:
         """
         aircraft, beliefs = self.model.aircraft, Beliefs.view(data.beliefs)
         assert aircraft is not None
+        aircraft = aircraft._replace(cable_length=beliefs.rest_length, gravity=beliefs.gravity)
         none = np.zeros(1)
         products = flight_products(
             aircraft,

@@ -51,6 +51,7 @@ from drake_nonstop.blocks.load_disturbance import (
 from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedback,
     DesiredStateFeedback,
+    EstimatedFeedback,
     IdealFeedback,
     NoisyFeedback,
     NoisyFeedbackConfig,
@@ -59,6 +60,7 @@ from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.blocks.load_trajectory import (
     Circle,
     ConstantVelocityMove,
+    PlannedTurn,
     RestToRest,
     RestToRestConfig,
     SampledTrajectory,
@@ -207,6 +209,7 @@ BLOCKS = {
     Waypoints: ([], _REFERENCES, []),
     Circle: ([], _REFERENCES, []),
     SampledTrajectory: ([], _REFERENCES, []),
+    PlannedTurn: everything(["planned"], ["reference", "reference_higher_rates"]),
     IdealFeedback: (
         ["load_state"],
         ["measured_load_state"],
@@ -295,10 +298,8 @@ BLOCKS = {
             ("carrier_state", "tensions"),
         ],
     ),
-    noisy_feedback: (
-        ["load_state"],
-        ["measured_load_state"],
-        [("load_state", "measured_load_state")],
+    **dict.fromkeys(
+        (noisy_feedback, EstimatedFeedback), everything(["load_state"], ["measured_load_state"])
     ),
     gusty_force: ([], ["disturbance_wrench"], []),
     MultibodyLoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),

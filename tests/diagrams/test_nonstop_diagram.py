@@ -24,6 +24,7 @@ from drake_nonstop.blocks.optimization_layer import (
 )
 from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
 from drake_nonstop.diagrams import nonstop
 from drake_nonstop.diagrams.box import block_class, config_class
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
@@ -61,6 +62,7 @@ def sampled_figure():
 # What only blocks of aircraft, or of a reference that is delayed, make.
 NOT_BY_DEFAULT = {
     "load_trajectory": ("reference_delay",),
+    "optimization_layer": ("missed_limits",),
     "carrier_controller": ("aircraft_command", "command_saturation"),
     "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
 }
@@ -299,7 +301,8 @@ def test_swapped_in_block_gets_the_signals_that_it_names():
 
 
 LAYER = (
-    "expected parameters (2), optional diagnostics (7), plan (8), solve_time (1), speed_bound (1)"
+    "expected parameters (2), optional diagnostics (7), plan (8), solve_time (1), speed_bound (1), "
+    "missed_limits (5)"
 )
 
 
@@ -453,6 +456,21 @@ def test_an_internal_force_that_reads_what_is_smoothed_is_told(layer):
         make_nonstop(Scenario(optimization_layer=layer), **fields)
 
 
+def test_a_phase_that_leaves_the_plan_unread_is_told():
+    fields = {"phase": AccumulatedPhase, "at_equilibrium": False}
+    with pytest.warns(
+        ScenarioWarning, match="phase = AccumulatedPhase: it does not read the plan"
+    ) as told:
+        make_nonstop(Scenario(), internal_force=InternalForceTrajectory, **fields)
+    with warnings.catch_warnings():  # its remedies
+        warnings.simplefilter("error")
+        make_nonstop(Scenario(), at_equilibrium=False)
+        make_nonstop(Scenario(optimization_layer=NonstopOptimizerConfig()), **fields)
+    with pytest.warns(ScenarioWarning, match="as PlannedInternalForce does$"):
+        make_nonstop(Scenario(), internal_force=InternalForceTrajectory, at_equilibrium=False)
+    assert len(told) == 1
+
+
 def test_signals_that_others_need_become_inputs_where_a_box_is_left_out():
     left_out = {"phase": None, "internal_force": None, "carrier_trajectory": None}
     for name, signal in zip(
@@ -516,6 +534,7 @@ def scenario_and_diagram(request):
         for name, box in BOXES.items()
         for block in box.variants
         if block.__name__ not in COMMANDS["aircraft_command"]  # which come in a pair
+        and block is not TurnRateOptimizer  # of aircraft
     ],
     ids=lambda value: value if isinstance(value, str) else value.__name__,
 )

@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import ReferencePreview, load_scenario, make_nonstop, simulate
-from drake_nonstop.blocks.load_trajectory import RestToRest
+from drake_nonstop.blocks.load_trajectory import PlannedTurn, RestToRest
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LeafBlock
@@ -138,4 +138,6 @@ def test_it_can_come_from_outside():
 
 def test_every_trajectory_block_of_the_package_makes_one():
     for block in BOXES["load_trajectory"].variants:
+        if block is PlannedTurn:  # whose turn no one knows ahead
+            continue
         assert wiring.output_sizes(block(model()))["reference_preview"] is None

@@ -21,8 +21,15 @@ PAIRS = [
     for old, new in itertools.permutations(names, 2)
 ]
 AIRCRAFT = ("FixedWingController", "FixedWingDynamics")  # which come in pairs, and need a scale
+TURN = ("TurnRateOptimizer", "PlannedTurn")  # of a formation without orbits
+ALONE = AIRCRAFT + TURN  # which do not fly alone
 ALTERNATIVES = [
-    *((box, name) for box, names in NAMES.items() for name in names[1:] if name not in AIRCRAFT),
+    *(
+        (box, name)
+        for box, names in NAMES.items()
+        for name in names[1:]
+        if name not in AIRCRAFT + TURN
+    ),
     *(("pattern", name) for name in PATTERNS[1:]),
 ]
 

@@ -17,13 +17,15 @@ from drake_nonstop.mechanics.planned_flight import (
     FlightTerms,
     PlannedOrbit,
     flight_along_reference,
+    flight_products,
     flight_terms,
     planned_flight,
     planned_products,
     stall_factor,
+    turning_terms,
 )
 from drake_nonstop.mechanics.resting_orbit import resting_orbits
-from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.rotation import quaternion_product, rotation_matrix
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
@@ -283,3 +285,51 @@ def test_the_stall_factor_bounds_the_lift_share(wind):
     ratio = share / (needs.lift / aircraft.max_lift)
     assert ratio.min() > 1.0
     assert ratio.max() < (1.07 if wind else 1.03)
+
+
+def test_terms_of_a_turning_load_are_those_of_its_turned_motion(rng):
+    model = aircraft_model(ConstantSpreadConfig(spread=30.0), 60.0)
+    motion = slow_motion(2)
+    motion[[7, 8, 13, 14, 15]] = 0.0  # about the vertical, at a constant rate
+    motion[9] = 0.0
+    wrench = np.concatenate([rng.normal(size=3), [3.0, -2.0, 98.0]])
+    force_rate = rng.normal(size=3)
+    rates, angles = rng.uniform(0.2, 0.6, 5), rng.uniform(0, 6, 5)
+    others = geometry_of(model)
+    found = turning_terms(
+        motion, wrench, np.concatenate([np.zeros(3), force_rate]), WIND, rates, angles, **others
+    )
+    for i, (rate, angle) in enumerate(zip(rates, angles, strict=True)):
+        turn = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
+        moved = motion.copy()
+        moved[:4] = quaternion_product(turn, motion[:4])
+        moved[9] = rate
+        R_turn = rotation_matrix(turn)
+        torque = R_turn @ wrench[:3]
+        omega = np.array([0.0, 0.0, rate])
+        torque_rate = np.cross(omega, torque)
+        expected = flight_terms(
+            moved,
+            moved,
+            np.concatenate([torque, wrench[3:]]),
+            np.concatenate([torque_rate, force_rate]),
+            np.concatenate([np.cross(omega, torque_rate), np.zeros(3)]),
+            WIND,
+            **others,
+        )
+        for name in FlightTerms._fields:
+            np.testing.assert_allclose(
+                getattr(found, name)[i], getattr(expected, name), atol=1e-12, err_msg=name
+            )
+
+
+def test_the_squared_airspeed_is_quadratic_in_the_rate_of_a_turn(rng):
+    model = aircraft_model(ConstantSpreadConfig(spread=30.0), 60.0)
+    motion, wrench = np.eye(22)[0], np.array([0, 0, 0, 2.0, 0, 98.1])
+    rates = np.linspace(0.1, 0.9, 9)
+    terms = turning_terms(
+        motion, wrench, np.zeros(6), WIND, rates, np.full(9, 1.1), **geometry_of(model)
+    )
+    orbit = PlannedOrbit(*(np.zeros(1) for _ in PlannedOrbit._fields))
+    products = flight_products(model.aircraft, terms, axes_of(model), orbit, **cables_of(model))
+    np.testing.assert_allclose(np.diff(products.v_v, n=3, axis=0), 0, atol=1e-9)

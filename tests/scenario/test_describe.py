@@ -158,7 +158,7 @@ def test_one_box_is_shown_alone(capsys):
     assert (
         "\noptimization_layer -> parameters (2); "
         "optional diagnostics (7), plan (8), solve_time (1),\n"
-        "                      speed_bound (1)\n"
+        "                      speed_bound (1), missed_limits (5)\n"
     ) in shown
     assert (
         "  RecedingHorizonOptimizer (default)\n"

@@ -1,0 +1,124 @@
+"""The layer of a load that turns with its aircraft, alone and in its loop."""
+
+import warnings
+
+import numpy as np
+import pytest
+from helpers import difference
+from pydrake.systems.analysis import Simulator
+
+from drake_nonstop import ScenarioError, load_scenario, make_nonstop
+from drake_nonstop.blocks.load_trajectory import PlannedTurn, PlannedTurnConfig
+from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer, TurnRateOptimizerConfig
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.wiring import input_names, output_sizes
+
+LAYER = "optimization_layer=!TurnRateOptimizer {speed_bound: 1.8 V_s, max_frequency_rate: 0.1}"
+TURN = "load_trajectory=!PlannedTurn {displacement: [5.0, 0.0, 0.0], move_time: 9.0}"
+SHAPED = "phase=!ShapedPhase {bandwidth: 4.0}"
+
+
+def turning_model():
+    scenario = load_scenario("aircraft_co_rotating")
+    return Model(scenario.system, scenario.pattern, scenario.control_period)
+
+
+def test_its_ports_are_those_of_the_box_and_nothing_feeds_through():
+    block = TurnRateOptimizer(turning_model())
+    assert input_names(block) == ["reference", "wrench", "wrench_rate", "wind_estimate"]
+    assert output_sizes(block) == {
+        "parameters": 2,
+        "diagnostics": 7,
+        "solve_time": 1,
+        "speed_bound": 1,
+        "missed_limits": 5,
+    }
+    assert not block.HasAnyDirectFeedthrough()
+
+
+def test_in_its_loop_the_load_turns_as_fast_as_the_bound_asks_for():
+    """From 0.4 rad/s on, in 5 m/s of wind, to what keeps 1.8 of the stall speed."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        loop = make_nonstop(load_scenario("aircraft_co_rotating", [LAYER, TURN, SHAPED]))
+    simulator = Simulator(loop)
+    simulator.AdvanceTo(12.0)
+    context = simulator.get_context()
+    bound, (rate, amplitude) = (
+        loop.GetOutputPort(name).Eval(context) for name in ("speed_bound", "parameters")
+    )
+    assert amplitude == 0
+    assert rate > 0.41
+    outcome, updates, kept, solved, *_ = loop.GetOutputPort("diagnostics").Eval(context)
+    assert outcome == 1
+    assert kept + solved > 0.9 * updates
+    turning = loop.GetOutputPort("load_state").Eval(context)[9]
+    assert turning == pytest.approx(rate, rel=0.02)
+    shown = loop.GetOutputPort("aircraft_state").Eval(context).reshape(4, -1)
+    assert shown[3].min() > bound[0]
+    assert shown[0].max() < 0.9 * 1.4
+
+
+def test_the_planned_turn_has_the_rates_of_its_pose():
+    block = PlannedTurn(
+        turning_model(), PlannedTurnConfig(displacement=[3.0, 1.0, 0.0], move_time=4.0)
+    )
+    jerk = 0.2
+
+    def references(time):
+        """Of a phase with a constant ξ̈."""
+        context = block.CreateDefaultContext()
+        context.SetTime(time)
+        angle = 0.4 * time + 0.1 * time**2 / 2 + jerk * time**3 / 6
+        rates = [0.4 + 0.1 * time + jerk * time**2 / 2, 0.1 + jerk * time, jerk]
+        planned = [angle, rates[0], 0.0, rates[1], 0.0, rates[2], 0.0, 0.0]
+        block.GetInputPort("planned").FixValue(context, planned)
+        names = ("reference", "reference_higher_rates")
+        return [block.GetOutputPort(name).Eval(context).copy() for name in names]
+
+    now, higher = references(1.3)
+    assert 2 * np.arctan2(now[3], now[0]) == pytest.approx(0.52 + 0.0845 + jerk * 1.3**3 / 6)
+    for rate, of in ((slice(10, 13), slice(4, 7)), (slice(13, 16), slice(7, 10))):
+        expected = difference(lambda t, of=of: references(t)[0][of], 1.3)
+        np.testing.assert_allclose(now[rate], expected, atol=1e-8)
+    np.testing.assert_allclose(
+        higher[:3], difference(lambda t: references(t)[0][13:16], 1.3), atol=1e-8
+    )
+
+
+def test_a_pattern_with_orbits_is_refused():
+    with pytest.raises(ScenarioError) as error:
+        make_nonstop(load_scenario("aircraft_rest", [LAYER, TURN, SHAPED]))
+    assert str(error.value) == (
+        "optimization_layer = TurnRateOptimizer: the pattern has orbits, which it does not size; "
+        "give pattern: !ConstantSpread and load_trajectory: !PlannedTurn, or another "
+        "optimization_layer"
+    )
+
+
+def test_a_load_that_turns_at_another_rate_is_refused():
+    with pytest.raises(ScenarioError) as error:
+        make_nonstop(load_scenario("aircraft_co_rotating", [LAYER, SHAPED]))
+    assert str(error.value) == (
+        "load_trajectory = SteadyTurn: the load does not turn at the rate that optimization_layer "
+        "= TurnRateOptimizer makes; give !PlannedTurn, and phase: !ShapedPhase, or another "
+        "optimization_layer"
+    )
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("orbit_points", 0, "give 1 to 64"),
+        ("max_bank", -1.0, "greater than 0"),
+        ("max_lift_share", 1.2, "give at most 1"),
+        ("frequency_bounds", [0.5, 1.0], "that hold the initial frequency 0.4"),
+        ("speed_bound", "fast", '"1.4 V_s"'),
+        ("period", 0.05, "a multiple of the control period 0.04"),
+    ],
+)
+def test_fields_out_of_range_are_refused(field, value, said):
+    with pytest.raises(ScenarioError) as error:
+        TurnRateOptimizer(turning_model(), TurnRateOptimizerConfig(**{field: value}))
+    assert f"optimization_layer.{field} = " in str(error.value)
+    assert said in str(error.value)
