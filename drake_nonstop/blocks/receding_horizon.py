@@ -488,6 +488,10 @@ def _structure(model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[fl
 
 
 def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> None:
+    remedy = "the pattern has no orbits that it could change; give !TurnRateOptimizer and "
+    remedy += "load_trajectory: !PlannedTurn, whose load turns with its aircraft"
+    can_turn = model.aircraft is not None and model.pattern.is_constant
+    require(not can_turn, box, "RecedingHorizonOptimizer", remedy)
     check_limits(box, config, model)
     check_horizon(box, config, config, model)
     check_pattern(box, model, "RecedingHorizonOptimizer")

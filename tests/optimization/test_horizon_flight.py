@@ -142,7 +142,7 @@ def test_margins_are_those_of_the_exact_inverse_on_the_path_that_is_flown():
         factor = stall_factor(aircraft, shares["max_lift_share"])
         expected = np.concatenate(
             [
-                (airspeed / ((1 + TIGHTENING) * BOUND)) ** 2 - 1,
+                (airspeed**2 - data.aims[i] ** 2) / ((1 + TIGHTENING) * BOUND) ** 2,
                 1 - np.linalg.norm(force, axis=1) / (factor * airspeed**2),
                 1 - (bank / shares["max_bank"]) ** 2,
                 1 - (climb / shares["max_climb"]) ** 2,
