@@ -1,6 +1,5 @@
 """The speed margin of a loop as configured, from its blocks."""
 
-import contextlib
 import math
 import warnings
 from collections.abc import Mapping
@@ -91,8 +90,8 @@ def margin_of_loop(
         return LoopMargin(None, tuple(left_out))
     disturbance = _disturbance(model, plant, blocks, motion, left_out)
 
-    def margin_with(disturbance: Disturbance | None) -> SpeedMargin:
-        return speed_margin(
+    try:
+        margin = speed_margin(
             model,
             plant,
             limits,
@@ -102,17 +101,11 @@ def margin_of_loop(
             instant_spacing=_spacing(limits, model.control_period),
             disturbance=disturbance,
         )
-
-    try:
-        return LoopMargin(margin_with(disturbance), tuple(left_out))
     except NoMarginError as error:
         cause = str(error)
-    if disturbance.is_any:
-        with contextlib.suppress(NoMarginError):
-            margin = margin_with(None)
-            left_out.append(f"wind and load_disturbance, with which {cause}")
-            return LoopMargin(margin, tuple(left_out))
-    return LoopMargin(None, (*left_out, cause))
+        left_out.append(f"what faster orbits add, as {cause}" if error.margin else cause)
+        return LoopMargin(error.margin, tuple(left_out))
+    return LoopMargin(margin, tuple(left_out))
 
 
 def computed_margin(

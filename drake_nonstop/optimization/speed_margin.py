@@ -41,7 +41,7 @@ from drake_nonstop.optimization.terminal_set import product_limits
 
 DEVIATIONS = 5.0  # standard deviations of noise: a normal value falls below with 2.9e-7
 _PHASES = 24  # of the orbits, at which speeds and their rates are looked at
-_LOOPS = 48  # about as many phases the loop is linearized: steps of forces between them count
+_LOOPS = 60  # about as many phases the loop is linearized: steps of forces between them count
 _SEEN = 3  # of these phases, at which the shortfalls are looked at
 _MEMORY = 10.0  # s, of the inputs that matter for a shortfall
 _LARGEST_GROWTH = 0.2  # per s, beyond which there is no margin
@@ -139,7 +139,16 @@ class SpeedMargin:
 
 
 class NoMarginError(RuntimeError):
-    """Nothing bounds the errors; the message says why."""
+    """Nothing bounds the errors; the message says why.
+
+    Attributes:
+        margin: that of the orbits without it, which may be too small for the faster ones with it;
+            None where there is none.
+    """
+
+    def __init__(self, cause: str, margin: SpeedMargin | None = None):
+        super().__init__(cause)
+        self.margin = margin
 
 
 def speed_margin(
@@ -175,14 +184,20 @@ def speed_margin(
     task = _Task(model, limits, motion)
     loops = _Loops(model, plant, carriers, feedback)
     margin = _FIRST * limits.speed_bound
+    first: SpeedMargin | None = None
     for _ in range(_REPEATS):
         chosen = task.parameters_for(limits.speed_bound + margin)
-        shares = _shares(task, loops, chosen, limits, instant_spacing, margin, disturbance)
+        try:
+            shares = _shares(task, loops, chosen, limits, instant_spacing, margin, disturbance)
+        except NoMarginError as error:
+            raise NoMarginError(str(error), first) from None
         if shares.total <= margin:
             return shares
+        first = first or shares
         margin = _SAME * shares.total
     raise NoMarginError(
-        f"a speed {margin:.3g} m/s above the bound needs orbits whose errors are larger still"
+        f"a speed {margin:.3g} m/s above the bound needs orbits whose errors are larger still",
+        first,
     )
 
 
@@ -321,7 +336,8 @@ class _Loops:
         feedback = self.feedback
         turn = 2 * math.pi / parameters[0]
         samples = max(1, round(turn / _LOOPS / feedback.period))
-        orbits = [task.orbit(parameters, 2 * math.pi * i / _LOOPS) for i in range(_LOOPS)]
+        count = max(_SEEN, round(turn / (samples * feedback.period)))
+        orbits = [task.orbit(parameters, 2 * math.pi * i / count) for i in range(count)]
         loops = [
             tethered_loop(
                 self.load,
@@ -344,7 +360,7 @@ class _Loops:
                 f"the linear loop {self._with_delay}grows by {rate:.3g} per s along the orbits"
             )
         lags = math.ceil(_MEMORY / feedback.period)
-        for i in range(0, _LOOPS, _LOOPS // _SEEN):
+        for i in range(0, count, count // _SEEN):
             yield orbits[i], responses(loops, samples, i, lags)
 
 

@@ -161,7 +161,8 @@ def test_no_speed_falls_short_by_more_than_predicted(task):
     name = "quintic" if isinstance(task, int) else task
     drawn = draw(task) if isinstance(task, int) else []
     short = ["load_trajectory.start_time=1", "simulation_duration=1.5"]
-    scenario = changed(load_scenario(name), [*drawn, *HORIZON, *short])
+    without = "optimization_layer.overshoot=0"  # what plans keep after jumps by themselves
+    scenario = changed(load_scenario(name), [*drawn, *HORIZON, *short, without])
     optimizer = compute_metrics(simulate(scenario, check_step=StepCheck.NOTHING))["optimizer"]
     predicted = optimizer["predicted_speed_margin_m_s"]
     measured = optimizer["measured_speed_margin_m_s"]
@@ -233,6 +234,11 @@ def test_gusts_spread_speeds_as_in_a_run():
     measured = float(np.std((speeds[0] - speeds[1])[100:]))
     predicted = margin_with(gusts).margin.disturbance / DEVIATIONS
     assert 0.3 * predicted < measured < predicted
+
+
+def test_what_plans_keep_after_jumps_is_left_out():
+    shares = [margin_with(f"optimization_layer.overshoot={k}").margin.jumps for k in (0, 0.1, 5)]
+    assert shares[0] > shares[1] > shares[2] == 0
 
 
 def test_a_septic_reference_has_no_jumps(as_it_is):
