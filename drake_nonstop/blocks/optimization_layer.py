@@ -119,7 +119,7 @@ class NonstopOptimizer(SpeedBoundLayer):
     but a command to the `speed_bound`.
 
     Parameters, the fields of `NonstopOptimizerConfig`:
-        speed_bound: m/s, ε; of aircraft also "1.4 V_s", of the stall speed
+        speed_bound: m/s, ε; of aircraft also "1.4 V_s"
         tightening: the solver aims at (1 + tightening) ε; "auto": computed
         speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
         model_error: share of the load's weight by which its wrench may be off
@@ -378,6 +378,6 @@ def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
 VARIANTS = (
     RecedingHorizonOptimizer,
     NonstopOptimizer,
-    ConstantParameters,
     TurnRateOptimizer,
+    ConstantParameters,
 )

@@ -136,7 +136,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     `missed_limits` (5), the fields of `MissedLimits`.
 
     Parameters, the fields of `RecedingHorizonOptimizerConfig`:
-        speed_bound: m/s, ε; of aircraft also "1.4 V_s", of the stall speed
+        speed_bound: m/s, ε; of aircraft also "1.4 V_s"
         tightening: the solver aims at (1 + tightening) ε; "auto": computed
         speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
         model_error: share of the load's weight by which its wrench may be off

@@ -55,7 +55,7 @@ _FIXED = (*AIRCRAFT_NUMBERS, "cable_stiffness", OFFSET)
 class TurnRateOptimizerConfig(StrictFields):
     """The bound on the airspeed, the limits of the aircraft, and the rate of the turn."""
 
-    speed_bound: SpeedBound = 10.0  # m/s, ε; also "1.4 V_s", of the stall speed
+    speed_bound: SpeedBound = 10.0  # m/s, ε; also "1.4 V_s"
     tightening: float = 0.01  # the solver aims at (1 + tightening) ε
     frequency: float = 0.4  # rad/s, ξ at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 2.0])  # rad/s
@@ -105,7 +105,7 @@ class TurnRateOptimizer(LeafBlock):
     All outputs are state or parameters.
 
     Parameters, the fields of `TurnRateOptimizerConfig`:
-        speed_bound: m/s, ε; also "1.4 V_s", of the stall speed
+        speed_bound: m/s, ε; also "1.4 V_s"
         tightening: the solver aims at (1 + tightening) ε
         frequency: rad/s, ξ at the start
         frequency_bounds: rad/s

@@ -17,12 +17,13 @@ from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import least_infeasible
 from drake_nonstop.optimization.update_problem import UpdateProblem
 
-_MOST_STEPS = 20
+_MOST_STEPS = 12
+_MOST_REFUSALS = 2  # of steps from a point that is not feasible
 _FIRST_RADIUS = 0.2  # relative to ξ and A, of the first step
 _SHORTEST = 1e-5  # relative, a step that ends the search
 _GRID = 12  # points a side
 _FAR = 0.1  # relative, a step of which something closer may lie elsewhere
-_HALVINGS = 12  # of the range of what linearized margins may lack
+_HALVINGS = 6  # of the range of what linearized margins may lack
 _MOST_EXCHANGES = 60
 _ROUNDING = 1e-12
 _SPEED_WEIGHT = 10.0  # of what a margin of the speed bound lacks, beside the others
@@ -49,7 +50,6 @@ def nearest_within_limits(problem: UpdateProblem) -> tuple[NDArray, float]:
 class _Point(NamedTuple):
     x: NDArray  # (2,)
     margins: NDArray
-    jacobian: NDArray  # (r, 2), of the margins by x
     weights: NDArray  # (r,), of what the margins lack
 
     @property
@@ -69,35 +69,43 @@ def _order(problem: UpdateProblem, point: _Point) -> tuple[float, ...]:
 
 
 def _at(problem: UpdateProblem, x: NDArray) -> _Point:
-    margins, jacobian = problem.margins_and_jacobian(x)
-    weights = np.where(np.arange(len(margins)) < problem.speed_count, _SPEED_WEIGHT, 1.0)
-    return _Point(x, margins, jacobian, weights)
+    margins = problem.margins_but_separation(x)
+    weights = np.ones(len(margins))
+    weights[: problem.speed_count] = _SPEED_WEIGHT
+    return _Point(x, margins, weights)
 
 
 def _descend(problem: UpdateProblem, start: NDArray) -> _Point:
     """The last point of the steps from `start` on."""
     lower, upper = problem.known_bounds
-    cost = problem.search_problem.change_cost()
+    cost = problem.change_cost()
     point, radius = _at(problem, np.clip(start, lower, upper)), _FIRST_RADIUS
+    refusals, jacobian = 0, None
     for _ in range(_MOST_STEPS):
         reach = radius * point.x
         low, high = np.maximum(lower, point.x - reach), np.minimum(upper, point.x + reach)
-        target = _step(cost, point, low, high)
+        if jacobian is None:
+            _, jacobian = problem.margins_and_jacobian(point.x)
+        target = _step(cost, point, jacobian, low, high)
         length = np.max(np.abs(target - point.x) / point.x)
         if length <= _SHORTEST:
             break
         new = _at(problem, target)
         if new.violation <= max(FEASIBILITY_TOLERANCE, 0.9 * point.violation):
             was_short = length <= _SHORTEST**0.5 and new.is_feasible
-            point, radius = new, min(2 * radius, 1.0)
+            point, jacobian, radius = new, None, min(2 * radius, 1.0)
             if was_short:
                 break  # what is left is of the second order in it
         else:
-            radius = 0.3 * min(radius, length)
+            radius, refusals = 0.3 * min(radius, length), refusals + 1
+            if refusals >= _MOST_REFUSALS and not point.is_feasible:
+                break
     return point
 
 
-def _step(cost: QuadraticChangeCost, point: _Point, low: NDArray, high: NDArray) -> NDArray:
+def _step(
+    cost: QuadraticChangeCost, point: _Point, jacobian: NDArray, low: NDArray, high: NDArray
+) -> NDArray:
     """The cheapest [ξ, A] (2,) within bounds that the linearized margins allow.
 
     Where there is none, one that lacks the least.
@@ -106,7 +114,7 @@ def _step(cost: QuadraticChangeCost, point: _Point, low: NDArray, high: NDArray)
     root = np.linalg.cholesky(hessian)
     best = -np.linalg.solve(root.T, np.linalg.solve(root, gradient))
     shift = point.x
-    rows = np.vstack([point.jacobian, np.eye(2), -np.eye(2)])
+    rows = np.vstack([jacobian, np.eye(2), -np.eye(2)])
     offsets = np.concatenate([-point.margins, low - shift, shift - high])
     weights = np.concatenate([1 / point.weights, np.zeros(4)])  # bounds have no slack
     # In coordinates of which the cost is the squared distance, z = Rᵀ δ.

@@ -38,7 +38,7 @@ else:
 class LimitsConfig(StrictFields):
     """The bound, the nominal ξ and A, and what limits them and the carriers' flight."""
 
-    speed_bound: SpeedBound = 0.2  # m/s, ε; of aircraft also "1.4 V_s", of the stall speed
+    speed_bound: SpeedBound = 0.2  # m/s, ε; of aircraft also "1.4 V_s"
     tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε; "auto": computed
     speed_margin: float = 0.0  # m/s above ε that "auto" aims at; 0: computed for the loop
     model_error: float = 0.0  # share of the load's weight by which its wrench may be off

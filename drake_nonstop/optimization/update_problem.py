@@ -94,6 +94,22 @@ class UpdateProblem:
         """What is larger for the better one of the margins of two infeasible points."""
         return self._traced.constraints.infeasibility_order(margins)
 
+    def change_cost(self) -> nonstop.QuadraticChangeCost:
+        """The cost of the step from x⁻, for phases that do not depend on ξ."""
+        config = self._traced.config
+        return nonstop.quadratic_change_cost(
+            self.previous,
+            self.data.phase[0] + self._traced.model.pattern.phases,
+            internal_force_weight=config.internal_force_weight,
+            internal_force_rate_weight=config.internal_force_rate_weight,
+            anchor_weight=float(self.data.anchor_weight[0]),
+            nominal=self.beliefs.nominal,
+        )
+
+    def margins_but_separation(self, x: NDArray) -> NDArray:
+        """The margins (r,) at x but for that of the separation; for reading."""
+        return self._margins_and_worst(x)[0]
+
     def margins_and_jacobian(self, x: NDArray) -> tuple[NDArray, NDArray]:
         """The margins (r,) at x but for that of the separation, and their Jacobian (r, 2)."""
         margins, jacobian = self._traced.margins_and_jacobian(x, self.vector)
@@ -115,27 +131,32 @@ class UpdateProblem:
 
         At amplitudes (k,), N, and frequencies (q,), rad/s; with the phases that these give.
         """
-        columns = [self._column(amplitudes, float(f)) for f in frequencies]
-        speeds, others = (np.stack(of_all, axis=1) for of_all in zip(*columns, strict=True))
-        return speeds, others
+        if self.phase_jumps:
+            columns = [self._on_grid(amplitudes, f) for f in frequencies[:, None]]
+            speeds, others = (
+                np.concatenate(of_all, axis=1) for of_all in zip(*columns, strict=True)
+            )
+            return speeds, others
+        return self._on_grid(amplitudes, frequencies)
 
-    def _column(self, amplitudes: NDArray, frequency: float) -> tuple[NDArray, NDArray]:
-        """Those (k,) of one frequency."""
-        traced = self._traced
-        own = self.search_problem_at(frequency) if self.phase_jumps else self.search_problem
-        speeds, others = own.margins(amplitudes, np.array([frequency]))
-        x = np.array([frequency, self.previous[1]])
+    def _on_grid(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
+        """The same, with the phases of the first frequency."""
+        traced, shape = self._traced, (len(amplitudes), len(frequencies))
+        first = float(frequencies[0])
+        own = self.search_problem_at(first) if self.phase_jumps else self.search_problem
+        speeds, others = own.margins(amplitudes, frequencies)
+        x = np.array([first, self.previous[1]])
         flat, angles = (part.copy() for part in traced.flight_terms(x, self.vector))
-        rows, count = len(angles), len(amplitudes)
+        rows, count = len(angles), len(amplitudes) * len(frequencies)
         flight = traced.flight_margins(
             np.tile(flat.reshape(rows, -1), (count, 1)),
             np.tile(angles, count),
-            np.array([frequency]),
-            np.repeat(amplitudes, rows),
-            self.data._replace(beliefs=np.concatenate(self.beliefs)),
+            np.repeat(np.tile(frequencies, len(amplitudes)), rows),
+            np.repeat(np.repeat(amplitudes, len(frequencies)), rows),
+            self.data,
         )
         worst = np.min([of_kind.reshape(count, -1).min(axis=1) for of_kind in flight], axis=0)
-        return speeds.min(axis=2)[:, 0], np.minimum(others[:, 0], worst)
+        return speeds.min(axis=2), np.minimum(others, worst.reshape(shape))
 
     def speed_margins(self, x: NDArray) -> NDArray:
         """The worse margin of each speed at x, which may have limits on either side."""

@@ -244,9 +244,7 @@ def test_parameters_are_listed_with_units_and_blocks():
         "carrier_trajectory",
         "load_plant",
     )
-    assert found["optimization_layer.speed_bound"].meaning == (
-        'm/s, ε; of aircraft also "1.4 V_s", of the stall speed'
-    )
+    assert found["optimization_layer.speed_bound"].meaning == ('m/s, ε; of aircraft also "1.4 V_s"')
 
 
 def test_a_loop_in_a_bigger_diagram_is_set_in_its_own_context():

@@ -166,24 +166,26 @@ def test_one_box_is_shown_alone(capsys):
         "    in   reference (22), reference_preview (abstract, optional), "
         "speed_bound_command (1, optional)\n"
         "    out  parameters (2), plan (8), diagnostics (7), solve_time (1), speed_bound (1)\n"
-        "    speed_bound          float        0.2          m/s, ε\n"
+        '    speed_bound          float | str  0.2          m/s, ε; of aircraft also "1.4 V_s"\n'
     ) in shown
     assert "  NonstopOptimizer\n    Changes ξ and A as little" in shown
     assert (
         "    in   measured_load_state (13), reference (22), wrench (6), wrench_rate (6), "
         "phase (2),\n"
-        "         speed_bound_command (1, optional)\n"
-        "    out  parameters (2), diagnostics (7), solve_time (1), speed_bound (1)\n"
-        "    speed_bound                 float        0.2          m/s, ε\n"
+        "         wind_estimate (3, optional), speed_bound_command (1, optional)\n"
+        "    out  parameters (2), diagnostics (7), solve_time (1), speed_bound (1), "
+        "missed_limits (5)\n"
+        "    speed_bound                 float | str  0.2          m/s, ε; of aircraft also "
+        '"1.4 V_s"\n'
     ) in shown
     assert shown.endswith(
         "  ConstantParameters\n"
         "    Constant ξ and A: the loop without optimization.\n"
         "    in   speed_bound_command (1, optional)\n"
         "    out  parameters (2), speed_bound (1)\n"
-        "    frequency    float  2.0  rad/s, ξ\n"
-        "    amplitude    float  1.2  N, A; 0 for a constant pattern, and for no other\n"
-        "    speed_bound  float  0.2  m/s, ε; reported, not enforced\n"
+        "    frequency    float        2.0  rad/s, ξ\n"
+        "    amplitude    float        1.2  N, A; 0 for a constant pattern, and for no other\n"
+        '    speed_bound  float | str  0.2  m/s, ε; reported, not enforced; also "1.4 V_s"\n'
     )
     assert "load_plant" not in shown
 
