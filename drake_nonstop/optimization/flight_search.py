@@ -17,7 +17,7 @@ from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import least_infeasible
 from drake_nonstop.optimization.update_problem import UpdateProblem
 
-_MOST_STEPS = 12
+_MOST_STEPS, _FEW_STEPS = 12, 3
 _MOST_REFUSALS = 2  # of steps from a point that is not feasible
 _FIRST_RADIUS = 0.2  # relative to ξ and A, of the first step
 _SHORTEST = 1e-5  # relative, a step that ends the search
@@ -37,14 +37,18 @@ def nearest_within_limits(problem: UpdateProblem) -> tuple[NDArray, float]:
     previous = problem.previous
     found = _descend(problem, previous)
     lower, upper = problem.known_bounds
-    is_narrow = bool(np.all(upper < (1 + _FAR) * lower))
     size = np.max(np.abs(found.x / previous - 1))
-    if is_narrow or (found.is_feasible and size < _FAR):
+    if _are_narrow(lower, upper) or (found.is_feasible and size < _FAR):
         return found.x, problem.cost(found.x) if found.is_feasible else math.inf
     other = _descend(problem, _best_of_grid(problem))
     points = sorted((found, other), key=lambda point: _order(problem, point))
     best = points[-1]
     return best.x, problem.cost(best.x) if best.is_feasible else math.inf
+
+
+def _are_narrow(lower: NDArray, upper: NDArray) -> bool:
+    """Whether the bounds are so close to each other that a grid finds nothing else."""
+    return bool(np.all(upper < (1 + _FAR) * lower))
 
 
 class _Point(NamedTuple):
@@ -81,7 +85,8 @@ def _descend(problem: UpdateProblem, start: NDArray) -> _Point:
     cost = problem.change_cost()
     point, radius = _at(problem, np.clip(start, lower, upper)), _FIRST_RADIUS
     refusals, jacobian = 0, None
-    for _ in range(_MOST_STEPS):
+    # Within bounds this narrow the margins are as good as linear.
+    for _ in range(_FEW_STEPS if _are_narrow(lower, upper) else _MOST_STEPS):
         reach = radius * point.x
         low, high = np.maximum(lower, point.x - reach), np.minimum(upper, point.x + reach)
         if jacobian is None:

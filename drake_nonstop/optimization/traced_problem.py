@@ -99,10 +99,7 @@ class TracedProblem:
         self.separation = SeparationConstraint(self.constraints.min_separation, self._axes)
         self.terms = self._compiled(self._trace_terms)
         self.cost = self._compiled(self._trace_cost)
-        self.use_trace = (
-            self.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS or self.has_flight_limits
-        )
-        if self.use_trace:
+        if self.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS or self.has_flight_limits:
             self.margins = self._compiled(self._trace_margins)
         if self.has_flight_limits:
             self.flight_terms = self._compiled(self._trace_flight_terms)

@@ -14,6 +14,7 @@ from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.separation import Separation
 from drake_nonstop.optimization.traced_problem import (
+    MIN_SPEEDS_FOR_ARRAYS,
     SpeedTerms,
     TracedProblem,
 )
@@ -290,7 +291,8 @@ class UpdateProblem:
         return self._last[1], self._last[2]
 
     def _computed_margins(self, x: NDArray) -> NDArray:
-        if self._traced.use_trace:
+        traced = self._traced
+        if traced.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS or traced.has_flight_limits:
             return self._traced.margins(x, self.vector)[0].copy()
         frequency, amplitude = Parameters.view(x)
         terms = self._terms_at(float(frequency[0])) if self.phase_jumps else self._terms

@@ -412,7 +412,6 @@ METRICS = (
         unit="m/s",
         better=Better.HIGHER,
         needs_aircraft=True,
-        run_text=RunText(line="aircraft", text="{:+.3g} {unit} above the bound"),
     ),
     Metric(
         path="aircraft.airspeed_over_stall_min",
@@ -511,7 +510,7 @@ METRICS = (
     ),
     *(
         Metric(
-            path=f"optimizer.missed_limits.{name}",
+            path=f"aircraft.missed_limits.{name}",
             measure=_missed(name),
             label=f"updates that miss the limit of the {name}",
             better=Better.LOWER,

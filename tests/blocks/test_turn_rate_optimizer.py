@@ -14,7 +14,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.wiring import input_names, output_sizes
 
 LAYER = "optimization_layer=!TurnRateOptimizer {speed_bound: 1.8 V_s, max_frequency_rate: 0.1}"
-TURN = "load_trajectory=!PlannedTurn {displacement: [5.0, 0.0, 0.0], move_time: 9.0}"
+TURN = "load_trajectory=!PlannedTurn {displacement: [5.0, 0.0, 0.0], move_time: 20.0}"
 SHAPED = "phase=!ShapedPhase {bandwidth: 4.0}"
 
 
@@ -42,7 +42,7 @@ def test_in_its_loop_the_load_turns_as_fast_as_the_bound_asks_for():
         warnings.simplefilter("error")
         loop = make_nonstop(load_scenario("aircraft_co_rotating", [LAYER, TURN, SHAPED]))
     simulator = Simulator(loop)
-    simulator.AdvanceTo(12.0)
+    simulator.AdvanceTo(6.0)
     context = simulator.get_context()
     bound, (rate, amplitude) = (
         loop.GetOutputPort(name).Eval(context) for name in ("speed_bound", "parameters")
@@ -53,7 +53,7 @@ def test_in_its_loop_the_load_turns_as_fast_as_the_bound_asks_for():
     assert outcome == 1
     assert kept + solved > 0.9 * updates
     turning = loop.GetOutputPort("load_state").Eval(context)[9]
-    assert turning == pytest.approx(rate, rel=0.02)
+    assert turning == pytest.approx(rate, rel=0.03)
     shown = loop.GetOutputPort("aircraft_state").Eval(context).reshape(4, -1)
     assert shown[3].min() > bound[0]
     assert shown[0].max() < 0.9 * 1.4

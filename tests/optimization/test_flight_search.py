@@ -128,6 +128,18 @@ def test_wind_moves_the_bound_on_the_airspeed_only():
     assert solver.solve(resting(solver, 12.0))[1] == Outcome.KEPT
 
 
+def test_a_load_that_drifts_with_the_wind_is_one_that_rests_in_still_air():
+    solver, drift = aircraft_solver(**LIMITS), np.array([2.0, -1.0, 0.5])
+    still = resting(solver, 12.0)
+    state, reference = still.load_state.copy(), still.reference.copy()
+    state[10:13] = reference[10:13] = drift
+    drifting = still._replace(load_state=state, reference=reference, wind=drift)
+    expected = solver.problem(still).margins(START)
+    np.testing.assert_allclose(solver.problem(drifting).margins(START), expected, atol=1e-12)
+    against = solver.problem(drifting._replace(wind=-drift)).margins(START)
+    assert np.abs(against - expected).max() > 0.1
+
+
 def test_gradients_of_the_margins_are_central_differences():
     solver = aircraft_solver(**LIMITS)
     problem = solver.problem(resting(solver, 12.0, (2.0, 1.0, 0.0)))

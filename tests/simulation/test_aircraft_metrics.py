@@ -7,6 +7,7 @@ import pytest
 from aircraft_runs import FREQUENCY, aircraft_run
 
 from drake_nonstop import load_scenario
+from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
 from drake_nonstop.simulation.run import StepCheck, UnknownSignalError
@@ -71,6 +72,28 @@ def test_extremes_are_those_of_the_steps(run):
     assert aircraft["bank_max_rad"] == 0.8
     assert aircraft["airspeed_min_m_s"] == 9.0
     assert (aircraft["thrust_min_N"], aircraft["thrust_max_N"]) == (-9.0, 44.0)
+
+
+def test_the_bound_is_that_of_the_airspeed_and_missed_limits_are_counted():
+    run = aircraft_run(TURN, wind=(2.0, 0.0, 0.0))
+    run.scenario.optimization_layer = ConstantParametersConfig(speed_bound="1.45 V_s")
+    run.steps["missed_limits"] = np.cumsum(np.tile([0.0, 1, 0, 2, 0], (len(run.time), 1)), axis=0)
+    metrics = compute_metrics(run)
+    least = metrics["aircraft"]["airspeed_min_m_s"]
+    bound = 1.45 * np.sqrt(2 * 6 * 9.81 / (1.225 * 0.98 * 1.4))
+    assert metrics["aircraft"]["airspeed_above_bound_min_m_s"] == pytest.approx(least - bound)
+    airspeeds = AircraftState.view(run.steps["aircraft_state"]).airspeed
+    below = np.mean(np.any(airspeeds < bound, axis=1)) * TURN
+    assert 0 < metrics["carriers"]["time_below_bound_s"] == pytest.approx(below, abs=0.03)
+    assert metrics["carriers"]["speed_min_m_s"] != pytest.approx(least, abs=0.3)
+    counts = metrics["aircraft"]["missed_limits"]
+    assert counts == {
+        "airspeed": 0,
+        "lift": len(run.time),
+        "bank": 0,
+        "climb": 2 * len(run.time),
+        "thrust": 0,
+    }
 
 
 def test_the_saturated_share_is_the_time_with_any_flag(run):
