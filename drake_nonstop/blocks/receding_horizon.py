@@ -13,6 +13,7 @@ from pydrake.systems.framework import (
     Context,
     DiscreteStateIndex,
     DiscreteValues,
+    InputPort,
     ValueProducer,
 )
 
@@ -23,16 +24,20 @@ from drake_nonstop.blocks.speed_bound_layer import (
     SpeedBoundLayer,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     PARAMETERS_SIZE,
     PLANNED_SIZE,
+    WIND_SIZE,
     PlannedParameters,
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
+    MISSED_LIMITS_SIZE,
     Outcome,
+    count_missed,
     count_update,
 )
 from drake_nonstop.optimization.horizon_check import check_horizon
@@ -44,6 +49,7 @@ from drake_nonstop.optimization.horizon_problem import (
 )
 from drake_nonstop.optimization.horizon_solver import (
     LEAST_START_SCALE,
+    PLAN_TOLERANCE,
     HorizonSolver,
     PlanAnswer,
 )
@@ -59,6 +65,7 @@ from drake_nonstop.systems.block import weakly
 from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
+_WIND = "wind_estimate"  # an optional input, of aircraft
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _MOST_ITERATIONS = 100  # of any other
 _MORE = 4  # times the iterations again, for a plan that needs slack
@@ -87,6 +94,10 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`. The first plan
     starts with the initial ξ and A where these keep the constraints, and else with others.
 
+    The speeds of aircraft are those through the air, in the wind that `wind_estimate` tells at the
+    time of a plan, taken as steady; not connected: in still air. What they need of lift, bank,
+    climb and thrust is limited along the plan and, at its end, on the whole orbits of ξ and A.
+
     An update ends as kept where the last plan, shifted, cannot be improved; as solved where a plan
     fulfils all constraints; as relaxed where it is the least infeasible one that was found; and as
     held where it took more than `time_limit`: the last plan then goes on. Without a limit runs are
@@ -106,6 +117,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         input_ports:
         - reference
         - reference_preview
+        - wind_estimate
         - speed_bound_command
         output_ports:
         - parameters
@@ -113,13 +125,15 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         - diagnostics
         - solve_time
         - speed_bound
+        - missed_limits
 
-    `reference` (22) in W; `reference_preview`, abstract-valued, a `ReferencePreview`, and
-    `speed_bound_command` (1) in m/s may be left unconnected; `parameters` (2) = [ξ (rad/s), A (N)];
-    `plan` (8) = [θ (rad), ξ (rad/s), A (N), ξ̇ (rad/s²), Ȧ (N/s), ξ̈ (rad/s³), Ä (N/s²), A⃛
-    (N/s³)]; `diagnostics` (7), the fields of `Diagnostics`, whose speed margin is the smallest of
-    the whole horizon; `solve_time` (1) is the wall time in s that the last plan took; `speed_bound`
-    (1) is the ε that was set or is commanded, in m/s.
+    `reference` (22) in W; `reference_preview`, abstract-valued, a `ReferencePreview`,
+    `wind_estimate` (3) in m/s, in W, and `speed_bound_command` (1) in m/s may be left unconnected;
+    `parameters` (2) = [ξ (rad/s), A (N)]; `plan` (8) = [θ (rad), ξ (rad/s), A (N), ξ̇ (rad/s²),
+    Ȧ (N/s), ξ̈ (rad/s³), Ä (N/s²), A⃛ (N/s³)]; `diagnostics` (7), the fields of `Diagnostics`,
+    whose speed margin is the smallest of the whole horizon; `solve_time` (1) is the wall time in s
+    that the last plan took; `speed_bound` (1) is the ε that was set or is commanded, in m/s;
+    `missed_limits` (5), the fields of `MissedLimits`.
 
     Parameters, the fields of `RecedingHorizonOptimizerConfig`:
         speed_bound: m/s, ε; of aircraft also "1.4 V_s"
@@ -164,7 +178,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             preview ends before the horizon.
     """
 
-    optional_inputs = (_PREVIEW, COMMAND)
+    optional_inputs = (_PREVIEW, _WIND, COMMAND)
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
         config = with_stated_bound(BOX, config or RecedingHorizonOptimizerConfig(), model)
@@ -173,6 +187,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self._model, self._config = model, config
         self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
         self._preview = self.DeclareAbstractInputPort(_PREVIEW, Value(object()))
+        self._wind: InputPort | None = None
+        if model.aircraft is not None:
+            self._wind = self.DeclareVectorInputPort(_WIND, WIND_SIZE)
         self._planner = _Planner(model, config, self.get_name) if self.scalar is float else None
         count = round(config.horizon / config.knot_spacing) + DEGREE
         nominal = np.array([config.frequency, config.amplitude])
@@ -186,6 +203,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self._plan_entry = entry.cache_index()
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
+        self._missed: DiscreteStateIndex | None = None
         self._values: DiscreteStateIndex | None = None
         if model.control_period > 0:
             self._values = self.DeclareDiscreteState(_resting(nominal))
@@ -197,6 +215,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
         self.declare_bound()
+        if model.aircraft is not None:
+            self._missed = self.DeclareDiscreteState(MISSED_LIMITS_SIZE)
+            self.DeclareStateOutputPort("missed_limits", self._missed)
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         self._sample_period = model.control_period or config.knot_spacing
         self._samples_per_plan = round(config.knot_spacing / self._sample_period)
@@ -254,7 +275,12 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         last = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
         start = clock.perf_counter()
         planned = self._planner.plan(
-            context.get_time(), self._reference_ahead(context), bound, numbers, last
+            context.get_time(),
+            self._reference_ahead(context),
+            bound,
+            numbers,
+            last,
+            self._wind_in(context),
         )
         solve_time = clock.perf_counter() - start
         if solve_time > self._config.time_limit and last.scale != _NO_PLAN:
@@ -263,11 +289,21 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
             count_update(diagnostics, planned.outcome, planned.slowest_speed - bound)
             discrete_state.set_value(self._diagnostics, diagnostics)
+            if self._missed is not None:
+                missed = context.get_discrete_state(self._missed).CopyToVector()
+                count_missed(missed, planned.missed)
+                discrete_state.set_value(self._missed, missed)
         discrete_state.set_value(self._plan, planned.state.flat())
         discrete_state.set_value(self._solve_time, [solve_time])
         if self._values is not None:
             plan = planned.state.plan(self._config.knot_spacing)
             discrete_state.set_value(self._values, plan.values(context.get_time()))
+
+    def _wind_in(self, context: Context) -> NDArray:
+        """The wind (3,) that the aircraft fly in, as far as it is known, m/s, in W."""
+        if self._wind is None or not self._wind.HasValue(context):
+            return STILL_AIR
+        return self._wind.Eval(context).copy()
 
     def _reference_ahead(self, context: Context) -> ReferencePreview:
         """The load's reference at times from now on."""
@@ -325,6 +361,7 @@ class _Planned(NamedTuple):
     state: _PlanState
     outcome: Outcome
     slowest_speed: float  # m/s, along the plan
+    missed: set[str]  # of the names of `MissedLimits`
 
 
 class _Planner:
@@ -347,8 +384,9 @@ class _Planner:
         speed_bound: float,
         numbers: LayerNumbers,
         last: _PlanState,
+        wind: NDArray,
     ) -> _Planned:
-        """The next plan, from a time in s on, which goes on from the last one."""
+        """The next plan, from a time in s on, in a wind (3,), which goes on from the last one."""
         solver = self._solver_for(numbers)
         problem, spacing = solver.problem, self._config.knot_spacing
         start_time = spacing * np.floor(time / spacing + 1e-6)
@@ -363,12 +401,12 @@ class _Planner:
             ratio = (last.nominal / numbers.nominal)[:, None]
             angle, start = shifted.start_angle, ratio * shifted.coefficients
         data = problem.data(
-            start_time, angle, reference, speed_bound, self._known(solver, reference)
+            start_time, angle, reference, speed_bound, self._known(solver, reference), wind
         )
         self._data = solver, reference, data
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, LEAST_START_SCALE)
-        arrays = data.flat_terms, start, numbers.beliefs
+        arrays = data.flat_terms, data.flat_flight, start, numbers.beliefs
         key = (start_time, angle, speed_bound, is_new, scale, *(a.tobytes() for a in arrays))
         known = self._last
         if known is None or known[0] != key:
@@ -383,7 +421,11 @@ class _Planner:
         state = _PlanState(
             start_time, angle, answer.scale, speed_bound, numbers.nominal, answer.coefficients
         )
-        return _Planned(state, outcome, slowest)
+        missed: set[str] = set()
+        if not answer.is_feasible:
+            margins = problem.margins(data, answer.coefficients)
+            missed = problem.missed(margins, PLAN_TOLERANCE)
+        return _Planned(state, outcome, slowest, missed)
 
     def _known(self, solver: HorizonSolver, reference: ReferencePreview) -> HorizonData | None:
         """The last plan's data, where they are of the same motion and beliefs."""
@@ -446,6 +488,10 @@ def _structure(model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[fl
 
 
 def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> None:
+    remedy = "the pattern has no orbits that it could change; give !TurnRateOptimizer and "
+    remedy += "load_trajectory: !PlannedTurn, whose load turns with its aircraft"
+    can_turn = model.aircraft is not None and model.pattern.is_constant
+    require(not can_turn, box, "RecedingHorizonOptimizer", remedy)
     check_limits(box, config, model)
     check_horizon(box, config, config, model)
     check_pattern(box, model, "RecedingHorizonOptimizer")

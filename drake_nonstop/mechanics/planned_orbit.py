@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.nonstop import orbit_ahead
-from drake_nonstop.mechanics.rigid_load import RigidLoad
+from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
+from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 
@@ -34,19 +35,21 @@ class OrbitTerms(NamedTuple):
 def orbit_along_reference(
     load: RigidLoad,
     reference: NDArray,
+    wind: NDArray = STILL_AIR,
     *,
     pseudo_inverse: NDArray,
     offset: NDArray,
     attachments: NDArray,
 ) -> NDArray:
-    """The flat `OrbitTerms` (9n + 3,) of a load on its `reference` (22,), in still air.
+    """The flat `OrbitTerms` (9n + 3,) of a load on its `reference` (22,), of numbers or symbols.
 
-    The wrench is that which moves the load along its reference, whose angular jerk is taken as
-    zero. `pseudo_inverse` (3n, 6), `offset` (3n,) in N and `attachments` (n, 3) are in L.
+    The wrench is that which moves the load along its reference in the steady `wind` (3,), m/s, in
+    W; the velocities are those through this air. The reference's angular jerk is taken as zero.
+    `pseudo_inverse` (3n, 6), `offset` (3n,) in N and `attachments` (n, 3) are in L.
     """
     state = reference[:LOAD_STATE_SIZE]
     wrench, wrench_rate = wrench_and_rate(
-        load, state, reference, np.zeros(WRENCH_SIZE), feedforward=1.0, **NO_FEEDBACK
+        load, state, reference, np.zeros(WRENCH_SIZE), wind, feedforward=1.0, **NO_FEEDBACK
     )
     forces, rates, _, velocities, omega = orbit_ahead(
         state,
@@ -59,6 +62,7 @@ def orbit_along_reference(
         offset=offset,
         attachments=attachments,
     )
+    velocities = velocities - rotation_matrix(state[:4]).T @ wind
     return np.concatenate([forces.ravel(), rates.ravel(), velocities.ravel(), omega])
 
 

@@ -9,6 +9,10 @@ part of the horizon, A ξ ≥ s(t, A) (1 − slack), above which no phase of the
 rates are those of ξ/ξ₀ and A/A₀. Limits on speeds from above, on tensions and on the distances
 between carriers are constraints of the same kind, with slack of their own. Limits on the rates of
 ξ and A, and their bounds, hold for the coefficients, and so at all times.
+
+The speeds of aircraft are those through the air. The limits of their lift, bank, climb and thrust
+are constraints, with slack of their own, at the predicted phases and, in the last part, at all
+phases of the orbit of the ξ and A there, taken as constant: these limits are not monotone in ξ.
 """
 
 import math
@@ -20,6 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import nonstop
+from drake_nonstop.mechanics.planned_flight import (
+    FlightTerms,
+    PlannedOrbit,
+    flight_along_reference,
+    planned_flight,
+)
 from drake_nonstop.mechanics.planned_orbit import (
     OrbitTerms,
     PlannedSpeeds,
@@ -28,9 +38,14 @@ from drake_nonstop.mechanics.planned_orbit import (
     planned_speeds,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
-from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, PlannedParameters
+from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    WIND_SIZE,
+    PlannedParameters,
+)
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.flight_limits import FlightLimits
 from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
 from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
@@ -102,6 +117,8 @@ class HorizonData(NamedTuple):
     terminal: TerminalSet  # at the terminal instants
     speed_bound: float  # m/s, tightened
     aims: NDArray  # (k, n), m/s, what speeds have to reach at the instants: no less than that
+    flat_flight: NDArray  # (k, 15n + 9), the `FlightTerms` there; (k, 0) without limits of flight
+    wind: NDArray  # (3,), m/s, that aircraft fly in
 
     @property
     def terms(self) -> OrbitTerms:
@@ -115,12 +132,17 @@ class HorizonData(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """Matrices (p, N) of θ, ξ, A and Ȧ at p instants by the coefficients of ξ/ξ₀ or of A/A₀."""
+    """Matrices (p, N) at p instants by the coefficients of ξ/ξ₀ or of A/A₀.
+
+    The rates ξ̇ and Ä count where aircraft have limits.
+    """
 
     angle: NDArray  # rad
     frequency: NDArray  # rad/s
     amplitude: NDArray  # N
     amplitude_rate: NDArray  # N/s
+    frequency_rate: NDArray  # rad/s²
+    amplitude_second_rate: NDArray  # N/s²
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,31 +153,34 @@ class Linearization:
     instants, too: where the cubic Hermite spline through the margins has a minimum between two
     instants, the margin at the first of them is that minimum. It is a mean of four neighbours, with
     weights that are fixed to first order, since there the spline does not change with its place.
+    The last margins are those of whole orbits, at evenly spaced phases.
     """
 
     margins: NDArray  # (r,)
-    gradients: NDArray  # (4, r), by θ, ξ, A and Ȧ
+    gradients: NDArray  # (g, r), by θ, ξ, A and Ȧ, and with limits of flight by ξ̇ and Ä
     instant_of: NDArray  # (r,), the row of the slopes
     slack_of: NDArray  # (r,), the number of the slack
     slopes: Slopes
     table: tuple[int, int]  # the first margins are those of k instants and so many constraints
     weights: NDArray  # (3, r), of the same constraint at the instants `_NEIGHBOURS` from it
+    orbits: tuple[int, int, int]  # the last margins are those of k instants, h phases, m limits
 
     def changes(self, step: NDArray) -> NDArray:
         """What a step (2, N) of the coefficients adds to the margins (r,), to first order."""
         c, d = step
-        slopes = self.slopes
+        slopes, rates = self.slopes, self._with_rates
         of_instants = np.stack(
             [
                 slopes.angle @ c,
                 slopes.frequency @ c,
                 slopes.amplitude @ d,
                 slopes.amplitude_rate @ d,
+                *([slopes.frequency_rate @ c, slopes.amplitude_second_rate @ d] if rates else []),
             ]
         )
         count, width = self.table
         end = count * width
-        table = self.gradients[:, :end].reshape(4, count, width)
+        table = self.gradients[:, :end].reshape(-1, count, width)
         last = (self.gradients[:, end:] * of_instants[:, self.instant_of[end:]]).sum(axis=0)
         changes = np.concatenate(
             [np.einsum("ikm,ik->km", table, of_instants[:, :count]).reshape(-1), last]
@@ -178,22 +203,33 @@ class Linearization:
 
     def _rows(self, chosen: NDArray, fixed: int) -> NDArray:
         gradients, instants = self.gradients[:, chosen, None], self.instant_of[chosen]
-        by = [g * slope[instants, fixed:] for g, slope in zip(gradients, self.slopes, strict=True)]
+        by = [g * slope[instants, fixed:] for g, slope in zip(gradients, self.slopes, strict=False)]
+        if self._with_rates:
+            return np.hstack([by[0] + by[1] + by[4], by[2] + by[3] + by[5]])
         return np.hstack([by[0] + by[1], by[2] + by[3]])
+
+    @property
+    def _with_rates(self) -> bool:
+        return len(self.gradients) == len(self.slopes)
 
     def dips(self, margins: NDArray, largest: float) -> NDArray:
         """The numbers of margins of at most `largest` that are the least of their neighbours.
 
-        Neighbours are those of the same constraint at the instants before and after. Those of the
-        terminal set have none. `margins` (r,) are about the same plan or of a step from it.
+        Neighbours are those of the same constraint at the instants before and after, or at the
+        phases of an orbit; the table's limits have none. `margins` (r,) are about the same plan or
+        of a step from it.
         """
         count, width = self.table
         table = margins[: count * width].reshape(count, width)
         is_dip = table <= largest
         is_dip[1:] &= table[1:] <= table[:-1]
         is_dip[:-1] &= table[:-1] < table[1:]
-        last = np.flatnonzero(margins[count * width :] <= largest) + count * width
-        return np.concatenate([np.flatnonzero(is_dip), last])
+        end = len(margins) - math.prod(self.orbits)
+        last = np.flatnonzero(margins[count * width : end] <= largest) + count * width
+        orbits = margins[end:].reshape(self.orbits)
+        before, after = np.roll(orbits, 1, axis=1), np.roll(orbits, -1, axis=1)
+        is_low = (orbits <= largest) & (orbits <= before) & (orbits < after)
+        return np.concatenate([np.flatnonzero(is_dip), last, np.flatnonzero(is_low) + end])
 
     def with_neighbours(self, chosen: NDArray, margins: NDArray, largest: float) -> NDArray:
         """The numbers of chosen margins, and of those before and after that are at most that."""
@@ -250,8 +286,12 @@ class HorizonProblem:
         # Some of the instants, the same ones in each interval.
         self._terminal_at = count - 1 - back * self._per_knot // self._terminal_per_knot
         self.terminal_instants = self.instants[self._terminal_at]
+        # What aircraft need on whole orbits is limited at the ends of the intervals.
+        self._orbits_of = np.arange(1, config.terminal_knots + 1) * self._terminal_per_knot - 1
         self._limits = ConstraintMargins(limits, 0)
         self.max_speed = self._limits.max_speed  # m/s, tightened
+        self._flight_limits = FlightLimits(limits)
+        self._orbit_angles = 2 * np.pi * np.arange(config.terminal_phases) / config.terminal_phases
         self._separation: SeparationConstraint | None = None
         if self._limits.min_separation > 0:
             self._separation = SeparationConstraint(self._limits.min_separation, self.axes)
@@ -265,14 +305,22 @@ class HorizonProblem:
             frequency * rows.value[every],
             amplitude * rows.value[every],
             amplitude * rows.rate[every],
+            frequency * rows.rate[every],
+            amplitude * rows.second_rate[every],
         )
         self._place_constraints()
         self.hessian = self._hessian()
         self._terms = TracedFunction(
             self._trace_terms,
-            [LOAD_REFERENCE_SIZE, len(self._beliefs)],
+            [LOAD_REFERENCE_SIZE, len(self._beliefs), WIND_SIZE],
             name=name,
-            key=("orbit along reference", model.attachments, model.pseudo_inverse),
+            key=(
+                "orbit along reference",
+                model.attachments,
+                model.pseudo_inverse,
+                model.aircraft is None,
+                self._limits_flight,
+            ),
         )
 
     @property
@@ -297,9 +345,14 @@ class HorizonProblem:
         """Those (2, N) of the nominal ξ and A."""
         return np.ones((2, self.count))
 
-    def terms_at(self, reference: NDArray) -> NDArray:
-        """The flat `OrbitTerms` (9n + 3,) of a reference (22,)."""
-        return self._terms(reference, self._beliefs)[0].copy()
+    def terms_at(self, reference: NDArray, wind: NDArray = STILL_AIR) -> NDArray:
+        """The flat `OrbitTerms` (9n + 3,) of a reference (22,), in a wind (3,) in m/s, in W."""
+        return self._all_terms(reference, wind)[0]
+
+    def _all_terms(self, reference: NDArray, wind: NDArray) -> tuple[NDArray, NDArray]:
+        """Copies of those and, where flight has limits, of the flat `FlightTerms`."""
+        terms, flight = self._terms(reference, self._beliefs, wind)
+        return terms.copy(), flight.copy()
 
     def data(
         self,
@@ -308,26 +361,32 @@ class HorizonProblem:
         reference: Reference,
         speed_bound: float,
         last: HorizonData | None = None,
+        wind: NDArray = STILL_AIR,
     ) -> HorizonData:
         """The data of a plan from a time in s and phase in rad on, for ε in m/s.
 
-        Where `last` is of the same reference and bound, and began at the same time or one interval
-        between knots before, what both have in common is taken from it.
+        Where `last` is of the same reference, bound and wind, and began at the same time or one
+        interval between knots before, what both have in common is taken from it. The wind (3,) in
+        m/s, in W, is that of the whole horizon; it counts for aircraft.
         """
         bound = tightened_bound(self.limits, speed_bound)
         spacing = self.config.knot_spacing
-        is_same = last is not None and last.start_time == start_time
-        if last is not None and is_same and last.speed_bound == bound:
+        wind = STILL_AIR if self.model.aircraft is None else wind
+        is_alike = last is not None and last.speed_bound == bound and (last.wind == wind).all()
+        if last is not None and is_alike and last.start_time == start_time:
             return last._replace(start_angle=start_angle)
-        known: NDArray | None = None
+        known: list[NDArray] | None = None
         is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
-        if last is not None and is_next and last.speed_bound == bound:
-            known = last.flat_terms[self._per_knot :]
+        if last is not None and is_next and is_alike:
+            known = [part[self._per_knot :] for part in (last.flat_terms, last.flat_flight)]
         times = self._times(start_time)
-        references = references_at(reference, times if known is None else times[len(known) :])
-        flat = np.array([self.terms_at(values) for values in references])
+        references = references_at(reference, times if known is None else times[len(known[0]) :])
+        found = [self._all_terms(values, wind) for values in references]
+        flat, flight = (np.array(parts) for parts in zip(*found, strict=True))
         if known is not None:
-            flat = np.concatenate([known, flat])
+            flat, flight = (
+                np.concatenate(parts) for parts in zip(known, (flat, flight), strict=True)
+            )
         aims = self._aims(flat, speed_bound, bound)
         if last is None or known is None:
             places = self._terminal_at
@@ -336,7 +395,7 @@ class HorizonProblem:
             places = self._terminal_at[-self._terminal_per_knot :]
             new = self.terminal_set(flat[places], aims[places, :, None])
             terminal = last.terminal.continued(new, self._terminal_per_knot)
-        return HorizonData(start_time, start_angle, flat, terminal, bound, aims)
+        return HorizonData(start_time, start_angle, flat, terminal, bound, aims, flight, wind)
 
     def jump_margins(self, flat_terms: NDArray, spacing: float) -> NDArray:
         """What the speeds (k, n) have to keep above the bound after jumps of the plan, m/s.
@@ -514,16 +573,28 @@ class HorizonProblem:
             zero = np.zeros(by_angle.shape)
             gradients.append(factor * np.stack([by_angle, zero, by_amplitude, zero]))
         terminal, of_terminal = self._terminal_margins(data, coefficients)
+        if self._limits_flight:
+            flight, of_flight = self._flight_margins(data, coefficients)
+            count = len(self.instants)
+            margins.append(flight[:count])
+            gradients = [_with_zero_rates(of_kind) for of_kind in gradients]
+            gradients.append(of_flight[:, :count])
+            terminal = np.concatenate([terminal, flight[count:].ravel()])
+            of_orbits = of_flight[:, count:].reshape(len(of_flight), -1)
+            of_orbits[[0, 3, 4, 5]] = 0  # the orbits are of constant ξ and A, at given phases
+            of_terminal = np.hstack([_with_zero_rates(of_terminal), of_orbits])
         of_instants, weights = _with_dips(np.concatenate(margins, axis=1))
         none = np.zeros((len(_NEIGHBOURS), len(terminal)))
+        by_instants = np.concatenate(gradients, axis=2)
         return Linearization(
             np.concatenate([of_instants.reshape(-1), terminal]),
-            np.hstack([np.concatenate(gradients, axis=2).reshape(4, -1), of_terminal]),
+            np.hstack([by_instants.reshape(len(by_instants), -1), of_terminal]),
             self._instant_of,
             self._slack_of,
             self._slopes,
             of_instants.shape,
             np.hstack([weights.reshape(len(_NEIGHBOURS), -1), none]),
+            self._orbits,
         )
 
     def margins(self, data: HorizonData, coefficients: NDArray) -> NDArray:
@@ -536,6 +607,13 @@ class HorizonProblem:
         violated = np.flatnonzero(~(margins >= 0))
         np.maximum.at(slacks, self._slack_of[violated], -margins[violated])
         return slacks
+
+    def missed(self, margins: NDArray, tolerance: float) -> set[str]:
+        """What margins (r,) miss by more than a tolerance, of the names of `MissedLimits`."""
+        if self.model.aircraft is None:
+            return set()
+        numbers = self._name_of[np.flatnonzero(~(margins >= -tolerance))]
+        return {self._names[number] for number in set(numbers.tolist())} - {""}
 
     @property
     def slack_count(self) -> int:
@@ -551,13 +629,15 @@ class HorizonProblem:
     def _place_constraints(self) -> None:
         """Tells where margins belong: their instants, and their slacks.
 
-        The bound on the speeds has slack of its own, and all other limits together.
+        The bound on the speeds has slack of its own, all limits of aircraft together, and all
+        others together.
         """
         limits, n, count = self._limits, self.model.n, len(self.instants)
         others = n * (int(limits.limit_high_speeds) + len(limits.tension_factors))
         if self._separation is not None:
             others += self._pairs.shape[1]
-        kinds = np.repeat([0, 1], [n, others])
+        of_flight = n * len(self._flight_limits.kinds)
+        kinds = np.repeat([0, 1, 2 if others else 1], [n, others, of_flight])
         pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).astype(int)
         slack_of = pieces[:, None] + (self.intervals + 1) * kinds
         is_limited = [True, limits.limit_high_speeds, self._limits_amplitude]
@@ -565,19 +645,84 @@ class HorizonProblem:
         terminal_kinds = np.minimum(self._terminal_kinds, 1)
         terminal_slack = self.intervals + (self.intervals + 1) * terminal_kinds
         terminal = np.arange(len(self.terminal_instants))
+        phases = len(self._orbit_angles) if of_flight else 0
+        self._orbits = (len(self._orbits_of), phases, of_flight)
+        orbits = math.prod(self._orbits)
         self._slack_of = np.concatenate(
-            [slack_of.ravel(), np.repeat(terminal_slack, len(terminal))]
+            [
+                slack_of.ravel(),
+                np.repeat(terminal_slack, len(terminal)),
+                np.full(orbits, self.intervals + (self.intervals + 1) * kinds[-1]),
+            ]
         )
         self._instant_of = np.concatenate(
             [
-                np.repeat(np.arange(count), n + others),
+                np.repeat(np.arange(count), n + others + of_flight),
                 np.tile(count + terminal, len(terminal_slack)),
+                np.repeat(count + self._orbits_of, phases * of_flight),
+            ]
+        )
+        names = [*self._flight_limits.kinds, "airspeed", ""]
+        own = np.repeat(np.arange(len(names) - 2), n)
+        bound, other = len(names) - 2, len(names) - 1
+        of_instant = np.concatenate([np.full(n, bound), np.full(others, other), own])
+        of_terminal = np.where(self._terminal_kinds == 0, bound, other)
+        self._names = names
+        self._name_of = np.concatenate(
+            [
+                np.tile(of_instant, count),
+                np.repeat(of_terminal, len(terminal)),
+                np.tile(own, len(self._orbits_of) * phases),
             ]
         )
         weights = np.full(self.intervals + 1, self.config.knot_spacing)
         weights[-1] *= self.config.terminal_knots
-        shares = [1.0, _OTHERS_SHARE] if others else [1.0]
+        shares = [1.0] + [_OTHERS_SHARE] * int(kinds.max())
         self.slack_weights = self.config.slack_weight * np.outer(shares, weights).ravel()
+
+    @property
+    def _limits_flight(self) -> bool:
+        return bool(self._flight_limits.kinds)
+
+    def _flight_margins(self, data: HorizonData, coefficients: NDArray) -> tuple[NDArray, NDArray]:
+        """Those of aircraft's limits (k, m) and their gradients (6, k, m), by the `Slopes`.
+
+        At the instants, and after them at all phases of orbits at the ends of the last intervals.
+        """
+        aircraft = self.model.aircraft
+        assert aircraft is not None
+        c, d = coefficients
+        frequency, amplitude = self.nominal
+        rows, at, angles = self._rows, self._terminal_at[self._orbits_of], self._orbit_angles
+        along = PlannedOrbit(
+            data.start_angle + frequency * (rows.integral @ c),
+            frequency * (rows.value @ c),
+            frequency * (rows.rate @ c),
+            amplitude * (rows.value @ d),
+            amplitude * (rows.rate @ d),
+            amplitude * (rows.second_rate @ d),
+        )
+        every = np.repeat(at, len(angles))
+        zero = np.zeros(len(every))
+        around = PlannedOrbit(
+            np.tile(angles, len(at)),
+            along.frequency[every],
+            zero,
+            along.amplitude[every],
+            zero,
+            zero,
+        )
+        needs, by = planned_flight(
+            aircraft,
+            FlightTerms.view(np.concatenate([data.flat_flight, data.flat_flight[every]])),
+            self.axes,
+            PlannedOrbit(*map(np.concatenate, zip(along, around, strict=True))),
+            **self._cables,
+        )
+        margins = self._flight_limits.margins(aircraft, needs)
+        gradients = self._flight_limits.gradients(aircraft, needs, by)
+        found = np.concatenate(gradients, axis=2)
+        return np.concatenate(margins, axis=1), found[[0, 1, 3, 4, 2, 5]]
 
     @property
     def _limits_amplitude(self) -> bool:
@@ -644,7 +789,10 @@ class HorizonProblem:
         )
         return hessian
 
-    def _trace_terms(self, reference: NDArray, vector: NDArray) -> NDArray:
+    def _trace_terms(
+        self, reference: NDArray, vector: NDArray, wind: NDArray
+    ) -> tuple[NDArray, NDArray]:
+        """The flat `OrbitTerms`, and where flight has limits the flat `FlightTerms`."""
         beliefs = Beliefs.view(vector)
         load = RigidLoad(
             mass=beliefs.load_mass,
@@ -654,13 +802,22 @@ class HorizonProblem:
             gravity=beliefs.gravity,
         )
         model = self.model
-        return orbit_along_reference(
-            load,
-            reference,
-            pseudo_inverse=model.pseudo_inverse,
-            offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
-            attachments=model.attachments,
-        )
+        of_model: dict[str, NDArray] = {
+            "pseudo_inverse": model.pseudo_inverse,
+            "offset": beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
+            "attachments": model.attachments,
+        }
+        if model.aircraft is None:
+            wind = STILL_AIR
+        terms = orbit_along_reference(load, reference, wind, **of_model)
+        if not self._limits_flight:
+            return terms, np.zeros(0)
+        return terms, flight_along_reference(load, reference, wind, **of_model)
+
+
+def _with_zero_rates(gradients: NDArray) -> NDArray:
+    """Gradients (4, ...) by θ, ξ, A and Ȧ with those by ξ̇ and Ä, (6, ...)."""
+    return np.concatenate([gradients, np.zeros((2, *gradients.shape[1:]))])
 
 
 def _with_dips(margins: NDArray) -> tuple[NDArray, NDArray]:

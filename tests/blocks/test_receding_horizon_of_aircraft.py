@@ -1,0 +1,83 @@
+"""The horizon's layer with aircraft: the wind that it reads, and what it counts as missed."""
+
+import functools
+
+import numpy as np
+import pytest
+from helpers import fix, output
+from pydrake.systems.analysis import Simulator
+
+from drake_nonstop.blocks.receding_horizon import (
+    RecedingHorizonOptimizer,
+    RecedingHorizonOptimizerConfig,
+)
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.diagnostics import Diagnostics, MissedLimits, Outcome
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.aircraft_margins import MeanWind, margins_at_rest
+from drake_nonstop.validation import ScenarioError
+
+AT_REST = np.concatenate([[1.0], np.zeros(21)])
+WIND = np.array([2.0, 0.0, 0.0])
+
+
+@functools.cache
+def aircraft_model():
+    scenario = load_scenario("aircraft_rest")
+    return Model(scenario.system, scenario.pattern, scenario.control_period)
+
+
+def planned(wind=None, **fields):
+    """The layer's outputs after its first plan, above a resting load."""
+    fields = {"frequency": 0.595, "amplitude": 1.0, "instants": 4, "terminal_phases": 12} | fields
+    block = RecedingHorizonOptimizer(aircraft_model(), RecedingHorizonOptimizerConfig(**fields))
+    simulator = Simulator(block)
+    context = simulator.get_mutable_context()
+    fix(block, context, reference=AT_REST)
+    if wind is not None:
+        fix(block, context, wind_estimate=wind)
+    simulator.Initialize()
+    names = ("parameters", "diagnostics", "missed_limits", "speed_bound")
+    found = {name: output(block, context, name).copy() for name in names}
+    diagnostics = Diagnostics.view(found["diagnostics"])
+    return found, diagnostics, MissedLimits.view(found["missed_limits"])
+
+
+def least_airspeed(parameters, wind):
+    needs = margins_at_rest(aircraft_model(), AT_REST, parameters, wind=MeanWind(wind)).needs
+    return needs.airspeed.min()
+
+
+def test_the_first_plan_keeps_the_airspeed_in_the_wind_that_is_told():
+    bound = {"speed_bound": "1.45 V_s"}
+    still, _, _ = planned(**bound)
+    windy, told, missed = planned(WIND, **bound)
+    aim = float(still["speed_bound"][0])
+    assert aim == pytest.approx(1.45 * 8.37, rel=0.01)
+    assert least_airspeed(still["parameters"], 0 * WIND) > aim
+    assert least_airspeed(still["parameters"], WIND) < aim - 0.5
+    assert least_airspeed(windy["parameters"], WIND) > aim
+    assert told.outcome == Outcome.SOLVED
+    assert told.speed_margin > 0
+    assert sum(missed) == 0
+
+
+def test_a_limit_that_no_plan_keeps_is_counted():
+    bounds = {"frequency_bounds": [0.5, 0.65], "amplitude_bounds": [0.9, 1.1]}
+    _, told, missed = planned(speed_bound=10.0, max_lift_share=0.4, **bounds)
+    assert told.outcome == Outcome.RELAXED
+    assert missed == MissedLimits(airspeed=0, lift=1, bank=0, climb=0, thrust=0)
+
+
+def test_a_load_that_turns_with_its_aircraft_is_refused_with_what_can_be_used():
+    layer = "optimization_layer=RecedingHorizonOptimizer"
+    with pytest.raises(ScenarioError) as error:
+        make_nonstop(load_scenario("aircraft_co_rotating", [layer]), at_equilibrium=False)
+    assert str(error.value) == (
+        "optimization_layer = RecedingHorizonOptimizer: the pattern has no orbits that it could "
+        "change; give !TurnRateOptimizer and load_trajectory: !PlannedTurn, whose load turns with "
+        "its aircraft"
+    )
+    others = ["optimization_layer=!TurnRateOptimizer {}", "load_trajectory=!PlannedTurn {}"]
+    make_nonstop(load_scenario("aircraft_co_rotating", others), at_equilibrium=False)

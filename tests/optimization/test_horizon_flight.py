@@ -1,0 +1,235 @@
+"""Plans of aircraft: against the motion that is flown, the margins at rest and differences."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+from helpers import Motion, difference, model
+
+from drake_nonstop.mechanics.aircraft import needed_force, required_command, thrust_limits
+from drake_nonstop.mechanics.planned_flight import stall_factor
+from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
+from drake_nonstop.model.aircraft import AircraftParameters
+from drake_nonstop.model.pattern import EllipticCarouselConfig
+from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem
+from drake_nonstop.optimization.horizon_solver import PLAN_TOLERANCE, HorizonSolver
+from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.simulation.aircraft_margins import MeanWind, margins_at_rest
+
+WIND = np.array([1.6, -0.7, 0.2])
+SHARES = {"max_lift_share": 0.9, "max_bank": 0.75, "max_climb": 0.5, "max_thrust_share": 0.95}
+TIGHTENING = 0.02
+BOUND = 12.0  # m/s
+CORNERS = [[1.5, 0.0, 0.0], [0.0, 1.5, 0.0], [-1.5, 0.0, 0.0], [0.0, -1.5, 0.0]]
+AT_REST = np.concatenate([[1.0], np.zeros(21)])
+
+
+def slow(reference):
+    """A reference that moves as aircraft do: all of it in slow motion, but as far."""
+
+    def at(time):
+        return reference(0.05 * time) * 0.05 ** np.repeat([0, 1, 2, 3], [7, 6, 6, 3])
+
+    return at
+
+
+MOVING = slow(Motion(2).reference)
+
+
+@functools.cache
+def problem_of(**limits):
+    system = SystemParameters(
+        load_mass=10.0,
+        load_inertia=[[5.6, 0.2, 0.1], [0.2, 5.1, 0.0], [0.1, 0.0, 9.2]],
+        load_drag=0.6,
+        attachments=CORNERS,
+        cable_length=150.0,
+        cable_stiffness=120.0,
+        aircraft=AircraftParameters(model="rascal_110"),
+    )
+    carousel = EllipticCarouselConfig(
+        spread=6.75, phase_turns=2, radial=3.3, tangential=4.5, vertical=4.9
+    )
+    own = {"frequency": 0.595, "amplitude": 1.0, "amplitude_bounds": [0.6, 1.6]}
+    config = LimitsConfig(speed_bound=BOUND, tightening=TIGHTENING, **own, **limits)
+    return HorizonProblem(
+        Model(system, carousel), config, HorizonConfig(instants=10), lambda: "flight"
+    )
+
+
+def limited():
+    return problem_of(**SHARES)
+
+
+@functools.cache
+def moving_data():
+    return limited().data(1.0, 0.3, MOVING, BOUND, wind=WIND)
+
+
+def drawn_coefficients(problem, seed, size=0.1):
+    return 1 + size * np.random.default_rng(seed).normal(size=(2, problem.count))
+
+
+def test_gradients_of_all_margins_are_central_differences():
+    problem, data = limited(), moving_data()
+    x = drawn_coefficients(problem, 8)
+    found = problem.linearization(data, x)
+    step = np.random.default_rng(5).normal(size=x.shape)
+    slopes = difference(lambda h: problem.margins(data, x + h * step), 0.0, 1e-5)
+    rows = found.jacobian(np.arange(len(slopes)))
+    np.testing.assert_allclose(rows @ step.ravel(), slopes, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(found.changes(step), slopes, rtol=1e-4, atol=1e-4)
+
+
+def positions_and_forces(problem, plan, time):
+    """Of the carriers (n, 3) at a time in s, from the plan's values alone."""
+    system, reference = problem.model, MOVING(time)
+    values = plan.values(time)
+    wrench, _ = wrench_and_rate(
+        system.load,
+        reference[:13],
+        reference,
+        np.zeros(6),
+        WIND,
+        feedforward=1.0,
+        **NO_FEEDBACK,
+    )
+    w, x, y, z = reference[:4]
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    internal = values.amplitude * np.cos(values.angle + system.pattern.phases)
+    own = np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:]])
+    forces = system.pseudo_inverse @ own + system.pattern.offset + system.pattern.basis @ internal
+    forces = forces.reshape(-1, 3) @ R.T
+    tension = np.linalg.norm(forces, axis=1, keepdims=True)
+    reach = problem.rest_length / tension + problem.compliance
+    return reference[4:7] + system.attachments @ R.T + reach * forces, forces
+
+
+def test_margins_are_those_of_the_exact_inverse_on_the_path_that_is_flown():
+    problem, data = limited(), moving_data()
+    x = drawn_coefficients(problem, 6)
+    plan, aircraft = problem.plan(data, x), problem.model.aircraft
+    found = problem.linearization(data, x)
+    count, width = found.table
+    table = found.margins[: count * width].reshape(count, width)
+    weights = found.weights[:, : count * width].reshape(3, count, width)
+    step, n = 2e-3, problem.model.n
+    for i in (5, 31, 77, 120):
+        time = data.start_time + problem.instants[i]
+        before, now, after = (
+            positions_and_forces(problem, plan, time + shift) for shift in (-step, 0.0, step)
+        )
+        velocity = (after[0] - before[0]) / (2 * step)
+        acceleration = (after[0] - 2 * now[0] + before[0]) / step**2
+        force = needed_force(aircraft, acceleration, now[1])
+        told = required_command(aircraft, force, velocity, np.broadcast_to(WIND, velocity.shape))
+        air = velocity - WIND
+        airspeed = np.linalg.norm(air, axis=1)
+        climb = np.arcsin(air[:, 2] / airspeed)
+        bank, thrust = (np.reshape(told[k], n) for k in (1, 2))
+        shares = {name: (1 - TIGHTENING) * share for name, share in SHARES.items()}
+        least, most = thrust_limits(aircraft, airspeed)
+        middle, half = (most + least) / 2, shares["max_thrust_share"] * (most - least) / 2
+        weight = aircraft.mass * aircraft.gravity
+        factor = stall_factor(aircraft, shares["max_lift_share"])
+        expected = np.concatenate(
+            [
+                (airspeed**2 - data.aims[i] ** 2) / ((1 + TIGHTENING) * BOUND) ** 2,
+                1 - np.linalg.norm(force, axis=1) / (factor * airspeed**2),
+                1 - (bank / shares["max_bank"]) ** 2,
+                1 - (climb / shares["max_climb"]) ** 2,
+                (middle + half - thrust) / weight,
+                (thrust - middle + half) / weight,
+            ]
+        )
+        is_instant = ~weights[:, i].any(axis=0)
+        assert is_instant.sum() > 0.8 * width
+        np.testing.assert_allclose(table[i, is_instant], expected[is_instant], atol=2e-4)
+
+
+@pytest.mark.parametrize("parameters", [(0.595, 1.0), (0.68, 0.85)])
+def test_margins_of_the_last_part_are_those_of_whole_orbits_above_a_resting_load(parameters):
+    """Against margins that are evaluated at 720 phases of positions' exact derivatives."""
+    problem = limited()
+    data = problem.data(0.0, 0.0, lambda time: AT_REST, BOUND, wind=WIND)
+    x = np.tile((np.array(parameters) / problem.nominal)[:, None], problem.count)
+    found = problem.linearization(data, x)
+    orbits = found.margins[len(found.margins) - math.prod(found.orbits) :].reshape(found.orbits)
+    _, phases, width = found.orbits
+    kinds, n = width // problem.model.n, problem.model.n
+    worst = orbits.reshape(-1, phases, kinds, n).min(axis=(0, 1, 3))
+    expected = margins_at_rest(
+        problem.model, AT_REST, np.array(parameters), wind=MeanWind(WIND)
+    ).needs
+    aircraft = problem.model.aircraft
+    shares = {name: (1 - TIGHTENING) * share for name, share in SHARES.items()}
+    half = (expected.thrust_max - expected.thrust_min) / 2
+    middle, half = expected.thrust_min + half, shares["max_thrust_share"] * half
+    weight = aircraft.mass * aircraft.gravity
+    # The lift is limited by the norm of the whole force, which is stricter by some percent.
+    lift = 1 - (expected.lift / (shares["max_lift_share"] * aircraft.max_lift)).max()
+    assert lift - 0.05 < worst[0] < lift + 0.005
+    others = [
+        1 - (np.abs(expected.bank).max() / shares["max_bank"]) ** 2,
+        1 - (np.abs(expected.climb).max() / shares["max_climb"]) ** 2,
+        (middle + half - expected.thrust).min() / weight,
+        (expected.thrust - middle + half).min() / weight,
+    ]
+    np.testing.assert_allclose(worst[1:], others, atol=0.015)
+
+
+def test_wind_does_not_count_for_carriers_that_are_no_aircraft():
+    limits = LimitsConfig(speed_bound=0.4)
+    problem = HorizonProblem(model(), limits, HorizonConfig(instants=4), lambda: "points")
+    reference = Motion(2).reference
+    still, windy = (problem.data(1.0, 0.3, reference, 0.4, wind=w) for w in (0 * WIND, WIND))
+    np.testing.assert_array_equal(still.flat_terms, windy.flat_terms)
+    np.testing.assert_array_equal(still.terminal.least_products, windy.terminal.least_products)
+
+
+def test_data_of_another_wind_are_made_anew():
+    problem = limited()
+    spacing = problem.config.knot_spacing
+    first = problem.data(0.0, 0.1, MOVING, BOUND, wind=0 * WIND)
+    for wind, is_known in ((WIND, False), (0 * WIND, True)):
+        last = problem.data(spacing, 0.1, MOVING, BOUND, first, wind)
+        anew = problem.data(spacing, 0.1, MOVING, BOUND, wind=wind)
+        for part in ("flat_terms", "flat_flight"):
+            np.testing.assert_array_equal(getattr(last, part), getattr(anew, part))
+        known = first.flat_flight[problem.config.instants :]
+        assert np.array_equal(last.flat_flight[: len(known)], known) == is_known
+
+
+@pytest.mark.parametrize(
+    ("limit", "kind", "wind"),
+    [
+        ({"max_lift_share": 0.5}, "lift", 0.0),
+        ({"max_bank": 0.52}, "bank", 0.0),
+        ({"max_climb": 0.3}, "climb", 0.0),
+        ({"max_thrust_share": 0.5}, "thrust", 0.0),
+    ],
+)
+def test_a_plan_keeps_a_limit_that_the_first_parameters_do_not(limit, kind, wind):
+    problem = problem_of(**limit)
+    data = problem.data(0.0, 0.0, lambda time: AT_REST, 10.0, wind=wind * WIND)
+    start = problem.nominal_coefficients()
+    assert problem.missed(problem.margins(data, start), PLAN_TOLERANCE) == {kind}
+    answer = HorizonSolver(problem, fixed=0).solve(data, start, max_iterations=20)
+    assert answer.is_feasible
+    margins = problem.margins(data, answer.coefficients)
+    assert problem.missed(margins, PLAN_TOLERANCE) == set()
+
+
+def test_limits_that_no_plan_keeps_are_told():
+    problem = problem_of(max_lift_share=0.3, max_bank=0.2)
+    data = problem.data(0.0, 0.0, lambda time: AT_REST, 25.0)
+    margins = problem.margins(data, problem.nominal_coefficients())
+    assert problem.missed(margins, PLAN_TOLERANCE) == {"airspeed", "lift", "bank"}
