@@ -5,7 +5,7 @@ shares out evenly over the cables, and the motion of each carrier follows from i
 phase alone: in closed form, without the grasp matrix.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ class CarriedLoad(NamedTuple):
     mass: float | NDArray  # kg
     drag: float | NDArray  # N s/m
     gravity: float | NDArray  # m/s²
-    count: int  # n
+    carriers: int  # n
     radius: float | NDArray  # b, m, of the attachments
     compliance: float | NDArray  # 1/K_c, m/N
 
@@ -95,7 +95,7 @@ def carrier_orbit(
     along_second, across_second = -rate * rate * shape.radial * cosine, -rate * rate * across
     lift = shape.vertical * cosine
     held = load.mass * (load.gravity * _UP + acceleration) + load.drag * air_velocity
-    forces = held / load.count + along * outward + across * onward - lift * _UP
+    forces = held / load.carriers + along * outward + across * onward - lift * _UP
     rates = (
         (along_rate - turn * across) * outward
         + (across_rate + turn * along) * onward
@@ -109,7 +109,7 @@ def carrier_orbit(
     still = np.eye(POSE_SIZE)[0]
     rest = np.zeros(LOAD_REFERENCE_SIZE - POSE_SIZE - 3)
     reference = np.concatenate([still, turn * _UP, rest])
-    cables = {
+    cables: dict[str, Any] = {
         "attachments": load.radius * outward,
         "rest_length": shape.cable_length,
         "compliance": load.compliance,

@@ -9,7 +9,7 @@ it is traced once, with exact gradients.
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,8 +127,8 @@ def _trace(task: FormationTask, kind: str) -> TracedFunction:
     is_leaning = kind == LEANING
 
     def needs(values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
-        x = FormationVariables(*(values[i : i + 1] for i in range(_SIZE)))
-        share = x.mass * task.load.gravity / task.load.count
+        x: Any = FormationVariables(*(values[i : i + 1] for i in range(_SIZE)))  # type: ignore[arg-type]
+        share = x.mass * task.load.gravity / task.load.carriers
         nothing = 0 * share
         shape = FormationShape(
             spread=share * x.spread,
@@ -211,12 +211,14 @@ class FormationProgram:
         self.task, self.kind, self.phase_turns = task, kind, phase_turns
         self.trace = trace or _trace(task, kind)
         is_leaning = kind == LEANING
-        n = task.load.count
+        n = task.load.carriers
         turn = 2 * np.pi * np.arange(phases) / phases
         places = 2 * np.pi * np.arange(n) / n
         pairs = [(p, a) for p in places for a in turn] if is_leaning else [(a, 0.0) for a in turn]
         self._samples = [
-            (np.array(angles), np.concatenate(motion)) for motion in task.motions for angles in pairs
+            (np.array(angles), np.concatenate(motion))
+            for motion in task.motions
+            for angles in pairs
         ]
         self._per_motion = len(pairs)
         self._neighbours = [
@@ -306,7 +308,7 @@ class FormationProgram:
         *,
         power_weight: float = 0.0,
     ) -> NDArray:
-        """The variables (10,) of the least cost @ x + weight P with all rows at the reserve or above.
+        """The variables (10,) of the least cost @ x + weight P with no row below the reserve.
 
         Only rows that come near the reserve are given to the solver, as they turn up.
 
@@ -374,7 +376,7 @@ class FormationProgram:
         if self.kind == LEANING:
             outward = np.array([[1.0, -1.0]])
             program.AddLinearConstraint(outward, [_LEAST_OUTWARD], [np.inf], x[:2])
-            if self.task.load.count == 3:  # circles alone have no wrench
+            if self.task.load.carriers == 3:  # circles alone have no wrench
                 program.AddLinearEqualityConstraint(outward, [0.0], x[1:3])
         result = SnoptSolver().Solve(program, start / scale, _options())
         found: NDArray = result.get_x_val() * scale

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.aircraft import Aircraft, drawn_power, stall_speed
+from drake_nonstop.mechanics.aircraft import drawn_power, stall_speed
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
 from drake_nonstop.model.pattern import EllipticCarouselConfig
 from drake_nonstop.optimization.formation_program import (
@@ -188,10 +188,10 @@ class Design:
 
 
 def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
-    """The formations for a request: of each number of carriers and kind, the least power at rising
-    margins; a process per core.
+    """The formations for a request, found in a process per core.
 
-    Each is checked by `aircraft_margins` and is stable at rest and on the way.
+    Of each number of carriers and kind they are those of the least power at rising margins. Each
+    is checked by `aircraft_margins` and is stable at rest and on the way.
 
     Raises:
         ScenarioError: the request cannot be used, or a process died.
@@ -283,7 +283,7 @@ def design_task(request: DesignRequest, carriers: int, count: int = 4) -> Format
             mass=request.load_mass,
             drag=request.load_drag,
             gravity=GRAVITY,
-            count=carriers,
+            carriers=carriers,
             radius=request.load_radius,
             compliance=1 / request.cable_stiffness,
         ),
@@ -309,7 +309,7 @@ def formation_needs(
     task: FormationTask, kind: str, x: FormationVariables, phases: int = _EXACT
 ) -> Iterator[tuple[AircraftNeeds, NDArray]]:
     """What all aircraft need at phases of a turn, and their speeds above ground, per motion."""
-    n = task.load.count
+    n = task.load.carriers
     turn, places = (2 * np.pi * np.arange(k) / k for k in (phases, n))
     if kind == LEANING:
         azimuths, angles = np.repeat(places, phases), np.tile(turn, n)
@@ -334,13 +334,16 @@ def formation_needs(
 
 def formation_shape(task: FormationTask, kind: str, x: FormationVariables) -> FormationShape:
     """The formation's forces in N, and its rates."""
-    share = x.mass * GRAVITY / task.load.count
+    share = x.mass * GRAVITY / task.load.carriers
     is_leaning = kind == LEANING
     return FormationShape(
-        *(share * x[i] for i in range(4)),
-        frequency=x.frequency if is_leaning else 0.0,
-        yaw_rate=0.0 if is_leaning else x.frequency,
-        cable_length=x.cable_length,
+        share * x.spread,
+        share * x.radial,
+        share * x.tangential,
+        share * x.vertical,
+        x.frequency if is_leaning else 0.0,
+        0.0 if is_leaning else x.frequency,
+        x.cable_length,
     )
 
 
@@ -420,11 +423,7 @@ def breaking_points(
     """
 
     def grown(what: str, value: float) -> FormationVariables:
-        if what != "mass":
-            return x._replace(**{what: value})
-        ratio = x.mass / value
-        forces = {name: ratio * getattr(x, name) for name in x._fields[:4]}
-        return x._replace(mass=value, **forces)
+        return with_load(x, value) if what == "mass" else x._replace(**{what: value})
 
     program = FormationProgram(task, kind, phase_turns, phases=_FINE)
     distance_limit = task.limits.carrier_distance * (task.load.radius + x.cable_length)
@@ -462,6 +461,13 @@ def breaking_points(
             if high - low < 1e-3 * high:
                 break
         yield Break(name, unit, low, last[0])
+
+
+def with_load(x: FormationVariables, mass: float) -> FormationVariables:
+    """The same forces in N, rates and cables, under a load of another mass in kg."""
+    ratio = x.mass / mass
+    forces = {name: ratio * getattr(x, name) for name in x._fields[:4]}
+    return x._replace(mass=mass, **forces)
 
 
 class _Search:
@@ -526,9 +532,7 @@ class _Search:
 
     def _most_reserve(self) -> NDArray:
         """The variables of the largest reserve, from several starts, at coarse phases."""
-        coarse = FormationProgram(
-            self.task.with_motions(2), self.kind, self.turns, phases=_COARSE
-        )
+        coarse = FormationProgram(self.task.with_motions(2), self.kind, self.turns, phases=_COARSE)
         self.trace = coarse.trace
         resting = FormationProgram(
             self.task.with_motions(1), self.kind, self.turns, phases=6, trace=self.trace
@@ -709,7 +713,7 @@ def formation_scenario(
         "system.load_mass": request.load_mass,
         "system.load_inertia": request.inertia,
         "system.load_drag": request.load_drag,
-        "system.attachments": ring.round(9).tolist(),
+        "system.attachments": (ring.round(9) + 0.0).tolist(),
         "system.cable_length": _rounded(x.cable_length),
         "system.cable_stiffness": request.cable_stiffness,
         "system.cable_damping": request.cable_damping,

@@ -220,4 +220,3 @@ def read_request_text(text: str) -> DesignRequest:
 
 def _fields(schema: type) -> Iterable[str]:
     return schema.__dataclass_fields__.keys()  # type: ignore[attr-defined]
-
