@@ -50,7 +50,8 @@ class FormationVariables(NamedTuple):
 
 _SIZE = len(FormationVariables._fields)
 _AIR = slice(7, 9)  # wind and speed
-_APART, _APART_REACH = "apart", "apart_reach"  # names of rows: for the separation and the reach
+# Names of rows: for the separation that is asked for, the reach, and the cables.
+_APART, _APART_REACH, _CABLES = "apart", "apart_reach", "cables"
 
 
 class LoadMotion(NamedTuple):
@@ -119,7 +120,9 @@ _FINE = 24  # phases of a turn
 _LIKELY = 3.0  # of a reserve: a row farther from it hardly matters
 _ROUNDS = 4  # of adding rows that do
 _TOLERANCE = 2e-3  # of a reserve
-_LEAST_OUTWARD = 0.05  # of f₀, with which each cable pulls outward at all phases
+# Of the cosine between the way from one attachment to another and that from one cable's slope to
+# the other's: at -1 the cables meet, at -0.7 they come as close as 0.7 of their attachments.
+_CROSSING, _CROSSING_MARGIN = -0.85, 0.15
 
 
 def _trace(task: FormationTask, kind: str) -> TracedFunction:
@@ -214,6 +217,7 @@ class FormationProgram:
         n = task.load.carriers
         turn = 2 * np.pi * np.arange(phases) / phases
         places = 2 * np.pi * np.arange(n) / n
+        between = 2 * np.pi * np.arange(_FINE) / _FINE
         pairs = [(p, a) for p in places for a in turn] if is_leaning else [(a, 0.0) for a in turn]
         self._samples = [
             (np.array(angles), np.concatenate(motion))
@@ -224,10 +228,10 @@ class FormationProgram:
         self._neighbours = [
             (np.array([0.0, angle]), np.array([step, angle + phase_turns * step]))
             for step in places[1 : n // 2 + 1]
-            for angle in (turn if is_leaning else turn[:1])
+            for angle in (between if is_leaning else between[:1])
         ]
         names = np.repeat([name for name, *_ in self._limits()], len(self._samples))
-        apart = np.repeat([_APART, _APART_REACH], len(self._neighbours))
+        apart = np.repeat([_APART, _APART_REACH, _CABLES], len(self._neighbours))
         self.row_names: NDArray = np.concatenate([names, apart])
 
     def _limits(self) -> list[tuple[str, int, float, float]]:
@@ -263,7 +267,7 @@ class FormationProgram:
             column = NEEDS.index(name)
             rows.append(sign * (needs[:, column] - limit) / margin)
             gradients.append(sign * slopes[:, column] / margin)
-        distances, changes = self.separations(values)
+        distances, changes, cosines, cosine_changes = self._beside(values)
         reach = self.task.load.radius + values[5]
         share = self.task.limits.carrier_distance
         for least, slope in ((self.task.limits.separation, 0.0), (share * reach, share)):
@@ -272,6 +276,8 @@ class FormationProgram:
             change = changes / least
             change[:, 5] -= ratio * slope / least
             gradients.append(change / _RELATIVE_SEPARATION)
+        rows.append((cosines - _CROSSING) / _CROSSING_MARGIN)
+        gradients.append(cosine_changes / _CROSSING_MARGIN)
         power, at_rest = NEEDS.index("power"), slice(self._per_motion)
         return (
             np.concatenate(rows),
@@ -280,24 +286,46 @@ class FormationProgram:
             slopes[at_rest, power].mean(axis=0),
         )
 
+    def closest_row(self, values: NDArray) -> str:
+        """The name of the quantity that is the closest to its limit."""
+        return str(self.row_names[np.argmin(self.rows(values)[0])])
+
     def separations(self, values: NDArray) -> tuple[NDArray, NDArray]:
         """The distances (p,), m, of pairs above a load at rest in still air, and gradients."""
-        distances = np.empty(len(self._neighbours))
-        slopes = np.empty((len(distances), _SIZE))
+        return self._beside(values)[:2]
+
+    def _beside(self, values: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """`separations`, and the cosines that tell how near two cables come, with gradients."""
+        count, radius = len(self._neighbours), self.task.load.radius
+        distances, cosines = np.empty(count), np.empty(count)
+        slopes, cosine_slopes = np.empty((count, _SIZE)), np.empty((count, _SIZE))
         rest = np.zeros(6)
         values = values.copy()
         values[_AIR] = 0.0
         for k, pair in enumerate(self._neighbours):
-            places, changes = [], []
+            places, changes, leans, lean_changes, ends = [], [], [], [], []
             for angles in pair:
                 found, gradient = self.trace(values, angles, rest)
-                places.append(found[-3:].copy())
-                changes.append(gradient[-3:].copy())
+                place, change = found[-3:].copy(), gradient[-3:].copy()
+                end = radius * np.array([math.cos(angles[0]), math.sin(angles[0])])
+                lean = (place[:2] - end) / place[2]
+                places.append(place)
+                changes.append(change)
+                ends.append(end)
+                leans.append(lean)
+                lean_changes.append((change[:2] - np.outer(lean, change[2])) / place[2])
             gap = places[0] - places[1]
             distances[k] = np.linalg.norm(gap)
             slopes[k] = gap @ (changes[0] - changes[1]) / max(distances[k], 1e-9)
-        slopes[:, _AIR] = 0.0
-        return distances, slopes
+            way = ends[0] - ends[1]
+            way /= np.linalg.norm(way)
+            lean = leans[0] - leans[1]
+            size = math.sqrt(lean @ lean + 1e-8)
+            cosines[k] = way @ lean / size
+            slope = way / size - cosines[k] * lean / size**2
+            cosine_slopes[k] = slope @ (lean_changes[0] - lean_changes[1])
+        slopes[:, _AIR] = cosine_slopes[:, _AIR] = 0.0
+        return distances, slopes, cosines, cosine_slopes
 
     def solve(
         self,
@@ -373,11 +401,8 @@ class FormationProgram:
         program.AddConstraint(margins, zero, zero + np.inf, vars=x)
         if power_weight:
             program.AddCost(power, vars=x)
-        if self.kind == LEANING:
-            outward = np.array([[1.0, -1.0]])
-            program.AddLinearConstraint(outward, [_LEAST_OUTWARD], [np.inf], x[:2])
-            if self.task.load.carriers == 3:  # circles alone have no wrench
-                program.AddLinearEqualityConstraint(outward, [0.0], x[1:3])
+        if self.kind == LEANING and self.task.load.carriers == 3:  # only circles have no wrench
+            program.AddLinearEqualityConstraint(np.array([[1.0, -1.0]]), [0.0], x[1:3])
         result = SnoptSolver().Solve(program, start / scale, _options())
         found: NDArray = result.get_x_val() * scale
         return np.clip(found, lower, upper) if np.all(np.isfinite(found)) else start

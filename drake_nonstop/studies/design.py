@@ -39,6 +39,7 @@ from drake_nonstop.studies.design_request import (
     read_request_text,
 )
 from drake_nonstop.studies.run_all import Progress, no_progress, run_all
+from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import ScenarioError
 
 PEAK = 1.875  # the largest speed of a quintic move, over its mean
@@ -180,9 +181,10 @@ class Design:
         tried = sorted({refusal.carriers for refusal in self.refusals})
         remedies = [r for r in (best, *self.refusals) if r.remedy]
         remedy = f"give {remedies[0].remedy}" if remedies else "nothing that was tried helps"
+        within = ", though within the limits," if best.reserve >= 0 else ""
         return (
             f"request.carriers = {tried}: no formation of {self.request.aircraft_name} keeps the "
-            f"margins; the best, {best.carriers} {best.kind.replace('_', '-')}, misses "
+            f"margins; the best, {best.carriers} {best.kind.replace('_', '-')},{within} misses "
             f"{best.missed}; {remedy}"
         )
 
@@ -490,6 +492,7 @@ class _Search:
             lower = [0.05, 0.0, 0.0, 0.0, 0.05, least, *fixed, -1e3]
             upper = [2.0, 0.0, 0.0, 0.0, 5.0, most, *fixed, _MOST_RESERVE]
         self.lower, self.upper = np.array(lower), np.array(upper)
+        self.trace: TracedFunction | None = None
         self.most_reserve = -np.eye(len(lower))[-1]
 
     def formations(self) -> list[DesignedFormation | Refusal]:
@@ -550,20 +553,23 @@ class _Search:
         return self._with_best_turns(best)
 
     def _with_best_turns(self, best: NDArray) -> NDArray:
-        """Takes the κ whose carriers are the farthest apart."""
-        if self.kind != LEANING or self.n < 5:
+        """The variables of the largest reserve with any κ, which is taken."""
+        if self.kind != LEANING or self.n < 5 or best[-1] >= _MOST_RESERVE - _CLOSE:
             return best
         sizes = {"radial": 1.0, "tangential": 2.0, "vertical": 1.0}
-        apart = {}
         for turns in EllipticCarouselConfig().suitable_turns(self.n, **sizes):
-            program = FormationProgram(
-                self.task.with_motions(1), self.kind, turns, phases=_FINE, trace=self.trace
-            )
-            apart[turns] = program.separations(best)[0].min()
-        farthest = max(apart, key=lambda turns: apart[turns])
-        if apart[farthest] > 1.01 * apart.get(self.turns, 0.0):
-            self.turns = farthest
+            if turns == self.turns:
+                continue
+            program = self._coarse(turns)
+            values = program.solve(best, self.lower, self.upper, self.most_reserve)
+            values = self._with_true_reserve(program, values)
+            if values[-1] > best[-1] + _CLOSE:
+                best, self.turns = values, turns
         return best
+
+    def _coarse(self, turns: int) -> FormationProgram:
+        task = self.task.with_motions(2)
+        return FormationProgram(task, self.kind, turns, phases=_COARSE, trace=self.trace)
 
     def _drawn(self) -> NDArray:
         """A start, by the closed forms of circles of a constant speed."""
@@ -625,6 +631,8 @@ class _Search:
         apart = float(program.separations(best)[0].min())
         if apart < 0.999 * self.request.separation:
             missed.append(f"carriers {apart:.3g} m apart (at least {self.request.separation:g} m)")
+        if not missed:
+            missed = [f"{program.closest_row(best)} margin"]
         return self._refused(best, ", ".join(missed), self._remedy(program, best))
 
     def _refused(self, best: NDArray, missed: str, remedy: str) -> Refusal:
