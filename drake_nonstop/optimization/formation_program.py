@@ -113,16 +113,18 @@ NEEDS = (
     "power",  # W, drawn
     *("x", "y", "z"),  # m, beside the load
 )
-_RELATIVE_SEPARATION = 0.2  # of a distance, that counts as much as a whole margin
+# Of a distance that is asked for, below it, and of a run's limit, above it: a whole margin.
+_SEPARATION_MARGIN, _REACH_MARGIN = 0.2, 0.1
 _LEAST_SHARE = 0.3  # of f₀, that a cable always carries
 _LARGEST_ANGLE = 0.55  # rad, of attack; a command stays at 0.6
 _FINE = 24  # phases of a turn
 _LIKELY = 3.0  # of a reserve: a row farther from it hardly matters
 _ROUNDS = 4  # of adding rows that do
 _TOLERANCE = 2e-3  # of a reserve
-# Of the cosine between the way from one attachment to another and that from one cable's slope to
-# the other's: at -1 the cables meet, at -0.7 they come as close as 0.7 of their attachments.
-_CROSSING, _CROSSING_MARGIN = -0.85, 0.15
+# Of the slopes of two cables against the vertical, d their difference and u the direction from one
+# attachment to the other: u·d + 0.85 |d| above this. With u·d = -0.85 |d| the cables come as close
+# as half the distance of their attachments; with u·d = -|d| they meet.
+_CROSSING, _CROSSING_MARGIN = 0.85, 0.015
 
 
 def _trace(task: FormationTask, kind: str) -> TracedFunction:
@@ -267,17 +269,20 @@ class FormationProgram:
             column = NEEDS.index(name)
             rows.append(sign * (needs[:, column] - limit) / margin)
             gradients.append(sign * slopes[:, column] / margin)
-        distances, changes, cosines, cosine_changes = self._beside(values)
+        distances, changes, clearances, clearance_changes = self._beside(values)
         reach = self.task.load.radius + values[5]
         share = self.task.limits.carrier_distance
-        for least, slope in ((self.task.limits.separation, 0.0), (share * reach, share)):
+        for least, slope, kept, margin in (
+            (self.task.limits.separation, 0.0, 1.0, _SEPARATION_MARGIN),
+            (share * reach, share, 0.0, _REACH_MARGIN),
+        ):
             ratio = distances / least
-            rows.append(1 + (ratio - 1) / _RELATIVE_SEPARATION)
+            rows.append(kept + (ratio - 1) / margin)
             change = changes / least
             change[:, 5] -= ratio * slope / least
-            gradients.append(change / _RELATIVE_SEPARATION)
-        rows.append((cosines - _CROSSING) / _CROSSING_MARGIN)
-        gradients.append(cosine_changes / _CROSSING_MARGIN)
+            gradients.append(change / margin)
+        rows.append(clearances / _CROSSING_MARGIN)
+        gradients.append(clearance_changes / _CROSSING_MARGIN)
         power, at_rest = NEEDS.index("power"), slice(self._per_motion)
         return (
             np.concatenate(rows),
@@ -295,10 +300,10 @@ class FormationProgram:
         return self._beside(values)[:2]
 
     def _beside(self, values: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """`separations`, and the cosines that tell how near two cables come, with gradients."""
+        """`separations`, and what tells of `_CROSSING` how near two cables come, with gradients."""
         count, radius = len(self._neighbours), self.task.load.radius
-        distances, cosines = np.empty(count), np.empty(count)
-        slopes, cosine_slopes = np.empty((count, _SIZE)), np.empty((count, _SIZE))
+        distances, clearances = np.empty(count), np.empty(count)
+        slopes, clearance_slopes = np.empty((count, _SIZE)), np.empty((count, _SIZE))
         rest = np.zeros(6)
         values = values.copy()
         values[_AIR] = 0.0
@@ -317,15 +322,15 @@ class FormationProgram:
             gap = places[0] - places[1]
             distances[k] = np.linalg.norm(gap)
             slopes[k] = gap @ (changes[0] - changes[1]) / max(distances[k], 1e-9)
-            way = ends[0] - ends[1]
+            way: NDArray = ends[0] - ends[1]
             way /= np.linalg.norm(way)
             lean = leans[0] - leans[1]
             size = math.sqrt(lean @ lean + 1e-8)
-            cosines[k] = way @ lean / size
-            slope = way / size - cosines[k] * lean / size**2
-            cosine_slopes[k] = slope @ (lean_changes[0] - lean_changes[1])
-        slopes[:, _AIR] = cosine_slopes[:, _AIR] = 0.0
-        return distances, slopes, cosines, cosine_slopes
+            clearances[k] = way @ lean + _CROSSING * size
+            slope = way + _CROSSING * lean / size
+            clearance_slopes[k] = slope @ (lean_changes[0] - lean_changes[1])
+        slopes[:, _AIR] = clearance_slopes[:, _AIR] = 0.0
+        return distances, slopes, clearances, clearance_slopes
 
     def solve(
         self,

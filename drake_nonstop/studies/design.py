@@ -46,12 +46,11 @@ PEAK = 1.875  # the largest speed of a quintic move, over its mean
 _START_TIME, _END_TIME, _REST_TIME = 5.0, 10.0, 60.0  # s, before and after a way; without one
 _CANDIDATES = 150  # of a search's starts, of which the best are taken
 _COARSE, _FINE, _EXACT = 8, 24, 90  # phases of a turn
-_INSTANTS = 13  # of the way
+_INSTANTS, _KEY_INSTANTS = 24, 6  # of the way
 _MOST_RESERVE = 2.0  # that is looked for
 _ROUND = 1.01  # of the reserve, since extremes lie between phases
 _CLOSE = 0.02  # of reserves that are the same
 _DOUBLINGS, _HALVINGS = 8, 20
-_CLIMB_LIMIT = FlightLimits().climb
 
 
 class Flight(NamedTuple):
@@ -246,7 +245,8 @@ def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
 
     Args:
         request: with a displacement.
-        count: of instants; 4: at rest, the fastest, and those of the largest accelerations.
+        count: of instants; 6: at rest, the fastest, those of the largest accelerations, and two
+            between.
     """
     nothing = np.zeros(3)
     still = LoadMotion(nothing, nothing)
@@ -254,9 +254,9 @@ def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
         return (still,)
     way = np.array(request.displacement)
     distance = float(np.linalg.norm(way))
-    if count == 4:
-        steep = (0.5 - math.sqrt(3) / 6, 0.5 + math.sqrt(3) / 6)
-        instants = [0.5, *steep]
+    if count == _KEY_INSTANTS:
+        steep = math.sqrt(3) / 6  # from the middle, where the acceleration is the largest
+        instants = [0.5 + share * steep for share in (0.0, -1.0, 1.0, -0.5, 0.5)]
     else:
         instants = [k / count for k in range(1, count)]
     motions = [still]
@@ -267,7 +267,7 @@ def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
     return tuple(motions)
 
 
-def design_task(request: DesignRequest, carriers: int, count: int = 4) -> FormationTask:
+def design_task(request: DesignRequest, carriers: int, count: int = _KEY_INSTANTS) -> FormationTask:
     """What the program is given.
 
     Args:
@@ -380,39 +380,43 @@ class Missed(NamedTuple):
 
 def missed_limits(task: FormationTask, flight: Flight, reserve: float = 0.0) -> list[Missed]:
     """What is beyond the limits, the farthest first; with a reserve of 1 beyond the margins."""
-    limits, slowest = task.limits, float(stall_speed(task.aircraft))
-    degrees = math.degrees
     rows = []
-    for name, value, limit, margin, side, unit in (
-        ("C_L / C_Lmax", flight.lift_share, limits.lift_share, limits.lift_margin, 1, ""),
-        (
-            "airspeed / stall speed",
-            flight.airspeed_min / slowest,
-            limits.speed_share,
-            limits.speed_margin,
-            -1,
-            "",
-        ),
-        ("bank", degrees(flight.bank), degrees(limits.bank), degrees(limits.bank_margin), 1, "deg"),
-        (
-            "climb or descent",
-            degrees(flight.climb),
-            degrees(limits.climb),
-            degrees(limits.climb_margin),
-            1,
-            "deg",
-        ),
-        ("thrust left above", flight.thrust_above, 0.0, limits.thrust_margin, -1, ""),
-        ("thrust left below", flight.thrust_below, 0.0, limits.thrust_margin, -1, ""),
-    ):
+    for name, value, limit, margin, side, unit in _rows_of(task, flight):
         asked = limit - side * reserve * margin
-        beyond = side * (value - asked)
-        if beyond > 1e-6:
-            what = "at most" if side > 0 else "at least"
-            text = f"{name} {value:.3g} {unit}".rstrip()
-            text = f"{text} ({what} {asked:.3g} {unit}".rstrip() + ")"
-            rows.append(Missed(beyond / margin, name, text))
+        beyond = side * (value - asked) / margin
+        if beyond > 1e-4:
+            bound = "at most" if side > 0 else "at least"
+            found, wanted = (f"{number:.3g} {unit}".rstrip() for number in (value, asked))
+            text = f"{name} {found} ({bound} {wanted})"
+            rows.append(Missed(beyond, name, text))
     return sorted(rows, reverse=True)
+
+
+def reserve_of(task: FormationTask, flight: Flight) -> float:
+    """The least margin over what is asked of it: 1 where all are kept, 0 at a limit."""
+    return min(
+        side * (limit - value) / margin
+        for _, value, limit, margin, side, _ in _rows_of(task, flight)
+    )
+
+
+def _rows_of(
+    task: FormationTask, flight: Flight
+) -> Iterator[tuple[str, float, float, float, int, str]]:
+    """Of each quantity: its name, value, limit and margin, the limit's side, and the unit."""
+    limits, slowest = task.limits, float(stall_speed(task.aircraft))
+    lift, speed = limits.lift_share, limits.speed_share
+    airspeed = flight.airspeed_min / slowest
+    yield "C_L / C_Lmax", flight.lift_share, lift, limits.lift_margin, 1, ""
+    yield "airspeed / stall speed", airspeed, speed, limits.speed_margin, -1, ""
+    for name, value, limit, margin in (
+        ("bank", flight.bank, limits.bank, limits.bank_margin),
+        ("climb or descent", flight.climb, limits.climb, limits.climb_margin),
+    ):
+        degrees = [math.degrees(angle) for angle in (value, limit, margin)]
+        yield name, degrees[0], degrees[1], degrees[2], 1, "deg"
+    for name, value in (("above", flight.thrust_above), ("below", flight.thrust_below)):
+        yield f"thrust left {name}", value, 0.0, limits.thrust_margin, -1, ""
 
 
 def breaking_points(
@@ -478,6 +482,7 @@ class _Search:
     def __init__(self, request: DesignRequest, carriers: int, kind: str):
         self.request, self.n, self.kind = request, carriers, kind
         self.task = design_task(request, carriers)
+        self.way = design_task(request, carriers, _INSTANTS)
         self.random = np.random.default_rng([request.seed, carriers, kind == LEANING])
         self.turns = 1 if carriers == 3 else carriers - 2
         if kind != LEANING:
@@ -500,7 +505,7 @@ class _Search:
         best = self._most_reserve()
         program = FormationProgram(self.task, self.kind, self.turns, trace=self.trace)
         best = program.solve(best, self.lower, self.upper, self.most_reserve)
-        best = self._with_true_reserve(program, best)
+        best = self._with_true_reserve(program, best, everywhere=True)
         if best[-1] < 1:
             return [self._refusal(program, best)]
         found: list[DesignedFormation | Refusal] = []
@@ -510,14 +515,10 @@ class _Search:
         start = best
         reasons = []
         for level in reversed(levels):
-            lower = self.lower.copy()
-            lower[-1] = level - (_CLOSE / 2 if level == best[-1] else 0.0)
-            power = program.rows(start)[2]
-            nothing = np.zeros(len(lower))
-            values = program.solve(start, lower, self.upper, nothing, power_weight=1 / power)
-            values = self._with_true_reserve(program, values)
+            least = level - (_CLOSE / 2 if level == best[-1] else 0.0)
+            values = self._of_least_power(program, start, least)
             if values[-1] < 1:
-                values = start if start[-1] >= 1 else best
+                values = start
             start = values
             formation = self._described(values)
             if isinstance(formation, str):
@@ -528,9 +529,31 @@ class _Search:
             found.append(self._refused(best, reasons[0], ""))
         return found
 
-    def _with_true_reserve(self, program: FormationProgram, values: NDArray) -> NDArray:
+    def _of_least_power(self, program: FormationProgram, start: NDArray, least: float) -> NDArray:
+        """The variables of the least power at a reserve; where it is missed on the way, at more."""
+        lower, nothing = self.lower.copy(), np.zeros(len(self.lower))
+        lower[-1] = least
+        values = start
+        for _ in range(2):
+            power = program.rows(start)[2]
+            values = program.solve(start, lower, self.upper, nothing, power_weight=1 / power)
+            values = self._with_true_reserve(program, values, everywhere=True)
+            lower[-1] += least - values[-1]
+            if values[-1] > least - _CLOSE / 4 or lower[-1] > _MOST_RESERVE:
+                break
+        return values
+
+    def _with_true_reserve(
+        self, program: FormationProgram, values: NDArray, *, everywhere: bool = False
+    ) -> NDArray:
+        """With the reserve as it is, at the program's instants or everywhere on the way."""
         values = values.copy()
-        values[-1] = min(_MOST_RESERVE, float(program.rows(values)[0].min()))
+        reserve = float(program.rows(values)[0].min())
+        if everywhere:
+            x = FormationVariables(*map(float, values))
+            found = reserve_of(self.task, flight_of(self.way, self.kind, x))
+            reserve = min(reserve, found)
+        values[-1] = min(_MOST_RESERVE, reserve)
         return values
 
     def _most_reserve(self) -> NDArray:
@@ -598,8 +621,7 @@ class _Search:
         """The formation of these variables; a sentence where it is no formation after all."""
         x = FormationVariables(*map(float, values))
         request = self.request
-        way = design_task(request, self.n, _INSTANTS)
-        flight = flight_of(way, self.kind, x)
+        flight = flight_of(self.way, self.kind, x)
         scenario = formation_scenario(request, self.kind, self.n, self.turns, x, flight)
         margins = aircraft_margins(scenario)
         if not margins.is_flyable:

@@ -1,7 +1,7 @@
 """What a formation of aircraft is to be designed for."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
 from drake_nonstop.validation import (
     ScenarioError,
     StrictFields,
+    fields_of,
     one_line,
     read_text,
     require,
@@ -27,6 +28,7 @@ from drake_nonstop.validation import (
     require_non_negative,
     require_positive,
     require_seed,
+    require_type,
 )
 
 GRAVITY = 9.81  # m/s²
@@ -189,10 +191,14 @@ def _from_tree(tree: dict[str, Any]) -> DesignRequest:
         for key, value in aircraft.items():  # type: ignore[union-attr]
             known = list(_fields(AircraftParameters))
             require_known(key, known, f"request.aircraft.{key}", value)
+            require_type(f"request.aircraft.{key}", value, _fields(AircraftParameters)[key])
         default = DesignRequest()
         default.aircraft = AircraftParameters()
     else:
         default = DesignRequest()
+    for key, kind in _fields(DesignRequest).items():
+        if key in tree and key != "aircraft":
+            require_type(f"request.{key}", tree[key], kind)
     try:
         request: DesignRequest = yaml_load_typed(
             schema=DesignRequest, data=yaml_dump(tree), defaults=default
@@ -218,5 +224,6 @@ def read_request_text(text: str) -> DesignRequest:
     return _from_tree(parse_plain(text, "request"))
 
 
-def _fields(schema: type) -> Iterable[str]:
-    return schema.__dataclass_fields__.keys()  # type: ignore[attr-defined]
+def _fields(schema: type) -> dict[str, Any]:
+    """The types of a dataclass's fields, by name."""
+    return {field.name: field.type for field in fields_of(schema)}
