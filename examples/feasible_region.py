@@ -20,7 +20,6 @@ from drake_nonstop.studies.design_request import dump_request, read_request
 from drake_nonstop.studies.feasible_region import feasible_region, region_scenario
 
 REQUEST = ["carriers=[4]", "wind=[2, 0, 0]", "cable_length=[150, 200]", "starts=2"]
-KIND = "leaning"
 SPEEDS = (0.0, 1.5, 3.0)  # m/s, of the load
 FACTORS = (0.8, 0.95, 1.25)  # of the border's wind, at which it is flown
 
@@ -43,10 +42,12 @@ def fly(scenario: Scenario) -> tuple[bool, str]:
 def main(duration: float | None = None, runs: int = 4) -> None:
     """Flies this number of loads at each speed and wind; with a duration (s) one, that long."""
     request = read_request(None, REQUEST)
-    found = design_one(dump_request(request), request.carriers[0], KIND)
+    kind = "leaning" if duration is None else "co_rotating"  # which is found sooner
+    found = design_one(dump_request(request), request.carriers[0], kind)
     formation = next(item for item in found if isinstance(item, DesignedFormation))
-    masses = np.linspace(5.0, 12.0, 15).round(3).tolist()
-    regions = [feasible_region(request, formation, masses, speed) for speed in SPEEDS]
+    count, speeds = (15, SPEEDS) if duration is None else (2, SPEEDS[:1])
+    masses = np.linspace(5.0, 10.0, count).round(3).tolist()
+    regions = [feasible_region(request, formation, masses, speed) for speed in speeds]
     planned = []
     for k, region in enumerate(regions):
         possible = np.flatnonzero(region.winds > 0)

@@ -8,6 +8,8 @@ from PIL import Image
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.studies import design
+from drake_nonstop.studies.design import Design, Refusal
 
 SMALL = ["carriers=[3]", "kinds=[co_rotating]", "cable_length=[60, 60]", "starts=1"]
 
@@ -34,7 +36,6 @@ def test_a_request_becomes_scenarios_a_table_and_a_figure(tmp_path, capsys, monk
         assert picture.width > 2000
 
 
-@pytest.mark.slow
 def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(
     tmp_path, capsys, monkeypatch
 ):
@@ -42,9 +43,15 @@ def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(
     other = tmp_path / "out" / "design" / "formation"
     other.mkdir(parents=True)
     (other / "request.yaml").write_text("load_mass: 1.0\n")
-    assert main(["design", "--set", *SMALL, "load_mass=90"]) == FAILED
+    missed = Refusal(kind="leaning", carriers=3, reserve=-1.0, missed="bank", remedy="less")
+
+    def none(request, progress):
+        return Design(request=request, formations=(), refusals=(missed,))
+
+    monkeypatch.setattr(design, "design", none)
+    assert main(["design", "--set", *SMALL]) == FAILED
     shown = capsys.readouterr().out
-    assert "no formation of rascal_110 keeps the margins" in shown
+    assert "3 leaning, misses bank; give less" in shown
     assert "results: out/design/formation_2" in shown
     assert (other / "request.yaml").read_text() == "load_mass: 1.0\n"
     assert not (tmp_path / "out" / "design" / "formation_2" / "pareto.png").exists()
