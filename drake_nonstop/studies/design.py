@@ -163,11 +163,9 @@ class Design:
     refusals: tuple[Refusal, ...]
 
     def is_efficient(self, formation: DesignedFormation) -> bool:
-        """Whether no other one has less power and no less reserve."""
+        """Whether no other one has less power and, to 0.02, no less reserve."""
         return not any(
-            other.power <= formation.power
-            and other.reserve >= formation.reserve
-            and (other.power, other.reserve) != (formation.power, formation.reserve)
+            other.power < formation.power and other.reserve > formation.reserve - _CLOSE
             for other in self.formations
         )
 
