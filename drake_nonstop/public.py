@@ -52,6 +52,8 @@ from drake_nonstop.simulation.recording import LogSignals
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
 from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.ablation import ablate, read_grid
+from drake_nonstop.studies.design import Design, DesignedFormation, design
+from drake_nonstop.studies.design_request import DesignRequest, read_request
 from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
@@ -126,6 +128,11 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "write_results",
     "ablate",
     "read_grid",
+    "design",
+    "read_request",
+    "DesignRequest",
+    "Design",
+    "DesignedFormation",
     "sweep",
     "read_sweep",
     "SweepSpec",

@@ -7,6 +7,7 @@ from drake_nonstop.cli import (
     bench,
     blocks,
     check,
+    design,
     list_scenarios,
     new,
     pictures,
@@ -24,6 +25,7 @@ _COMMANDS = (
     list_scenarios,
     blocks,
     new,
+    design,
     check,
     run,
     view,
@@ -35,7 +37,7 @@ _COMMANDS = (
     report,
     bench,
 )
-STUDIES = ("stability", "robustness", "ablate", "sweep")
+STUDIES = ("design", "stability", "robustness", "ablate", "sweep")
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -1,0 +1,91 @@
+"""`drake-nonstop design`: formations of aircraft for a load, and scenarios that fly them."""
+
+import argparse
+import json
+import os
+from pathlib import Path
+
+from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.studies.files import read_regular, replacing_files, require_writable
+from drake_nonstop.visualization.figure_style import require_drawing
+from drake_nonstop.visualization.progress import TaskProgress
+
+_REQUEST, _DATA, _FIGURE = "request.yaml", "design.json", "pareto.png"
+_MOST = 100  # formations, of 10 numbers of carriers
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the subcommand."""
+    parser = commands.add_parser(
+        "design",
+        help="find formations of aircraft for a load: margins, power, and scenarios that fly",
+        description="Looks for formations of aircraft that hold a load, at rest and on a way, in a "
+        "wind, with margins to stall, bank and thrust: for each number of carriers and kind of "
+        "orbit those of the least power at rising margins. Writes a scenario for each, and a "
+        "figure of power against margins. Takes half a minute, or several on a busy machine.",
+        epilog=f"Exit codes: 0 where there is a formation, {FAILED} where there is none, "
+        f"{BAD_INPUT} for bad input.",
+    )
+    parser.set_defaults(action=_design)
+    parser.add_argument(
+        "request",
+        metavar="REQUEST.yaml",
+        nargs="?",
+        type=Path,
+        help="fields of a DesignRequest (a load of 10 kg for 3 to 6 rascal_110)",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="results' folder (out/design/NAME)")
+    parser.add_argument(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="FIELD=VALUE",
+        help='change the request: load_mass=5 "wind=[3, 0, 0]" aircraft.mass=7',
+    )
+
+
+def _design(options: argparse.Namespace) -> int:
+    # Imported here: other commands need none of it.
+    from drake_nonstop.studies.design import design, design_dictionary, design_table
+    from drake_nonstop.studies.design_figures import make_pareto_figure
+    from drake_nonstop.studies.design_request import dump_request, read_request
+
+    request = read_request(options.request, options.set)
+    text = dump_request(request)
+    require_drawing()
+    folder: Path = options.out or _folder(Path("out") / "design" / request.name, text)
+    scenarios = [f"{request.name}_{k + 1}.yaml" for k in range(_MOST)]
+    files = (_REQUEST, _DATA, _FIGURE, *scenarios)
+    require_writable(folder, files)
+    with TaskProgress() as progress:
+        found = design(request, progress)
+    with replacing_files(folder, files) as new:
+        (new / _REQUEST).write_text(text, encoding="utf-8")
+        report = json.dumps(design_dictionary(found), indent=2, allow_nan=False)
+        (new / _DATA).write_text(report + "\n", encoding="utf-8")
+        for formation in found.formations:
+            path = new / f"{formation.scenario.name}.yaml"
+            path.write_text(dump_scenario(formation.scenario), encoding="utf-8")
+        if found.formations:
+            make_pareto_figure(found).savefig(new / _FIGURE, dpi=300)
+    print(design_table(found))
+    print(found.verdict)
+    print(f"results: {folder}")
+    return 0 if found.formations else FAILED
+
+
+def _folder(folder: Path, text: str) -> Path:
+    """The folder, or the first of FOLDER_2, FOLDER_3, ... without results of another request."""
+    place, number = folder, 1
+    while os.path.lexists(place / _REQUEST):
+        try:
+            if read_regular(place / _REQUEST).decode() == text:
+                return place
+        except (OSError, ValueError):
+            pass
+        number += 1
+        place = folder.with_name(f"{folder.name}_{number}")
+    return place

@@ -1,0 +1,229 @@
+"""What a formation of aircraft is to be designed for."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.common.yaml import yaml_dump, yaml_load_typed
+
+from drake_nonstop.mechanics.aircraft import Aircraft
+from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
+from drake_nonstop.optimization.formation_program import KINDS
+from drake_nonstop.scenario.overrides import require_override
+from drake_nonstop.scenario.schema import check_name
+from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
+from drake_nonstop.validation import (
+    ScenarioError,
+    StrictFields,
+    fields_of,
+    one_line,
+    read_text,
+    require,
+    require_array,
+    require_fields,
+    require_known,
+    require_non_negative,
+    require_positive,
+    require_seed,
+    require_type,
+)
+
+GRAVITY = 9.81  # m/s²
+_MOST_CARRIERS = 12
+_MOST_STARTS = 100
+
+
+@dataclass(kw_only=True)
+class DesignRequest(StrictFields):
+    """Aircraft, load, wind and margins: what `design` finds formations for.
+
+    The attachments are a regular polygon about the load's centre of mass. The margins hold at rest
+    and on the way of the load, from rest to rest along `displacement`.
+    """
+
+    name: str = "formation"  # of the scenarios that are made
+    description: str = ""
+    aircraft: AircraftParameters = field(
+        default_factory=lambda: AircraftParameters(model="rascal_110")
+    )
+    carriers: list[int] = field(default_factory=lambda: [3, 4, 5, 6])  # numbers to be tried
+    kinds: list[str] = field(default_factory=lambda: [*KINDS])  # leaning, co_rotating
+    load_mass: float = 10.0  # kg
+    load_radius: float = 1.5  # m, of the circle through the attachments
+    load_inertia: list[list[float]] | None = None  # kg m², in L; none: a disc of that radius
+    load_drag: float = 0.6  # N s/m
+    cable_length: list[float] = field(default_factory=lambda: [60.0, 200.0])  # m, least and largest
+    cable_stiffness: float = 120.0  # N/m
+    cable_damping: float = 2.0  # N s/m
+    wind: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m/s, in W
+    displacement: list[float] = field(default_factory=lambda: [50.0, 0.0, 0.0])  # m, of the load
+    speed: float = 1.25  # m/s, the load's largest on the way; 0: it rests
+    separation: float = 12.0  # m, of any two carriers, at least
+    lift_share: float = 0.8  # of C_Lmax, at most; where a controller saturates it is 0.9
+    speed_share: float = 1.25  # of the stall speed, at least; a controller adds thrust at 1.2
+    bank: float = 0.75  # rad, at most; it saturates at 0.87
+    climb: float = 0.45  # rad, up or down at most; a formation beyond 0.52 is refused
+    thrust_reserve: float = 0.1  # of the range of thrust at an airspeed, kept at both of its ends
+    starts: int = 4  # of the search for each number of carriers and kind
+    seed: int = 0  # of the starts
+
+    def check(self) -> Aircraft:
+        """The aircraft, of a cable of the largest length.
+
+        Raises:
+            ScenarioError: a field cannot be used.
+        """
+        require_fields("request", self)
+        check_name(self.name)
+        require(self.carriers, "request.carriers", [], "give numbers of carriers, such as [3, 4]")
+        for n in self.carriers:
+            remedy = f"give numbers from 3 to {_MOST_CARRIERS}"
+            require(3 <= n <= _MOST_CARRIERS, "request.carriers", self.carriers, remedy)
+        require(self.kinds, "request.kinds", [], f"give some of {', '.join(KINDS)}")
+        for kind in self.kinds:
+            require_known(kind, KINDS, "request.kinds", self.kinds)
+        require_positive(
+            "request",
+            load_mass=self.load_mass,
+            load_radius=self.load_radius,
+            cable_stiffness=self.cable_stiffness,
+            separation=self.separation,
+            thrust_reserve=self.thrust_reserve,
+        )
+        require_non_negative(
+            "request", load_drag=self.load_drag, cable_damping=self.cable_damping, speed=self.speed
+        )
+        lengths = require_array("request.cable_length", self.cable_length, [2], "m, in order")
+        is_range = 0 < lengths[0] <= lengths[1]
+        remedy = "give the least and the largest, above zero, in this order"
+        require(is_range, "request.cable_length", self.cable_length, remedy)
+        require_array("request.wind", self.wind, [3], "m/s, in W")
+        way = require_array("request.displacement", self.displacement, [3], "m, in W")
+        remedy = "give a way other than none, or speed = 0 for a load that rests"
+        require(np.any(way) or self.speed == 0, "request.displacement", self.displacement, remedy)
+        for name, low, high in (
+            ("lift_share", 0.0, 0.9),
+            ("bank", 0.0, math.radians(50)),
+            ("climb", 0.0, math.radians(30)),
+            ("thrust_reserve", 0.0, 0.5),
+        ):
+            value = getattr(self, name)
+            remedy = f"give a number above {low:g} and below {high:.3g}, the limit"
+            require(low < value < high, f"request.{name}", value, remedy)
+        remedy = "give a number above 1.2, the limit, up to 10"
+        require(1.2 < self.speed_share <= 10, "request.speed_share", self.speed_share, remedy)
+        remedy = f"give 1 to {_MOST_STARTS}"
+        require(1 <= self.starts <= _MOST_STARTS, "request.starts", self.starts, remedy)
+        require_seed("request.seed", self.seed)
+        inertia = require_array("request.load_inertia", self.inertia, [3, 3], "kg m², rows")
+        remedy = "give rows that are symmetric"
+        require(np.allclose(inertia, inertia.T), "request.load_inertia", self.inertia, remedy)
+        return make_aircraft(
+            self.aircraft,
+            cable_length=float(lengths[1]),
+            gravity=GRAVITY,
+            field="request.aircraft",
+        )
+
+    @property
+    def inertia(self) -> list[list[float]]:
+        """The load's, as given or that of a disc."""
+        if self.load_inertia is not None:
+            return self.load_inertia
+        flat = self.load_mass * self.load_radius**2 / 4
+        return np.diag([flat, flat, 2 * flat]).tolist()
+
+    @property
+    def aircraft_name(self) -> str:
+        """What the aircraft are called in sentences."""
+        return self.aircraft.model or "aircraft of its own"
+
+
+def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) -> DesignRequest:
+    """The request in a YAML file, or the default one, with changes.
+
+    Args:
+        file: whose keys are the fields of `DesignRequest`; the name is the file's by default.
+        overrides: changes "path=value", such as "load_mass=5" or "aircraft.mass=7".
+
+    Raises:
+        ScenarioError: the file cannot be read, or a field cannot be used.
+    """
+    tree: dict[str, Any] = {}
+    if file is not None:
+        path = Path(file)
+        remedy = "give a .yaml file"
+        require(path.suffix in (".yaml", ".yml"), "REQUEST", file, remedy)
+        content = parse_plain(read_text(path, "REQUEST"), path.name)
+        is_mapping = content is None or (isinstance(content, dict) and "_tag" not in content)
+        require(is_mapping, path.name, content, "give a mapping of fields to values")
+        tree = {"name": path.stem} | (content or {})
+    for override in overrides:
+        _apply(tree, override)
+    return _from_tree(tree)
+
+
+def _apply(tree: dict[str, Any], override: str) -> None:
+    require_override(override, "--set")
+    path, _, text = override.partition("=")
+    require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
+    value = parse_plain(text, f"--set {path}", path)
+    *parents, last = path.split(".")
+    branch = tree
+    for key in parents:
+        require(key == "aircraft", "--set", path, "give a field, or aircraft.FIELD")
+        default = {"model": "rascal_110"} if "aircraft" not in tree else {}
+        branch = branch.setdefault(key, default)
+        require(isinstance(branch, dict), "--set", path, f"{key} has no parts; set it whole")
+    branch[last] = value
+
+
+def _from_tree(tree: dict[str, Any]) -> DesignRequest:
+    for key, value in tree.items():
+        require_known(key, list(_fields(DesignRequest)), f"request.{key}", value)
+    aircraft = tree.get("aircraft")
+    if "aircraft" in tree:
+        remedy = "give a mapping such as {model: rascal_110}"
+        require(isinstance(aircraft, dict), "request.aircraft", aircraft, remedy)
+        for key, value in aircraft.items():  # type: ignore[union-attr]
+            known = list(_fields(AircraftParameters))
+            require_known(key, known, f"request.aircraft.{key}", value)
+            require_type(f"request.aircraft.{key}", value, _fields(AircraftParameters)[key])
+        default = DesignRequest()
+        default.aircraft = AircraftParameters()
+    else:
+        default = DesignRequest()
+    for key, kind in _fields(DesignRequest).items():
+        if key in tree and key != "aircraft":
+            require_type(f"request.{key}", tree[key], kind)
+    try:
+        request: DesignRequest = yaml_load_typed(
+            schema=DesignRequest, data=yaml_dump(tree), defaults=default
+        )
+    except ScenarioError:
+        raise
+    except Exception as error:
+        remedy = f"give its fields values of their types ({one_line(error)})"
+        raise ScenarioError(f"request = {dump_plain(tree)[:60]}: {remedy}") from None
+    request.check()
+    return request
+
+
+def dump_request(request: DesignRequest) -> str:
+    """The request as YAML with every field that it gives, which `read_request` reads."""
+    tree = {k: v for k, v in vars(request).items() if v is not None}
+    tree["aircraft"] = {k: v for k, v in vars(request.aircraft).items() if v is not None}
+    return "".join(f"{key}: {dump_plain(value)}\n" for key, value in tree.items())
+
+
+def read_request_text(text: str) -> DesignRequest:
+    """The request in YAML, as `dump_request` writes it."""
+    return _from_tree(parse_plain(text, "request"))
+
+
+def _fields(schema: type) -> dict[str, Any]:
+    """The types of a dataclass's fields, by name."""
+    return {field.name: field.type for field in fields_of(schema)}

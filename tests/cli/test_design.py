@@ -1,0 +1,76 @@
+"""`drake-nonstop design`, as a user meets it."""
+
+import json
+
+import pytest
+from PIL import Image
+
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.cli.main import main
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.studies import design
+from drake_nonstop.studies.design import Design, Refusal
+
+SMALL = ["carriers=[3]", "kinds=[co_rotating]", "cable_length=[60, 60]", "starts=1"]
+
+
+@pytest.mark.slow
+def test_a_request_becomes_scenarios_a_table_and_a_figure(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "light.yaml").write_text("load_mass: 6.0\nwind: [2, 0, 0]\n")
+    assert main(["design", "light.yaml", "--set", *SMALL]) == 0
+    folder = tmp_path / "out" / "design" / "light"
+    shown = capsys.readouterr().out
+    assert "light_1*" in shown
+    assert "light_1: breaks first at wind" in shown
+    assert "formations keep the margins" in shown
+    report = json.loads((folder / "design.json").read_text())
+    assert report["is_feasible"]
+    names = [formation["scenario"] for formation in report["formations"]]
+    files = {"request.yaml", "design.json", "pareto.png", *(f"{name}.yaml" for name in names)}
+    assert {path.name for path in folder.iterdir()} == files
+    scenario = load_scenario(folder / "light_1.yaml")
+    assert (scenario.name, scenario.system.load_mass) == ("light_1", 6.0)
+    assert scenario.wind.velocity == [2.0, 0.0, 0.0]
+    with Image.open(folder / "pareto.png") as picture:
+        assert picture.width > 2000
+
+
+def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    other = tmp_path / "out" / "design" / "formation"
+    other.mkdir(parents=True)
+    (other / "request.yaml").write_text("load_mass: 1.0\n")
+    missed = Refusal(kind="leaning", carriers=3, reserve=-1.0, missed="bank", remedy="less")
+
+    def none(request, progress):
+        return Design(request=request, formations=(), refusals=(missed,))
+
+    monkeypatch.setattr(design, "design", none)
+    assert main(["design", "--set", *SMALL]) == FAILED
+    shown = capsys.readouterr().out
+    assert "3 leaning, misses bank; give less" in shown
+    assert "results: out/design/formation_2" in shown
+    assert (other / "request.yaml").read_text() == "load_mass: 1.0\n"
+    assert not (tmp_path / "out" / "design" / "formation_2" / "pareto.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["none.yaml"], "REQUEST = none.yaml: give a file that can be read"),
+        (["none.txt"], "REQUEST = none.txt: give a .yaml file"),
+        (["--set", "speed=-1"], "request.speed = -1.0: give a finite number"),
+    ],
+)
+def test_bad_input_is_refused_before_anything_is_written(
+    tmp_path, capsys, monkeypatch, arguments, sentence
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["design", *arguments]) == BAD_INPUT
+    error = capsys.readouterr().err
+    assert error.startswith(f"drake-nonstop: {sentence}")
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,99 @@
+"""The orbits above a level load, in closed form."""
+
+import numpy as np
+import pytest
+from helpers import difference, regular
+
+from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
+from drake_nonstop.mechanics.resting_orbit import resting_orbits
+from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
+from drake_nonstop.model.system import Model, SystemParameters
+
+WIND = np.array([2.0, 1.0, 0.3])
+SIZES = {"spread": 6.75, "radial": 3.3, "tangential": 4.5, "vertical": 4.9}
+
+
+@pytest.mark.parametrize(
+    ("pattern", "n", "yaw_rate", "turns"),
+    [
+        (EllipticCarouselConfig(phase_turns=2, **SIZES), 4, 0.0, 2),
+        (EllipticCarouselConfig(phase_turns=3, **SIZES), 6, 0.0, 3),
+        (ConstantSpreadConfig(spread=30.0), 5, 0.4, 0),
+    ],
+)
+def test_they_are_those_of_the_general_equations(pattern, n, yaw_rate, turns):
+    made = Model(
+        SystemParameters(
+            load_mass=10.0,
+            load_inertia=np.diag([5.0, 5.0, 10.0]).tolist(),
+            load_drag=0.6,
+            attachments=regular(n, 1.5).tolist(),
+            cable_length=150.0,
+            cable_stiffness=120.0,
+        ),
+        pattern,
+    )
+    times, frequency = np.linspace(0, 9, 7), 0.6
+    general = resting_orbits(
+        made.load,
+        np.eye(22)[0],
+        times,
+        np.array([frequency, 1.0]),
+        yaw_rate=yaw_rate,
+        load_wind=WIND,
+        attachments=made.attachments,
+        pseudo_inverse=made.pseudo_inverse,
+        basis=made.pattern.basis,
+        phases=made.pattern.phases,
+        orders=made.pattern.orders,
+        offset=made.pattern.offset,
+        rest_length=150.0,
+        compliance=1 / 120.0,
+    )
+    sizes = [getattr(pattern, name, 0.0) for name in SIZES]
+    shape = FormationShape(*sizes, frequency, yaw_rate, 150.0)
+    load = CarriedLoad(10.0, 0.6, 9.81, n, 1.5, 1 / 120.0)
+    for i in range(n):
+        place = 2 * np.pi * i / n
+        found = carrier_orbit(
+            shape,
+            load,
+            place + yaw_rate * times,
+            frequency * times + turns * place,
+            air_velocity=-WIND,
+            acceleration=np.zeros(3),
+        )
+        for values, expected in zip(found, general, strict=False):
+            np.testing.assert_allclose(values, expected[:, i], rtol=1e-10, atol=1e-9)
+
+
+@pytest.mark.parametrize("yaw_rate", [0.0, 0.7])
+def test_velocities_and_accelerations_are_the_rates_of_positions(yaw_rate):
+    """Also where the load accelerates, and orbits lean above a load that turns."""
+    shape = FormationShape(6.0, 2.0, 3.0, 1.5, 0.9, yaw_rate, 40.0)
+    load = CarriedLoad(10.0, 0.6, 9.81, 4, 1.5, 1 / 120.0)
+    pushed = np.array([0.3, -0.2, 0.1])
+
+    def orbit(time):
+        angles = np.array([0.4 + yaw_rate * time]), np.array([0.9 * time])
+        return carrier_orbit(shape, load, *angles, air_velocity=WIND, acceleration=pushed)
+
+    found = orbit(1.3)
+    rate = difference(lambda time: orbit(time).positions, 1.3)
+    np.testing.assert_allclose(found.velocities, rate, atol=1e-8)
+    rate = difference(lambda time: orbit(time).velocities, 1.3)
+    np.testing.assert_allclose(found.accelerations - pushed, rate, atol=1e-8)
+
+
+def test_the_forces_hold_the_load():
+    shape = FormationShape(6.0, 2.0, 3.0, 1.5, 0.9, 0.0, 40.0)
+    load = CarriedLoad(10.0, 0.6, 9.81, 4, 1.5, 0.0)
+    places = 2 * np.pi * np.arange(4) / 4
+    pushed = np.array([0.3, -0.2, 0.1])
+    found = carrier_orbit(
+        shape, load, places, 0.3 + 2 * places, air_velocity=WIND, acceleration=pushed
+    )
+    needed = 10.0 * (pushed + np.array([0.0, 0.0, 9.81])) + 0.6 * WIND
+    np.testing.assert_allclose(found.cable_forces.sum(axis=0), needed, atol=1e-9)
+    torque = np.cross(regular(4, 1.5), found.cable_forces).sum(axis=0)
+    np.testing.assert_allclose(torque, 0, atol=1e-9)

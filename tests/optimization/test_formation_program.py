@@ -1,0 +1,146 @@
+"""The program that designs formations, beside closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits
+from drake_nonstop.mechanics.formation_orbit import CarriedLoad
+from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
+from drake_nonstop.optimization.formation_program import (
+    CO_ROTATING,
+    KINDS,
+    LEANING,
+    NEEDS,
+    DesignLimits,
+    FormationProgram,
+    FormationTask,
+    LoadMotion,
+)
+
+GRAVITY, MASS, N, RADIUS = 9.81, 10.0, 4, 1.5
+X = np.eye(3)[0]
+LIMITS = DesignLimits(
+    lift_share=0.9,
+    speed_share=1.2,
+    bank=math.radians(50),
+    climb=math.radians(30),
+    carrier_distance=0.05,
+    lift_margin=0.1,
+    speed_margin=0.05,
+    bank_margin=0.1,
+    climb_margin=0.05,
+    thrust_margin=0.1,
+    separation=8.0,
+)
+# Without lift at no angle, and with an angle of attack of none: T acts along the path.
+STRAIGHT = {"lift_at_zero_angle": 0.0, "lift_slope": 1e9}
+
+
+def task(*motions, **aircraft):
+    parameters = AircraftParameters(model="rascal_110", **aircraft)
+    return FormationTask(
+        aircraft=make_aircraft(parameters, cable_length=100.0, gravity=GRAVITY),
+        load=CarriedLoad(MASS, 0.6, GRAVITY, N, RADIUS, 0.0),
+        wind=X,
+        motions=(LoadMotion(0 * X, 0 * X), *motions),
+        limits=LIMITS,
+    )
+
+
+def needs_at(program, values):
+    found, _ = program.needs(np.array(values))
+    return {name: found[:, i] for i, name in enumerate(NEEDS)}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_gradients_are_central_differences(kind):
+    program = FormationProgram(task(LoadMotion(X, 0.2 * X)), kind, 2, phases=3)
+    point = np.array([0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 10.0, 2.0, 1.2, 0.5])
+    rows, gradients, _, power_gradient = program.rows(point)
+    assert len(rows) == len(program.row_names)
+    for i in range(len(point) - 1):
+        step = 1e-5 * max(1.0, point[i])
+        ends = [program.rows(point + sign * step * np.eye(10)[i]) for sign in (1, -1)]
+        expected = (ends[0][0] - ends[1][0]) / (2 * step)
+        np.testing.assert_allclose(gradients[:, i], expected, rtol=1e-4, atol=1e-5)
+        expected = (ends[0][2] - ends[1][2]) / (2 * step)
+        assert power_gradient[i] == pytest.approx(expected, rel=1e-4, abs=1e-3)
+
+
+def closed_form(plane, outward, rate, length):
+    """Level circles that turn with the load: C_L, bank, thrust, airspeed, distance."""
+    share, ratio = MASS * GRAVITY / N, MASS / (N * plane.mass)
+    half_cone = np.arctan(outward)
+    radius = RADIUS + length * np.sin(half_cone)
+    speed = rate * radius
+    bank = np.arctan((speed**2 / (GRAVITY * radius) - ratio * np.tan(half_cone)) / (1 + ratio))
+    pressure = plane.air_density / 2 * speed**2 * plane.wing_area
+    held = plane.mass * GRAVITY + share
+    lift = held / (pressure * np.cos(bank))
+    parasitic = plane.zero_lift_drag + 1.1 * 0.001 * length / (4 * plane.wing_area)
+    thrust = pressure * parasitic + plane.induced_drag * pressure * lift**2
+    return lift, bank, thrust, speed, 2 * radius * math.sin(math.pi / N)
+
+
+def test_co_rotating_circles_are_those_of_the_closed_form():
+    given = task(**STRAIGHT)
+    program = FormationProgram(given, CO_ROTATING, phases=5)
+    found = needs_at(program, [1.2, 0, 0, 0, 0.4, 60.0, MASS, 0.0, 0.0, 0.0])
+    lift, bank, thrust, speed, apart = closed_form(given.aircraft, 1.2, 0.4, 60.0)
+    np.testing.assert_allclose(found["lift"] * given.aircraft.max_lift, lift, rtol=1e-6)
+    np.testing.assert_allclose(np.abs(found["bank"]), abs(bank), rtol=1e-6)
+    np.testing.assert_allclose(found["thrust"], thrust, rtol=1e-6)
+    np.testing.assert_allclose(found["airspeed"] * stall_speed(given.aircraft), speed, rtol=1e-9)
+    distances, _ = program.separations(np.array([1.2, 0, 0, 0, 0.4, 60.0, MASS, 0, 0, 0]))
+    assert distances.min() == pytest.approx(apart, rel=1e-9)
+
+
+def test_leaning_circles_are_those_of_the_closed_form():
+    """A = f0 tan(theta)/cos(psi), C = f0 tan(psi): a constant speed, T = D +- W sin(psi)."""
+    given = task(**STRAIGHT)
+    lean, half_cone, rate, length = 0.3, 0.2, 0.9, 60.0
+    size = math.tan(half_cone) / math.cos(lean)
+    values = [math.tan(lean), size * math.cos(lean), size, size * math.sin(lean), rate, length]
+    program = FormationProgram(given, LEANING, 2, phases=64)
+    found = needs_at(program, [*values, MASS, 0.0, 0.0, 0.0])
+    speed = rate * length * math.sin(half_cone)
+    np.testing.assert_allclose(found["airspeed"] * stall_speed(given.aircraft), speed, rtol=1e-9)
+    assert np.max(np.abs(found["climb"])) == pytest.approx(math.sin(lean), rel=1e-9)
+    plane = given.aircraft._replace(cable_length=length)
+    pressure = plane.air_density / 2 * speed**2 * plane.wing_area
+    lift = found["lift"] * plane.max_lift
+    drag = pressure * (plane.zero_lift_drag + plane.cable_drag_share + plane.induced_drag * lift**2)
+    swing = plane.mass * GRAVITY * math.sin(lean)
+    assert np.max(found["thrust"] - drag) == pytest.approx(swing, rel=0.01)
+    assert np.min(found["thrust"] - drag) == pytest.approx(-swing, rel=0.01)
+
+
+def test_the_least_power_is_that_of_the_closed_form():
+    """Beside a dense grid of C/f0 and xi at cables of 60 m, with the same margins."""
+    given = task(**STRAIGHT)
+    program = FormationProgram(given, CO_ROTATING, phases=4)
+    lower = np.array([0.05, 0, 0, 0, 0.05, 60.0, MASS, 0, 0, 1.0])
+    upper = np.array([2.0, 0, 0, 0, 3.0, 60.0, MASS, 0, 0, 1.0])
+    best = np.inf
+    for start in ([0.5, 0.5], [1.5, 0.3], [1.0, 0.8]):
+        begin = np.array([start[0], 0, 0, 0, start[1], 60.0, MASS, 0, 0, 1.0])
+        found = program.solve(begin, lower, upper, np.zeros(10), power_weight=0.005)
+        rows, _, power, _ = program.rows(found)
+        if rows.min() > 1 - 1e-3:
+            best = min(best, power)
+
+    outward, rate = np.meshgrid(np.linspace(0.05, 2, 500), np.linspace(0.05, 3, 1500))
+    plane = given.aircraft
+    lift, bank, thrust, speed, apart = closed_form(plane, outward, rate, 60.0)
+    least, most = thrust_limits(plane, speed.ravel())
+    least, most = least.reshape(speed.shape), most.reshape(speed.shape)
+    kept = lift / plane.max_lift <= 0.8
+    kept &= speed / stall_speed(plane) >= 1.25
+    kept &= np.abs(bank) <= math.radians(50) - 0.1
+    kept &= (most - thrust) / (most - least) >= 0.1
+    kept &= (thrust - least) / (most - least) >= 0.1
+    kept &= apart >= 8.0
+    expected = np.min((thrust * speed / plane.efficiency)[kept])
+    assert best == pytest.approx(expected, rel=0.01)

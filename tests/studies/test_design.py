@@ -1,0 +1,195 @@
+"""Designed formations: their margins, what breaks them, and why a request is refused."""
+
+import dataclasses
+import math
+import re
+
+import drawn_designs
+import numpy as np
+import pytest
+
+from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
+from drake_nonstop.simulation.aircraft_margins import aircraft_margins
+from drake_nonstop.studies import design as module
+from drake_nonstop.studies.design import (
+    Design,
+    DesignedFormation,
+    Refusal,
+    design_dictionary,
+    design_one,
+    design_table,
+    flight_of,
+    formation_needs,
+)
+from drake_nonstop.studies.design_figures import make_pareto_figure, make_region_figure
+from drake_nonstop.studies.design_request import dump_request, read_request, read_request_text
+from drake_nonstop.studies.feasible_region import feasible_region, region_scenario
+from drake_nonstop.validation import ScenarioError
+
+WINDY = ["carriers=[4]", "cable_length=[40, 80]", "wind=[0, 3, 0]", "starts=2"]
+
+
+def found_for(changes, kind="co_rotating"):
+    request = read_request(None, changes)
+    (carriers,) = request.carriers
+    items = design_one(dump_request(request), carriers, kind)
+    formations = tuple(item for item in items if isinstance(item, DesignedFormation))
+    refusals = tuple(item for item in items if isinstance(item, Refusal))
+    return Design(request=request, formations=formations, refusals=refusals)
+
+
+@pytest.fixture(scope="module")
+def windy():
+    return found_for(WINDY)
+
+
+def test_formations_keep_the_margins_of_the_request(windy):
+    request = windy.request
+    assert len(windy.formations) == 3
+    for formation in windy.formations:
+        flight = formation.flight
+        assert flight.lift_share <= request.lift_share + 2e-4
+        assert flight.bank <= request.bank
+        assert flight.climb <= request.climb
+        assert min(flight.thrust_above, flight.thrust_below) >= request.thrust_reserve - 1e-3
+        assert formation.distances[0] >= request.separation
+        assert 40 <= formation.variables.cable_length <= 80
+    powers = [formation.power for formation in windy.formations]
+    reserves = [formation.reserve for formation in windy.formations]
+    assert powers == sorted(powers, reverse=True)
+    assert reserves == sorted(reserves, reverse=True)
+    assert all(windy.is_efficient(formation) for formation in windy.formations)
+
+
+def test_scenarios_read_back_and_need_at_rest_what_was_found(windy):
+    formation = windy.formations[0]
+    text = dump_scenario(formation.scenario)
+    assert parse_scenario(text) == formation.scenario
+    found = aircraft_margins(formation.scenario)
+    assert found.is_flyable
+    task = module.design_task(windy.request, 4, 1).with_motions(1)
+    flight = flight_of(task, formation.kind, formation.variables)
+    assert np.max(found.needs.lift) / found.max_lift == pytest.approx(flight.lift_share, rel=1e-3)
+    assert np.max(np.abs(found.needs.bank)) == pytest.approx(flight.bank, rel=5e-3)
+    assert np.max(found.needs.thrust) == pytest.approx(flight.thrust_max, rel=1e-3)
+    assert found.drawn_power == pytest.approx(flight.power, rel=1e-3)
+    assert found.turn == pytest.approx(2 * math.pi / formation.variables.frequency, rel=1e-4)
+
+
+def test_it_breaks_where_it_says(windy):
+    """In the wind at which it breaks at rest, by the margins of the scenario."""
+    formation = windy.formations[0]
+    wind, load, speed = formation.breaks
+    assert (wind.what, load.what, speed.what) == ("wind", "load", "speed")
+    assert (wind.value > 3, load.value > 10, speed.value > 1.25) == (True, True, True)
+    resting = dataclasses.replace(windy.request, speed=0.0)
+    region = feasible_region(resting, formation, [9.0, 10.0, 10 * load.value], 0.0)
+    assert math.isnan(region.winds[2])
+    for mass, largest in zip(region.masses[:2], region.winds[:2], strict=True):
+        for factor, flies in ((0.99, True), (1.01, False)):
+            scenario = region_scenario(resting, formation, mass, factor * largest, 0.0)
+            found = aircraft_margins(scenario)
+            assert found.is_flyable is flies
+            if not flies:
+                assert found.missed[0].name == region.limits[0]
+
+
+def test_what_is_printed_and_drawn(windy):
+    table = design_table(windy)
+    lines = table.splitlines()
+    assert len(lines) == 7
+    assert len(re.findall("breaks first at wind", table)) == 3
+    found = design_dictionary(windy)
+    assert found["is_feasible"] is True
+    assert found["formations"][0]["power_drawn_W"] == windy.formations[0].power
+    energy = 4 * windy.formations[0].flight.power / (3.6 * 10.0 * 1.25 / 1.875)
+    assert found["formations"][0]["energy_Wh_per_kg_km"] == pytest.approx(energy)
+    assert len(make_pareto_figure(windy).axes) == 2
+    region = feasible_region(windy.request, windy.formations[0], [8.0, 10.0], 1.0)
+    figure = make_region_figure("flies", [region], [(0, 9.0, 1.0, True), (0, 9.0, 9.0, False)])
+    assert len(figure.axes[0].lines) == 3
+
+
+def test_a_load_that_is_too_heavy_is_refused_with_one_that_is_not():
+    found = found_for(["carriers=[3]", "load_mass=80", "cable_length=[40, 60]", "starts=1"])
+    assert not found.formations
+    assert "no formation of rascal_110 keeps the margins" in found.verdict
+    assert re.search(r"thrust left above|C_L / C_Lmax|airspeed", found.verdict)
+    (mass,) = re.findall(r"request.load_mass = ([\d.]+) or less", found.verdict)
+    assert 20 < float(mass) < 80
+    eased = found_for(["carriers=[3]", f"load_mass={mass}", "cable_length=[40, 60]", "starts=2"])
+    assert eased.formations
+
+
+def test_ways_and_accelerations_are_those_of_the_trajectory():
+    """At the extremes of a quintic from rest to rest over 50 m, at its largest speed of 2 m/s."""
+    request = read_request(None, ["displacement=[0, 50, 0]", "speed=2"])
+    _, fastest, rising, falling, *_ = module.load_motions(request, 6)
+    time = 1.875 * 50 / 2
+    np.testing.assert_allclose(2 * fastest.velocity, [0, 2, 0])
+    np.testing.assert_allclose(fastest.acceleration, 0, atol=1e-12)
+    largest = 10 / math.sqrt(3) * 50 / time**2
+    np.testing.assert_allclose(4 * rising.acceleration, [0, largest, 0], rtol=1e-9)
+    np.testing.assert_allclose(rising.acceleration, -falling.acceleration, rtol=1e-9)
+    assert len(module.load_motions(request, 13)) == 13
+    assert len(module.load_motions(read_request(None, ["speed=0"]), 13)) == 1
+
+
+def test_a_way_is_flown_beside_the_wind():
+    """What is needed at a constant speed is what is needed at rest in the wind against it."""
+    request = read_request(None, ["carriers=[4]", "wind=[0, 1, 0]", "speed=2"])
+    x = module.FormationVariables(0.2, 0.1, 0.12, 0.1, 0.6, 150.0, 10.0, 1.0, 2.0, 0.0)
+    task = module.design_task(request, 4)
+    fastest = list(formation_needs(task, "leaning", x))[1][0]
+    against = module.design_task(read_request(None, ["wind=[-2, 1, 0]", "speed=0"]), 4)
+    (resting, _), *_ = formation_needs(against, "leaning", x._replace(wind=math.sqrt(5)))
+    for one, other in zip(fastest, resting, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+
+
+def test_drawn_requests_are_within_their_ranges():
+    for seed in range(40):
+        request = drawn_designs.draw(seed)
+        assert request == read_request_text(dump_request(request))
+        assert 2 <= request.load_mass <= 20
+        assert 20 <= request.cable_length[0] <= request.cable_length[1] <= 300
+        assert np.linalg.norm(request.wind) <= 6.001
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ("carriers=[2]", "request.carriers = [2]: give numbers from 3 to 12"),
+        ("carriers=[]", "request.carriers = []: give numbers of carriers, such as [3, 4]"),
+        ("kinds=[flat]", "request.kinds"),
+        ("load_mass=-1", "request.load_mass = -1.0: give a finite number greater than zero"),
+        ("load_mass=heavy", "request.load_mass = heavy: give a number"),
+        ("cable_length=[90, 60]", "request.cable_length = [90.0, 60.0]: give the least and"),
+        ("lift_share=0.95", "request.lift_share = 0.95: give a number above 0 and below 0.9"),
+        ("speed_share=1.1", "request.speed_share = 1.1: give a number above 1.2"),
+        ("displacement=[0, 0, 0]", "give a way other than none, or speed = 0"),
+        ("weight=3", "request.weight = 3: there is no"),
+        ("aircraft.wings=3", "request.aircraft.wings = 3: there is no"),
+        ("aircraft.model=jumbo", "request.aircraft.model = jumbo: there is no jumbo"),
+        ("name=a/b", "scenario = a/b: name it with letters"),
+        ("load_inertia=[[1, 2], [3, 4]]", "request.load_inertia"),
+        ("wind", "--set = wind: give path=value"),
+    ],
+)
+def test_a_request_that_cannot_be_used_is_refused_in_a_sentence(change, sentence):
+    with pytest.raises(ScenarioError, match=re.escape(sentence)):
+        read_request(None, [change])
+
+
+def test_a_request_is_read_from_a_file(tmp_path):
+    file = tmp_path / "small.yaml"
+    file.write_text("aircraft: {model: ultrastick_25e}\nload_mass: 2\ncarriers: [4]\n")
+    request = read_request(file, ["speed=0.5"])
+    assert (request.name, request.load_mass, request.speed) == ("small", 2, 0.5)
+    assert request.aircraft.model == "ultrastick_25e"
+    file.write_text("load_mass: 2\nload_mass: 3\n")
+    with pytest.raises(ScenarioError, match="given twice"):
+        read_request(file)
+    file.write_text("aircraft: {mass: 5.0}\n")
+    with pytest.raises(ScenarioError, match=r"request\.aircraft\.wing_area = not given"):
+        read_request(file)
