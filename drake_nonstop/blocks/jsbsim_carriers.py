@@ -11,14 +11,20 @@ from pydrake.systems.primitives import AffineSystem
 
 from drake_nonstop.mechanics.aircraft import FlightStates, air_frame, is_stalled, trimmed_states
 from drake_nonstop.mechanics.carrier import carriers_kinetic_energy, carriers_potential_energy
-from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState, CarrierStates
+from drake_nonstop.mechanics.signals import AircraftState, CarrierStates
 from drake_nonstop.model.block_parameters import (
     AIRCRAFT_NUMBERS,
     BlockParameters,
     Rules,
     required_aircraft,
 )
-from drake_nonstop.model.jsbsim_aircraft import JsbsimAircraft, aircraft_file, require_jsbsim
+from drake_nonstop.model.jsbsim_aircraft import (
+    FleetState,
+    JsbsimAircraft,
+    JsbsimFleet,
+    aircraft_file,
+    require_jsbsim,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
@@ -199,6 +205,10 @@ class _Start(NamedTuple):
         """The parts of an array (12n,)."""
         return cls(*np.split(values, len(values) // 12 * np.array([6, 7, 8, 9])))
 
+    def commands(self) -> NDArray:
+        """C_L, bank and thrust of each (n, 3)."""
+        return np.stack([self.lift, self.bank, self.thrust], axis=1)
+
 
 class _Shown(NamedTuple):
     """What n aircraft show at an instant."""
@@ -210,7 +220,8 @@ class _Shown(NamedTuple):
     @classmethod
     def view(cls, values: NDArray) -> "_Shown":
         """The parts of an array (13n,)."""
-        return cls(*np.split(values, len(values) // 13 * np.array([6, 10])))
+        n = len(values) // 13
+        return cls(values[: 6 * n], values[6 * n : 10 * n], values[10 * n :])
 
 
 class _Hangar:
@@ -253,51 +264,36 @@ class _Flight:
     def __init__(self, hangar: _Hangar):
         self.number, self.steps = next(_numbers), 0
         self._step, self._most_lift = hangar.step, float(np.squeeze(hangar.aircraft.max_lift))
-        self._aircraft = [hangar.made() for _ in range(hangar.n)]
-        self._pull = np.zeros(0)  # (n, 3), N, at the start of the step before
+        self._fleet = JsbsimFleet([hangar.made() for _ in range(hangar.n)])
+        self._pulls = np.zeros(0)  # (n, 3), N, at the start of the step before
         self._velocities = np.zeros(0)  # (n, 3), m/s, of the centres of gravity
 
     def start(self, states: NDArray, pull: NDArray, wind: NDArray) -> NDArray:
         """Starts; returns `_Shown` (13n,) of that instant."""
         start = _Start.view(states)
         positions, velocities = CarrierStates.view(start.carriers)
-        parts = (pull, wind, start.acceleration)
-        self._pull, winds, accelerations = (part.reshape(-1, 3) for part in parts)
-        flown = [
-            aircraft.start(
-                positions[i],
-                velocities[i],
-                accelerations[i],
-                lift=start.lift[i],
-                bank=start.bank[i],
-                thrust=start.thrust[i],
-                pull=self._pull[i],
-                wind=winds[i],
-            )
-            for i, aircraft in enumerate(self._aircraft)
-        ]
-        self._velocities = np.array([each.velocity for each in flown])
-        return self._shown(flown, accelerations)
+        accelerations, self._pulls = start.acceleration.reshape(-1, 3), pull.reshape(-1, 3)
+        winds, commands = wind.reshape(-1, 3), start.commands()
+        shown = self._fleet.start(
+            positions, velocities, accelerations, commands, self._pulls, winds
+        )
+        self._velocities = shown.centre_velocities
+        return self._shown(shown, accelerations)
 
     def advance(self, command: NDArray, pull: NDArray, wind: NDArray) -> NDArray:
         """Flies a step; returns `_Shown` (13n,) of the next instant."""
-        before, self._pull = self._pull, pull.reshape(-1, 3)
-        told = np.stack(AircraftCommand.view(command), axis=1)  # (n, 3)
-        next_pull, winds = 2 * self._pull - before, wind.reshape(-1, 3)
-        flown = [
-            aircraft.advance(told[i], next_pull[i], winds[i])
-            for i, aircraft in enumerate(self._aircraft)
-        ]
+        before, self._pulls = self._pulls, pull.reshape(-1, 3)
+        told = command.reshape(3, -1).T
+        shown = self._fleet.advance(told, 2 * self._pulls - before, wind.reshape(-1, 3))
         self.steps += 1
-        before, self._velocities = self._velocities, np.array([each.velocity for each in flown])
-        return self._shown(flown, (self._velocities - before) / self._step)
+        before, self._velocities = self._velocities, shown.centre_velocities
+        return self._shown(shown, (self._velocities - before) / self._step)
 
-    def _shown(self, flown: list[Any], accelerations: NDArray) -> NDArray:
-        hooks = np.array([each.hook for each in flown])
-        carriers = CarrierStates(hooks[:, :3], hooks[:, 3:]).flat()
-        shown = np.array([[each.lift, each.bank, each.thrust, each.airspeed] for each in flown]).T
-        shown[0] = np.minimum(shown[0], self._most_lift)
-        return np.concatenate(_Shown(carriers, shown.ravel(), accelerations.ravel()))
+    def _shown(self, shown: FleetState, accelerations: NDArray) -> NDArray:
+        carriers = CarrierStates(shown.positions, shown.velocities).flat()
+        lift = np.minimum(shown.lift, self._most_lift)
+        aircraft = np.concatenate(AircraftState(lift, shown.bank, shown.thrust, shown.airspeed))
+        return np.concatenate(_Shown(carriers, aircraft, accelerations.ravel()))
 
 
 class _Flights(InnerBlock):
@@ -342,7 +338,7 @@ class _Flights(InnerBlock):
         step = self._hangar.step
         names = (self._command, self._pull, self._wind)
         command, pull, wind = (port.Eval(context) for port in names)
-        shown = np.split(state[3:], 2)[1]
+        shown = state[(3 + len(state)) // 2 :]
         if number == 0:
             self._flight = _Flight(self._hangar)
             shown = self._flight.start(self._start.Eval(context), pull, wind)
@@ -379,7 +375,8 @@ class _Flights(InnerBlock):
         state = context.get_discrete_state_vector().value()
         if state[0] == 0:
             return None
-        before, after = map(_Shown.view, np.split(state[3:], 2))
+        half = (3 + len(state)) // 2
+        before, after = _Shown.view(state[3:half]), _Shown.view(state[half:])
         return before, after, (context.get_time() - state[2]) / self._hangar.step
 
     def _calc_carriers(self, context: Context, output: Any) -> None:

@@ -21,7 +21,7 @@ radius is subtracted: rounding leaves 1e-7 m. The density of the air is the mode
 
 import contextlib
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,7 +31,7 @@ from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack
 from drake_nonstop.mechanics.aircraft_attitude import body_attitude, north_east_down, turn_rate
-from drake_nonstop.mechanics.rotation import cross
+from drake_nonstop.mechanics.rotation import components, cross
 from drake_nonstop.validation import ScenarioError, require, require_file, require_installed
 
 TABLE = Path(__file__).parent / "jsbsim_table"
@@ -56,11 +56,29 @@ _NEEDED = (
     *(f"carrier/{name}-command" for name in ("lift", "bank", "thrust")),
     *(f"carrier/{name}" for name in ("lift", "bank", "thrust")),
 )
+# What is set in each step, and what is read after it.
+_TOLD = (
+    "carrier/lift-command",
+    "carrier/bank-command",
+    "carrier/thrust-command",
+    *(f"external_reactions/cable/{axis}" for axis in "xyz"),
+    "external_reactions/cable/magnitude",
+    *(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down")),
+)
+_MEASURED = (
+    *(f"position/ecef-{axis}-ft" for axis in "yzx"),  # east, north, up
+    *(f"velocities/ecef-{axis}-fps" for axis in "yzx"),
+    *(f"attitude/{angle}-rad" for angle in ("phi", "theta", "psi")),
+    *(f"velocities/{axis}-rad_sec" for axis in "pqr"),
+    *(f"carrier/{name}" for name in ("lift", "bank", "thrust")),
+    "velocities/vt-fps",
+)
 _FOOT, _POUND = 0.3048, 0.45359237  # m, kg
 _POUND_FORCE = _POUND * 9.80665  # N
 _INCH = _FOOT / 12  # m
 _SLUG = _POUND_FORCE / _FOOT  # kg
 _RADIUS = 1e8  # m, of the planet
+_LEAST = 1e-12  # N, beside the size of a force
 # s, in which filters and servos come to rest before the start; first for the lift of the elevator
 _SETTLING = (0.3, 0.3, 4.0)
 _WAITS = "carrier/motion-waits"
@@ -81,15 +99,16 @@ _PLANET = """<?xml version="1.0"?>
 """
 
 
-class RigidFlight(NamedTuple):
-    """What an aircraft of JSBSim shows, SI, in W."""
+class FleetState(NamedTuple):
+    """What n aircraft of JSBSim show, SI, in W."""
 
-    hook: NDArray  # (6,), position (m) and velocity (m/s) of where the cable is fastened
-    velocity: NDArray  # (3,), m/s, of the centre of gravity
-    lift: float  # C_L before stall
-    bank: float  # rad, positive to the right
-    thrust: float  # N
-    airspeed: float  # m/s
+    positions: NDArray  # (n, 3), m, of the hooks, where the cables are fastened
+    velocities: NDArray  # (n, 3), m/s, of the hooks
+    centre_velocities: NDArray  # (n, 3), m/s, of the centres of gravity
+    lift: NDArray  # (n,), C_L before stall
+    bank: NDArray  # (n,), rad, positive to the right
+    thrust: NDArray  # (n,), N
+    airspeed: NDArray  # (n,), m/s
 
 
 class JsbsimAircraft:
@@ -104,7 +123,7 @@ class JsbsimAircraft:
         field: the model's name in error messages.
 
     Attributes:
-        tail_arm: m, from the centre of gravity to the tail.
+        hook: (3,), m, in body axes.
 
     Raises:
         ScenarioError: JSBSim is not installed, or does not load the file, the file has not what is
@@ -121,35 +140,29 @@ class JsbsimAircraft:
         owner: str,
         field: str,
     ):
-        self._aircraft, self._hook = aircraft, hook * [1, 1, -1]
+        self._aircraft, self.hook = aircraft, hook * [1, 1, -1]
         with _silence() as messages:
             self._executive = _loaded(path, aircraft, step, f"{owner}.aircraft_file", messages)
         self._owner, self._field, self._path = owner, field, path
         self._root = self._executive.get_property_manager().get_node()
-        self._nodes: dict[str, Any] = {}
         missing = [name for name in _NEEDED if not self._has(name)]
         if missing:
             remedy = f"it declares no {missing[0]}; add it, see drake_nonstop/model/"
             raise ScenarioError(f"{owner}.aircraft_file = {path}: {remedy}jsbsim_aircraft.py")
-        self.tail_arm = self._get("metrics/lh-ft") * _FOOT
         self._check_size()
         self._place_hook(hook)
         self._write_model()
+        self._told = [self._root.get_node(name, True) for name in _TOLD]
+        self._measured = [self._root.get_node(name, True) for name in _MEASURED]
 
     def _has(self, name: str) -> bool:
         return self._root.get_node(name, False) is not None
 
-    def _node(self, name: str) -> Any:
-        node = self._nodes.get(name)
-        if node is None:
-            node = self._nodes[name] = self._root.get_node(name, True)
-        return node
-
     def _get(self, name: str) -> float:
-        return self._node(name).get_double_value()
+        return float(self._root.get_node(name, True).get_double_value())
 
     def _set(self, name: str, value: float) -> None:
-        self._node(name).set_double_value(float(value))
+        self._root.get_node(name, True).set_double_value(float(value))
 
     def _check_size(self) -> None:
         """Raises ScenarioError for a file of another aircraft."""
@@ -168,7 +181,7 @@ class JsbsimAircraft:
             )
 
     def _place_hook(self, hook: NDArray) -> None:
-        file, arm = f"{self._owner}.aircraft_file", self.tail_arm
+        file, arm = f"{self._owner}.aircraft_file", self._get("metrics/lh-ft") * _FOOT
         require(arm > 0, file, self._path, "it has no htailarm above zero in <metrics>; give it")
         half = self._get("metrics/bw-ft") * _FOOT / 2
         reach = (
@@ -212,58 +225,43 @@ class JsbsimAircraft:
         position: NDArray,
         velocity: NDArray,
         acceleration: NDArray,
-        *,
-        lift: float,
-        bank: float,
-        thrust: float,
+        command: NDArray,
         pull: NDArray,
         wind: NDArray,
-    ) -> RigidFlight:
+    ) -> None:
         """Starts in coordinated flight, with filters and servos at rest.
 
         Args:
             position: of the hook (3,), m.
             velocity: of the hook (3,), m/s.
             acceleration: (3,), m/s², which the aircraft turns with.
-            lift: C_L.
-            bank: rad.
-            thrust: N.
+            command: C_L, bank (rad) and thrust (N) (3,), which it starts with.
             pull: of the cable, on the load (3,), N.
             wind: (3,), m/s.
         """
-        angle = float(np.squeeze(angle_of_attack(self._aircraft, np.array(lift))))
-        command = np.array([lift, bank, thrust])
+        told = _told(*(part[None] for part in (command, pull, wind)))[0]
+        slope = float(np.squeeze(self._aircraft.lift_slope))
+        angle = float(np.squeeze(angle_of_attack(self._aircraft, command[0])))
         with _silence():
             for settling in _SETTLING:
-                self._place(position, velocity, acceleration, wind, angle, bank)
-                self._settle(command, pull, wind, settling)
-                angle += (lift - self._get("carrier/lift")) / float(
-                    np.squeeze(self._aircraft.lift_slope)
-                )
-        return self._shown()
+                R_WB = body_attitude(velocity - wind, angle, command[1])
+                turning = turn_rate(velocity - wind, acceleration)
+                self._place(position, velocity, R_WB, turning)
+                self._settle(told, settling)
+                angle += (command[0] - self._get("carrier/lift")) / slope
 
-    def _place(
-        self,
-        position: NDArray,
-        velocity: NDArray,
-        acceleration: NDArray,
-        wind: NDArray,
-        angle: float,
-        bank: float,
-    ) -> None:
-        """Sets position, velocity, attitude and rates; the arguments are those of `start`, and α."""
-        R_WB = body_attitude(velocity - wind, angle, bank)
-        turning = turn_rate(velocity - wind, acceleration)
-        arm = R_WB @ self._hook
+    def _place(self, position: NDArray, velocity: NDArray, R_WB: NDArray, turning: NDArray) -> None:
+        """Sets the motion of the hook, the attitude and the angular velocity, rad/s, in W."""
+        arm = R_WB @ self.hook
         centre, speed = position - arm, velocity - cross(turning, arm)
         east, north, up = centre[0], centre[1], centre[2] + _RADIUS
+        radius = np.sqrt(east**2 + north**2 + up**2)
+        height = (centre @ centre + 2 * _RADIUS * centre[2]) / (radius + _RADIUS)
         attitude = RollPitchYaw(RotationMatrix(north_east_down(R_WB.T).T)).vector()
         initial = {
             "lat-gc-rad": np.arctan2(north, np.hypot(east, up)),
             "long-gc-rad": np.arctan2(east, up),
-            "h-sl-ft": (centre @ centre + 2 * _RADIUS * centre[2])
-            / (np.sqrt(east**2 + north**2 + up**2) + _RADIUS)
-            / _FOOT,
+            "h-sl-ft": height / _FOOT,
         }
         initial |= dict(zip(("phi-rad", "theta-rad", "psi-true-rad"), attitude, strict=True))
         body = [*(R_WB.T @ speed / _FOOT), *(R_WB.T @ turning)]
@@ -273,64 +271,105 @@ class JsbsimAircraft:
             self._set(f"ic/{name}", value)
         self._executive.run_ic()
 
-    def _settle(self, command: NDArray, pull: NDArray, wind: NDArray, duration: float) -> None:
+    def _settle(self, told: NDArray, duration: float) -> None:
         """Runs autopilot, filters and servos while the motion waits."""
         schemes = {name: self._get(name) for name in _INTEGRATORS}
         for name in schemes:
             self._set(name, 0)
         self._set(_WAITS, 1)
         for _ in range(int(duration / self._executive.get_delta_t())):
-            self._step(command, pull, wind)
+            self.run(told)
         self._set(_WAITS, 0)
         for name, scheme in schemes.items():
             self._set(name, scheme)
 
-    def advance(self, command: NDArray, pull: NDArray, wind: NDArray) -> RigidFlight:
-        """What it shows a step later.
+    def run(self, told: NDArray) -> None:
+        """A step, with these values of `_TOLD`."""
+        for node, value in zip(self._told, told.tolist(), strict=True):
+            node.set_double_value(value)
+        self._executive.run()
+
+    def measured(self) -> list[float]:
+        """The values of `_MEASURED`."""
+        return [node.get_double_value() for node in self._measured]
+
+
+class JsbsimFleet:
+    """Aircraft that fly together.
+
+    Args:
+        aircraft: n of them, with the same hook.
+    """
+
+    def __init__(self, aircraft: Sequence[JsbsimAircraft]):
+        self._aircraft, self._hook = aircraft, aircraft[0].hook
+
+    def start(
+        self,
+        positions: NDArray,
+        velocities: NDArray,
+        accelerations: NDArray,
+        commands: NDArray,
+        pulls: NDArray,
+        winds: NDArray,
+    ) -> FleetState:
+        """Starts all of them; the arguments are those of `JsbsimAircraft.start`, each (n, 3)."""
+        parts = (positions, velocities, accelerations, commands, pulls, winds)
+        for aircraft, *own in zip(self._aircraft, *parts, strict=True):
+            aircraft.start(*own)
+        return self._shown()
+
+    def advance(self, commands: NDArray, pulls: NDArray, winds: NDArray) -> FleetState:
+        """What they show a step later.
 
         Args:
-            command: C_L, bank (rad) and thrust (N) (3,).
-            pull: of the cable, on the load (3,), N, at the end of the step: JSBSim moves by the
-                forces of the step before, and then evaluates the new ones.
-            wind: (3,), m/s.
+            commands: C_L, bank (rad) and thrust (N) of each (n, 3).
+            pulls: of the cables, on the load (n, 3), N, at the end of the step: JSBSim moves by
+                the forces of the step before, and then evaluates the new ones.
+            winds: (n, 3), m/s.
 
         Raises:
-            ArithmeticError: JSBSim cannot go on from its state.
+            ArithmeticError: JSBSim cannot go on from the state.
         """
+        told = _told(commands, pulls, winds)
         try:
-            self._step(command, pull, wind)
+            for aircraft, own in zip(self._aircraft, told, strict=True):
+                aircraft.run(own)
         except RuntimeError as error:
             raise ArithmeticError(str(error)) from None
         return self._shown()
 
-    def _step(self, command: NDArray, pull: NDArray, wind: NDArray) -> None:
-        for name, value in zip(("lift", "bank", "thrust"), command, strict=True):
-            self._set(f"carrier/{name}-command", value)
-        force = north_east_down(-pull)
-        size = float(np.sqrt(force @ force))
-        self._set("external_reactions/cable/magnitude", size / _POUND_FORCE)
-        for axis, value in zip("xyz", force / max(size, 1e-12), strict=True):
-            self._set(f"external_reactions/cable/{axis}", value)
-        blowing = north_east_down(wind) / _FOOT
-        for axis, value in zip(("north", "east", "down"), blowing, strict=True):
-            self._set(f"atmosphere/wind-{axis}-fps", value)
-        self._executive.run()
+    def _shown(self) -> FleetState:
+        values = np.array([aircraft.measured() for aircraft in self._aircraft])
+        centres, speeds = values[:, :3] * _FOOT, values[:, 3:6] * _FOOT
+        centres[:, 2] -= _RADIUS
+        cosines, sines = np.cos(values[:, 6:9, None]), np.sin(values[:, 6:9, None])
+        arm = np.broadcast_to(self._hook, centres.shape)
+        sweep = cross(values[:, 9:12], arm)
+        positions = centres + _in_world(arm, cosines, sines)
+        velocities = speeds + _in_world(sweep, cosines, sines)
+        lift, bank, thrust, airspeed = values[:, 12:].T
+        return FleetState(positions, velocities, speeds, lift, bank, thrust, airspeed * _FOOT)
 
-    def _shown(self) -> RigidFlight:
-        up, east, north = (self._get(f"position/ecef-{axis}-ft") * _FOOT for axis in "xyz")
-        rates = (self._get(f"velocities/ecef-{axis}-fps") * _FOOT for axis in "xyz")
-        up_rate, east_rate, north_rate = rates
-        velocity = np.array([east_rate, north_rate, up_rate])
-        angles = [self._get(f"attitude/{name}-rad") for name in ("phi", "theta", "psi")]
-        R_NB = RollPitchYaw(angles).ToRotationMatrix().matrix()
-        turning = np.array([self._get(f"velocities/{name}-rad_sec") for name in "pqr"])
-        arm = north_east_down(R_NB @ self._hook)
-        sweep = north_east_down(R_NB @ cross(turning, self._hook))
-        hook = np.concatenate([np.array([east, north, up - _RADIUS]) + arm, velocity + sweep])
-        lift, bank, thrust = (self._get(f"carrier/{name}") for name in ("lift", "bank", "thrust"))
-        return RigidFlight(
-            hook, velocity, lift, bank, thrust, self._get("velocities/vt-fps") * _FOOT
-        )
+
+def _told(commands: NDArray, pulls: NDArray, winds: NDArray) -> NDArray:
+    """The values (n, 10) of `_TOLD`."""
+    sizes = np.sqrt((pulls * pulls).sum(axis=1, keepdims=True))
+    directions = north_east_down(-pulls) / np.maximum(sizes, _LEAST)
+    parts = (commands, directions, sizes / _POUND_FORCE, north_east_down(winds) / _FOOT)
+    return np.concatenate(parts, axis=1)
+
+
+def _in_world(vectors: NDArray, cosines: NDArray, sines: NDArray) -> NDArray:
+    """Vectors (n, 3) in body axes, in W, by cosines and sines (n, 3, 1) of roll, pitch and yaw."""
+    (x, y, z) = components(vectors)
+    (c_roll, c_pitch, c_yaw), (s_roll, s_pitch, s_yaw) = (
+        (a[:, 0], a[:, 1], a[:, 2]) for a in (cosines, sines)
+    )
+    y, z = c_roll * y - s_roll * z, s_roll * y + c_roll * z
+    x, z = c_pitch * x + s_pitch * z, c_pitch * z - s_pitch * x
+    x, y = c_yaw * x - s_yaw * y, s_yaw * x + c_yaw * y
+    return np.concatenate([y, x, -z], axis=1)
 
 
 def aircraft_file(given: str, model: str | None, owner: str, field: str) -> Path:
