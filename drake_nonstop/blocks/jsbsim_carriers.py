@@ -160,18 +160,6 @@ class JsbsimCarriers(DiagramBlock):
         shown = self.GetOutputPort("aircraft_state").Eval(context)
         return bool(np.any(is_stalled(self._aircraft, shown)))
 
-    def Clone(self) -> Any:
-        """Raises ScenarioError."""
-        raise _refusal("Clone")
-
-    def ToAutoDiffXd(self) -> Any:
-        """Raises ScenarioError."""
-        raise _refusal("AutoDiffXd")
-
-    def ToSymbolic(self) -> Any:
-        """Raises ScenarioError."""
-        raise _refusal("Expression")
-
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m Σ ‖v_i‖², J, without rotation; the context is the block's own."""
         state = self.GetOutputPort("carrier_state").Eval(context)
@@ -184,10 +172,10 @@ class JsbsimCarriers(DiagramBlock):
         return float(np.sum(energy))
 
 
-def _refusal(what: str) -> ScenarioError:
+def _refusal() -> ScenarioError:
     return ScenarioError(
-        f"{_SELF}: it has no {what}, since {_REASON}; make the diagram again from its scenario, or "
-        "choose FixedWingDynamics"
+        f"{_SELF}: a diagram with it has no Clone and no conversion to AutoDiffXd or Expression: "
+        f"{_REASON}; make the diagram again from its scenario, or choose FixedWingDynamics"
     )
 
 
@@ -305,7 +293,7 @@ class _Flights(InnerBlock):
 
     def __init__(self, hangar: _Hangar):
         if self.scalar is not float:
-            raise _refusal(self.scalar.__name__)
+            raise _refusal()
         super().__init__()
         self._hangar, self._flight = hangar, None
         n = hangar.n
@@ -324,7 +312,7 @@ class _Flights(InnerBlock):
         self.DeclareInitializationDiscreteUpdateEvent(self._require_multiple)
 
     def Clone(self) -> Any:
-        raise _refusal("Clone")
+        raise _refusal()
 
     def _require_multiple(self, context: Context, discrete_state: DiscreteValues) -> None:
         """Raises ScenarioError for a start between two steps."""
