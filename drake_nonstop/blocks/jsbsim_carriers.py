@@ -25,7 +25,7 @@ from drake_nonstop.model.jsbsim_aircraft import (
     aircraft_file,
     require_jsbsim,
 )
-from drake_nonstop.model.system import Model
+from drake_nonstop.model.system import AIRCRAFT, Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioError, StrictFields, is_number, require, require_array
@@ -230,7 +230,8 @@ class _Hangar:
         self._hook = require_array(f"{_BOX}.hook", config.hook, [3], meaning)
         parameters = model.system.aircraft
         name = None if parameters is None else parameters.model
-        self._field = model.field
+        is_given = any(name.startswith(AIRCRAFT) for name in model.overridden)
+        self._field = model.field if is_given else "system"
         self._file = aircraft_file(config.aircraft_file, name, _BOX, self._field)
         self.made()
 

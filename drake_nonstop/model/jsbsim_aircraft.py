@@ -20,6 +20,9 @@ radius is subtracted: rounding leaves 1e-7 m. The density of the air is the mode
 """
 
 import contextlib
+import functools
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -96,6 +99,15 @@ _PLANET = """<?xml version="1.0"?>
   <GM unit="FT3/SEC2"> {strength!r} </GM>
   <J2> 0 </J2>
 </planet>
+"""
+
+_TRIAL = """
+import sys, jsbsim
+folder, name = sys.argv[1:]
+executive = jsbsim.FGFDMExec(None)
+if executive.load_model_with_paths(name, folder, folder, folder, False):
+    executive.run_ic()
+    executive.run()
 """
 
 
@@ -184,16 +196,16 @@ class JsbsimAircraft:
         file, arm = f"{self._owner}.aircraft_file", self._get("metrics/lh-ft") * _FOOT
         require(arm > 0, file, self._path, "it has no htailarm above zero in <metrics>; give it")
         half = self._get("metrics/bw-ft") * _FOOT / 2
+        tail = f"farther than the tail, {arm:.3g} m"
         reach = (
-            (arm, "it is {side} the tail's distance of {limit:.3g} m"),
-            (half, "it is outside of the wing, {limit:.3g} m from the centre of gravity"),
-            (arm, "it is {side} the tail's distance of {limit:.3g} m"),
+            (arm, f"behind the tail, {arm:.3g} m", f"in front of the aircraft, {tail}"),
+            (half, *2 * (f"beyond the tip of the wing, {half:.3g} m",)),
+            (arm, f"below the aircraft, {tail}", f"above the aircraft, {tail}"),
         )
-        sides = (("behind", "in front of"), ("", ""), ("below", "above"))
-        for i, (limit, text) in enumerate(reach):
+        for i, (limit, *places) in enumerate(reach):
             value = float(hook[i])
-            where = text.format(side=sides[i][value > 0], limit=limit)
-            remedy = f"{where}; give {-limit:.3g} to {limit:.3g} m"
+            remedy = f"it is {places[value > 0]} from the centre of gravity; give a value within"
+            remedy += f" {-limit:.3g} and {limit:.3g}"
             require(abs(value) <= limit, f"{self._owner}.hook[{i}]", value, remedy)
         centre = [self._get(f"inertia/cg-{axis}-in") for axis in "xyz"]
         for axis, at, offset in zip("xyz", centre, hook * [-1, 1, 1], strict=True):
@@ -385,8 +397,13 @@ def aircraft_file(given: str, model: str | None, owner: str, field: str) -> Path
         ScenarioError: the package has none, or there is no file of that path.
     """
     if given:
-        require_file(given, f"{owner}.aircraft_file", "give the path of an aircraft's XML file")
-        return Path(given).absolute()
+        name = f"{owner}.aircraft_file"
+        require_file(given, name, "give the path of an aircraft's XML file")
+        path = Path(given).absolute()
+        fault = _fault(path, path.stat().st_mtime_ns)
+        if fault:
+            raise _not_loaded(name, path, fault)
+        return path
     names = sorted(path.stem for path in TABLE.glob("*.xml"))
     require(
         model in names,
@@ -396,6 +413,22 @@ def aircraft_file(given: str, model: str | None, owner: str, field: str) -> Path
         f"{owner}.aircraft_file",
     )
     return TABLE / f"{model}.xml"
+
+
+@functools.cache
+def _fault(path: Path, changed: int) -> str:
+    """Why JSBSim ends the process with a file that was last changed then; empty if it does not.
+
+    Some errors of a file, such as a property that nothing declares, end the process that loads it.
+    So a process of its own tries the file first.
+    """
+    command = [sys.executable, "-c", _TRIAL, str(path.parent), path.stem]
+    tried = subprocess.run(command, capture_output=True, text=True, check=False)
+    if tried.returncode >= 0:
+        return ""
+    lines = [line.partition("what():") for line in tried.stderr.splitlines()]
+    causes = [cause.strip() for _, mark, cause in lines if mark]
+    return causes[-1] if causes else f"it ends the process by signal {-tried.returncode}"
 
 
 def require_jsbsim(owner: str) -> None:
@@ -424,16 +457,19 @@ def _loaded(path: Path, aircraft: Aircraft, step: float, field: str, messages: l
         is_loaded, causes = False, str(error)
     if not is_loaded:
         lines = [" ".join(line.split()) for line in (causes, *messages)]
-        cause = next((line for line in lines if line), "it gives no reason")
-        raise ScenarioError(
-            f"{field} = {path}: JSBSim does not load it ({cause.rstrip('.')}); correct the file, "
-            "or leave the field out for the package's own"
-        )
+        raise _not_loaded(field, path, next((line for line in lines if line), "without a reason"))
     executive.set_dt(step)
     density = float(np.squeeze(aircraft.air_density)) / _SLUG * _FOOT**3
     node = executive.get_property_manager().get_node("atmosphere/override/density", True)
     node.set_double_value(density)
     return executive
+
+
+def _not_loaded(field: str, path: Path, cause: str) -> ScenarioError:
+    return ScenarioError(
+        f"{field} = {path}: JSBSim does not load it ({cause.rstrip('.')}); correct the file, or "
+        "leave the field out for the package's own"
+    )
 
 
 @contextlib.contextmanager
