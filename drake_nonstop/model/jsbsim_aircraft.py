@@ -417,18 +417,18 @@ def aircraft_file(given: str, model: str | None, owner: str, field: str) -> Path
 
 @functools.cache
 def _fault(path: Path, changed: int) -> str:
-    """Why JSBSim ends the process with a file that was last changed then; empty if it does not.
+    """Why JSBSim cannot fly a file that was last changed then; empty where it can, or tells later.
 
-    Some errors of a file, such as a property that nothing declares, end the process that loads it.
+    Some errors of a file, such as a property that nothing declares, end the process that flies it.
     So a process of its own tries the file first.
     """
     command = [sys.executable, "-c", _TRIAL, str(path.parent), path.stem]
     tried = subprocess.run(command, capture_output=True, text=True, check=False)
-    if tried.returncode >= 0:
+    if tried.returncode == 0:
         return ""
-    lines = [line.partition("what():") for line in tried.stderr.splitlines()]
-    causes = [cause.strip() for _, mark, cause in lines if mark]
-    return causes[-1] if causes else f"it ends the process by signal {-tried.returncode}"
+    lines = [line.strip() for line in tried.stderr.splitlines() if line.strip()]
+    told = [line.removeprefix("what():").strip() for line in lines if line.startswith("what():")]
+    return (told or lines or [f"its process ends with {tried.returncode}"])[-1]
 
 
 def require_jsbsim(owner: str) -> None:

@@ -21,8 +21,9 @@ PAIRS = [
     for old, new in itertools.permutations(names, 2)
 ]
 AIRCRAFT = ("FixedWingController", "FixedWingDynamics")  # which come in pairs, and need a scale
+PAIRED = (*AIRCRAFT, "JsbsimCarriers")
 ALTERNATIVES = [
-    *((box, name) for box, names in NAMES.items() for name in names[1:] if name not in AIRCRAFT),
+    *((box, name) for box, names in NAMES.items() for name in names[1:] if name not in PAIRED),
     *(("pattern", name) for name in PATTERNS[1:]),
 ]
 
