@@ -217,7 +217,7 @@ class _Hangar:
 
     def __init__(self, model: Model, config: JsbsimCarriersConfig):
         self.aircraft = required_aircraft(model, _BOX, "JsbsimCarriers")
-        require_jsbsim(_SELF)
+        require_jsbsim(_BOX)
         least, most = _STEPS
         self.n, self.step = model.n, config.step
         require(
@@ -254,8 +254,8 @@ class _Flight:
         self.number, self.steps = next(_numbers), 0
         self._step, self._most_lift = hangar.step, float(np.squeeze(hangar.aircraft.max_lift))
         self._fleet = JsbsimFleet([hangar.made() for _ in range(hangar.n)])
-        self._pulls = np.zeros(0)  # (n, 3), N, at the start of the step before
-        self._velocities = np.zeros(0)  # (n, 3), m/s, of the centres of gravity
+        self._pulls: NDArray = np.zeros((0, 3))  # (n, 3), N, at the start of the step before
+        self._velocities: NDArray = np.zeros((0, 3))  # (n, 3), m/s, of the centres of gravity
 
     def start(self, states: NDArray, pull: NDArray, wind: NDArray) -> NDArray:
         """Starts; returns `_Shown` (13n,) of that instant."""
@@ -296,7 +296,8 @@ class _Flights(InnerBlock):
         if self.scalar is not float:
             raise _refusal()
         super().__init__()
-        self._hangar, self._flight = hangar, None
+        self._hangar = hangar
+        self._flight: _Flight | None = None
         n = hangar.n
         self._start = self.DeclareVectorInputPort("start", 12 * n)
         self._command = self.DeclareVectorInputPort("aircraft_command", 3 * n)
@@ -318,8 +319,10 @@ class _Flights(InnerBlock):
     def _require_multiple(self, context: Context, discrete_state: DiscreteValues) -> None:
         """Raises ScenarioError for a start between two steps."""
         time, step = context.get_time(), self._hangar.step
+        is_flying = context.get_discrete_state_vector().value()[0] > 0
         remedy = f"start at a multiple of {_BOX}.step, {step:g} s"
-        require(abs(time - round(time / step) * step) < 1e-6 * step, "time", time, remedy)
+        is_multiple = abs(time - round(time / step) * step) < 1e-6 * step
+        require(is_flying or is_multiple, "time", time, remedy)
 
     def _advance(self, context: Context, discrete_state: DiscreteValues) -> None:
         state, time = context.get_discrete_state_vector().CopyToVector(), context.get_time()

