@@ -358,8 +358,8 @@ class _Flights(InnerBlock):
         if flight is None or (flight.number, flight.steps) != (number, steps):
             raise ScenarioError(
                 f"{_SELF}: this context was copied, and its aircraft have flown on with another "
-                f"one: {_REASON}; start it again by set_equilibrium(diagram, context), or make a "
-                "diagram for each run"
+                f"one: {_REASON}; start it again by set_equilibrium(diagram, context), make a "
+                "diagram for each run, or, as for the stability analysis, choose FixedWingDynamics"
             )
 
     def _interpolation(self, context: Context) -> tuple[_Shown, _Shown, float] | None:
