@@ -16,21 +16,26 @@ from drake_nonstop.blocks.carrier_trajectory import (
     InextensibleCarrierTrajectory,
 )
 from drake_nonstop.blocks.force_distribution import CableForceDistribution
+from drake_nonstop.blocks.load_disturbance import DisturbanceForce, NoDisturbance
 from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedback,
     DesiredStateFeedback,
+    EstimatedFeedback,
     IdealFeedback,
     NoisyFeedback,
 )
+from drake_nonstop.blocks.wind import GustyWind, SteadyWind, StillAir, WindProfile
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import LoadReference, TrackingError
-from drake_nonstop.mechanics.tethered_loop import LOAD_ERRORS, Carriers
+from drake_nonstop.mechanics.signals import WRENCH_SIZE, LoadReference, TrackingError
+from drake_nonstop.mechanics.tethered_loop import LOAD_ERRORS, Carriers, Estimator
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig, NonstopProblemConfig
 from drake_nonstop.optimization.speed_margin import (
+    Disturbance,
     Feedback,
+    Gust,
     Motion,
     NoMarginError,
     SpeedMargin,
@@ -45,6 +50,7 @@ _LONGEST = 600.0  # s, of a task that is looked at
 _CONTINUOUS = 0.002  # s, for which continuous controllers are taken as held
 _JUMP = 0.1  # of the largest jerk, from which on a change between two instants may be a jump
 _HALVINGS = 10  # of an interval with a change, after which a smooth one is small
+_EXACT = 1 - 1e-9  # a gain of rates that are taken as they are measured
 _MOST_DELAY = 20  # samples
 
 
@@ -82,6 +88,8 @@ def margin_of_loop(
     if not math.isfinite(plant.cable_stiffness):
         left_out.append("the simulated cables do not stretch")
         return LoopMargin(None, tuple(left_out))
+    disturbance = _disturbance(model, plant, blocks, motion, left_out)
+
     try:
         margin = speed_margin(
             model,
@@ -91,10 +99,12 @@ def margin_of_loop(
             feedback,
             motion,
             instant_spacing=_spacing(limits, model.control_period),
+            disturbance=disturbance,
         )
     except NoMarginError as error:
-        left_out.append(str(error))
-        return LoopMargin(None, tuple(left_out))
+        cause = str(error)
+        left_out.append(f"what faster orbits add, as {cause}" if error.margin else cause)
+        return LoopMargin(error.margin, tuple(left_out))
     return LoopMargin(margin, tuple(left_out))
 
 
@@ -170,6 +180,7 @@ def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
     measurement = blocks.get("load_feedback")
     period = model.control_period or _CONTINUOUS
     deviations, is_measured, delay = np.zeros(LOAD_ERRORS), np.ones(LOAD_ERRORS), 0
+    estimator = None
     if isinstance(measurement, NoisyFeedback):
         deviations = measurement.deviations
         delay = round(measurement.delay_periods * measurement.period / period)
@@ -178,6 +189,12 @@ def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
             delay = _MOST_DELAY
         if abs(measurement.period - period) > 1e-9:
             left_out.append("load_feedback.period differs from the controllers': noise that stays")
+        if isinstance(measurement, EstimatedFeedback):
+            estimator = Estimator.of(
+                measurement.rotation_gain, measurement.translation_gain, measurement.period
+            )
+            if min(measurement.rotation_gain[1, 1], measurement.translation_gain[1, 1]) < _EXACT:
+                left_out.append("load_feedback believes in noise of rates: its estimate's lag")
     elif isinstance(measurement, DesiredStateFeedback):
         is_measured = np.zeros(LOAD_ERRORS)
     elif isinstance(measurement, DesiredAttitudeFeedback):
@@ -186,7 +203,12 @@ def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
     elif not isinstance(measurement, IdealFeedback):
         left_out.append(f"{_name(blocks, 'load_feedback')}: what it makes of the load's state")
     return Feedback(
-        gains=gains, deviations=deviations, is_measured=is_measured, delay=delay, period=period
+        gains=gains,
+        deviations=deviations,
+        is_measured=is_measured,
+        delay=delay,
+        period=period,
+        estimator=estimator,
     )
 
 
@@ -218,7 +240,41 @@ def _motion(
     apart = np.abs(between[:, None] - instants).min(axis=1, initial=np.inf)
     between = np.clip(between[apart > 2 * step], step, max(end - step, step))
     references = np.stack([preview.at(between + shift) for shift in (-step, 0.0, step)])
-    return Motion(references=references, step=step, jerk_jumps=jumps)
+    return Motion(times=between, references=references, step=step, jerk_jumps=jumps)
+
+
+def _disturbance(
+    model: Model,
+    plant: Model,
+    blocks: Mapping[str, System],
+    motion: Motion,
+    left_out: list[str],
+) -> Disturbance:
+    """What wind and the box load_disturbance do to the load."""
+    believed = np.zeros((len(motion.times), 3))
+    unknown, gusts = np.zeros(WRENCH_SIZE), []
+    wind, other = blocks.get("wind"), blocks.get("load_disturbance")
+    if isinstance(wind, (SteadyWind, WindProfile, GustyWind)):
+        mean = wind.mean_at(LoadReference.view(motion.references[1]).position)
+        believed = model.load.drag * (mean if wind.believed is None else wind.believed + 0 * mean)
+        differences = plant.load.drag * mean - believed
+        furthest = np.argmax(np.linalg.norm(differences, axis=1))
+        unknown[3:] += differences[furthest]
+        if wind.jumps:
+            left_out.append("wind.rise_time = 0: the jump of the mean wind")
+    elif wind is not None and not isinstance(wind, StillAir):
+        left_out.append(f"{_name(blocks, 'wind')}: what it does to the load")
+    if isinstance(wind, GustyWind) and np.any(wind.load_deviations):
+        deviations = np.append(np.zeros(3), plant.load.drag * wind.load_deviations)
+        gusts.append(Gust(deviations, wind.wave_frequencies))
+    if isinstance(other, DisturbanceForce):
+        unknown += other.wrench
+        if other.gust_force > 0:
+            deviations = np.repeat([0.0, other.gust_force], 3)
+            gusts.append(Gust(deviations, other.wave_frequencies))
+    elif other is not None and not isinstance(other, NoDisturbance):
+        left_out.append(f"{_name(blocks, 'load_disturbance')}: its wrench")
+    return Disturbance(believed=believed, unknown=unknown, gusts=tuple(gusts))
 
 
 def _jerk_jumps(preview: ReferencePreview, times: NDArray) -> tuple[NDArray, NDArray]:

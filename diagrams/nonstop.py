@@ -484,7 +484,7 @@ def _made_parts(
             believed,
             scenario.reference_governor,
             trajectory,
-            scenario.optimization_layer,
+            with_margin(scenario.optimization_layer, margin),
             scenario.simulation_duration,
         )
     return _Parts(believed, blocks, watched, margin)
@@ -611,6 +611,7 @@ def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
     believed, blocks, *_ = parts
     _warn_of_unread_wind(blocks)
     _warn_of_unshaped_parameters(blocks)
+    _warn_of_unread_plan(blocks)
     _warn_of_unflown_aircraft(scenario, blocks)
     _warn_of_unknown_aircraft(blocks)
     if scenario.fused_plant:
@@ -647,10 +648,27 @@ def _warn_of_unshaped_parameters(blocks: Mapping[str, System]) -> None:
         return
     changes = not isinstance(layer, optimization_layer.ConstantParameters)
     if changes and "parameters" in wiring.input_names(internal):
+        plans = layer is not None and "plan" in wiring.output_names(layer)
+        other = "" if plans else ", or give phase=AccumulatedPhase"
         warnings.warn(
             f"internal_force = {type(internal).__name__}: it reads parameters, which phase = "
             "ShapedPhase smooths, so that its rates are others than those that are flown; have it "
-            "read planned, as PlannedInternalForce does, or give phase=AccumulatedPhase",
+            f"read planned, as PlannedInternalForce does{other}",
+            ScenarioWarning,
+            stacklevel=5,
+        )
+
+
+def _warn_of_unread_plan(blocks: Mapping[str, System]) -> None:
+    """Tells of a phase that goes its own way beside a layer's plan of it."""
+    layer, own = blocks.get(LAYER), blocks.get("phase")
+    if layer is None or own is None or "plan" not in wiring.output_names(layer):
+        return
+    if "plan" not in wiring.input_names(own):
+        warnings.warn(
+            f"phase = {type(own).__name__}: it does not read the plan of optimization_layer = "
+            f"{type(layer).__name__}, and departs from the phase that is planned with; give "
+            "phase=ShapedPhase, or optimization_layer=NonstopOptimizer, which reads the phase",
             ScenarioWarning,
             stacklevel=5,
         )

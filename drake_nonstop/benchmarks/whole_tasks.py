@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.blocks.phase import ShapedPhaseConfig
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.whole_task import plan_task
@@ -134,7 +134,9 @@ def _offline(task: Task, config: HorizonConfig) -> Row:
     total = time.perf_counter() - start
     times = np.arange(0.0, task.duration, SIGNAL_PERIOD)
     planned = np.array([best.plan.values(instant) for instant in times])
-    speeds = np.sqrt(_planned_squares(task, config, times, planned))
+    problem = HorizonProblem(task.model, task.limits, config, lambda: OFFLINE)
+    terms = np.array([problem.terms_at(task.reference(instant)) for instant in times])
+    speeds = np.sqrt(problem.squares_along(OrbitTerms.view(terms), planned))
     bound = task.limits.speed_bound
     return {
         **_costs(planned[:, 1:3] / task.nominal, planned, task.nominal, config),
@@ -146,25 +148,6 @@ def _offline(task: Task, config: HorizonConfig) -> Row:
         "real_time_factor": None,
         "slack": best.slack,
     }
-
-
-def _planned_squares(
-    task: Task, config: HorizonConfig, times: NDArray, planned: NDArray
-) -> NDArray:
-    """The squared speeds (k, n) of a plan (k, 8) at times (k,)."""
-    problem = HorizonProblem(task.model, task.limits, config, lambda: OFFLINE)
-    terms = np.array([problem.terms_at(task.reference(instant)) for instant in times])
-    angle, frequency, amplitude, _, amplitude_rate, *_ = planned.T
-    return planned_speeds(
-        OrbitTerms.view(terms),
-        problem.axes,
-        angle,
-        frequency,
-        amplitude,
-        amplitude_rate,
-        rest_length=problem.rest_length,
-        compliance=problem.compliance,
-    ).squares
 
 
 def _speeds(speeds: NDArray, times: NDArray, bound: float) -> Row:

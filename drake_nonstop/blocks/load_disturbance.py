@@ -1,11 +1,16 @@
 """Box "load_disturbance": the wrench on the load besides cables and gravity."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context
 
-from drake_nonstop.mechanics.coloured_noise import coloured_noise, random_waves
+from drake_nonstop.mechanics.coloured_noise import (
+    coloured_noise,
+    random_waves,
+    wave_frequencies,
+)
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
@@ -84,6 +89,11 @@ class DisturbanceForce(LeafBlock):
         gust_time: s, correlation time of the gust
         seed: of the gust
 
+    Attributes:
+        wrench: (6,), the constant part.
+        gust_force: N, standard deviation on each axis.
+        wave_frequencies: rad/s, of the waves that the gust consists of.
+
     Raises:
         ScenarioError: a field is out of range.
     """
@@ -99,11 +109,13 @@ class DisturbanceForce(LeafBlock):
         require_positive(_BOX, gust_time=config.gust_time)
         require_period(f"{_BOX}.gust_time", config.gust_time)
         require_seed(f"{_BOX}.seed", config.seed)
-        self._constant = np.concatenate([torque, force])
+        self.wrench = np.concatenate([torque, force])
         self._start_time = config.start_time
         random = np.random.default_rng(config.seed)
-        self._waves = random_waves(random, 3, config.gust_time, count=32, highest=30.0)
-        self._gust_force = config.gust_force
+        bands: dict[str, Any] = {"count": 32, "highest": 30.0}
+        self._waves = random_waves(random, 3, config.gust_time, **bands)
+        self.wave_frequencies = wave_frequencies(config.gust_time, **bands)
+        self.gust_force = config.gust_force
         ticket = self.time_ticket()
         self.DeclareVectorOutputPort("disturbance_wrench", WRENCH_SIZE, self._calc, {ticket})
 
@@ -111,8 +123,8 @@ class DisturbanceForce(LeafBlock):
         time = context.get_time()
         wrench = np.zeros(WRENCH_SIZE)
         if number(time) >= self._start_time:
-            force = coloured_noise(time, self._waves, self._gust_force)
-            wrench = self._constant + np.concatenate([np.zeros(3), force])
+            force = coloured_noise(time, self._waves, self.gust_force)
+            wrench = self.wrench + np.concatenate([np.zeros(3), force])
         output.SetFromVector(wrench)
 
 

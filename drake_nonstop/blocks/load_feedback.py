@@ -4,9 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.math import DiscreteAlgebraicRiccatiEquation
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 from pydrake.systems.primitives import Selector
 
+from drake_nonstop.mechanics.load_estimate import corrected_state, predicted_state
 from drake_nonstop.mechanics.rotation import rotate_quaternion
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
@@ -205,7 +207,6 @@ class NoisyFeedback(LeafBlock):
         self.period, self._seed = config.period, config.seed
         self.deviations = np.repeat(list(deviations.values()), 3)
         self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
-        prerequisites = {self.all_input_ports_ticket(), self.time_ticket()}
         if self.delay_periods > 0:
             # The last samples, the newest first, their number, and the time of the newest.
             self._samples = self.DeclareDiscreteState(LOAD_STATE_SIZE * self.delay_periods)
@@ -215,9 +216,11 @@ class NoisyFeedback(LeafBlock):
             # The same offset as the sample-and-hold's: with another one, rounding would decide
             # at each sample which of the two events comes first.
             self.DeclarePeriodicDiscreteUpdateEvent(config.period, config.period, self._sample)
-            prerequisites.add(self.xd_ticket())
         self.DeclareVectorOutputPort(
-            "measured_load_state", LOAD_STATE_SIZE, self._calc, prerequisites
+            "measured_load_state",
+            LOAD_STATE_SIZE,
+            self._calc,
+            {self.all_input_ports_ticket(), self.time_ticket(), self.xd_ticket()},
         )
 
     def _sample(self, context: Context, discrete_state: DiscreteValues) -> None:
@@ -232,13 +235,16 @@ class NoisyFeedback(LeafBlock):
         discrete_state.set_value(self._count, [min(count + 1, self.delay_periods)])
 
     def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._measured(context))
+
+    def _measured(self, context: Context) -> NDArray:
         state = self._load_state.Eval(context)
         if self.delay_periods > 0:
             count = int(number(context.get_discrete_state(self._count)[0]))
             if count > 0:  # otherwise the state at the start
                 samples = context.get_discrete_state(self._samples).CopyToVector()
                 state = samples[LOAD_STATE_SIZE * (count - 1) : LOAD_STATE_SIZE * count]
-        output.SetFromVector(self._noisy(state, number(context.get_time())))
+        return self._noisy(state, number(context.get_time()))
 
     def _noisy(self, state: NDArray, time: float) -> NDArray:
         if not self.deviations.any():
@@ -259,5 +265,180 @@ class NoisyFeedback(LeafBlock):
         )
 
 
+_DUE = 0.999  # of a period, after which the next measurement is taken
+
+
+@dataclass(kw_only=True)
+class EstimatedFeedbackConfig(NoisyFeedbackConfig):
+    """The measurement's, and what the filter believes of it and of the load's motion."""
+
+    believed_position_noise: float = 0.01  # m
+    believed_orientation_noise: float = 0.02  # rad
+    believed_velocity_noise: float = 0.0  # m/s; 0: measured exactly
+    believed_angular_velocity_noise: float = 0.0  # rad/s; 0: measured exactly
+    process_acceleration: float = 0.05  # m/s², deviation of its mean over a period
+    process_angular_acceleration: float = 0.05  # rad/s², likewise
+
+
+class EstimatedFeedback(NoisyFeedback):
+    """A steady-state Kalman filter behind the measurement that `NoisyFeedback` makes.
+
+    The motion that it believes in has white accelerations, of spectral density q = σ² T for a
+    deviation σ of their mean over a period T: for each axis of the position, x = [p; v], and of a
+    small rotation and the angular velocity likewise,
+
+        x⁺ = [[1, T], [0, 1]] x + w,  E[w wᵀ] = q [[T³/3, T²/2], [T²/2, T]],  y = x + noise.
+
+    The gain K of x̂⁺ = x̂ + K (y − x̂) follows from Drake's solution of the Riccati equation, see
+    `steady_state_gain`. A rate without noise is taken as it is measured, and the pose is then
+    integrated from it; a pose without noise is, too. The rotation is corrected multiplicatively,
+    see `mechanics.load_estimate`.
+
+    The process's deviations trade noise for lag. The defaults are for exact rates, with which there
+    is no lag, and what the pose's measurement corrects is small; where rates are noisy, too, give
+    about the load's largest accelerations.
+
+    The estimate begins with the load's true state, and is made anew every `period`: at the instant
+    of a sample, the one that a controller holds has that instant's measurement in it; between two
+    samples it goes on with its velocities. It is one of the delayed state: no delay is made up for.
+
+    .. pydrake_system::
+
+        name: EstimatedFeedback
+        input_ports:
+        - load_state
+        output_ports:
+        - measured_load_state
+
+    Both (13) = [quaternion w x y z, position (m), angular velocity
+    (rad/s), velocity (m/s)], in W.
+
+    Parameters, the fields of `EstimatedFeedbackConfig`:
+        position_noise: m
+        orientation_noise: rad
+        velocity_noise: m/s
+        angular_velocity_noise: rad/s
+        delay: s, a multiple of the period
+        period: s, between samples of the noise and of the delayed state
+        seed: of the noise
+        believed_position_noise: m
+        believed_orientation_noise: rad
+        believed_velocity_noise: m/s; 0: measured exactly
+        believed_angular_velocity_noise: rad/s; 0: measured exactly
+        process_acceleration: m/s², deviation of its mean over a period
+        process_angular_acceleration: rad/s², likewise
+
+    Attributes:
+        deviations, delay_periods, period: as of `NoisyFeedback`.
+        rotation_gain: K (2, 2), in units of 1, s and 1/s, of [rotation; angular velocity].
+        translation_gain: K (2, 2), of [position; velocity].
+
+    Raises:
+        ScenarioError: a field is out of range, or the delay no multiple of the period.
+    """
+
+    def __init__(self, model: Model, config: EstimatedFeedbackConfig | None = None):
+        config = config or EstimatedFeedbackConfig()
+        super().__init__(model, config)
+        require_non_negative(
+            _BOX,
+            believed_position_noise=config.believed_position_noise,
+            believed_orientation_noise=config.believed_orientation_noise,
+            believed_velocity_noise=config.believed_velocity_noise,
+            believed_angular_velocity_noise=config.believed_angular_velocity_noise,
+        )
+        require_positive(
+            _BOX,
+            process_acceleration=config.process_acceleration,
+            process_angular_acceleration=config.process_angular_acceleration,
+        )
+        self.rotation_gain = steady_state_gain(
+            config.believed_orientation_noise,
+            config.believed_angular_velocity_noise,
+            config.process_angular_acceleration,
+            config.period,
+        )
+        self.translation_gain = steady_state_gain(
+            config.believed_position_noise,
+            config.believed_velocity_noise,
+            config.process_acceleration,
+            config.period,
+        )
+        # The estimate after the newest measurement, and that one's time.
+        self._estimate = self.DeclareDiscreteState(LOAD_STATE_SIZE)
+        self._estimated_at = self.DeclareDiscreteState([-np.inf])
+        self.DeclareInitializationDiscreteUpdateEvent(self._correct)
+        self.DeclarePeriodicDiscreteUpdateEvent(config.period, config.period, self._correct)
+
+    def _correct(self, context: Context, discrete_state: DiscreteValues) -> None:
+        newest = number(context.get_discrete_state(self._estimated_at)[0])
+        if number(context.get_time()) < newest + self.period / 2:
+            return  # a run that starts at the instant of a sample triggers both events
+        discrete_state.set_value(self._estimate, self._estimated(context, is_due=True))
+        discrete_state.set_value(self._estimated_at, [context.get_time()])
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        newest = number(context.get_discrete_state(self._estimated_at)[0])
+        is_due = number(context.get_time()) > newest + _DUE * self.period
+        output.SetFromVector(self._estimated(context, is_due=is_due))
+
+    def _estimated(self, context: Context, *, is_due: bool) -> NDArray:
+        newest = context.get_discrete_state(self._estimated_at)[0]
+        if not np.isfinite(number(newest)):
+            return self._load_state.Eval(context)  # at the start
+        estimate = context.get_discrete_state(self._estimate).CopyToVector()
+        predicted = predicted_state(estimate, context.get_time() - newest)
+        if not is_due:
+            return predicted
+        return corrected_state(
+            predicted, self._measured(context), self.rotation_gain, self.translation_gain
+        )
+
+
+def steady_state_gain(
+    pose_noise: float, rate_noise: float, acceleration: float, period: float
+) -> NDArray:
+    """K (2, 2) of the steady-state Kalman filter of a double integrator that white noise drives.
+
+    Of x = [pose; rate], both measured; the estimate after a measurement y is x̂ + K (y − x̂).
+
+    The covariance P⁺ after a measurement fulfils a Riccati equation in which the next one is one of
+    A x + w, so that its noise has the covariance Q + R, and is correlated with w. That is regular
+    where R is not; what is measured exactly has no part in P⁺, and drops out of the equation.
+    Anderson and Moore, "Optimal Filtering", 1979, section 5.4.
+
+    Args:
+        pose_noise: standard deviation of the measured pose; 0: it is exact.
+        rate_noise: that of the rate, 1/s.
+        acceleration: deviation of the mean acceleration over a period, 1/s².
+        period: s.
+    """
+    # In units of the period, and of a rate's change in it.
+    transition = np.array([[1.0, 1.0], [0.0, 1.0]])
+    process = np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
+    units = acceleration * period * np.array([period, 1.0])
+    noise = (np.array([pose_noise, rate_noise]) / units) ** 2
+    noisy = np.eye(2)[:, noise > 0]
+    spread = np.zeros((noisy.shape[1],) * 2)
+    if noisy.size > 0:
+        moved = transition @ noisy
+        spread = DiscreteAlgebraicRiccatiEquation(
+            (noisy.T @ moved).T,
+            moved.T,
+            noisy.T @ process @ noisy,
+            process + np.diag(noise),
+            noisy.T @ process,
+        )
+    before = transition @ noisy @ spread @ noisy.T @ transition.T + process
+    gain = np.linalg.solve(before + np.diag(noise), before).T
+    return gain * np.array([[1.0, period], [1 / period, 1.0]])
+
+
 # The blocks that the box can be, the default first.
-VARIANTS = (IdealFeedback, DesiredStateFeedback, DesiredAttitudeFeedback, NoisyFeedback)
+VARIANTS = (
+    IdealFeedback,
+    DesiredStateFeedback,
+    DesiredAttitudeFeedback,
+    NoisyFeedback,
+    EstimatedFeedback,
+)

@@ -121,20 +121,23 @@ def _preview(
     start, end = trajectory.start_time(), trajectory.end_time()
 
     @functools.cache  # most runs do not ask for any
-    def traced() -> TracedFunction:
-        return TracedFunction(lambda *v: reference(*v)[0], sizes, name=lambda: _BOX)
+    def traced(part: int) -> TracedFunction:
+        return TracedFunction(lambda *v: reference(*v)[part], sizes, name=lambda: _BOX)
 
-    def references(times: NDArray) -> NDArray:
+    def rows(part: int, times: NDArray) -> list[NDArray]:
         values = np.array([rate.vector_values(times) for rate in rates])
         values[1:, :, (times < start) | (times > end)] = 0
         vectors = values.reshape(-1, len(times)).T
         if reads_time:
             vectors = np.column_stack([vectors, times])
-        evaluate = traced().of_vector
-        rows = [evaluate(vector).copy() for vector in vectors]
-        return np.array(rows).reshape(-1, LOAD_REFERENCE_SIZE)
+        evaluate = traced(part).of_vector
+        return [evaluate(vector).copy() for vector in vectors]
 
-    return ReferencePreview(lambda time: references(np.array([time]))[0], references=references)
+    return ReferencePreview(
+        lambda time: rows(0, np.array([time]))[0],
+        references=lambda times: np.array(rows(0, times)).reshape(-1, LOAD_REFERENCE_SIZE),
+        higher_rates=lambda time: rows(1, np.array([time]))[0],
+    )
 
 
 def _reference(values: NDArray) -> tuple[NDArray, NDArray]:

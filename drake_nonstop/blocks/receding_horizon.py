@@ -1,5 +1,6 @@
 """Plans of ξ and A over a receding horizon, for the box "Optimization Layer" of the figure."""
 
+import math
 import time as clock
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -54,6 +55,7 @@ from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
+_MOST_ITERATIONS = 100  # of any other
 _MORE = 4  # times the iterations again, for a plan that needs slack
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
 _NO_PLAN = 0.0  # in place of a scale
@@ -140,6 +142,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         smoothing: τ, in intervals between knots
         slack_weight: ρ
         fixed_coefficients: the first of ξ and A: 4 for three continuous rates
+        overshoot: of a carrier's velocity after a jump of the plan's, of that jump
+        settling_time: s, of that overshoot
+        orbit_tightening: of the speed of the nominal orbits, the least margin
         preview: read the motion ahead; without it the motion goes on as it does
         max_iterations: quadratic programs of a plan
         time_limit: s, of wall time, beyond which the plan that exists goes on
@@ -323,7 +328,7 @@ class _Planner:
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig, name: Any):
         self._model, self._config, self._name = model, config, name
         self._solver: tuple[bytes, HorizonSolver] | None = None
-        self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome]] | None = None
+        self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome, float]] | None = None
         self._data: tuple[HorizonSolver, ReferencePreview, HorizonData] | None = None
 
     def plan(
@@ -363,13 +368,13 @@ class _Planner:
                 # Nothing has to go on: the carriers start wherever the plan does.
                 free = HorizonSolver(problem, fixed=0)
                 made = self._make(free, data, start, scale, is_new)
-            self._last = known = key, made
-        answer, outcome = known[1]
-        speeds = problem.speeds(data, answer.coefficients)
+            squares = problem.speeds(data, made[0].coefficients).squares
+            self._last = known = key, (*made, math.sqrt(squares.min()))
+        answer, outcome, slowest = known[1]
         state = _PlanState(
             start_time, angle, answer.scale, speed_bound, numbers.nominal, answer.coefficients
         )
-        return _Planned(state, outcome, float(np.sqrt(speeds.squares.min())))
+        return _Planned(state, outcome, slowest)
 
     def _known(self, solver: HorizonSolver, reference: ReferencePreview) -> HorizonData | None:
         """The last plan's data, where they are of the same motion and beliefs."""
@@ -435,4 +440,10 @@ def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> No
     check_limits(box, config, model)
     check_horizon(box, config, config, model)
     check_pattern(box, model, "RecedingHorizonOptimizer")
+    require(
+        1 <= config.max_iterations <= _MOST_ITERATIONS,
+        f"{box}.max_iterations",
+        config.max_iterations,
+        f"give 1 to {_MOST_ITERATIONS}",
+    )
     require(config.time_limit > 0, f"{box}.time_limit", config.time_limit, "give a time above zero")

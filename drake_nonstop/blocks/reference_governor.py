@@ -1,7 +1,8 @@
 """What slows the load's trajectory down where no ξ and A keep the speed bound with it."""
 
 import warnings
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,13 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import BasicVector, Context, System
 
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    REFERENCE_HIGHER_RATES_SIZE,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
-from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
 from drake_nonstop.optimization.stretched_time import PathDelay, stretching
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.validation import (
@@ -26,7 +30,7 @@ from drake_nonstop.validation import (
 )
 
 _FIELD = "reference_governor"
-_PREVIEW = "reference_preview"
+_PREVIEW, _HIGHER_RATES = "reference_preview", "reference_higher_rates"
 
 
 @dataclass(kw_only=True)
@@ -55,11 +59,14 @@ class ReferenceGovernor(LeafBlock):
         name: ReferenceGovernor
         output_ports:
         - reference
+        - reference_higher_rates
         - reference_preview
         - reference_delay
 
-    `reference` (22) is that of trajectories, in W; `reference_preview` (abstract) is a
-    `ReferencePreview`: the same at any time; `reference_delay` (1) = d in s.
+    `reference` (22) is that of trajectories, in W, and so is `reference_higher_rates` (6), which
+    is left out where the trajectory's preview does not tell it; its snap steps at the knots of d.
+    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time; `reference_delay`
+    (1) = d in s.
 
     Args:
         preview: of the trajectory.
@@ -73,12 +80,18 @@ class ReferenceGovernor(LeafBlock):
     def __init__(self, preview: ReferencePreview, delay: PathDelay):
         super().__init__()
         self._delay = delay
+        known = preview.higher_rates is not None
+        higher_rates = partial(delay.stretched_higher_rates, preview) if known else None
         self._stretched = ReferencePreview(
             lambda time: delay.stretched(preview, np.array([time]))[0],
             references=lambda times: delay.stretched(preview, times),
+            higher_rates=higher_rates,
         )
         time = {self.time_ticket()}
         self.DeclareVectorOutputPort("reference", LOAD_REFERENCE_SIZE, self._calc, time)
+        if higher_rates is not None:
+            size = REFERENCE_HIGHER_RATES_SIZE
+            self.DeclareVectorOutputPort(_HIGHER_RATES, size, self._calc_higher_rates, time)
         stretched = self._stretched
         self.DeclareAbstractOutputPort(
             _PREVIEW, lambda: Value(stretched), self._calc_preview, {self.nothing_ticket()}
@@ -87,6 +100,10 @@ class ReferenceGovernor(LeafBlock):
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._stretched(self._time(context)))
+
+    def _calc_higher_rates(self, context: Context, output: BasicVector) -> None:
+        assert self._stretched.higher_rates is not None
+        output.SetFromVector(self._stretched.higher_rates(self._time(context)))
 
     def _calc_preview(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._stretched)
@@ -117,7 +134,7 @@ def governed(
         model: what the controllers believe.
         config: of the governor.
         trajectory: the block for the box `load_trajectory`.
-        layer: the optimization layer's config.
+        layer: the optimization layer's config, with the margin that was computed for it.
         duration: s, how long the motion is looked at.
 
     Raises:
@@ -146,7 +163,7 @@ def governed(
         largest_rate=config.largest_rate,
         change_time=config.change_time,
         can_plan=can_plan,
-        config=_of(HorizonConfig, layer),
+        config=with_fields_of(HorizonConfig, layer),
         name=lambda: _FIELD,
     )
     if len(found.not_at_rest):
@@ -188,15 +205,9 @@ def _check(model: Model, config: ReferenceGovernorConfig) -> None:
 
 def _limits(layer: Any) -> tuple[LimitsConfig, bool]:
     """Those of a layer's config, and whether it may change ξ and A."""
-    limits = _of(LimitsConfig, layer)
+    limits = with_fields_of(LimitsConfig, layer)
     can_plan = hasattr(layer, "frequency_bounds")
     if not can_plan and hasattr(layer, "frequency") and hasattr(layer, "amplitude"):
         limits.frequency_bounds = [layer.frequency] * 2
         limits.amplitude_bounds = [layer.amplitude] * 2
     return limits, can_plan
-
-
-def _of(kind: type, config: Any) -> Any:
-    """A dataclass of the fields that another config has, too."""
-    names = [field.name for field in fields(kind)]
-    return kind(**{name: getattr(config, name) for name in names if hasattr(config, name)})

@@ -105,7 +105,6 @@ class SpeedBoundLayer(LeafBlock):
         config: the layer's.
         check: raises ScenarioError for a config of the named box that cannot be used.
         structure: what of model and config decides how the layer is built, see `Rules`.
-        structure: what of model and config decides how the layer is built, see `Rules`.
 
     Attributes:
         highest_speed_bound: m/s, below which a bound has to be.

@@ -11,7 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, InputPort
 
-from drake_nonstop.mechanics.coloured_noise import Waves, coloured_noise, random_waves
+from drake_nonstop.mechanics.coloured_noise import (
+    Waves,
+    coloured_noise,
+    random_waves,
+    wave_frequencies,
+)
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierStates, LoadState
 from drake_nonstop.mechanics.wind import LOWEST_HEIGHT, power_law, risen_share
 from drake_nonstop.model.system import Model
@@ -85,6 +90,10 @@ class _MeanWind(LeafBlock):
 
     Args:
         config: the block's.
+
+    Attributes:
+        believed: (3,), m/s, in W, what the controllers believe; None: the mean wind at the load.
+        jumps: whether the mean wind comes at once after the start.
     """
 
     def __init__(self, config: _MeanWindFields):
@@ -94,9 +103,14 @@ class _MeanWind(LeafBlock):
         require_non_negative(_BOX, **times)
         self._start, self._rise_time = config.start_time, config.rise_time
         self._is_constant = not any(times.values())
-        self._believed = None
+        self.jumps = config.start_time > 0 == config.rise_time
+        self.believed: NDArray | None = None
         if config.believed is not None:
-            self._believed = _checked_velocity("believed", config.believed)
+            self.believed = _checked_velocity("believed", config.believed)
+
+    def mean_at(self, positions: NDArray) -> NDArray:
+        """The mean wind (k, 3) at positions (k, 3), once it has risen; m/s, in W."""
+        return np.tile(self._velocity, (len(positions), 1))
 
     def _mean(self, context: Context) -> NDArray:
         """The velocity (3,) at the context's time, m/s, in W."""
@@ -152,7 +166,7 @@ class SteadyWind(_MeanWind):
         output.SetFromVector(np.tile(self._mean(context), output.size() // WIND_SIZE))
 
     def _calc_estimate(self, context: Context, output: BasicVector) -> None:
-        believed = self._believed
+        believed = self.believed
         output.SetFromVector(self._mean(context) if believed is None else believed)
 
 
@@ -208,6 +222,10 @@ class _Profile(_MeanWind):
         sources = {self.time_ticket(), self.input_port_ticket(heights.get_index())}
         self.DeclareVectorOutputPort(name, size, calc, sources)
 
+    def mean_at(self, positions: NDArray) -> NDArray:
+        """The mean wind (k, 3) at positions (k, 3), once it has risen; m/s, in W."""
+        return self._velocity * power_law(positions[:, 2:] - self._ground, **self._law)
+
     def _profile(self, context: Context, positions: NDArray) -> NDArray:
         """The mean wind at positions (k, 3), likewise."""
         return self._mean(context) * power_law(positions[:, 2:] - self._ground, **self._law)
@@ -229,7 +247,7 @@ class _Profile(_MeanWind):
         output.SetFromVector(self._at_load(context))
 
     def _calc_estimate(self, context: Context, output: BasicVector) -> None:
-        believed = self._believed
+        believed = self.believed
         output.SetFromVector(self._at_load(context) if believed is None else believed)
 
 
@@ -324,6 +342,10 @@ class GustyWind(_Profile):
         load_gust: m/s, as gust, of the load's own gusts, which last as long
         seed: of the gusts
 
+    Attributes:
+        load_deviations: (3,), m/s, in W, standard deviations of the load's gusts.
+        wave_frequencies: rad/s, of the waves that gusts consist of.
+
     Raises:
         ScenarioError: a field is out of range.
     """
@@ -356,18 +378,19 @@ class GustyWind(_Profile):
             random = np.random.default_rng([config.seed, number])
             return random_waves(random, 3, correlation_time, count=_WAVES, highest=_HIGHEST)
 
+        self.wave_frequencies = wave_frequencies(correlation_time, count=_WAVES, highest=_HIGHEST)
         shares = np.array([1.0, 1.0, config.vertical_share])
         carriers = [waves(i + 1) for i in range(model.n)]
         self._waves = Waves._make(map(np.concatenate, zip(*carriers, strict=True)))
         self._deviations = np.tile(config.gust * shares, model.n)
-        self._load_waves, self._load_deviations = waves(0), config.load_gust * shares
+        self._load_waves, self.load_deviations = waves(0), config.load_gust * shares
 
     def _calc_wind(self, context: Context, output: BasicVector) -> None:
         gusts = coloured_noise(context.get_time(), self._waves, self._deviations)
         output.SetFromVector(self._at_carriers(context) + gusts)
 
     def _calc_load_wind(self, context: Context, output: BasicVector) -> None:
-        gust = coloured_noise(context.get_time(), self._load_waves, self._load_deviations)
+        gust = coloured_noise(context.get_time(), self._load_waves, self.load_deviations)
         output.SetFromVector(self._at_load(context) + gust)
 
 

@@ -30,6 +30,12 @@ def random_waves(
     return Waves(frequencies, random.uniform(0, 2 * np.pi, (noises, count)))
 
 
+def wave_frequencies(correlation_time: float, *, count: int, highest: float) -> NDArray:
+    """The middles (count,) of the bands of `random_waves`, rad/s."""
+    shares = (np.arange(count) + 0.5) / count
+    return np.tan(shares * np.arctan(highest)) / correlation_time
+
+
 def coloured_noise(time: Any, waves: Waves, deviation: float | NDArray) -> NDArray:
     """The noises (noises,) at a time in s, of any scalar type, with these standard deviations."""
     sines = np.sin(waves.frequencies * time + waves.phases)

@@ -25,11 +25,13 @@ class ReferencePreview:
         end_time: s, until which the reference is known; inf: for ever.
         references: returns the references (k, 22) at times (k,), where that is faster than one
             after the other.
+        higher_rates: returns the signal `reference_higher_rates` (6,) at a time, where it is known.
     """
 
     reference: Callable[[float], NDArray]
     end_time: float = math.inf
     references: Callable[[NDArray], NDArray] | None = None
+    higher_rates: Callable[[float], NDArray] | None = None
 
     def __call__(self, time: float) -> NDArray:
         """The reference (22,) at an absolute time in s, at most `end_time`."""

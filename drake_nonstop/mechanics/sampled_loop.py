@@ -129,12 +129,46 @@ def bounded_response(
     return float(np.max(np.minimum(bounds * gain, slow).sum(axis=-1)))
 
 
-def overshoot(g: NDArray) -> float:
-    """The largest output beyond its way from the first value to zero, after one of the inputs.
+def overshoot(g: NDArray) -> NDArray:
+    """The largest outputs (o, u) beyond their way from the first value to zero, after each input.
 
     Of responses g (lags, o, u) to single inputs: the largest g_m − max(g_0, 0).
     """
-    return float(np.max(g - np.maximum(g[:1], 0.0)))
+    return np.max(g - np.maximum(g[:1], 0.0), axis=0)
+
+
+def known_response(g: NDArray, inputs: NDArray) -> float:
+    """The largest output for inputs (samples, u) that are known, and zero before.
+
+    It is that of a loop at rest before the first sample, at whatever phase the loop is then.
+    """
+    lags, outputs = g.shape[:2]
+    used = np.flatnonzero(np.any(inputs, axis=0))
+    size = lags + len(inputs) - 1
+    spectrum = np.zeros((size // 2 + 1, outputs), complex)
+    for i in used:
+        spectrum += np.fft.rfft(g[..., i], size, axis=0) * np.fft.rfft(inputs[:, i], size)[:, None]
+    response = np.fft.irfft(spectrum, size, axis=0)[: len(inputs)]
+    return float(np.max(response, initial=0.0))
+
+
+def waves_deviation(g: NDArray, deviations: NDArray, frequencies: NDArray, period: float) -> float:
+    """The largest standard deviation of an output under inputs that are sums of waves.
+
+    The inputs are independent, with deviations (u,), each of waves of equal size, frequencies
+    (rad/s) and random phases. A wave of frequency ω reaches an output as |Σ g_m exp(−iωmT)|, T the
+    `period` in s.
+    """
+    lags, outputs, u = g.shape
+    turning = np.exp(-1j * period * np.outer(frequencies, np.arange(lags)))
+    gains = (turning @ g.reshape(lags, -1)).reshape(-1, outputs, u)
+    variance = (np.abs(gains) ** 2).mean(axis=0)
+    return float(np.sqrt(np.max((variance * deviations**2).sum(axis=-1))))
+
+
+def step_response(g: NDArray, step: NDArray) -> float:
+    """The largest output after inputs (u,) that begin and stay."""
+    return float(np.max(np.cumsum(g @ step, axis=0), initial=0.0))
 
 
 def noise_deviation(g: NDArray, deviations: NDArray) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.mechanics.signals import LoadReference, ReferenceHigherRates
 
 
 def stretched_reference(reference: NDArray, rates: NDArray) -> NDArray:
@@ -31,3 +31,34 @@ def stretched_reference(reference: NDArray, rates: NDArray) -> NDArray:
         ],
         axis=-1,
     )
+
+
+def stretched_higher_rates(reference: NDArray, higher_rates: NDArray, rates: NDArray) -> NDArray:
+    """The higher rates (..., 6) of the same motion.
+
+    The snap is n,
+
+        n = n ṡ⁴ + 6 j ṡ² s̈ + a (3 s̈² + 4 ṡ s⃛) + v s⁗,   ω̈ = ω̈ ṡ³ + 3 ω̇ ṡ s̈ + ω s⃛.
+
+    Args:
+        reference: (..., 22), at s.
+        higher_rates: (..., 6), a `ReferenceHigherRates` at s.
+        rates: ṡ, s̈ (1/s), s⃛ (1/s²), s⁗ (1/s³), (..., 4).
+    """
+    at, higher = LoadReference.view(reference), ReferenceHigherRates.view(higher_rates)
+    rate, second, third, fourth = (rates[..., i : i + 1] for i in range(4))
+    square = rate * rate
+    parts = ReferenceHigherRates(
+        angular_jerk=(
+            higher.angular_jerk * (square * rate)
+            + at.angular_acceleration * (3 * rate * second)
+            + at.angular_velocity * third
+        ),
+        snap=(
+            higher.snap * (square * square)
+            + at.jerk * (6 * square * second)
+            + at.acceleration * (3 * second * second + 4 * rate * third)
+            + at.velocity * fourth
+        ),
+    )
+    return np.concatenate(parts, axis=-1)

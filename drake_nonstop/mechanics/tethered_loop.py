@@ -19,6 +19,7 @@ from drake_nonstop.mechanics.sampled_loop import SampledLoop, sampled_loop
 
 LOAD_ERRORS = 12  # [e_R, e_p, e_ω, e_v]
 _INTEGRALS = 6
+_WRENCH = 6  # [torque; force]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,6 +64,25 @@ class Cables:
     compliance: float
 
 
+class Estimator(NamedTuple):
+    """The errors of a filter of the load's state: d⁺ = (I − K) F d + K (those of its measurement).
+
+    Its predictions are taken as exact, as they are to T²/12 times a change of the acceleration
+    where rates are measured exactly. Phases that each stand still would make that change jump.
+    """
+
+    gain: NDArray  # K (12, 12)
+    transition: NDArray  # F (12, 12)
+
+    @classmethod
+    def of(cls, rotation_gain: NDArray, translation_gain: NDArray, period: float) -> "Estimator":
+        """That of gains (2, 2) of [pose; rate], which goes on with its rates for a period in s."""
+        gain = np.zeros((4, 4))
+        gain[::2, ::2], gain[1::2, 1::2] = rotation_gain, translation_gain
+        transition = np.eye(4) + period * np.eye(4, k=2)
+        return cls(np.kron(gain, np.eye(3)), np.kron(transition, np.eye(3)))
+
+
 class Orbit(NamedTuple):
     """The cables' forces and the carriers' velocities at a phase of the orbits."""
 
@@ -78,11 +98,12 @@ class Inputs(NamedTuple):
     jerk: slice  # (3n,), m/s³
     measurement: slice  # (12,), errors of the measured load: rad, m, rad/s and m/s
     velocity: slice  # (3n,), m/s, by which the planned velocities jumped just after a sample
+    disturbance: slice  # (6,), N m and N, of a wrench on the load that stays for a sample
 
     @classmethod
     def of(cls, n: int) -> "Inputs":
         """Those of n carriers."""
-        sizes = [3 * n, 3 * n, LOAD_ERRORS, 3 * n]
+        sizes = [3 * n, 3 * n, LOAD_ERRORS, 3 * n, _WRENCH]
         ends = np.cumsum([0, *sizes]).tolist()
         return cls(*(slice(a, b) for a, b in pairwise(ends)))
 
@@ -98,6 +119,7 @@ def tethered_loop(
     period: float,
     delay: int = 0,
     is_measured: NDArray | None = None,
+    estimator: Estimator | None = None,
 ) -> SampledLoop:
     """The loop at a phase; outputs are the carriers' shortfalls of speed (n,), m/s.
 
@@ -131,13 +153,15 @@ def tethered_loop(
         period: T of the samples, s.
         delay: of the measurement, in samples.
         is_measured: (12,), 0 for errors that the controller takes as zero, else 1; None: all 1.
+        estimator: of the load, whose estimate then takes the measurement's place; or None.
     """
     n = len(orbit.forces)
     size = 3 * n
     tension = np.linalg.norm(orbit.forces, axis=1)
     # The state: errors of the load, carriers, their integrals, those of the controller, samples of
-    # the delay; then what is held in a sample: reference, its acceleration that is missing, the
-    # feedforward that is, the planned jerk, and desired forces.
+    # The state: errors of the load, carriers, their integrals, those of the controller, samples of
+    # the delay, the estimate; then what is held in a sample: reference, its acceleration that is
+    # missing, the feedforward that is, the planned jerk, desired forces, and wrench on the load.
     sizes = {
         "load": LOAD_ERRORS,
         "position": size,
@@ -145,12 +169,14 @@ def tethered_loop(
         "carrier_integral": size if carriers.integral_gain else 0,
         "integral": _INTEGRALS,
         "samples": LOAD_ERRORS * delay,
+        "estimate": LOAD_ERRORS if estimator else 0,
         "desired_position": size,
         "desired_velocity": size,
         "missing_acceleration": size,
         "missing_feedforward": size,
         "jerk": size,
         "desired_force": size if carriers.mass else 0,
+        "disturbance": _WRENCH,
     }
     ends = np.cumsum([0, *sizes.values()]).tolist()
     at = {name: slice(a, b) for name, a, b in zip(sizes, ends, ends[1:], strict=False)}
@@ -180,6 +206,8 @@ def tethered_loop(
         M[at["missing_feedforward"], at["jerk"]] = unit
     if carriers.mass:
         M[velocity, at["desired_force"]] = unit / carriers.mass
+    M[e_omega, at["disturbance"]] = np.hstack([inverse, np.zeros((3, 3))])
+    M[e_v, at["disturbance"]] = np.hstack([np.zeros((3, 3)), eye / load.mass])
     for i, (b, f, T) in enumerate(zip(cables.attachments, orbit.forces, tension, strict=True)):
         along = np.outer(f, f) / T**2
         length = cables.rest_length + T / cables.stiffness
@@ -201,23 +229,30 @@ def tethered_loop(
     y = at["samples"] if delay else at["load"]
     y = slice(y.stop - LOAD_ERRORS, y.stop)
     S = np.eye(ends[-1])
-    for name in (*list(sizes)[6:],):
+    for name in (*list(sizes)[7:],):
         S[at[name], at[name]] = 0
     held = {"desired_position": slice(0, size), "desired_velocity": slice(size, 2 * size)}
     if carriers.mass:
         held["desired_force"] = slice(2 * size, 3 * size)
     places = Inputs.of(n)
-    B = np.zeros((ends[-1], places.velocity.stop))
+    B = np.zeros((ends[-1], places.disturbance.stop))
+    # What the controller gets of the state and of the measurement's errors.
+    measured, errors = np.zeros((LOAD_ERRORS, ends[-1])), np.eye(LOAD_ERRORS)
+    if estimator:
+        errors, estimate = estimator.gain, at["estimate"]
+        measured[:, estimate] = (np.eye(LOAD_ERRORS) - errors) @ estimator.transition
+        S[estimate], B[estimate, places.measurement] = measured, errors
+    measured[:, y] = np.eye(LOAD_ERRORS)
     for name, rows in held.items():
-        S[at[name], y] = command.of_errors[rows] * seen
+        S[at[name]] = (command.of_errors[rows] * seen) @ measured
         S[at[name], at["integral"]] = command.of_integrals[rows]
-        B[at[name], places.measurement] = command.of_errors[rows] * seen
+        B[at[name], places.measurement] = (command.of_errors[rows] * seen) @ errors
     # What is not measured, or has no integral gain, is not integrated.
     has_gain = np.any(command.of_integrals, axis=0)
     S[at["integral"], at["integral"]] = np.diag(has_gain * seen[:_INTEGRALS])
     added = period * (np.eye(LOAD_ERRORS) * seen)[:_INTEGRALS] * has_gain[:, None]
-    S[at["integral"], y] += added
-    B[at["integral"], places.measurement] = added
+    S[at["integral"]] += added @ measured
+    B[at["integral"], places.measurement] = added @ errors
     if delay:
         samples = at["samples"]
         S[samples, samples] = np.eye(LOAD_ERRORS * delay, k=-LOAD_ERRORS)
@@ -229,11 +264,12 @@ def tethered_loop(
     B[at["jerk"], places.jerk] = unit
     B[velocity, places.velocity] = -unit
     B[position, places.velocity] = -period * unit  # of the time that it is not noticed
+    B[at["disturbance"], places.disturbance] = np.eye(_WRENCH)
     outputs = np.zeros((n, ends[-1]))
     for i, v in enumerate(orbit.velocities):
         outputs[i, velocity.start + 3 * i : velocity.start + 3 * i + 3] = -v / np.linalg.norm(v)
     whole = sampled_loop(M, S, B, outputs, period=period)
-    kept = ends[6]  # what is held begins anew at each sample
+    kept = ends[7]  # what is held begins anew at each sample
     return whole._replace(
         transition=whole.transition[:kept, :kept],
         input=whole.input[:kept],

@@ -16,6 +16,7 @@ from drake_nonstop.validation import (
 _LEAST_INSTANTS = 16  # in a turn
 _MOST_INSTANTS = 20000  # in a horizon
 _MOST_INTERVALS = 200
+_MOST_SMOOTHING = 10.0  # intervals; its sixth power is in the cost
 _LEAST_PHASES, _MOST_PHASES = 8, 360
 _MOST_AMPLITUDES = 1000
 _WHOLE = 1e-6  # how far from a whole number a ratio of times may be
@@ -30,13 +31,23 @@ def check_horizon(box: str, config: HorizonConfig, limits: LimitsConfig, model: 
         limits: checked already, see `check_limits`.
         model: what the controllers believe.
     """
-    require_non_negative(box, horizon=config.horizon, knot_spacing=config.knot_spacing)
+    require_non_negative(
+        box,
+        horizon=config.horizon,
+        knot_spacing=config.knot_spacing,
+        overshoot=config.overshoot,
+        settling_time=config.settling_time,
+        orbit_tightening=config.orbit_tightening,
+    )
     require_positive(
         box,
         amplitude_weight=config.amplitude_weight,
         smoothing=config.smoothing,
         slack_weight=config.slack_weight,
     )
+    is_smooth = config.smoothing <= _MOST_SMOOTHING
+    remedy = f"give at most {_MOST_SMOOTHING:g} intervals between knots"
+    require(is_smooth, f"{box}.smoothing", config.smoothing, remedy)
     times = timed(config, limits.frequency, model.control_period)
     turn = 2 * math.pi / limits.frequency
     _check_spacing(box, times.knot_spacing, model.control_period)
@@ -74,19 +85,23 @@ def _check_horizon(box: str, given: float, config: HorizonConfig, turn: float) -
         given,
         f"it is shorter than a turn of the carriers; give at least {_multiple(spacing, least)} s",
     )
+    longest = _MOST_INTERVALS * spacing
+    fewer = f"at most {_MOST_INTERVALS} of them, {longest:.10g} s, or knots further apart"
+    if longest < turn:
+        apart = math.ceil(1e4 * config.horizon / _MOST_INTERVALS) / 1e4
+        fewer = f"{box}.knot_spacing of at least {apart:g} s"
+    require(
+        ratio < _MOST_INTERVALS + 0.5,
+        f"{box}.horizon",
+        given,
+        f"it has {ratio:.0f} intervals between knots; give {fewer}",
+    )
     require(
         abs(ratio - round(ratio)) < _WHOLE,
         f"{box}.horizon",
         given,
         f"give a multiple of the {spacing:.10g} s between knots, such as "
         f"{_multiple(spacing, math.ceil(ratio))}",
-    )
-    require(
-        ratio < _MOST_INTERVALS + 0.5,
-        f"{box}.horizon",
-        given,
-        f"it has {ratio:.0f} intervals between knots; give at most {_MOST_INTERVALS} of them, "
-        f"{_multiple(spacing, _MOST_INTERVALS)} s, or knots further apart",
     )
 
 

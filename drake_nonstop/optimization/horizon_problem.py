@@ -29,7 +29,7 @@ from drake_nonstop.mechanics.planned_orbit import (
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, PlannedParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
@@ -54,7 +54,7 @@ Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time i
 
 @dataclass(kw_only=True)
 class HorizonConfig:
-    """The horizon, its cost and its constraints; with those of a `NonstopProblemConfig`."""
+    """The horizon, its cost and its constraints; with those of a `LimitsConfig`."""
 
     horizon: float = 0.0  # s; 0: nearly two turns, at least 15 intervals between knots
     knot_spacing: float = 0.0  # s, also the time between two plans; 0: an eighth of a turn
@@ -67,6 +67,9 @@ class HorizonConfig:
     smoothing: float = 0.4  # τ, in intervals between knots
     slack_weight: float = 100.0  # ρ
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
+    overshoot: float = 0.35  # of a carrier's velocity after a jump of the plan's, of that jump
+    settling_time: float = 0.1  # s, of that overshoot
+    orbit_tightening: float = 0.002  # of the speed of the nominal orbits, the least margin
 
 
 def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon:
@@ -98,6 +101,7 @@ class HorizonData(NamedTuple):
     flat_terms: NDArray  # (k, 9n + 3), the `OrbitTerms` at the instants
     terminal: TerminalSet  # at the terminal instants
     speed_bound: float  # m/s, tightened
+    aims: NDArray  # (k, n), m/s, what speeds have to reach at the instants: no less than that
 
     @property
     def terms(self) -> OrbitTerms:
@@ -239,6 +243,7 @@ class HorizonProblem:
         count = self.intervals * config.instants
         # The value at the start is given by the fixed coefficients: no instant is there.
         self.instants = end / count * np.arange(1, count + 1)
+        self._instant_spacing = end / count
         self._terminal_per_knot = config.terminal_instants
         back = np.arange(self._terminal_per_knot * config.terminal_knots)[::-1]
         self._per_knot = count // self.intervals  # instants
@@ -306,11 +311,14 @@ class HorizonProblem:
     ) -> HorizonData:
         """The data of a plan from a time in s and phase in rad on, for ε in m/s.
 
-        Where `last` is of the same reference and bound, and began one interval between knots
-        before, what both have in common is taken from it.
+        Where `last` is of the same reference and bound, and began at the same time or one interval
+        between knots before, what both have in common is taken from it.
         """
         bound = tightened_bound(self.limits, speed_bound)
         spacing = self.config.knot_spacing
+        is_same = last is not None and last.start_time == start_time
+        if last is not None and is_same and last.speed_bound == bound:
+            return last._replace(start_angle=start_angle)
         known: NDArray | None = None
         is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
         if last is not None and is_next and last.speed_bound == bound:
@@ -320,12 +328,54 @@ class HorizonProblem:
         flat = np.array([self.terms_at(values) for values in references])
         if known is not None:
             flat = np.concatenate([known, flat])
+        aims = self._aims(flat, speed_bound, bound)
         if last is None or known is None:
-            terminal = self.terminal_set(flat[self._terminal_at], bound)
+            places = self._terminal_at
+            terminal = self.terminal_set(flat[places], aims[places, :, None])
         else:
-            new = self.terminal_set(flat[self._terminal_at[-self._terminal_per_knot :]], bound)
+            places = self._terminal_at[-self._terminal_per_knot :]
+            new = self.terminal_set(flat[places], aims[places, :, None])
             terminal = last.terminal.continued(new, self._terminal_per_knot)
-        return HorizonData(start_time, start_angle, flat, terminal, bound)
+        return HorizonData(start_time, start_angle, flat, terminal, bound, aims)
+
+    def jump_margins(self, flat_terms: NDArray, spacing: float) -> NDArray:
+        """What the speeds (k, n) have to keep above the bound after jumps of the plan, m/s.
+
+        Where the jerk of the reference jumps, so do the planned velocities, by at most
+        (L₀/T + 1/K_c) ‖Δd₀‖, T without A. The carriers then swing past the new velocity by a share
+        of the jump, the `overshoot`, within the `settling_time`. Own derivation.
+
+        Args:
+            flat_terms: (k, 9n + 3), at evenly spaced instants.
+            spacing: s, of the instants.
+        """
+        terms, config = OrbitTerms.view(flat_terms), self.config
+        jumps = np.zeros(terms.forces.shape[:2])
+        changes = np.linalg.norm(np.diff(terms.rates, axis=0), axis=2)
+        jumps[1:] = self._reach(terms)[1:] * changes
+        largest = jumps.copy()
+        for i in range(1, math.ceil(config.settling_time / spacing)):
+            largest[i:] = np.maximum(largest[i:], jumps[:-i])
+        return config.overshoot * largest
+
+    def _reach(self, terms: OrbitTerms) -> NDArray:
+        """By how much (k, n) a carrier moves with a force across its cable, m/N."""
+        return self.rest_length / np.linalg.norm(terms.forces, axis=2) + self.compliance
+
+    def _aims(self, flat_terms: NDArray, speed_bound: float, tightened: float) -> NDArray:
+        """The speeds (k, n) in m/s that carriers have to keep in the plan, at k instants.
+
+        Where carriers pass low speeds they are off by a share of what their orbits' speeds are
+        elsewhere.
+        """
+        terms = OrbitTerms.view(flat_terms)
+        if speed_bound == 0:
+            return np.zeros(terms.forces.shape[:2])
+        frequency, amplitude = self.nominal
+        sizes = np.linalg.norm(self.axes[0], axis=1)
+        orbits = frequency * amplitude * sizes * self._reach(terms)
+        least = np.maximum(tightened, speed_bound + self.config.orbit_tightening * orbits)
+        return least + self.jump_margins(flat_terms, self._instant_spacing)
 
     def _times(self, start_time: float) -> NDArray:
         """The times (k,) of the instants, those of two plans that start at knots to the bit."""
@@ -336,8 +386,8 @@ class HorizonProblem:
         counts = knot * self._per_knot + np.arange(1, len(self.instants) + 1)
         return counts * (spacing / self._per_knot)
 
-    def terminal_set(self, flat_terms: NDArray, speed_bound: float) -> TerminalSet:
-        """The terminal set of flat terms (k, 9n + 3), for the tightened bound in m/s."""
+    def terminal_set(self, flat_terms: NDArray, speed_bound: NDArray | float) -> TerminalSet:
+        """The terminal set of flat terms (k, 9n + 3), for a bound in m/s or those (k, n, 1)."""
         terms = OrbitTerms.view(flat_terms)
         least, most, *tension_squares = product_limits(
             terms,
@@ -430,10 +480,23 @@ class HorizonProblem:
             **self._cables,
         )
 
+    def squares_along(self, terms: OrbitTerms, planned: NDArray) -> NDArray:
+        """The squared speeds (k, n) at k instants, of the plan's values (k, 8) there."""
+        values = PlannedParameters.view(planned)
+        return planned_speeds(
+            terms,
+            self.axes,
+            values.angle[:, 0],
+            values.frequency[:, 0],
+            values.amplitude[:, 0],
+            values.amplitude_rate[:, 0],
+            **self._cables,
+        ).squares
+
     def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
         """The constraints about coefficients (2, N)."""
         speeds = self.speeds(data, coefficients)
-        limits, bound, unit = self._limits, data.speed_bound, math.sqrt(data.speed_unit)
+        limits, bound, unit = self._limits, data.aims, math.sqrt(data.speed_unit)
         margins = limits.of_speeds(speeds.squares, bound, unit)
         gradients = [speeds.gradients / unit**2]
         if limits.limit_high_speeds:

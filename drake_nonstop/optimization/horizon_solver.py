@@ -338,7 +338,7 @@ def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
         nominal=problem.nominal,
         lower=low,
         upper=high,
-        speed_bound=data.speed_bound,
+        speed_bound=float(data.aims.max()),
         speed_unit=data.speed_bound or 1.0,
         max_speed=problem.max_speed,
         internal_force_weight=0.0,

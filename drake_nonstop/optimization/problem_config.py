@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 from drake_nonstop.model.block_parameters import AUTO
 from drake_nonstop.model.system import Model
@@ -9,6 +10,7 @@ from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import (
     StrictFields,
+    fields_of,
     is_number,
     require,
     require_array,
@@ -19,6 +21,7 @@ from drake_nonstop.validation import (
 
 LEAST_BOUND = 1e-3  # m/s, unless there is none at all: margins are relative to the bound
 _UNCOMPUTED = 0.01  # the tightening of what has no margin computed for it
+_Config = TypeVar("_Config")
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
@@ -58,6 +61,12 @@ class NonstopProblemConfig(LimitsConfig):
     change_time: float = 2.0  # s, in which a bound or a switch set during a run takes effect
     solver: str = "search"  # "search", "grid", "snopt", "ipopt" or "nlopt"
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
+
+
+def with_fields_of(kind: type[_Config], config: Any) -> _Config:
+    """A config of the fields that another one has, too; its others are the defaults."""
+    names = [field.name for field in fields_of(kind)]
+    return kind(**{name: getattr(config, name) for name in names if hasattr(config, name)})
 
 
 def amplitude_range(config: LimitsConfig, model: Model) -> list[float]:
@@ -125,6 +134,9 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
         min_separation=config.min_separation,
     )
     require(config.model_error < 1, f"{box}.model_error", config.model_error, "give less than 1")
+    is_used = config.speed_margin == 0 or config.tightening == AUTO
+    remedy = f"give {box}.tightening: {AUTO}, which alone aims at it, or leave it out"
+    require(is_used, f"{box}.speed_margin", config.speed_margin, remedy)
     require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)

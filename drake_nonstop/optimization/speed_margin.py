@@ -7,7 +7,7 @@ are in diagrams/speed_error_budget.md.
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,18 @@ from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
     growth,
+    known_response,
     noise_deviation,
     overshoot,
     responses,
+    step_response,
+    waves_deviation,
 )
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
 from drake_nonstop.mechanics.tethered_loop import (
     Cables,
     Carriers,
+    Estimator,
     Inputs,
     Orbit,
     tethered_loop,
@@ -37,7 +41,7 @@ from drake_nonstop.optimization.terminal_set import product_limits
 
 DEVIATIONS = 5.0  # standard deviations of noise: a normal value falls below with 2.9e-7
 _PHASES = 24  # of the orbits, at which speeds and their rates are looked at
-_LOOPS = 12  # about as many phases the loop is linearized
+_LOOPS = 60  # about as many phases the loop is linearized: steps of forces between them count
 _SEEN = 3  # of these phases, at which the shortfalls are looked at
 _MEMORY = 10.0  # s, of the inputs that matter for a shortfall
 _LARGEST_GROWTH = 0.2  # per s, beyond which there is no margin
@@ -47,6 +51,7 @@ _NEAR = 1.5  # of the speed that is aimed at, up to which a speed may dip below 
 _AMPLITUDE_WEIGHT = 4.0  # of (A/A₀ − 1)² beside (ξ/ξ₀ − 1)², as plans weigh them
 _FIRST = 0.02  # of ε, a margin to begin with
 _REPEATS = 4  # of the margin, as a larger one asks for faster orbits
+_LEAST_SPEED = 1e-9  # m/s
 _SAME = 1.1  # of a margin, by which the next one is larger to begin with
 
 
@@ -60,6 +65,7 @@ class Feedback:
         is_measured: (12,), 0 for what the controller takes as desired, else 1.
         delay: of the measurement, in samples.
         period: between samples, s.
+        estimator: of the errors, behind the measurement; None: there is none.
     """
 
     gains: Mapping[str, Any]
@@ -67,6 +73,7 @@ class Feedback:
     is_measured: NDArray
     delay: int
     period: float
+    estimator: Estimator | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,14 +81,43 @@ class Motion:
     """The load's reference over a task.
 
     Attributes:
+        times: (k,), s, the instants.
         references: (3, k, 22), at k instants, a `step` before, then, and a step after.
         step: s.
         jerk_jumps: (m, 3), m/s³, jumps of its jerk, in the load's frame; m may be 0.
     """
 
+    times: NDArray
     references: NDArray
     step: float
     jerk_jumps: NDArray
+
+
+class Gust(NamedTuple):
+    """Coloured noise on the load, a sum of waves of equal size on each axis."""
+
+    deviations: NDArray  # (6,), N m and N, in W, standard deviations
+    frequencies: NDArray  # rad/s, of the waves
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Disturbance:
+    """What acts on the load besides cables and weight, in W.
+
+    Attributes:
+        believed: (k, 3), N, at the instants of the motion: forces that the controllers know of.
+        unknown: (6,), [torque; force], N m and N, steady and not known to them.
+        gusts: independent of one another.
+    """
+
+    believed: NDArray
+    unknown: NDArray
+    gusts: tuple[Gust, ...] = ()
+
+    @property
+    def is_any(self) -> bool:
+        """Whether anything acts."""
+        return bool(np.any(self.believed) or np.any(self.unknown) or self.gusts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +130,7 @@ class SpeedMargin:
     noise: float  # of the feedback, `DEVIATIONS` standard deviations
     delay: float  # of the feedback
     model: float  # of a wrench that is off by a share of the weight
+    disturbance: float  # of steady forces on the load, and `DEVIATIONS` of those of gusts
 
     @property
     def total(self) -> float:
@@ -102,7 +139,16 @@ class SpeedMargin:
 
 
 class NoMarginError(RuntimeError):
-    """Nothing bounds the errors; the message says why."""
+    """Nothing bounds the errors; the message says why.
+
+    Attributes:
+        margin: that of the orbits without it, which may be too small for the faster ones with it;
+            None where there is none.
+    """
+
+    def __init__(self, cause: str, margin: SpeedMargin | None = None):
+        super().__init__(cause)
+        self.margin = margin
 
 
 def speed_margin(
@@ -114,6 +160,7 @@ def speed_margin(
     motion: Motion,
     *,
     instant_spacing: float,
+    disturbance: Disturbance | None = None,
 ) -> SpeedMargin:
     """The margin of a loop, for a task.
 
@@ -128,6 +175,7 @@ def speed_margin(
         feedback: the wrench controller's.
         motion: the load's.
         instant_spacing: s, between the instants of the constraints.
+        disturbance: on the load; None: there is none.
 
     Raises:
         NoMarginError: a deviation of the loop grows from turn to turn, or a margin asks for orbits
@@ -136,14 +184,20 @@ def speed_margin(
     task = _Task(model, limits, motion)
     loops = _Loops(model, plant, carriers, feedback)
     margin = _FIRST * limits.speed_bound
+    first: SpeedMargin | None = None
     for _ in range(_REPEATS):
         chosen = task.parameters_for(limits.speed_bound + margin)
-        shares = _shares(task, loops, chosen, limits, instant_spacing, margin)
+        try:
+            shares = _shares(task, loops, chosen, limits, instant_spacing, margin, disturbance)
+        except NoMarginError as error:
+            raise NoMarginError(str(error), first) from None
         if shares.total <= margin:
             return shares
+        first = first or shares
         margin = _SAME * shares.total
     raise NoMarginError(
-        f"a speed {margin:.3g} m/s above the bound needs orbits whose errors are larger still"
+        f"a speed {margin:.3g} m/s above the bound needs orbits whose errors are larger still",
+        first,
     )
 
 
@@ -201,7 +255,9 @@ class _Task:
         return np.array([frequencies[best], amplitudes[best]])
 
     def derivatives(self, parameters: NDArray, extra: NDArray | None = None) -> _Derivatives:
-        """The carriers' motion for constant [ξ, A] (2,); `extra` (n, 3) adds to their forces.
+        """The carriers' motion for constant [ξ, A] (2,).
+
+        `extra`, (n, 3) or (k, n, 3), adds to their forces.
 
         Rates of forces are those in the load's frame, which turns slowly beside the orbits.
         """
@@ -210,7 +266,8 @@ class _Task:
         p, q = self.axes
         cosine, sine = np.cos(angles)[:, None, None], np.sin(angles)[:, None, None]
         u, along = cosine * p + sine * q, cosine * q - sine * p  # (h, n, 3)
-        f0 = self.terms.forces[:, None] + (0.0 if extra is None else extra)
+        added = np.zeros((1, self.model.n, 3)) if extra is None else extra.reshape(-1, *p.shape)
+        f0 = self.terms.forces[:, None] + added[:, None]
         slow = self.second_rates[:, None], self.third_rates[:, None]
         f = f0 + A * u
         omega = self.terms.angular_velocity[:, None, None]
@@ -265,6 +322,11 @@ class _Loops:
         )
         self.places = Inputs.of(model.n)
 
+    @property
+    def _with_delay(self) -> str:
+        late = self.feedback.delay * self.feedback.period
+        return f"with a measurement that is {late:g} s late " if late else ""
+
     def responses(self, task: _Task, parameters: NDArray) -> Iterator[tuple[Orbit, NDArray]]:
         """Phases, and how shortfalls there depend on inputs, for [ξ, A] (2,).
 
@@ -274,7 +336,8 @@ class _Loops:
         feedback = self.feedback
         turn = 2 * math.pi / parameters[0]
         samples = max(1, round(turn / _LOOPS / feedback.period))
-        orbits = [task.orbit(parameters, 2 * math.pi * i / _LOOPS) for i in range(_LOOPS)]
+        count = max(_SEEN, round(turn / (samples * feedback.period)))
+        orbits = [task.orbit(parameters, 2 * math.pi * i / count) for i in range(count)]
         loops = [
             tethered_loop(
                 self.load,
@@ -286,15 +349,18 @@ class _Loops:
                 period=feedback.period,
                 delay=feedback.delay,
                 is_measured=feedback.is_measured,
+                estimator=feedback.estimator,
             )
             for orbit in orbits
         ]
         grown = growth(loops, samples)
         rate = math.log(grown) / turn
         if rate > _LARGEST_GROWTH:
-            raise NoMarginError(f"the linear loop grows by {rate:.3g} per s along the orbits")
+            raise NoMarginError(
+                f"the linear loop {self._with_delay}grows by {rate:.3g} per s along the orbits"
+            )
         lags = math.ceil(_MEMORY / feedback.period)
-        for i in range(0, _LOOPS, _LOOPS // _SEEN):
+        for i in range(0, count, count // _SEEN):
             yield orbits[i], responses(loops, samples, i, lags)
 
 
@@ -305,6 +371,7 @@ def _shares(
     limits: LimitsConfig,
     instant_spacing: float,
     margin: float,
+    disturbance: Disturbance | None,
 ) -> SpeedMargin:
     """The shares at [ξ, A] (2,), for a margin in m/s."""
     motion = task.derivatives(parameters)
@@ -315,7 +382,7 @@ def _shares(
     )
     snap = jerk * float(parameters[0])
     n, places, feedback = task.model.n, loops.places, loops.feedback
-    tracking = jumps = noise = delay = 0.0
+    tracking = jumps = noise = delay = disturbed = 0.0
     for orbit, g in loops.responses(task, parameters):
 
         def bounded(place: slice, groups: int, bounds: Any, rates: Any, g: NDArray = g) -> float:
@@ -331,8 +398,13 @@ def _shares(
             spread = noise_deviation(g[..., places.measurement], feedback.deviations)
             noise = max(noise, DEVIATIONS * spread)
         if feedback.delay:
-            late = bounded(places.measurement, 4, *_late(task.motion.references[1], feedback))
+            late = known_response(g[..., places.measurement], _late(task.motion, feedback))
             delay = max(delay, late)
+        if disturbance is not None:
+            wrench = g[..., places.disturbance]
+            disturbed = max(disturbed, _of_disturbance(wrench, disturbance, task, feedback.period))
+    if disturbance is not None:
+        disturbed += _of_believed(disturbance.believed, task, parameters, speeds)
     return SpeedMargin(
         tracking=tracking,
         jumps=jumps,
@@ -340,6 +412,7 @@ def _shares(
         noise=noise,
         delay=delay,
         model=_of_model_error(task, parameters, speeds, limits) if limits.model_error else 0.0,
+        disturbance=disturbed,
     )
 
 
@@ -362,15 +435,17 @@ def _of_jump(g: NDArray, task: "_Task", orbit: Orbit, limits: LimitsConfig) -> f
     """By how much (m/s) a carrier is slower than both speeds before and after a planned jump.
 
     Its velocity goes from one to the other, on a chord Δv long, which is Δv²/(8 v) below two speeds
-    v, and overshoots. `g` (lags, j n, 3n) are the responses to jumps of the planned velocities.
+    v, and overshoots. A horizon keeps a share of Δv there by itself: what is left counts. `g`
+    (lags, j n, 3n) are the responses to jumps of the planned velocities.
     """
     columns = _velocity_jumps(task, orbit) @ task.motion.jerk_jumps.T
     n = task.model.n
     # The first output, just after the jump, is the jump itself.
     steps = (g.reshape(len(g), -1, n, g.shape[-1]) @ columns).reshape(-1, n, columns.shape[1])
-    largest = np.max(np.linalg.norm(columns.reshape(n, 3, -1), axis=1))
-    chord = largest**2 / (8 * limits.speed_bound) if limits.speed_bound > 0 else 0.0
-    return overshoot(steps) + min(float(chord), float(largest))
+    sizes = np.linalg.norm(columns.reshape(n, 3, -1), axis=1)
+    chords = np.minimum(sizes**2 / (8 * max(limits.speed_bound, _LEAST_SPEED)), sizes)
+    kept = limits.overshoot if isinstance(limits, HorizonConfig) else 0.0
+    return max(0.0, float(np.max(overshoot(steps) + chords - kept * sizes)))
 
 
 def _velocity_jumps(task: _Task, orbit: Orbit) -> NDArray:
@@ -388,28 +463,58 @@ def _velocity_jumps(task: _Task, orbit: Orbit) -> NDArray:
     return np.concatenate(jumps)
 
 
-def _late(references: NDArray, feedback: Feedback) -> tuple[NDArray, NDArray]:
-    """Bounds of what a delay does to the measured errors (4,), and of the rates of that.
+def _late(motion: Motion, feedback: Feedback) -> NDArray:
+    """What a delay does to the measured errors at the samples of a task, (samples, 12).
 
-    The load as it was is behind the reference by the delay times [ω, v, α, a].
+    The load as it was is behind the reference by the delay times [ω, v, α, a], in its frame.
     """
-    desired = LoadReference.view(references)
+    desired = LoadReference.view(motion.references[1])
+    turned = rotation_matrix(desired.quaternion)
     late = feedback.delay * feedback.period
-    most = [
-        float(np.max(np.linalg.norm(part, axis=-1)))
-        for part in (
-            desired.angular_velocity,
-            desired.velocity,
-            desired.angular_acceleration,
-            desired.acceleration,
-            desired.jerk,
-        )
-    ]
-    turn, velocity, turning, acceleration, jerk = most
-    bounds = np.array([turn, velocity, turning, acceleration])
-    rates = np.array([turning, acceleration, np.inf, jerk])
-    seen = feedback.is_measured.reshape(4, 3).max(axis=1)
-    return late * bounds * seen, late * rates
+    behind = np.hstack(
+        [
+            np.einsum("kji,kj->ki", turned, part)
+            for part in (
+                desired.angular_velocity,
+                desired.velocity,
+                desired.angular_acceleration,
+                desired.acceleration,
+            )
+        ]
+    )
+    samples = np.arange(0.0, motion.times[-1], feedback.period)
+    errors = [np.interp(samples, motion.times, column, left=0.0) for column in behind.T]
+    return -late * np.stack(errors, axis=-1)
+
+
+def _of_disturbance(g: NDArray, disturbance: Disturbance, task: _Task, period: float) -> float:
+    """By how much (m/s) gusts and unknown forces on the load slow a carrier down.
+
+    `g` (lags, j n, 6) are the responses to a wrench in the load's frame, as at the start. The gusts
+    are taken as held for a sample.
+    """
+    start = rotation_matrix(LoadReference.view(task.motion.references[1, 0]).quaternion)
+    in_world = np.concatenate([g[..., :3] @ start.T, g[..., 3:] @ start.T], axis=-1)
+    variance = 0.0
+    for gust in disturbance.gusts:
+        spread = waves_deviation(in_world, gust.deviations, gust.frequencies, period)
+        variance += spread**2
+    steady = step_response(in_world, disturbance.unknown)
+    return DEVIATIONS * math.sqrt(variance) + steady
+
+
+def _of_believed(forces: NDArray, task: _Task, parameters: NDArray, speeds: NDArray) -> float:
+    """By how much (m/s) speeds fall as the cables bear forces (k, 3) on the load, in W, as well.
+
+    The plan leaves them out: it is one in still air.
+    """
+    if not np.any(forces):
+        return 0.0
+    turned = rotation_matrix(LoadReference.view(task.motion.references[1]).quaternion)
+    borne = -np.einsum("kji,kj->ki", turned, forces)
+    extra = (borne @ task.model.pseudo_inverse[:, 3:].T).reshape(-1, task.model.n, 3)
+    changed = task.derivatives(parameters, extra)
+    return float(np.max(speeds - np.linalg.norm(changed.velocities, axis=-1), initial=0.0))
 
 
 def _of_model_error(

@@ -11,7 +11,7 @@ from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
-from drake_nonstop.mechanics.stretched_time import stretched_reference
+from drake_nonstop.mechanics.stretched_time import stretched_higher_rates, stretched_reference
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.problem_config import (
@@ -94,19 +94,31 @@ class PathDelay:
         knots = spacing * np.arange(1 - _ORDER, count + 1)
         points = spacing * np.concatenate([[0.0], np.cumsum(rates)])
         delay = BsplineTrajectory(BsplineBasis(_ORDER, knots.tolist()), points[:, None, None])
-        self._delays = [delay.MakeDerivative(i) if i else delay for i in range(4)]
+        self._delays = [delay.MakeDerivative(i) if i else delay for i in range(_ORDER)]
         self.end_time = delay.end_time()
 
     def at(self, times: NDArray) -> NDArray:
-        """The delay d and three rates (k, 4) at times (k,) in s."""
+        """The delay d and four rates (k, 5) at times (k,) in s; the last one steps at the knots."""
         clipped = np.clip(times, 0.0, self.end_time)
-        return np.column_stack([d.vector_values(clipped).ravel() for d in self._delays])
+        delays = np.column_stack([d.vector_values(clipped).ravel() for d in self._delays])
+        delays[(times < 0) | (times >= self.end_time), -1] = 0  # the others are zero there
+        return delays
 
     def stretched(self, preview: ReferencePreview, times: NDArray) -> NDArray:
         """The references (k, 22), at times (k,), of the motion that is behind by d."""
+        own_times, rates = self._own(times)
+        return stretched_reference(preview.at(own_times), rates[:, :3])
+
+    def stretched_higher_rates(self, preview: ReferencePreview, time: float) -> NDArray:
+        """The higher rates (6,), at a time, of that motion, whose preview tells its own."""
+        assert preview.higher_rates is not None
+        (own_time,), (rates,) = self._own(np.array([time]))
+        return stretched_higher_rates(preview(own_time), preview.higher_rates(own_time), rates)
+
+    def _own(self, times: NDArray) -> tuple[NDArray, NDArray]:
+        """The motion's own times s (k,) at times (k,), and four rates (k, 4) of s."""
         delays = self.at(times)
-        rates = np.column_stack([1 - delays[:, 1], -delays[:, 2], -delays[:, 3]])
-        return stretched_reference(preview.at(times - delays[:, 0]), rates)
+        return times - delays[:, 0], np.array([1.0, 0.0, 0.0, 0.0]) - delays[:, 1:]
 
 
 class Stretching(NamedTuple):

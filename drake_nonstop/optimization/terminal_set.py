@@ -69,7 +69,7 @@ def product_limits(
     terms: OrbitTerms,
     axes: tuple[NDArray, NDArray],
     amplitudes: NDArray,
-    speed_bound: float,
+    speed_bound: NDArray | float,
     max_speed: float,
     *,
     phase_count: int,
@@ -78,9 +78,10 @@ def product_limits(
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """The limits on s = A ξ, and the range of the squared tensions, over all phases.
 
-    At amplitudes (a,) in N and k instants, for constant ξ and A. By the upper roots of
-    c + 2 b s + a s² = ε² or v_max², see `speed_squares`. Where there are none s is not limited from
-    below; from above it is by what makes the carrier slowest.
+    At amplitudes (a,) in N and k instants, for constant ξ and A, and a bound in m/s of all carriers
+    or bounds (k, n, 1). By the upper roots of c + 2 b s + a s² = ε² or v_max², see `speed_squares`.
+    Where there are none s is not limited from below; from above it is by what makes the carrier
+    slowest.
 
     Returns:
         The least and the most s (k, a) in N/s, inf without a limit; the least and the largest
@@ -92,7 +93,7 @@ def product_limits(
     values = polynomial_values(polynomials, amplitudes)
     c, b, a, tension_squares = speed_squares(values, rest_length=rest_length, compliance=compliance)
 
-    def upper_roots(speed: float) -> tuple[NDArray, NDArray]:
+    def upper_roots(speed: NDArray | float) -> tuple[NDArray, NDArray]:
         square = b * b - a * (c - speed**2)
         return square, (np.sqrt(np.maximum(square, 0)) - b) / a
 

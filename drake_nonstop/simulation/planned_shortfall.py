@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.signals import (
     PLANNED_SIZE,
     CarrierStates,
@@ -14,7 +14,7 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.simulation.run import Run, UnknownSignalError
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, UnknownSignalError
 
 _SETTLING = 5  # samples at 100 Hz, in which a carrier goes from one planned speed to another
 _AHEAD = (56.0, -140.0, 120.0, -35.0)  # of the values 5, 6, 7 and 8 samples before: a cubic's value
@@ -25,7 +25,8 @@ def largest_shortfall(run: Run) -> float | None:
 
     The planned speeds are those along the reference, in still air, of the ξ, A and θ that the loop
     flies: the signal `planned`, or `parameters` and `phase`. Where they jump, the lower one of
-    before and after counts for 50 ms. None where there is no such signal, or the layer keeps no
+    before and after counts for 50 ms; what a plan over a horizon keeps there beyond its margin is
+    left out. None where there is no such signal, or the layer keeps no
     speed bound.
     """
     limits = run.scenario.optimization_layer
@@ -40,22 +41,14 @@ def largest_shortfall(run: Run) -> float | None:
         return None
     scenario = run.scenario
     model = Model(scenario.system, scenario.pattern, scenario.control_period)
-    horizon = timed(HorizonConfig(), limits.frequency, scenario.control_period)
+    plans_ahead = isinstance(limits, HorizonConfig)
+    config = limits if isinstance(limits, HorizonConfig) else HorizonConfig()
+    horizon = timed(config, limits.frequency, scenario.control_period)
     problem = HorizonProblem(model, limits, horizon, lambda: "planned speeds")
     flown = np.linalg.norm(states.velocities, axis=-1)
     # The first values are not those of a plan that has begun.
-    values = PlannedParameters.view(planned[1:])
-    speeds = planned_speeds(
-        OrbitTerms.view(np.array([problem.terms_at(reference) for reference in references[1:]])),
-        problem.axes,
-        values.angle[:, 0],
-        values.frequency[:, 0],
-        values.amplitude[:, 0],
-        values.amplitude_rate[:, 0],
-        rest_length=problem.rest_length,
-        compliance=problem.compliance,
-    )
-    planned_speed = np.sqrt(speeds.squares)
+    terms = np.array([problem.terms_at(reference) for reference in references[1:]])
+    planned_speed = np.sqrt(problem.squares_along(OrbitTerms.view(terms), planned[1:]))
     wanted = planned_speed.copy()
     if len(wanted) > _SETTLING + len(_AHEAD):
         # Where a plan jumps, as where the reference's jerk does, what it was before.
@@ -65,6 +58,8 @@ def largest_shortfall(run: Run) -> float | None:
             for i, weight in enumerate(_AHEAD)
         )
         wanted[-count:] = np.minimum(wanted[-count:], before)
+    if plans_ahead:
+        wanted -= problem.jump_margins(terms, SIGNAL_PERIOD)
     return float(np.max(wanted - flown[1:]))
 
 

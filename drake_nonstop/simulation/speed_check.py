@@ -13,7 +13,7 @@ from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonData, HorizonProblem
@@ -293,17 +293,7 @@ def _ratios(
 ) -> NDArray:
     """v/ε (l, n) along a plan at times (l,) with these terms."""
     values = np.array([plan.values(time) for time in times])
-    speeds = planned_speeds(
-        terms,
-        problem.axes,
-        values[:, 0],
-        values[:, 1],
-        values[:, 2],
-        values[:, 4],
-        rest_length=problem.rest_length,
-        compliance=problem.compliance,
-    )
-    return np.sqrt(speeds.squares) / bound
+    return np.sqrt(problem.squares_along(terms, values)) / bound
 
 
 def _starts(

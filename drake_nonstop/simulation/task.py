@@ -17,11 +17,12 @@ from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedbackConfig,
 )
 from drake_nonstop.diagrams.box import block_class, is_of_package
-from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.mechanics.stretched_time import stretched_reference
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK
 from drake_nonstop.model.system import Model, given_fields, overridden
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
-from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.load_stability import LoadDeviations
 from drake_nonstop.validation import require
@@ -94,19 +95,10 @@ class Task:
 
     def slowed(self, factor: float) -> "Task":
         """The same motion in a longer time; a factor of 2 takes twice as long."""
+        rates = np.array([1 / factor, 0.0, 0.0])
 
         def reference(time: float) -> NDArray:
-            values = self.reference(time / factor).copy()
-            parts = LoadReference.view(values)
-            for part, order in (
-                (parts.angular_velocity, 1),
-                (parts.velocity, 1),
-                (parts.angular_acceleration, 2),
-                (parts.acceleration, 2),
-                (parts.jerk, 3),
-            ):
-                part /= factor**order
-            return values
+            return stretched_reference(self.reference(time / factor), rates)
 
         return dataclasses.replace(self, reference=reference, duration=factor * self.duration)
 
@@ -140,7 +132,11 @@ def task_of(scenario: Scenario) -> Task:
     check(scenario)
     scenario = scenario.sampled()
     model = Model(scenario.system, scenario.pattern, scenario.control_period)
-    trajectory = _block("load_trajectory", scenario.load_trajectory, model)
+    if scenario.reference_governor is None:
+        trajectory = _block("load_trajectory", scenario.load_trajectory, model)
+    else:  # as the governor lets it pass
+        loop = make_nonstop(scenario, at_equilibrium=False)
+        trajectory = loop.GetSubsystemByName("load_trajectory")
     names = [trajectory.get_output_port(i).get_name() for i in range(trajectory.num_output_ports())]
     require(
         "reference" in names and trajectory.num_input_ports() == 0,
@@ -198,7 +194,8 @@ def _task(
             ],
         )
     layer, feedback = scenario.optimization_layer, scenario.load_feedback
-    limits = _limits(layer)
+    limits = with_fields_of(LimitsConfig, layer)  # of one without bounds, the default ones
+    horizon = with_fields_of(HorizonConfig, layer)
     return Task(
         name=scenario.name,
         model=model,
@@ -213,7 +210,7 @@ def _task(
         is_above_load=isinstance(scenario.carrier_trajectory, MeasuredCarrierTrajectoryConfig),
         carrier_stiffness=_carrier_stiffness(scenario.carrier_controller),
         wind=np.array(getattr(scenario.wind, "velocity", np.zeros(3)), dtype=float),
-        horizon=_horizon(layer, limits, scenario.control_period),
+        horizon=timed(horizon, limits.frequency, scenario.control_period),
     )
 
 
@@ -232,21 +229,6 @@ def _reference_of(block: System) -> Callable[[float], NDArray]:
         return values
 
     return reference
-
-
-def _limits(layer: Any) -> LimitsConfig:
-    """Those of a layer's config; of one that has no bounds, the default ones."""
-    names = [field.name for field in dataclasses.fields(LimitsConfig)]
-    return LimitsConfig(**{name: getattr(layer, name) for name in names if hasattr(layer, name)})
-
-
-def _horizon(layer: Any, limits: LimitsConfig, control_period: float) -> HorizonConfig:
-    """That of a layer's config, or the default one, with the times that follow from ξ."""
-    names = [field.name for field in dataclasses.fields(HorizonConfig)]
-    config = HorizonConfig()
-    if all(hasattr(layer, name) for name in names):
-        config = HorizonConfig(**{name: getattr(layer, name) for name in names})
-    return timed(config, limits.frequency, control_period)
 
 
 def _carrier_stiffness(controller: Any) -> float:

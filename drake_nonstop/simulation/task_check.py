@@ -128,7 +128,11 @@ def task_table(found: TaskCheck) -> str:
         time, carrier = speeds.least_at
         what = "best plan" if speeds.plan is not None else "constant xi and A"
         rows.append(
-            (f"least v / bound, {what}", f"{speeds.least:.3f}", f"t = {time:.2f} s, {carrier}")
+            (
+                f"least v / bound, {what}",
+                f"{speeds.least:.3f}",
+                f"t = {time:.2f} s, carrier {carrier}",
+            )
         )
         rows.append(("instants at which no constant xi and A do", _share_of(speeds), ""))
         low, high = speeds.parameters.min(axis=0), speeds.parameters.max(axis=0)
@@ -166,7 +170,7 @@ def _share_of(speeds: SpeedCheck) -> str:
 
 def _at(instant: FormationInstant, cable: int | None = None) -> str:
     said = f"t = {instant.time:.2f} s"
-    return said if cable is None else f"{said}, {cable}"
+    return said if cable is None else f"{said}, cable {cable}"
 
 
 def task_dictionary(found: TaskCheck) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.blocks.load_feedback import EstimatedFeedbackConfig, NoisyFeedbackConfig
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
@@ -32,6 +33,12 @@ _REASONS = "reasons"  # paths of metrics that are lists of sentences, kept with 
 _WARNINGS = "warnings"
 _RESULT = {"ending": str, "message": str, "metrics": dict}
 
+# Of a filter: its fields beyond those of what it filters.
+_BELIEFS = [
+    part.name
+    for part in dataclasses.fields(EstimatedFeedbackConfig)
+    if not hasattr(NoisyFeedbackConfig, part.name)
+]
 _MOST_SAID = 3  # sentences on a case in the table
 
 # Which metrics the table and the figure show.
@@ -194,16 +201,21 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
         length = system.cable_length * (1 + percent / 100)
         yield "cable length", percent, "%", [f"simulated.cable_length={length}"]
     period = scenario.control_period or 0.01
+    measurement = "NoisyFeedback {"
+    if isinstance(scenario.load_feedback, EstimatedFeedbackConfig):  # the filter stays
+        measurement = "EstimatedFeedback {" + "".join(
+            f"{name}: {getattr(scenario.load_feedback, name)}, " for name in _BELIEFS
+        )
     for size in (0.0005, 0.001, 0.002, 0.005):
         noise = (
             f"position_noise: {size}, orientation_noise: {size}, velocity_noise: {5 * size}, "
             f"angular_velocity_noise: {5 * size}, seed: {seed}"
         )
-        block = f"load_feedback=!NoisyFeedback {{{noise}, period: {period}}}"
+        block = f"load_feedback=!{measurement}{noise}, period: {period}}}"
         yield "noise", 1e3 * size, "mm, mrad (rates: x 5/s)", [block]
     for periods in (1, 2, 3, 5):
         delay = periods * period
-        block = f"load_feedback=!NoisyFeedback {{delay: {delay}, period: {period}}}"
+        block = f"load_feedback=!{measurement}delay: {delay}, period: {period}}}"
         yield "delay", 1e3 * delay, "ms", [block]
     weight = system.load_mass * system.gravity
     for percent in (1.0, 2.0, 5.0, 10.0):

@@ -30,6 +30,7 @@ from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
 from drake_nonstop.validation import require
 
+_NOISES = ("position_noise", "orientation_noise", "velocity_noise", "angular_velocity_noise")
 _STEP = 1e-6  # of the differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized
 _ONE_THREAD = 2**17  # multiplications in a product; OpenBLAS starts threads above 2^18
@@ -86,7 +87,8 @@ def at_rest(scenario: Scenario) -> Scenario:
     )
     feedback = scenario.load_feedback
     if isinstance(feedback, NoisyFeedbackConfig):
-        feedback = NoisyFeedbackConfig(delay=feedback.delay, period=feedback.period)
+        # What a filter behind it believes stays.
+        feedback = dataclasses.replace(feedback, **dict.fromkeys(_NOISES, 0.0), seed=0)
     return dataclasses.replace(
         scenario,
         fused_plant=False,

@@ -58,10 +58,15 @@ def make_check_figure(found: TaskCheck) -> Figure:
 
 
 def _draw_set(axes: Axes, found: TaskCheck, column: int) -> None:
-    """Where a constant ξ, or A, beside the plan's other one keeps the bound at all phases."""
+    """Where a constant ξ, or A, beside the plan's other one keeps the bound at all phases.
+
+    Outside of it a plan keeps the bound at the phases which come, if at all.
+    """
     drawn = set_over_time(found.task, found.speeds, column)
     if drawn is None:
         return
+    for colour, label in ((_SET, "bound kept at all phases"), (_OUTSIDE, "not at all phases")):
+        axes.fill_between([], [], color=colour, label=label)
     times, values, ratios = drawn
     axes.contourf(times, values, ratios.T, levels=[0, 1, np.inf], colors=[_OUTSIDE, _SET])
     lines = axes.contour(times, values, ratios.T, levels=[1.0], colors="black", linewidths=0.6)

@@ -11,6 +11,7 @@ from drake_nonstop.benchmarks.whole_tasks import benchmark_tasks, tasks_table
 from drake_nonstop.cli.exit_codes import BAD_INPUT
 from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.diagnostics import Outcome
+from drake_nonstop.optimization.horizon_solver import PLAN_TOLERANCE
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 
 
@@ -145,7 +146,7 @@ def test_layers_are_compared_with_the_offline_optimum():
     slow = ["load_trajectory.displacement=[0.4, 0.4, 0.4]", "optimization_layer.speed_bound=0.55"]
     results = benchmark_tasks(["quintic"], [*short, *slow])
     one_sample, horizon, offline = results["quintic"].values()
-    assert offline["slack"] == pytest.approx(0, abs=1e-6)
+    assert 0 <= offline["slack"] <= PLAN_TOLERANCE
     for row in (one_sample, horizon, offline):
         assert row["least_of_bound"] == pytest.approx(1.02, abs=0.01)
     # The planned flight of an ideal loop is that of the simulated one.

@@ -51,6 +51,7 @@ from drake_nonstop.blocks.load_disturbance import (
 from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedback,
     DesiredStateFeedback,
+    EstimatedFeedback,
     IdealFeedback,
     NoisyFeedback,
     NoisyFeedbackConfig,
@@ -294,10 +295,8 @@ BLOCKS = {
             ("carrier_state", "tensions"),
         ],
     ),
-    noisy_feedback: (
-        ["load_state"],
-        ["measured_load_state"],
-        [("load_state", "measured_load_state")],
+    **dict.fromkeys(
+        (noisy_feedback, EstimatedFeedback), everything(["load_state"], ["measured_load_state"])
     ),
     gusty_force: ([], ["disturbance_wrench"], []),
     MultibodyLoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),

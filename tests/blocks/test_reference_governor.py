@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import model, output
+from helpers import difference, model, output
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
@@ -23,8 +23,11 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRestConfig,
 )
 from drake_nonstop.blocks.reference_governor import ReferenceGovernor
+from drake_nonstop.diagrams import nonstop
 from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.optimization.stretched_time import PathDelay
+from drake_nonstop.simulation.speed_check import check_speeds
+from drake_nonstop.simulation.task import task_of
 from drake_nonstop.systems.wiring import output_sizes
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
@@ -58,7 +61,12 @@ def flights():
 
 def test_its_signals_are_those_of_the_delayed_motion():
     block, preview = governor()
-    assert output_sizes(block) == {"reference": 22, "reference_preview": None, "reference_delay": 1}
+    assert output_sizes(block) == {
+        "reference": 22,
+        "reference_higher_rates": 6,
+        "reference_preview": None,
+        "reference_delay": 1,
+    }
     context = block.CreateDefaultContext()
     ahead = block.GetOutputPort("reference_preview").Eval(context)
     clone = block.Clone()
@@ -72,6 +80,22 @@ def test_its_signals_are_those_of_the_delayed_motion():
         np.testing.assert_array_equal(reference[:7], preview(time - delay)[:7])
     np.testing.assert_array_equal(ahead.at(times), [ahead(time) for time in times])
     assert delay == pytest.approx(0.5 * 10 * 0.4)
+
+
+def test_its_higher_rates_are_differences_and_left_out_where_they_are_not_known():
+    block, preview = governor()
+    context = block.CreateDefaultContext()
+    ahead = block.GetOutputPort("reference_preview").Eval(context)
+    for time in (2.1, 4.3, 6.8, 30.0):  # between the knots of the delay
+        context.SetTime(time)
+        rates = difference(ahead, time, 1e-3)
+        expected = np.concatenate([rates[13:16], rates[19:22]])
+        found = output(block, context, "reference_higher_rates")
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
+    unknown = ReferencePreview(preview.reference)
+    assert not ReferenceGovernor(unknown, PathDelay(0.5, np.zeros(9))).HasOutputPort(
+        "reference_higher_rates"
+    )
 
 
 def test_it_does_not_differentiate_by_time():
@@ -110,7 +134,29 @@ def test_a_bound_that_is_missed_at_full_speed_is_kept_and_the_load_arrives_late(
     middle = np.searchsorted(governed.time, 3.0)
     assert governed.signal("load_state")[middle, 4] < without.signal("load_state")[middle, 4] - 0.1
     largest = np.max(np.linalg.norm(governed.signal("tracking_error")[:, 3:6], axis=1))
-    assert largest < 1e-3
+    assert largest < 4e-5  # without the reference's higher rates 6e-5
+
+
+def test_check_looks_at_the_motion_that_the_governor_lets_pass():
+    tasks = [
+        task_of(load_scenario("line_without_optimization", [*FAST_LINE, *o]))
+        for o in ([], [GOVERNED])
+    ]
+    assert [check_speeds(task).is_feasible for task in tasks] == [False, True]
+
+
+def test_it_slows_down_for_the_margin_that_is_computed(monkeypatch):
+    margins = []
+
+    def recorded(model, config, trajectory, layer, duration):
+        margins.append(layer.speed_margin)
+        return trajectory
+
+    monkeypatch.setattr(nonstop, "governed", recorded)
+    scenario = load_scenario("quintic", [GOVERNED, "optimization_layer.tightening=auto"])
+    make_nonstop(scenario, at_equilibrium=False)
+    assert len(margins) == 1
+    assert margins[0] > 0
 
 
 def test_a_motion_that_needs_none_is_the_same_to_the_bit():

@@ -11,13 +11,21 @@ from drake_nonstop.diagrams.margin_of_loop import margin_of_loop
 from drake_nonstop.diagrams.nonstop import make_blocks, make_nonstop
 from drake_nonstop.mechanics.sampled_loop import noise_deviation, responses
 from drake_nonstop.mechanics.signals import CarrierStates
-from drake_nonstop.mechanics.tethered_loop import Cables, Carriers, Inputs, Orbit, tethered_loop
+from drake_nonstop.mechanics.tethered_loop import (
+    Cables,
+    Carriers,
+    Estimator,
+    Inputs,
+    Orbit,
+    tethered_loop,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.problem_config import (
     LimitsConfig,
     highest_speed_bound,
     tightened_bound,
 )
+from drake_nonstop.optimization.speed_margin import DEVIATIONS
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.linearized_loop import LinearizedLoop
@@ -72,7 +80,7 @@ def orbits(model, count):
         yield Orbit(f, r, model.cable_length / tension * across)
 
 
-def loops_of(model, gains, count, is_measured):
+def loops_of(model, gains, count, is_measured, estimator=None):
     cables = Cables(
         attachments=model.attachments,
         stiffness=model.cable_stiffness,
@@ -91,6 +99,7 @@ def loops_of(model, gains, count, is_measured):
             pseudo_inverse=model.pseudo_inverse,
             period=0.01,
             is_measured=is_measured,
+            estimator=estimator,
         )
         for orbit in orbits(model, count)
     ]
@@ -112,18 +121,28 @@ def test_without_feedback_the_modes_are_those_of_the_linearized_diagram():
         assert np.min(np.abs(multipliers - value)) < 1e-5
 
 
-def test_noise_spreads_speeds_as_in_a_run():
-    noise = f"{{position_noise: {POSITION_NOISE}, orientation_noise: {ORIENTATION_NOISE}}}"
+# A fast filter, whose noise a short run shows.
+FAST = "process_acceleration: 20, process_angular_acceleration: 40"
+
+
+@pytest.mark.parametrize("block", ["NoisyFeedback", "EstimatedFeedback"])
+def test_noise_spreads_speeds_as_in_a_run(block):
+    noise = f"position_noise: {POSITION_NOISE}, orientation_noise: {ORIENTATION_NOISE}"
+    noise += f", {FAST}" if block == "EstimatedFeedback" else ""
     scenario = load_scenario(
         "three_carriers",
-        [*RESTING, f"load_feedback=!NoisyFeedback {noise}", "simulation_duration=6.3"],
+        [*RESTING, f"load_feedback=!{block} {{{noise}}}", "simulation_duration=6.3"],
     )
     scenario.optimization_layer.amplitude = 1.2
     model = Model(scenario.system, scenario.pattern, scenario.control_period)
     blocks = make_blocks(scenario)
-    loops = loops_of(model, blocks["wrench_controller"].gains, 8, np.ones(12))
+    feedback, estimator = blocks["load_feedback"], None
+    if block == "EstimatedFeedback":
+        gains = feedback.rotation_gain, feedback.translation_gain
+        estimator = Estimator.of(*gains, feedback.period)
+    loops = loops_of(model, blocks["wrench_controller"].gains, 8, np.ones(12), estimator)
     place = Inputs.of(3).measurement
-    deviations = blocks["load_feedback"].deviations
+    deviations = feedback.deviations
     predicted = [
         noise_deviation(responses(loops, 39, i, 400)[..., place], deviations) for i in range(8)
     ]
@@ -142,7 +161,8 @@ def test_no_speed_falls_short_by_more_than_predicted(task):
     name = "quintic" if isinstance(task, int) else task
     drawn = draw(task) if isinstance(task, int) else []
     short = ["load_trajectory.start_time=1", "simulation_duration=1.5"]
-    scenario = changed(load_scenario(name), [*drawn, *HORIZON, *short])
+    without = "optimization_layer.overshoot=0"  # what plans keep after jumps by themselves
+    scenario = changed(load_scenario(name), [*drawn, *HORIZON, *short, without])
     optimizer = compute_metrics(simulate(scenario, check_step=StepCheck.NOTHING))["optimizer"]
     predicted = optimizer["predicted_speed_margin_m_s"]
     measured = optimizer["measured_speed_margin_m_s"]
@@ -176,11 +196,49 @@ def test_noise_counts_in_proportion_and_a_delay_at_all(as_it_is):
     assert shares[2].delay > 0 == as_it_is.delay == as_it_is.noise
 
 
+def test_a_filter_leaves_little_of_the_noise_and_its_lag_is_said():
+    noise = "position_noise: 1.0e-4, orientation_noise: 2.0e-4"
+    raw = margin_with(f"load_feedback=!NoisyFeedback {{{noise}}}")
+    filtered = margin_with(f"load_feedback=!EstimatedFeedback {{{noise}}}")
+    assert 0 < filtered.margin.noise < 0.1 * raw.margin.noise
+    assert not filtered.left_out
+    slow = margin_with("load_feedback=!EstimatedFeedback {believed_velocity_noise: 1.0e-4}")
+    assert any("lag" in sentence for sentence in slow.left_out)
+
+
 def test_a_heavier_load_slows_the_carriers_by_its_share(as_it_is):
     """A cable with 2 % more tension swings 2 % slower for the same internal force."""
     share = margin_with("optimization_layer.model_error=0.02").margin
     assert as_it_is.model == 0
     assert 0.01 * 0.55 < share.model < 0.05 * 2.0
+
+
+def test_a_force_in_still_air_and_the_wind_that_makes_it_count_alike(as_it_is):
+    """A wind that is not believed is a force of its drag, 0.7 N s/m by default."""
+    wind = "wind=!SteadyWind {velocity: [0.2, 0, 0], believed: [0, 0, 0]}"
+    force = "load_disturbance=!DisturbanceForce {force: [0.14, 0, 0]}"
+    shares = [margin_with(given).margin.disturbance for given in (wind, force)]
+    assert shares[0] == pytest.approx(shares[1], rel=1e-9)
+    assert shares[0] > 0 == as_it_is.disturbance
+
+
+def test_gusts_spread_speeds_as_in_a_run():
+    gusts = "wind=!GustyWind {load_gust: 0.05, gust: 0, gust_length: 3}"
+    scenario = load_scenario("three_carriers", [*RESTING, gusts, "simulation_duration=12"])
+    quiet = changed(scenario, ["wind=StillAir"])
+    gusty, without = (simulate(s, check_step=StepCheck.NOTHING) for s in (scenario, quiet))
+    speeds = [
+        np.linalg.norm(CarrierStates.view(run.steps["carrier_state"]).velocities, axis=-1)
+        for run in (gusty, without)
+    ]
+    measured = float(np.std((speeds[0] - speeds[1])[100:]))
+    predicted = margin_with(gusts).margin.disturbance / DEVIATIONS
+    assert 0.3 * predicted < measured < predicted
+
+
+def test_what_plans_keep_after_jumps_is_left_out():
+    shares = [margin_with(f"optimization_layer.overshoot={k}").margin.jumps for k in (0, 0.1, 5)]
+    assert shares[0] > shares[1] > shares[2] == 0
 
 
 def test_a_septic_reference_has_no_jumps(as_it_is):

@@ -453,6 +453,21 @@ def test_an_internal_force_that_reads_what_is_smoothed_is_told(layer):
         make_nonstop(Scenario(optimization_layer=layer), **fields)
 
 
+def test_a_phase_that_leaves_the_plan_unread_is_told():
+    fields = {"phase": AccumulatedPhase, "at_equilibrium": False}
+    with pytest.warns(
+        ScenarioWarning, match="phase = AccumulatedPhase: it does not read the plan"
+    ) as told:
+        make_nonstop(Scenario(), internal_force=InternalForceTrajectory, **fields)
+    with warnings.catch_warnings():  # its remedies
+        warnings.simplefilter("error")
+        make_nonstop(Scenario(), at_equilibrium=False)
+        make_nonstop(Scenario(optimization_layer=NonstopOptimizerConfig()), **fields)
+    with pytest.warns(ScenarioWarning, match="as PlannedInternalForce does$"):
+        make_nonstop(Scenario(), internal_force=InternalForceTrajectory, at_equilibrium=False)
+    assert len(told) == 1
+
+
 def test_signals_that_others_need_become_inputs_where_a_box_is_left_out():
     left_out = {"phase": None, "internal_force": None, "carrier_trajectory": None}
     for name, signal in zip(

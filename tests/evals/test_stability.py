@@ -116,3 +116,11 @@ def test_a_shorter_step_shows_what_a_long_one_damps(paper_quintic):
     found = linearize(fine)
     assert found.largest == pytest.approx(growth_per_turn(at_rest(fine), 3), rel=0.1)
     assert found.largest > 3
+
+
+def test_a_load_at_rest_is_measured_without_noise_by_the_same_filter():
+    noisy = "{position_noise: 0.01, delay: 0.02, process_acceleration: 3}"
+    scenario = load_scenario("quintic", [f"load_feedback=!EstimatedFeedback {noisy}"])
+    feedback = at_rest(scenario).load_feedback
+    assert (feedback.position_noise, feedback.process_acceleration) == (0.0, 3.0)
+    assert feedback.delay == scenario.load_feedback.delay

@@ -8,11 +8,14 @@ import pytest
 from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
     growth,
+    known_response,
     matrix_exponential,
     noise_deviation,
     overshoot,
     responses,
     sampled_loop,
+    step_response,
+    waves_deviation,
 )
 
 FREQUENCY, DAMPING = 100.0, 0.5  # rad/s, of the carriers
@@ -112,7 +115,7 @@ def test_a_jump_of_velocity_overshoots_by_the_closed_form():
     velocity = np.exp(-DAMPING * FREQUENCY * times) * (
         np.cos(angle) - DAMPING / root * np.sin(angle)
     )
-    assert overshoot(instants) == pytest.approx(-velocity.min(), rel=1e-3)
+    assert overshoot(instants).max() == pytest.approx(-velocity.min(), rel=1e-3)
 
 
 def test_growth_over_a_turn_is_that_of_the_product():
@@ -120,3 +123,25 @@ def test_growth_over_a_turn_is_that_of_the_product():
     faster = loop._replace(transition=1.02 * np.eye(3))
     slower = loop._replace(transition=np.diag([0.99, 0.5, 0.1]))
     assert growth([faster, slower], 4) == pytest.approx((1.02 * 0.99) ** 4)
+
+
+def test_a_known_input_gives_the_largest_output_of_its_simulation(g):
+    inputs = np.random.default_rng(2).standard_normal((400, 1))
+    flown = driven(inputs[:, 0])
+    # `g` sees three instants of a sample, the simulation the last one before the next.
+    last = g.reshape(len(g), 3, 1)[:, -1:]
+    assert known_response(last, inputs) == pytest.approx(np.max(flown), rel=0.03)
+
+
+def test_an_input_that_stays_gives_the_largest_velocity_of_the_closed_form(g):
+    root = math.sqrt(1 - DAMPING**2)
+    peak = math.exp(-DAMPING / root * math.acos(DAMPING)) / FREQUENCY
+    assert step_response(g, np.array([2.0])) == pytest.approx(2 * peak, rel=0.01)
+
+
+@pytest.mark.parametrize("frequency", [0.0, 30.0, 100.0, 200.0])
+def test_a_wave_spreads_the_output_by_its_closed_form_gain(g, frequency):
+    s = 1j * frequency
+    gain = abs(s / (s**2 + 2 * DAMPING * FREQUENCY * s + FREQUENCY**2))
+    spread = waves_deviation(g, np.array([0.3]), np.array([frequency]), PERIOD)
+    assert spread == pytest.approx(0.3 * gain, rel=0.02, abs=1e-6)

@@ -24,10 +24,12 @@ def check(control_period=0.0, **fields):
         ({"horizon": 2.0, "knot_spacing": 0.4}, "shorter than a turn.* at least 3.2 s"),
         ({"horizon": 6.1, "knot_spacing": 0.4}, "a multiple of the 0.4 s .* such as 6.4"),
         ({"horizon": 400.0, "knot_spacing": 0.4}, "1000 intervals .* at most 200 of them, 80 s"),
-        ({"horizon": 0.0, "knot_spacing": 0.01}, "566 intervals"),
+        ({"horizon": 1e9, "knot_spacing": 0.39}, "intervals .* at most 200 of them, 78 s"),
+        ({"horizon": 0.0, "knot_spacing": 0.01}, "566 .* layer.knot_spacing of at least 0.0283 s"),
         ({"knot_spacing": float("nan")}, "finite"),
         ({"knot_spacing": 1e-5}, "at least 0.0001 s"),
         ({"smoothing": 0.0}, "greater than zero"),
+        ({"smoothing": 1e9}, "at most 10 intervals"),
         ({"slack_weight": 0.0}, "greater than zero"),
         ({"amplitude_weight": -1.0}, "greater than zero"),
         ({"instants": 1}, "from 2 to 1333"),
@@ -62,6 +64,14 @@ def test_a_horizon_that_is_told_as_the_least_is_accepted(spacing):
     check(horizon=least, knot_spacing=spacing, terminal_knots=1)
     with pytest.raises(ScenarioError, match="horizon"):
         check(horizon=least - spacing, knot_spacing=spacing, terminal_knots=1)
+
+
+def test_knots_that_are_told_as_far_enough_apart_are_accepted():
+    for horizon in (0.0, 4.0):
+        with pytest.raises(ScenarioError) as error:
+            check(horizon=horizon, knot_spacing=0.005)
+        least = float(re.search("knot_spacing of at least ([0-9.]+) s", str(error.value))[1])
+        check(horizon=horizon, knot_spacing=least)
 
 
 def test_the_defaults_are_accepted():

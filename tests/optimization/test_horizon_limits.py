@@ -1,6 +1,7 @@
 """Limits of plans: their gradients, what they keep, and what happens where they cannot be kept."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,11 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem
+from drake_nonstop.optimization.horizon_problem import (
+    HorizonConfig,
+    HorizonProblem,
+    references_at,
+)
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.separation import Separation, SeparationConstraint
@@ -132,7 +137,7 @@ def test_margins_are_those_of_what_the_blocks_command(name):
     positions, velocities, tensions = commanded(problem, plan, Motion(2).reference, times)
     squares = (velocities**2).sum(axis=-1)
     expected = [
-        squares / (1.02 * 0.4) ** 2 - 1,
+        (squares - data.aims**2) / (1.02 * 0.4) ** 2,
         1 - squares / (0.98 * 2.0) ** 2,
         (tensions / (1.02 * 1.5)) ** 2 - 1,
         1 - (tensions / (0.98 * 6.0)) ** 2,
@@ -148,8 +153,36 @@ def test_margins_are_those_of_what_the_blocks_command(name):
     # The minima between instants, on a grid four times as fine.
     fine = np.linspace(times[1], times[-2], 4 * (len(times) - 3) + 1)
     speeds = (commanded(problem, plan, Motion(2).reference, fine)[1] ** 2).sum(axis=-1)
-    least = (speeds.min(axis=0)) / (1.02 * 0.4) ** 2 - 1
+    aims = np.array([np.interp(fine, times, aim) for aim in data.aims.T]).T
+    least = (speeds - aims**2).min(axis=0) / (1.02 * 0.4) ** 2
     np.testing.assert_allclose(table[1:-1, :n].min(axis=0), least, atol=5e-3)
+
+
+def test_speeds_have_margins_of_their_own_after_jumps_of_the_jerk_and_beside_fast_orbits():
+    still = references_at(Motion(0).reference, np.zeros(1))[0]
+    still[7:] = 0
+    jumping = still.copy()
+    jumping[19:] = [1.0, -2.0, 0.5]  # the jerk, m/s³
+    before = problem_of("cycle-4")
+    config = replace(SMALL, overshoot=0.4, settling_time=0.1, orbit_tightening=0.0)
+    problem = HorizonProblem(before.model, before.limits, config, lambda: "test")
+    data = problem.data(0.0, 0.0, lambda time: still if time < 0.33 else jumping, 0.4)
+    rates = [OrbitTerms.view(problem.terms_at(values)).rates for values in (still, jumping)]
+    tensions = np.linalg.norm(OrbitTerms.view(problem.terms_at(still)).forces, axis=-1)
+    jumps = (problem.rest_length / tensions + problem.compliance) * np.linalg.norm(
+        rates[1] - rates[0], axis=-1
+    )
+    is_after = (problem.instants > 0.33) & (problem.instants < 0.33 + 0.12)
+    np.testing.assert_allclose(data.aims[~is_after], 1.02 * 0.4)
+    expected = np.broadcast_to(1.02 * 0.4 + 0.4 * jumps, data.aims[is_after].shape)
+    np.testing.assert_allclose(data.aims[is_after], expected, rtol=1e-6)
+
+    config = replace(SMALL, orbit_tightening=0.1)
+    problem = HorizonProblem(before.model, before.limits, config, lambda: "test")
+    slow = problem.data(0.0, 0.0, lambda time: still, 0.01)
+    speeds = np.sqrt(problem.speeds(slow, problem.nominal_coefficients()).squares)
+    shares = (slow.aims - 0.01) / speeds.max(axis=0)
+    assert np.all((shares > 0.07) & (shares < 0.1))
 
 
 @pytest.mark.parametrize("name", ["cycle-4", "ellipse-6"])

@@ -24,6 +24,7 @@ SWAPS = [
     ],
     ["load_plant=MultibodyLoadPlant", "load_disturbance=!DisturbanceForce {gust_force: 1.0}"],
     ["load_feedback=!NoisyFeedback {delay: 0.02, position_noise: 0.01}"],
+    ["load_feedback=!EstimatedFeedback {delay: 0.02, position_noise: 0.01}"],
     [
         "carrier_dynamics=!LoadedCarrierDynamics {max_force: 9}",
         "carrier_controller=LoadedCarrierPid",

@@ -140,3 +140,16 @@ def test_bad_seed(seed, tmp_path, capsys):
     arguments = ["robustness", "quintic", "--out", str(tmp_path), "--seed", seed]
     assert main(arguments) == 2
     assert "--seed = -1" in capsys.readouterr().err
+
+
+def test_a_filter_behind_the_measurement_stays_under_each_error():
+    filtered = "load_feedback=!EstimatedFeedback {position_noise: 0.01, process_acceleration: 3}"
+    scenario = load_scenario("quintic", [filtered])
+    errors = [e for e in robustness._errors(scenario, 1) if e[0] in ("noise", "delay")]
+    for name, _, _, overrides in errors:
+        feedback = changed(scenario, overrides).load_feedback
+        assert feedback.process_acceleration == 3
+        assert (feedback.position_noise > 0, feedback.delay > 0) == (
+            name == "noise",
+            name == "delay",
+        )
