@@ -80,8 +80,8 @@ def margin_of_loop(
         duration: s.
     """
     left_out: list[str] = []
-    carriers = _carriers(model, blocks, left_out)
-    feedback = _feedback(model, blocks, left_out)
+    carriers = carriers_of(model, blocks, left_out)
+    feedback = feedback_of(model, blocks, left_out)
     motion = _motion(model, blocks, duration, left_out)
     if carriers is None or feedback is None or motion is None:
         return LoopMargin(None, tuple(left_out))
@@ -141,8 +141,8 @@ def _name(blocks: Mapping[str, System], box: str) -> str:
     return f"{box} = {type(blocks[box]).__name__}" if box in blocks else f"{box} = None"
 
 
-def _carriers(model: Model, blocks: Mapping[str, System], left_out: list[str]) -> Carriers | None:
-    """The carriers' loops; None where they are not known."""
+def carriers_of(model: Model, blocks: Mapping[str, System], left_out: list[str]) -> Carriers | None:
+    """The carriers' loops; None where they are not known, and a sentence why is added."""
     controller: Any = blocks.get("carrier_controller")
     dynamics, trajectory = blocks.get("carrier_dynamics"), blocks.get("carrier_trajectory")
     gains = getattr(controller, "gains", None)
@@ -169,7 +169,7 @@ def _carriers(model: Model, blocks: Mapping[str, System], left_out: list[str]) -
     )
 
 
-def _feedback(model: Model, blocks: Mapping[str, System], left_out: list[str]) -> Feedback | None:
+def feedback_of(model: Model, blocks: Mapping[str, System], left_out: list[str]) -> Feedback | None:
     """The load's feedback; None where the wrench controller is not known."""
     gains = getattr(blocks.get("wrench_controller"), "gains", None)
     if gains is None:

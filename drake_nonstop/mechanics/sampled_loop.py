@@ -63,6 +63,15 @@ def matrix_exponential(matrix: NDArray) -> NDArray:
     return result
 
 
+def parts_of_turn(turn: float, period: float, about: int) -> tuple[int, int]:
+    """How many samples each of about so many equal parts of a turn (s) has, and how many they are.
+
+    Together they are a turn, to the nearest part.
+    """
+    samples = max(1, round(turn / about / period))
+    return samples, max(1, round(turn / (samples * period)))
+
+
 def growth(loops: Sequence[SampledLoop], samples: int) -> float:
     """By how much a deviation grows in a turn, in which each loop lasts for so many samples.
 

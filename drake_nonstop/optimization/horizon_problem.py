@@ -69,7 +69,7 @@ class HorizonConfig:
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
     overshoot: float = 0.35  # of a carrier's velocity after a jump of the plan's, of that jump
     settling_time: float = 0.1  # s, of that overshoot
-    orbit_tightening: float = 0.002  # of the speed of the nominal orbits, the least margin
+    orbit_tightening: float = 0.005  # of the speed of the nominal orbits, the least margin
 
 
 def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon:

@@ -21,6 +21,7 @@ from drake_nonstop.mechanics.sampled_loop import (
     known_response,
     noise_deviation,
     overshoot,
+    parts_of_turn,
     responses,
     step_response,
     waves_deviation,
@@ -335,8 +336,7 @@ class _Loops:
         """
         feedback = self.feedback
         turn = 2 * math.pi / parameters[0]
-        samples = max(1, round(turn / _LOOPS / feedback.period))
-        count = max(_SEEN, round(turn / (samples * feedback.period)))
+        samples, count = parts_of_turn(turn, feedback.period, _LOOPS)
         orbits = [task.orbit(parameters, 2 * math.pi * i / count) for i in range(count)]
         loops = [
             tethered_loop(
@@ -360,7 +360,7 @@ class _Loops:
                 f"the linear loop {self._with_delay}grows by {rate:.3g} per s along the orbits"
             )
         lags = math.ceil(_MEMORY / feedback.period)
-        for i in range(0, count, count // _SEEN):
+        for i in range(0, count, max(1, count // _SEEN)):
             yield orbits[i], responses(loops, samples, i, lags)
 
 

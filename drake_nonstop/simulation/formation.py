@@ -16,6 +16,7 @@ from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK, wrench_a
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.simulation.load_stability import Growth, LoadDeviations
+from drake_nonstop.simulation.sampled_growth import sampled_rate
 from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
 
@@ -50,11 +51,13 @@ class FormationInstant(NamedTuple):
     loads: CableLoads
     free: Growth  # without control
     controlled: Growth | None  # with the scenario's; None: it is not known
+    sampled_rate: float | None  # 1/s, with its samples and carriers; None: they are not known
 
     @property
     def rate(self) -> float:
-        """1/s, with control, or without where that is not known."""
-        return (self.controlled or self.free).rate
+        """1/s, the larger one with control, or without where that is not known."""
+        rate = (self.controlled or self.free).rate
+        return rate if self.sampled_rate is None else max(rate, self.sampled_rate)
 
 
 class Formation(NamedTuple):
@@ -138,6 +141,7 @@ def formation_at(
         cable_loads(task.flown, reference, parameters, task.wind),
         deviations.growth(reference, parameters, wind=task.wind),
         controlled,
+        None if gains is None else sampled_rate(task, reference, parameters, gains),
     )
 
 
@@ -187,9 +191,9 @@ def growth_complaint(task: Task, duration: float) -> str:
         return rate(of_amplitude) * duration < _MOST_GROWN
 
     found = rate(1.0)
+    remedy = "let drake-nonstop check try what helps"
     if found * duration < _MOST_GROWN:
         return ""
-    remedy = "let drake-nonstop check try what helps"
     if (amplitude := _largest_amplitude(task, is_stable)) is not None:
         remedy = f"give optimization_layer.amplitude of at most {amplitude:.3g} N, or {remedy}"
     return (

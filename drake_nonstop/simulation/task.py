@@ -17,12 +17,15 @@ from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedbackConfig,
 )
 from drake_nonstop.diagrams.box import block_class, is_of_package
+from drake_nonstop.diagrams.margin_of_loop import carriers_of, feedback_of
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.stretched_time import stretched_reference
+from drake_nonstop.mechanics.tethered_loop import Carriers
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK
 from drake_nonstop.model.system import Model, given_fields, overridden
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
+from drake_nonstop.optimization.speed_margin import Feedback
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.load_stability import LoadDeviations
 from drake_nonstop.validation import require
@@ -35,6 +38,14 @@ _ANALYSED = (  # the boxes between the load's state and its cables
     "carrier_trajectory",
     "cables",
     "load_plant",
+)
+_SAMPLED = (  # the boxes of the sampled loop of carriers and feedback
+    "load_feedback",
+    "wrench_controller",
+    "force_distribution",
+    "carrier_trajectory",
+    "carrier_controller",
+    "carrier_dynamics",
 )
 
 
@@ -51,6 +62,8 @@ class Task:
         reference: the load's (22,) at a time in s.
         duration: s.
         gains: of the wrench controller, as of `LoadDeviations.growth`; None: they are not known.
+        carriers: their controllers and references; None: they are not known.
+        feedback: the wrench controller's, with its samples; None: it is not known.
         feeds_back: whether the controllers get the load's state.
         measures_attitude: as of `LoadDeviations`.
         is_above_load: as of `LoadDeviations`.
@@ -67,6 +80,8 @@ class Task:
     reference: Callable[[float], NDArray]
     duration: float
     gains: Mapping[str, Any] | None
+    carriers: Carriers | None
+    feedback: Feedback | None
     feeds_back: bool
     measures_attitude: bool
     is_above_load: bool
@@ -144,9 +159,12 @@ def task_of(scenario: Scenario) -> Task:
         type(trajectory).__name__,
         "give one without inputs, whose motion is known beforehand",
     )
-    controller = _block("wrench_controller", scenario.wrench_controller, model)
-    gains = getattr(controller, "gains", None)
-    return _task(scenario, model, _reference_of(trajectory), gains)
+    blocks = {
+        box: _block(box, config, model)
+        for box in _SAMPLED
+        if (config := getattr(scenario, box)) is not None
+    }
+    return _task(scenario, model, _reference_of(trajectory), blocks)
 
 
 def task_of_loop(scenario: Scenario, nonstop: Diagram, context: Context) -> Task | None:
@@ -170,7 +188,7 @@ def task_of_loop(scenario: Scenario, nonstop: Diagram, context: Context) -> Task
         nonstop.GetOutputPort(name).Eval(context).copy() for name in ("reference", "parameters")
     )
     model = Model(scenario.system, scenario.pattern, scenario.control_period)
-    task = _task(scenario, model, lambda time: reference, gains)
+    task = _task(scenario, model, lambda time: reference, blocks)
     limits = dataclasses.replace(task.limits, frequency=frequency, amplitude=amplitude)
     return dataclasses.replace(task, limits=limits)
 
@@ -179,7 +197,7 @@ def _task(
     scenario: Scenario,
     model: Model,
     reference: Callable[[float], NDArray],
-    gains: Mapping[str, Any] | None,
+    blocks: Mapping[str, System],
 ) -> Task:
     given = given_fields(scenario.simulated)
     flown = model
@@ -204,7 +222,9 @@ def _task(
         changes_parameters=hasattr(layer, "frequency_bounds") and not model.pattern.is_constant,
         reference=reference,
         duration=scenario.simulation_duration,
-        gains=gains,
+        gains=getattr(blocks.get("wrench_controller"), "gains", None),
+        carriers=carriers_of(model, blocks, []),
+        feedback=feedback_of(model, blocks, []),
         feeds_back=not isinstance(feedback, DesiredStateFeedbackConfig),
         measures_attitude=not isinstance(feedback, DesiredAttitudeFeedbackConfig),
         is_above_load=isinstance(scenario.carrier_trajectory, MeasuredCarrierTrajectoryConfig),

@@ -156,6 +156,8 @@ def task_table(found: TaskCheck) -> str:
         rates = [f"{instant.free.rate:+.3g} 1/s without control"]
         if instant.controlled is not None:
             rates.insert(0, f"{instant.controlled.rate:+.3g} 1/s")
+        if instant.sampled_rate is not None:
+            rates.insert(1, f"{instant.sampled_rate:+.3g} 1/s in samples")
         rows.append((f"growth of a deviation, {name}", ", ".join(rates), _at(instant)))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
@@ -201,6 +203,7 @@ def task_dictionary(found: TaskCheck) -> dict[str, Any]:
                     "frequency_rad_s": float(instant.parameters[0]),
                     "amplitude_N": float(instant.parameters[1]),
                     "rate_1_s": instant.controlled and instant.controlled.rate,
+                    "rate_in_samples_1_s": instant.sampled_rate,
                     "rate_without_control_1_s": instant.free.rate,
                     "largest_multiplier": float(
                         abs((instant.controlled or instant.free).multipliers[0])

@@ -19,6 +19,7 @@ from drake_nonstop.simulation.formation import (
 from drake_nonstop.simulation.load_stability import LoadDeviations
 from drake_nonstop.simulation.task import task_of
 from drake_nonstop.validation import ScenarioError
+from tests.drawn_tasks import carriers_task
 
 GRAVITY = 9.81
 REST = np.eye(22)[0]
@@ -101,3 +102,11 @@ def test_a_load_too_light_for_its_cables_is_refused():
     task = task_of(load_scenario("quintic", ["system.load_mass=1e-6"]))
     with pytest.raises(ScenarioError, match=r"^fastest mode .* heavier load"):
         find_formation(task, count=1)
+
+
+def test_a_cable_that_is_nearly_slack_loses_the_load_between_samples():
+    """Seed 30 of the drawn tasks diverges in its first passage."""
+    task = task_of(carriers_task(30))
+    found = growth_complaint(task, 13.0)
+    assert "cable 1 has little tension" in found
+    assert growth_complaint(task_of(carriers_task(1010)), 13.0) == ""

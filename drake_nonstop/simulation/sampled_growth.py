@@ -1,0 +1,106 @@
+"""How fast deviations of the sampled loop of load, cables, carriers and controllers grow.
+
+`LoadDeviations` has a load whose controller is continuous and whose carriers are where they should
+be. Samples take damping away from the load's fast rotation, and where a cable has little tension T,
+a force moves its carrier by L/T times as much within a sample.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.grasp import cable_forces_and_rates
+from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.sampled_loop import growth, parts_of_turn
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadReference
+from drake_nonstop.mechanics.tethered_loop import Cables, Orbit, tethered_loop
+from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
+from drake_nonstop.simulation.task import Task
+
+_PHASES = 60  # about as many of a turn: with fewer the steps between them make loops grow
+
+
+def sampled_rate(
+    task: Task,
+    reference: NDArray,
+    parameters: NDArray,
+    gains: Mapping[str, Any] | None = None,
+) -> float | None:
+    """The rate (1/s) at which a deviation grows from turn to turn, the largest one.
+
+    By the Floquet multipliers of `mechanics.tethered_loop`, linearized at phases of the orbits.
+
+    Args:
+        task: what is flown.
+        reference: (22,) of the load, whose motion stays as it is.
+        parameters: [ξ (rad/s), A (N)] (2,).
+        gains: in place of the wrench controller's.
+
+    Returns:
+        None: the loop's carriers or its feedback are not known, or cables do not stretch.
+    """
+    carriers, feedback = task.carriers, task.feedback
+    if carriers is None or feedback is None or not math.isfinite(task.flown.cable_stiffness):
+        return None
+    if gains is not None:
+        feedback = replace(feedback, gains={**feedback.gains, **gains})
+    flown = task.flown
+    cables = Cables(
+        attachments=flown.attachments,
+        stiffness=flown.cable_stiffness,
+        damping=flown.cable_damping,
+        rest_length=flown.cable_length,
+        compliance=task.model.cable_compliance,
+    )
+    turn = 2 * math.pi / float(parameters[0])
+    samples, count = parts_of_turn(turn, feedback.period, _PHASES)
+    loops = [
+        tethered_loop(
+            flown.load,
+            cables,
+            carriers,
+            feedback.gains,
+            _orbit(task, reference, 2 * math.pi * i / count, parameters),
+            pseudo_inverse=task.model.pseudo_inverse,
+            period=feedback.period,
+            delay=feedback.delay,
+            is_measured=feedback.is_measured,
+            estimator=feedback.estimator,
+        )
+        for i in range(count)
+    ]
+    return math.log(growth(loops, samples)) / turn
+
+
+def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) -> Orbit:
+    """The forces and their rates, in the load's frame; velocities, which do not matter, are 1."""
+    model, state = task.model, reference[:LOAD_STATE_SIZE]
+    wrench, rate = wrench_and_rate(
+        model.load,
+        state,
+        reference,
+        np.zeros(WRENCH_SIZE),
+        task.wind,
+        feedforward=1.0,
+        **NO_FEEDBACK,
+    )
+    pattern = model.pattern
+    internal = np.concatenate(
+        internal_force(parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders)
+    )
+    forces, rates = cable_forces_and_rates(
+        state,
+        wrench,
+        rate,
+        internal,
+        pseudo_inverse=model.pseudo_inverse,
+        basis=pattern.basis,
+        offset=pattern.offset,
+    )
+    turned = rotation_matrix(LoadReference.view(reference).quaternion)
+    return Orbit(forces @ turned, rates @ turned, np.ones_like(forces))
