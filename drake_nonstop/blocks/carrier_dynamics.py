@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiagramBuilder, System
 from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
+from drake_nonstop.blocks.jsbsim_carriers import JsbsimCarriers
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
     FlightStates,
@@ -350,4 +351,10 @@ class FixedWingDynamics(DiagramBlock):
 
 
 # The blocks that the box can be, the default first.
-VARIANTS = (CarrierDynamics, LoadedCarrierDynamics, FixedWingDynamics, IdealCarriers)
+VARIANTS = (
+    CarrierDynamics,
+    LoadedCarrierDynamics,
+    FixedWingDynamics,
+    JsbsimCarriers,
+    IdealCarriers,
+)

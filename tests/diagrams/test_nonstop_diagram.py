@@ -533,7 +533,7 @@ def scenario_and_diagram(request):
         (name, block)
         for name, box in BOXES.items()
         for block in box.variants
-        if block.__name__ not in COMMANDS["aircraft_command"]  # which come in a pair
+        if block.__name__ not in (*COMMANDS["aircraft_command"], "JsbsimCarriers")  # come in pairs
         and block is not TurnRateOptimizer  # of aircraft
     ],
     ids=lambda value: value if isinstance(value, str) else value.__name__,

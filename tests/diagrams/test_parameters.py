@@ -402,6 +402,8 @@ VARIANTS = [(name, variant) for name, box in BOXES.items() for variant in box.va
 
 @pytest.mark.parametrize(("name", "variant"), VARIANTS)
 def test_every_block_declares_the_numbers_of_the_model_that_it_reads(name, variant):
+    if variant.__name__ == "JsbsimCarriers":
+        pytest.importorskip("jsbsim")
     scenario = load_scenario("aircraft_rest")
     model = WatchedModel(Model(scenario.system, SpreadCarouselConfig(), 0.01, field="simulated"))
     block = variant(model)

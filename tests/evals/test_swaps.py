@@ -22,13 +22,13 @@ PAIRS = [
 ]
 AIRCRAFT = ("FixedWingController", "FixedWingDynamics")  # which come in pairs, and need a scale
 TURN = ("TurnRateOptimizer", "PlannedTurn")  # of a formation without orbits
-ALONE = AIRCRAFT + TURN  # which do not fly alone
+ALONE = (*AIRCRAFT, *TURN, "JsbsimCarriers")  # which do not fly alone
 ALTERNATIVES = [
     *(
         (box, name)
         for box, names in NAMES.items()
         for name in names[1:]
-        if name not in AIRCRAFT + TURN
+        if name not in ALONE
     ),
     *(("pattern", name) for name in PATTERNS[1:]),
 ]
