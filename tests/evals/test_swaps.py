@@ -24,12 +24,7 @@ AIRCRAFT = ("FixedWingController", "FixedWingDynamics")  # which come in pairs, 
 TURN = ("TurnRateOptimizer", "PlannedTurn")  # of a formation without orbits
 ALONE = (*AIRCRAFT, *TURN, "JsbsimCarriers")  # which do not fly alone
 ALTERNATIVES = [
-    *(
-        (box, name)
-        for box, names in NAMES.items()
-        for name in names[1:]
-        if name not in ALONE
-    ),
+    *((box, name) for box, names in NAMES.items() for name in names[1:] if name not in ALONE),
     *(("pattern", name) for name in PATTERNS[1:]),
 ]
 
