@@ -133,7 +133,7 @@ class DesiredAttitudeFeedback(Selector, metaclass=BlockType):
 
 
 @dataclass(kw_only=True)
-class NoisyFeedbackConfig(StrictFields):
+class MeasurementConfig(StrictFields):
     """Standard deviations on each axis, and the delay."""
 
     position_noise: float = 0.0  # m
@@ -143,6 +143,11 @@ class NoisyFeedbackConfig(StrictFields):
     delay: float = 0.0  # s, a multiple of the period
     period: float = 0.01  # s, between samples of the noise and of the delayed state
     seed: int = 0  # of the noise
+
+
+@dataclass(kw_only=True)
+class NoisyFeedbackConfig(MeasurementConfig):
+    """Those of the measurement."""
 
 
 class NoisyFeedback(LeafBlock):
@@ -183,7 +188,7 @@ class NoisyFeedback(LeafBlock):
         ScenarioError: a field is out of range, or the delay no multiple of the period.
     """
 
-    def __init__(self, model: Model, config: NoisyFeedbackConfig | None = None):
+    def __init__(self, model: Model, config: MeasurementConfig | None = None):
         super().__init__()
         config = config or NoisyFeedbackConfig()
         deviations = {
@@ -269,7 +274,7 @@ _DUE = 0.999  # of a period, after which the next measurement is taken
 
 
 @dataclass(kw_only=True)
-class EstimatedFeedbackConfig(NoisyFeedbackConfig):
+class EstimatedFeedbackConfig(MeasurementConfig):
     """The measurement's, and what the filter believes of it and of the load's motion."""
 
     believed_position_noise: float = 0.01  # m

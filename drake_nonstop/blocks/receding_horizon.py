@@ -70,8 +70,8 @@ _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _MOST_ITERATIONS = 100  # of any other
 _MORE = 4  # times the iterations again, for a plan that needs slack
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
-# Of the start, from which plans begin that would otherwise be far from feasible: where a carrier
-# would all but stop, no small change helps.
+# Of the start, from which plans begin that would otherwise need slack: where a carrier would all
+# but stop, no small change helps.
 _OTHER_FREQUENCIES = (1.1, 0.9)
 _NO_PLAN = 0.0  # in place of a scale
 
@@ -466,7 +466,7 @@ class _Planner:
             guess = solver.first_guess(data, start[:, : solver.fixed])
             answer = min(answer, improved(guess, 1.0), key=solver.merit)
         for factor in _OTHER_FREQUENCIES:
-            if is_new and answer.slack > _FAR_FROM_FEASIBLE:
+            if not answer.is_feasible:
                 other = start.copy()
                 other[0, solver.fixed :] *= factor
                 answer = min(answer, improved(other, 1.0), key=solver.merit)

@@ -555,7 +555,7 @@ class HorizonProblem:
     def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
         """The constraints about coefficients (2, N)."""
         speeds = self.speeds(data, coefficients)
-        limits, bound, unit = self._limits, data.aims, math.sqrt(data.speed_unit)
+        limits, bound, unit = self._limits, data.speed_bound, math.sqrt(data.speed_unit)
         margins = limits.of_speeds(speeds.squares, bound, unit)
         gradients = [speeds.gradients / unit**2]
         if limits.limit_high_speeds:
@@ -584,6 +584,8 @@ class HorizonProblem:
             of_orbits[[0, 3, 4, 5]] = 0  # the orbits are of constant ξ and A, at given phases
             of_terminal = np.hstack([_with_zero_rates(of_terminal), of_orbits])
         of_instants, weights = _with_dips(np.concatenate(margins, axis=1))
+        # What carriers have to keep beyond the bound steps with time: no minimum follows from it.
+        of_instants[:, : self.model.n] -= (data.aims**2 - bound**2) / unit**2
         none = np.zeros((len(_NEIGHBOURS), len(terminal)))
         by_instants = np.concatenate(gradients, axis=2)
         return Linearization(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_nonstop.blocks.load_feedback import NoisyFeedbackConfig
+from drake_nonstop.blocks.load_feedback import MeasurementConfig, NoisyFeedbackConfig
 from drake_nonstop.model.aircraft import values_of
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
@@ -221,7 +221,7 @@ def _axes(scenario: Scenario) -> list[_Axis]:
         if nominal > 0
     ]
     feedback, delay_override = scenario.load_feedback, "load_feedback.delay={}"
-    if not isinstance(feedback, NoisyFeedbackConfig):
+    if not isinstance(feedback, MeasurementConfig):
         feedback = NoisyFeedbackConfig(period=sample)
         delay_override = f"load_feedback=!NoisyFeedback {{{{delay: {{}}, period: {sample}}}}}"
     return [

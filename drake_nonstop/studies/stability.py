@@ -12,7 +12,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, InitializeParams, Sim
 from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.blocks.load_disturbance import NoDisturbanceConfig
-from drake_nonstop.blocks.load_feedback import NoisyFeedbackConfig
+from drake_nonstop.blocks.load_feedback import MeasurementConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
@@ -86,7 +86,7 @@ def at_rest(scenario: Scenario) -> Scenario:
         "this study is about a load at rest; give RestToRest, and a pattern with orbits",
     )
     feedback = scenario.load_feedback
-    if isinstance(feedback, NoisyFeedbackConfig):
+    if isinstance(feedback, MeasurementConfig):
         # What a filter behind it believes stays.
         feedback = dataclasses.replace(feedback, **dict.fromkeys(_NOISES, 0.0), seed=0)
     return dataclasses.replace(

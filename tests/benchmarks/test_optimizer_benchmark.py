@@ -151,7 +151,7 @@ def test_layers_are_compared_with_the_offline_optimum():
         assert row["least_of_bound"] == pytest.approx(1.02, abs=0.01)
     # The planned flight of an ideal loop is that of the simulated one.
     assert horizon["speed_squared_m2_s"] == pytest.approx(offline["speed_squared_m2_s"], rel=0.02)
-    assert offline["cost"] <= horizon["cost"] <= 1.1 * offline["cost"]
+    assert 0.999 * offline["cost"] <= horizon["cost"] <= 1.1 * offline["cost"]
     assert offline["deviation"] < one_sample["deviation"]
     assert one_sample["cost"] is None
     table = tasks_table(results)

@@ -164,8 +164,11 @@ def test_one_box_is_shown_alone(capsys):
         "  RecedingHorizonOptimizer (default)\n"
         "    Plans ξ and A over a horizon such that every carrier stays at or above ε.\n"
         "    in   reference (22), reference_preview (abstract, optional), "
-        "speed_bound_command (1, optional)\n"
-        "    out  parameters (2), plan (8), diagnostics (7), solve_time (1), speed_bound (1)\n"
+        "wind_estimate (3, optional),\n"
+        "         speed_bound_command (1, optional)\n"
+        "    out  parameters (2), plan (8), diagnostics (7), solve_time (1), speed_bound (1), "
+        "missed_limits\n"
+        "         (5)\n"
         '    speed_bound          float | str  0.2          m/s, ε; of aircraft also "1.4 V_s"\n'
     ) in shown
     assert "  NonstopOptimizer\n    Changes ξ and A as little" in shown
