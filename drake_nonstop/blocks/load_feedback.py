@@ -1,6 +1,6 @@
 """Box "load_feedback": the measurement of the load's state, a wire in the paper's figure."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,7 +188,7 @@ class NoisyFeedback(LeafBlock):
         ScenarioError: a field is out of range, or the delay no multiple of the period.
     """
 
-    def __init__(self, model: Model, config: MeasurementConfig | None = None):
+    def __init__(self, model: Model, config: NoisyFeedbackConfig | None = None):
         super().__init__()
         config = config or NoisyFeedbackConfig()
         deviations = {
@@ -344,7 +344,8 @@ class EstimatedFeedback(NoisyFeedback):
 
     def __init__(self, model: Model, config: EstimatedFeedbackConfig | None = None):
         config = config or EstimatedFeedbackConfig()
-        super().__init__(model, config)
+        measurement = {f.name: getattr(config, f.name) for f in fields(MeasurementConfig)}
+        super().__init__(model, NoisyFeedbackConfig(**measurement))
         require_non_negative(
             _BOX,
             believed_position_noise=config.believed_position_noise,
