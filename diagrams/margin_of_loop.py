@@ -89,7 +89,6 @@ def margin_of_loop(
         left_out.append("the simulated cables do not stretch")
         return LoopMargin(None, tuple(left_out))
     disturbance = _disturbance(model, plant, blocks, motion, left_out)
-
     try:
         margin = speed_margin(
             model,

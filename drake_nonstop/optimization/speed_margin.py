@@ -5,8 +5,9 @@ are in diagrams/speed_error_budget.md.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk, 
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.sampled_loop import (
+    SampledLoop,
     bounded_response,
     growth,
     known_response,
@@ -308,19 +310,72 @@ class _Task:
         return Orbit(forces, rates, swing)
 
 
+class TurnOfLoops(NamedTuple):
+    """The linear sampled loop at phases that fill a turn of the carriers."""
+
+    orbits: list[Orbit]
+    loops: list[SampledLoop]
+    samples: int  # that each of them lasts
+    turn: float  # s
+
+    @property
+    def rate(self) -> float:
+        """1/s, at which a deviation grows from turn to turn, the largest one."""
+        return math.log(growth(self.loops, self.samples)) / self.turn
+
+
+def turn_of_loops(
+    model: Model,
+    plant: Model,
+    carriers: Carriers,
+    feedback: Feedback,
+    frequency: float,
+    orbit: Callable[[float], Orbit],
+) -> TurnOfLoops:
+    """The loop of load, cables, carriers and controllers along the orbits.
+
+    Args:
+        model: what the controllers believe.
+        plant: what is simulated.
+        carriers: their controllers and references.
+        feedback: the wrench controller's.
+        frequency: ξ, rad/s.
+        orbit: that at a phase in rad.
+    """
+    cables = Cables(
+        attachments=plant.attachments,
+        stiffness=plant.cable_stiffness,
+        damping=plant.cable_damping,
+        rest_length=plant.cable_length,
+        compliance=model.cable_compliance,
+    )
+    turn = 2 * math.pi / frequency
+    samples, count = parts_of_turn(turn, feedback.period, _LOOPS)
+    orbits = [orbit(2 * math.pi * i / count) for i in range(count)]
+    loops = [
+        tethered_loop(
+            plant.load,
+            cables,
+            carriers,
+            feedback.gains,
+            along,
+            pseudo_inverse=model.pseudo_inverse,
+            period=feedback.period,
+            delay=feedback.delay,
+            is_measured=feedback.is_measured,
+            estimator=feedback.estimator,
+        )
+        for along in orbits
+    ]
+    return TurnOfLoops(orbits, loops, samples, turn)
+
+
 class _Loops:
     """The linear loop along the orbits."""
 
     def __init__(self, model: Model, plant: Model, carriers: Carriers, feedback: Feedback):
-        self.model, self.carriers, self.feedback = model, carriers, feedback
-        self.load = plant.load
-        self.cables = Cables(
-            attachments=plant.attachments,
-            stiffness=plant.cable_stiffness,
-            damping=plant.cable_damping,
-            rest_length=plant.cable_length,
-            compliance=model.cable_compliance,
-        )
+        self.model, self.plant = model, plant
+        self.carriers, self.feedback = carriers, feedback
         self.places = Inputs.of(model.n)
 
     @property
@@ -334,34 +389,23 @@ class _Loops:
         Raises:
             NoMarginError: a deviation grows from turn to turn.
         """
-        feedback = self.feedback
-        turn = 2 * math.pi / parameters[0]
-        samples, count = parts_of_turn(turn, feedback.period, _LOOPS)
-        orbits = [task.orbit(parameters, 2 * math.pi * i / count) for i in range(count)]
-        loops = [
-            tethered_loop(
-                self.load,
-                self.cables,
-                self.carriers,
-                feedback.gains,
-                orbit,
-                pseudo_inverse=self.model.pseudo_inverse,
-                period=feedback.period,
-                delay=feedback.delay,
-                is_measured=feedback.is_measured,
-                estimator=feedback.estimator,
-            )
-            for orbit in orbits
-        ]
-        grown = growth(loops, samples)
-        rate = math.log(grown) / turn
+        found = turn_of_loops(
+            self.model,
+            self.plant,
+            self.carriers,
+            self.feedback,
+            float(parameters[0]),
+            partial(task.orbit, parameters),
+        )
+        rate = found.rate
         if rate > _LARGEST_GROWTH:
             raise NoMarginError(
                 f"the linear loop {self._with_delay}grows by {rate:.3g} per s along the orbits"
             )
-        lags = math.ceil(_MEMORY / feedback.period)
+        lags = math.ceil(_MEMORY / self.feedback.period)
+        count = len(found.loops)
         for i in range(0, count, max(1, count // _SEEN)):
-            yield orbits[i], responses(loops, samples, i, lags)
+            yield found.orbits[i], responses(found.loops, found.samples, i, lags)
 
 
 def _shares(

@@ -228,9 +228,9 @@ def growth_complaint(task: Task, duration: float) -> str:
         return rate(of_amplitude) * duration < _MOST_GROWN
 
     found = rate(1.0)
-    remedy = "let drake-nonstop check try what helps"
     if found * duration < _MOST_GROWN:
         return ""
+    remedy = "let drake-nonstop check try what helps"
     if (amplitude := _largest_amplitude(task, is_stable)) is not None:
         remedy = f"give optimization_layer.amplitude of at most {amplitude:.3g} N, or {remedy}"
     return (

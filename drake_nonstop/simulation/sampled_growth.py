@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.sampled_loop import growth, parts_of_turn
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadReference
-from drake_nonstop.mechanics.tethered_loop import Cables, Orbit, tethered_loop
+from drake_nonstop.mechanics.tethered_loop import Orbit
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
+from drake_nonstop.optimization.speed_margin import turn_of_loops
 from drake_nonstop.simulation.task import Task
-
-_PHASES = 60  # about as many of a turn: with fewer the steps between them make loops grow
 
 
 def sampled_rate(
@@ -49,32 +47,14 @@ def sampled_rate(
         return math.nan
     if gains is not None:
         feedback = replace(feedback, gains={**feedback.gains, **gains})
-    flown = task.flown
-    cables = Cables(
-        attachments=flown.attachments,
-        stiffness=flown.cable_stiffness,
-        damping=flown.cable_damping,
-        rest_length=flown.cable_length,
-        compliance=task.model.cable_compliance,
-    )
-    turn = 2 * math.pi / float(parameters[0])
-    samples, count = parts_of_turn(turn, feedback.period, _PHASES)
-    loops = [
-        tethered_loop(
-            flown.load,
-            cables,
-            carriers,
-            feedback.gains,
-            _orbit(task, reference, 2 * math.pi * i / count, parameters),
-            pseudo_inverse=task.model.pseudo_inverse,
-            period=feedback.period,
-            delay=feedback.delay,
-            is_measured=feedback.is_measured,
-            estimator=feedback.estimator,
-        )
-        for i in range(count)
-    ]
-    return math.log(growth(loops, samples)) / turn
+    return turn_of_loops(
+        task.model,
+        task.flown,
+        carriers,
+        feedback,
+        float(parameters[0]),
+        lambda angle: _orbit(task, reference, angle, parameters),
+    ).rate
 
 
 def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) -> Orbit:
