@@ -88,6 +88,7 @@ class Orbit(NamedTuple):
 
     forces: NDArray  # (n, 3), N
     rates: NDArray  # (n, 3), N/s
+    second_rates: NDArray  # (n, 3), N/s²
     velocities: NDArray  # (n, 3), m/s
 
 
@@ -132,6 +133,7 @@ def tethered_loop(
         δF' = −K_p e_v − K_v (δF − B_L e_v)/m − K_i e_p,   δτ' likewise,
         δf = e_R × f + G† [δτ; δF − e_R × F],   δf' = e_ω × f + e_R × f' + G† [δτ'; δF' − e_ω × F],
         δp_d = M δf,   δv_d = M δf' + M' δf,   M = (L₀/T)(I − q qᵀ) + I/K_c,
+        δa_d = L₀ (∂q̈/∂f δf + ∂q̈/∂ḟ δf'),   q = f/T,
 
     and the carriers' loops m_c p̈ = K_p (p_d − p) + K_d (v_d − v) + m_c a_d. Between samples
     references go on by their hold, which leaves them behind the planned motion by a τ²/2 + j τ³/6
@@ -140,8 +142,7 @@ def tethered_loop(
 
         δf_i = (K_c q qᵀ + (T/ℓ)(I − q qᵀ)) (δp_i − e_p − e_R × b_i) + B_c q qᵀ (their rates).
 
-    Left out are products of deviations, the reference's own turning, and the influence of errors
-    on the references' accelerations, which is ξ² beside K_p/m_c. Own derivation.
+    Left out are products of deviations and the reference's own turning. Own derivation.
 
     Args:
         load: the load.
@@ -158,7 +159,6 @@ def tethered_loop(
     n = len(orbit.forces)
     size = 3 * n
     tension = np.linalg.norm(orbit.forces, axis=1)
-    # The state: errors of the load, carriers, their integrals, those of the controller, samples of
     # The state: errors of the load, carriers, their integrals, those of the controller, samples of
     # the delay, the estimate; then what is held in a sample: reference, its acceleration that is
     # missing, the feedforward that is, the planned jerk, desired forces, and wrench on the load.
@@ -231,9 +231,14 @@ def tethered_loop(
     S = np.eye(ends[-1])
     for name in (*list(sizes)[7:],):
         S[at[name], at[name]] = 0
-    held = {"desired_position": slice(0, size), "desired_velocity": slice(size, 2 * size)}
+    parts = [slice(i * size, (i + 1) * size) for i in range(4)]
+    held = {"desired_position": parts[0], "desired_velocity": parts[1]}
     if carriers.mass:
-        held["desired_force"] = slice(2 * size, 3 * size)
+        held["desired_force"] = parts[2]
+    if carriers.hold == 2:
+        held["missing_acceleration"] = parts[3]
+    if carriers.has_feedforward:
+        held["missing_feedforward"] = parts[3]
     places = Inputs.of(n)
     B = np.zeros((ends[-1], places.disturbance.stop))
     # What the controller gets of the state and of the measurement's errors.
@@ -278,10 +283,10 @@ def tethered_loop(
 
 
 class _Commands(NamedTuple):
-    """How references [δp_d, δv_d, δf] (9n) depend on measured errors and on integrals."""
+    """How references [δp_d, δv_d, δf, −δa_d] (12n) depend on measured errors and on integrals."""
 
-    of_errors: NDArray  # (9n, 12)
-    of_integrals: NDArray  # (9n, 6), of [∫e_R, ∫e_p]
+    of_errors: NDArray  # (12n, 12)
+    of_integrals: NDArray  # (12n, 6), of [∫e_R, ∫e_p]
 
 
 def _commands(
@@ -326,8 +331,9 @@ def _commands(
     rate[force, omega] += skew(total)
     forces = (pseudo_inverse @ wrench).reshape(n, 3, 18)
     rates = (pseudo_inverse @ rate).reshape(n, 3, 18)
-    positions, velocities = np.zeros((n, 3, 18)), np.zeros((n, 3, 18))
-    for i, (f, f_rate) in enumerate(zip(orbit.forces, orbit.rates, strict=True)):
+    positions, velocities, accelerations = (np.zeros((n, 3, 18)) for _ in range(3))
+    of_orbit = zip(orbit.forces, orbit.rates, orbit.second_rates, strict=True)
+    for i, (f, f_rate, f_second_rate) in enumerate(of_orbit):
         forces[i][:, R] -= skew(f)  # e_R × f
         rates[i][:, omega] -= skew(f)
         rates[i][:, R] -= skew(f_rate)
@@ -341,5 +347,25 @@ def _commands(
         mobility_rate = -swing * (T_rate / T * across + turning)
         positions[i] = mobility @ forces[i]
         velocities[i] = mobility @ rates[i] + mobility_rate @ forces[i]
-    both = np.concatenate([part.reshape(3 * n, 18) for part in (positions, velocities, forces)])
-    return _Commands(both[:, :12], both[:, 12:])
+        of_f, of_f_rate = _bending(f, f_rate, f_second_rate)
+        accelerations[i] = -cables.rest_length * (of_f @ forces[i] + of_f_rate @ rates[i])
+    made = (positions, velocities, forces, accelerations)
+    all_of_them = np.concatenate([part.reshape(3 * n, 18) for part in made])
+    return _Commands(all_of_them[:, :12], all_of_them[:, 12:])
+
+
+def _bending(f: NDArray, rate: NDArray, second_rate: NDArray) -> tuple[NDArray, NDArray]:
+    """∂q̈/∂f and ∂q̈/∂ḟ (3, 3) of q = s f with s = 1/‖f‖, from q̈ = s̈ f + 2 ṡ ḟ + s f̈."""
+    s, eye = 1 / np.linalg.norm(f), np.eye(3)
+    along, both = f @ rate, rate @ rate + f @ second_rate
+    s_rate = -(s**3) * along
+    s_second_rate = 3 * s**5 * along**2 - s**3 * both
+    s_of_f = -(s**3) * f
+    s_rate_of_f = 3 * s**5 * along * f - s**3 * rate
+    s_second_rate_of_f = (3 * s**5 * both - 15 * s**7 * along**2) * f
+    s_second_rate_of_f += 6 * s**5 * along * rate - s**3 * second_rate
+    s_second_rate_of_rate = 6 * s**5 * along * f - 2 * s**3 * rate
+    of_f = np.outer(f, s_second_rate_of_f) + s_second_rate * eye
+    of_f += 2 * np.outer(rate, s_rate_of_f) + np.outer(second_rate, s_of_f)
+    of_rate = np.outer(f, s_second_rate_of_rate) + 2 * np.outer(rate, s_of_f) + 2 * s_rate * eye
+    return of_f, of_rate

@@ -307,7 +307,7 @@ class _Task:
         rest[0] = 1.0
         none = np.zeros((self.model.n, 3))
         _, swing = carrier_motion(rest, forces, rates, attachments=none, **self.cables)
-        return Orbit(forces, rates, swing)
+        return Orbit(forces, rates, -(A * xi**2) * u, swing)
 
 
 class TurnOfLoops(NamedTuple):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
-from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.mechanics.internal_force import internal_force, internal_force_acceleration
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadReference
 from drake_nonstop.mechanics.tethered_loop import Orbit
@@ -73,6 +73,7 @@ def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) ->
     internal = np.concatenate(
         internal_force(parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders)
     )
+    second = internal_force_acceleration(parameters, internal, orders=pattern.orders)
     forces, rates = cable_forces_and_rates(
         state,
         wrench,
@@ -83,4 +84,5 @@ def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) ->
         offset=pattern.offset,
     )
     turned = rotation_matrix(LoadReference.view(reference).quaternion)
-    return Orbit(forces @ turned, rates @ turned, np.ones_like(forces))
+    second_rates = (pattern.basis @ second).reshape(-1, 3)
+    return Orbit(forces @ turned, rates @ turned, second_rates, np.ones_like(forces))

@@ -6,11 +6,13 @@ import warnings
 
 import numpy as np
 import pytest
+from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.diagrams.margin_of_loop import margin_of_loop
 from drake_nonstop.diagrams.nonstop import make_blocks, make_nonstop
+from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.mechanics.sampled_loop import noise_deviation, responses
-from drake_nonstop.mechanics.signals import CarrierStates
+from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.mechanics.tethered_loop import (
     Cables,
     Carriers,
@@ -67,20 +69,21 @@ def as_it_is():
     return margin_with().margin
 
 
-def orbits(model, count):
-    """Phases of the orbits of ξ = 2 rad/s and A = 1.2 N above a load at rest."""
+def orbits(model, count, amplitude=1.2, frequency=2.0):
+    """Phases of the orbits of ξ (rad/s) and A (N) above a load at rest."""
     weight = np.array([0, 0, 0, 0, 0, model.load_mass * model.gravity])
     for angle in 2 * np.pi * np.arange(count) / count:
         waves = angle + model.pattern.phases
-        forces = model.pseudo_inverse @ weight + model.pattern.basis @ (1.2 * np.cos(waves))
-        rates = model.pattern.basis @ (-2.4 * np.sin(waves))
+        forces = model.pseudo_inverse @ weight + model.pattern.basis @ (amplitude * np.cos(waves))
+        rates = model.pattern.basis @ (-amplitude * frequency * np.sin(waves))
         f, r = forces.reshape(-1, 3), rates.reshape(-1, 3)
         tension = np.linalg.norm(f, axis=1, keepdims=True)
         across = r - f * (f * r).sum(axis=1, keepdims=True) / tension**2
-        yield Orbit(f, r, model.cable_length / tension * across)
+        second_rates = model.pattern.basis @ (-amplitude * frequency**2 * np.cos(waves))
+        yield Orbit(f, r, second_rates.reshape(-1, 3), model.cable_length / tension * across)
 
 
-def loops_of(model, gains, count, is_measured, estimator=None):
+def loops_of(model, gains, count, is_measured, estimator=None, **parameters):
     cables = Cables(
         attachments=model.attachments,
         stiffness=model.cable_stiffness,
@@ -101,7 +104,7 @@ def loops_of(model, gains, count, is_measured, estimator=None):
             is_measured=is_measured,
             estimator=estimator,
         )
-        for orbit in orbits(model, count)
+        for orbit in orbits(model, count, **parameters)
     ]
 
 
@@ -119,6 +122,36 @@ def test_without_feedback_the_modes_are_those_of_the_linearized_diagram():
     multipliers = np.linalg.eigvals(own.transition)
     for value in np.exp(0.01 * expected):
         assert np.min(np.abs(multipliers - value)) < 1e-5
+
+
+def test_a_deviation_goes_on_as_in_a_run():
+    strong = ["wrench_controller.orientation_gain=5", "wrench_controller.angular_velocity_gain=0.1"]
+    orbit = ["optimization_layer.amplitude=3", "optimization_layer.frequency=2"]
+    scenario = load_scenario("three_carriers", [*RESTING, *orbit, *strong])
+    loop = make_nonstop(scenario)
+    states, spin = [], 1e-5 * np.array([1.0, -0.5, 2.0])
+    for by in (0.0, 1.0):
+        context = loop.CreateDefaultContext()
+        load = loop.GetOutputPort("load_state").Eval(context).copy()
+        LoadState.view(load).angular_velocity[:] += by * spin
+        plant_states(loop).set_states(context, load_state=load)
+        simulator = Simulator(loop, context)
+        simulator.get_mutable_integrator().set_maximum_step_size(2e-4)
+        states.append([])
+        for sample in range(1, 31):
+            simulator.AdvanceTo(0.01 * sample)
+            states[-1].append(loop.GetOutputPort("load_state").Eval(context).copy())
+    flown, deviating = (LoadState.view(np.array(part)) for part in states)
+    model = Model(scenario.system, scenario.pattern, scenario.control_period)
+    gains = make_blocks(scenario)["wrench_controller"].gains
+    loops = loops_of(model, gains, 314, np.ones(12), amplitude=3.0, frequency=2.0)
+    found = [np.zeros(len(loops[0].transition))]
+    found[0][6:9] = spin
+    for own in loops[:30]:
+        found.append(own.transition @ found[-1])
+    expected = deviating.angular_velocity - flown.angular_velocity
+    difference = np.array(found)[1:, 6:9] - expected
+    assert np.max(np.abs(difference)) < 0.025 * np.max(np.abs(expected))
 
 
 # A fast filter, whose noise a short run shows.

@@ -18,10 +18,13 @@ def test_poles_are_where_they_were_asked_for(frequency, damping, integral_rate):
         assert np.min(np.abs(found - pole)) < 1e-7 * frequency
 
 
-OF_PAPERS_LOAD = GAINS | {"velocity_gain": 4.4}
+OF_PAPERS_LOAD = {
+    name: gain / 4 if name.startswith(("orientation", "angular")) else gain
+    for name, gain in (GAINS | {"velocity_gain": 4.4}).items()
+}
 
 
-def test_the_papers_load_has_the_papers_gains_with_more_damping():
+def test_the_papers_load_has_the_papers_gains_with_more_damping_and_a_quarter_of_its_torques():
     assert load_gains(1.0, 0.01, 0.8, 9.81) == OF_PAPERS_LOAD
 
 
@@ -41,7 +44,7 @@ def test_a_free_load_has_the_poles_of_the_papers_load_as_fast_as_its_cables_allo
     speed = np.sqrt(11 * paper / (10 * paper + 1))
     for (proportional, rate, integral), inertia, frequency, damping in (
         (list(GAINS)[:3], mass, np.sqrt(5), 2.2 / np.sqrt(5)),
-        (list(GAINS)[3:], moment, np.sqrt(50), 3 / np.sqrt(50)),
+        (list(GAINS)[3:], moment, np.sqrt(12.5), 0.75 / np.sqrt(12.5)),
     ):
         papers = 1.0 if inertia is mass else 0.01
         found = np.roots([inertia, gains[rate], gains[proportional]])
