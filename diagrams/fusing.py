@@ -53,12 +53,8 @@ def fuse(
         warnings.warn(message, ScenarioWarning, stacklevel=4)
         return dict(blocks)
     others = {box: block for box, block in blocks.items() if box not in fused}
-    holds_acceleration = any(
-        getattr(block, "holds_acceleration", False) for block in others.values()
-    )
-    plant = FusedPlant(
-        ordered, period=control_period, steps=steps, holds_acceleration=holds_acceleration
-    )
+    hold_order = max((getattr(block, "hold_order", 1) for block in others.values()), default=1)
+    plant = FusedPlant(ordered, period=control_period, steps=steps, hold_order=hold_order)
     plant.kept_parameters = {
         box: [parameters for _, parameters, _ in declared(blocks[box])] for box in fused
     }

@@ -156,7 +156,6 @@ def carriers_of(model: Model, blocks: Mapping[str, System], left_out: list[str])
         return None
     if not isinstance(blocks.get("force_distribution"), CableForceDistribution):
         left_out.append(f"{_name(blocks, 'force_distribution')}: what it changes of the forces")
-    holds = 2 if trajectory.holds_acceleration else 1
     mass = model.carrier_mass
     return Carriers(
         position_gain=gains["position_gain"] / mass,
@@ -164,7 +163,7 @@ def carriers_of(model: Model, blocks: Mapping[str, System], left_out: list[str])
         integral_gain=gains["integral_gain"] / mass,
         mass=mass if is_loaded else 0.0,
         has_feedforward=getattr(controller, "has_feedforward", False),
-        hold=holds if model.control_period > 0 else 0,
+        hold=trajectory.hold_order,
     )
 
 

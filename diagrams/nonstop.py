@@ -585,7 +585,7 @@ def _check_accelerations(blocks: Mapping[str, System]) -> None:
     """Raises ScenarioError where what is read of the references' accelerations is not made."""
     trajectory = blocks.get("carrier_trajectory")
     made = _signals_made(blocks)
-    needs = getattr(trajectory, "holds_acceleration", False)
+    needs = getattr(trajectory, "hold_order", 0) >= 2
     for name, block in blocks.items():
         read = {*wiring.input_names(block)} - wiring.optional_inputs(block)
         for signal in BOXES["carrier_trajectory"].optional:

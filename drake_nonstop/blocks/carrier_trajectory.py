@@ -25,11 +25,11 @@ from drake_nonstop.model.block_parameters import LOAD, BlockParameters, rigid_lo
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.traced_block import LateOutputs, TracedBlock
-from drake_nonstop.systems.wiring import input_names
+from drake_nonstop.systems.wiring import input_names, output_names
 from drake_nonstop.validation import StrictFields, require
 
 _BOX = "carrier_trajectory"
-_HOLDS = ("second_order", "velocity")
+_HOLDS = {"third_order": 3, "second_order": 2, "velocity": 1}  # and their orders
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 _FOR_DERIVATIVES = ("internal_force_higher_rates", "wind_estimate")
 _HIGHER_RATES = "reference_higher_rates"
@@ -115,7 +115,8 @@ class _TrajectoryAboveReference(DiagramBlock):
         stretches: as there.
 
     Attributes:
-        holds_acceleration: whether the references move with constant accelerations between samples.
+        hold_order: of the references' motion between samples: 1 along their velocities, 2 with
+            their accelerations, 3 with their jerks, too; 0: there are no samples.
     """
 
     is_sampled = True
@@ -124,8 +125,8 @@ class _TrajectoryAboveReference(DiagramBlock):
         super().__init__()
         require(config.hold in _HOLDS, f"{_BOX}.hold", config.hold, f"give {' or '.join(_HOLDS)}")
         is_sampled = model.control_period > 0
-        self.holds_acceleration = is_sampled and config.hold == "second_order"
-        unneeded = () if self.holds_acceleration else _FOR_DERIVATIVES
+        self.hold_order = _HOLDS[config.hold] if is_sampled else 0
+        unneeded = _FOR_DERIVATIVES if self.hold_order < 2 else ()
         self.optional_inputs = (_HIGHER_RATES, *unneeded)
         builder = DiagramBuilder()
         motion = _TrajectoryAboveLoad(
@@ -133,35 +134,43 @@ class _TrajectoryAboveReference(DiagramBlock):
             pose=("reference", LOAD_REFERENCE_SIZE),
             stretches=stretches,
             derivatives=_derivatives(model),
-            moves=is_sampled and not self.holds_acceleration,
+            moves=self.hold_order == 1,
         )
         builder.AddNamedSystem("motion", motion)
         for name in sorted(input_names(motion), key="sample_time".__eq__):  # it comes last
             builder.ExportInput(motion.GetInputPort(name), name)
-        made = motion.GetOutputPort("carrier_reference")
-        if self.holds_acceleration:
-            hold = builder.AddNamedSystem("hold", _second_order_hold(model.n))
-            builder.Connect(made, hold.GetInputPort("motion"))
-            acceleration = motion.GetOutputPort("carrier_reference_acceleration")
-            builder.Connect(acceleration, hold.GetInputPort("acceleration"))
-            builder.ExportInput(hold.GetInputPort("sample_time"), "sample_time")
-            made = hold.get_output_port()
-        builder.ExportOutput(made, "carrier_reference")
-        for name in _DERIVATIVES:
-            builder.ExportOutput(motion.GetOutputPort(name), name)
+        made = {name: motion.GetOutputPort(name) for name in ("carrier_reference", *_DERIVATIVES)}
+        if self.hold_order >= 2:
+            hold = builder.AddNamedSystem("hold", _hold(model.n, self.hold_order))
+            *names, last = input_names(hold)
+            for name in names:
+                builder.Connect(made[name], hold.GetInputPort(name))
+            builder.ExportInput(hold.GetInputPort(last), last)
+            made |= {name: hold.GetOutputPort(name) for name in output_names(hold)}
+        for name, port in made.items():
+            builder.ExportOutput(port, name)
         builder.BuildInto(self)
 
 
-def _second_order_hold(n: int) -> TracedBlock:
-    """The motion (6n) of n carriers at a time, of that at `sample_time` and its acceleration."""
+def _hold(n: int, order: int) -> TracedBlock:
+    """The motion of n carriers at a time, of that at `sample_time` and its derivatives.
+
+    One of third order has the acceleration at that time, too.
+    """
+    sizes = {"carrier_reference": 6 * n} | dict.fromkeys(_DERIVATIVES[: order - 1], 3 * n)
+
+    def moved(motion: NDArray, acceleration: NDArray, *jerk_and_times: NDArray) -> Any:
+        *jerk, sample_time, time = jerk_and_times
+        since = time - sample_time
+        after = motion_after(motion, since, acceleration, *jerk)
+        return (after, acceleration + since * jerk[0]) if jerk else after
+
     return TracedBlock(
-        lambda motion, acceleration, sample_time, time: motion_after(
-            motion, time - sample_time, acceleration
-        ),
-        inputs={"motion": 6 * n, "acceleration": 3 * n, "sample_time": 1},
-        outputs={"carrier_reference": 6 * n},
+        moved,
+        inputs=sizes | {"sample_time": 1},
+        outputs=dict(list(sizes.items())[: order - 1]),
         reads_time=True,
-        key=("second-order hold", n),
+        key=("hold", n, order),
     )
 
 
@@ -230,7 +239,7 @@ def _compliance(stiffness: NDArray | None) -> NDArray:
 
 @dataclass(kw_only=True)
 class _Hold(StrictFields):
-    hold: str = "second_order"  # of the references between samples; or "velocity"
+    hold: str = "third_order"  # of the references between samples; or "second_order", "velocity"
 
 
 @dataclass(kw_only=True)
@@ -264,15 +273,16 @@ class CarrierTrajectory(_TrajectoryAboveReference):
     which only accelerations and jerks need; so do `reference_higher_rates` (6) = [angular jerk
     (rad/s³), snap (m/s⁴)] in W, which may be left unconnected and then are taken as zero;
     `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W. A
-    time τ after a sample it is p + τ v + τ² a/2 and v + τ a, or, with `hold` "velocity", p + τ v
-    and v.
+    time τ after a sample it is p + τ v + τ² a/2 + τ³ j/6 and v + τ a + τ² j/2; with `hold`
+    "second_order" there is no j, with "velocity" no a.
 
     `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
     those while the load is on its reference, whose rates beyond these are taken as zero, see
-    `mechanics.force_rates`; between samples they stand still.
+    `mechanics.force_rates`; between samples they stand still, but for an acceleration of third
+    order, a + τ j.
 
     Parameters, the fields of `CarrierTrajectoryConfig`:
-        hold: of the references between samples; or "velocity"
+        hold: of the references between samples; or "second_order", "velocity"
 
     Raises:
         ScenarioError: `hold` is another text.
@@ -314,15 +324,16 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
     which only accelerations and jerks need; so do `reference_higher_rates` (6) = [angular jerk
     (rad/s³), snap (m/s⁴)] in W, which may be left unconnected and then are taken as zero;
     `sample_time` (1) in s; `carrier_reference` (6n) = [positions (m), velocities (m/s)] in W. A
-    time τ after a sample it is p + τ v + τ² a/2 and v + τ a, or, with `hold` "velocity", p + τ v
-    and v.
+    time τ after a sample it is p + τ v + τ² a/2 + τ³ j/6 and v + τ a + τ² j/2; with `hold`
+    "second_order" there is no j, with "velocity" no a.
 
     `carrier_reference_acceleration` (3n, m/s²) and `carrier_reference_jerk` (3n, m/s³) in W are
     those while the load is on its reference, whose rates beyond these are taken as zero, see
-    `mechanics.force_rates`; between samples they stand still.
+    `mechanics.force_rates`; between samples they stand still, but for an acceleration of third
+    order, a + τ j.
 
     Parameters, the fields of `InextensibleCarrierTrajectoryConfig`:
-        hold: of the references between samples; or "velocity"
+        hold: of the references between samples; or "second_order", "velocity"
 
     Raises:
         ScenarioError: `hold` is another text.

@@ -18,6 +18,7 @@ from drake_nonstop.validation import ScenarioError
 
 _HELD = "disturbance_wrench"
 _MOVING, _ACCELERATION = "carrier_reference", "carrier_reference_acceleration"
+_JERK = "carrier_reference_jerk"
 _TIME = -1  # the place of the time in a `_Memory`
 
 
@@ -40,8 +41,8 @@ class FusedPlant(DiagramBlock):
 
     Names and sizes are those of the parts' ports. Over a period the `disturbance_wrench` is
     held at its value at the beginning, the `carrier_reference` moves along its velocities, or with
-    its accelerations, as that of `CarrierTrajectory`, and other inputs are assumed to be constant.
-    If they are, the results at the samples are those of the parts to round-off, if the
+    its accelerations and jerks, as that of `CarrierTrajectory`, and other inputs are assumed to be
+    constant. If they are, the results at the samples are those of the parts to round-off, if the
     integrator's step divides the period and no event cuts a step short.
 
     Blocks that hold their outputs between samples say so by `is_sampled`. Their subclasses inherit
@@ -51,8 +52,8 @@ class FusedPlant(DiagramBlock):
         parts: the equations of the blocks by their names, each after its sources.
         period: the controllers' sample time in s.
         steps: the integrator's steps in a period.
-        holds_acceleration: whether the `carrier_reference` moves with constant accelerations; they
-            are then another input.
+        hold_order: of the motion of the `carrier_reference`, as of `CarrierTrajectory`; its
+            accelerations and jerks are further inputs from 2 and 3 on.
 
     Attributes:
         kept_parameters: by the names of the parts, the parameters of their blocks, whose values it
@@ -67,11 +68,11 @@ class FusedPlant(DiagramBlock):
         *,
         period: float,
         steps: int,
-        holds_acceleration: bool = False,
+        hold_order: int = 1,
     ):
         super().__init__()
         self.kept_parameters = {}
-        together = _CombinedEquations(parts, holds_acceleration)
+        together = _CombinedEquations(parts, hold_order)
         builder = DiagramBuilder()
         stepped = builder.AddNamedSystem("stepped", _Stepped(together, period, steps))
         stacked = builder.AddNamedSystem("stacked", Selector(stacking(together.inputs)))
@@ -136,7 +137,7 @@ class _CombinedEquations:
     states, by the names of the ports that show them or, where there is none, of the parts.
     """
 
-    def __init__(self, parts: Mapping[str, Equations], holds_acceleration: bool):
+    def __init__(self, parts: Mapping[str, Equations], hold_order: int):
         self._parts = parts
         initial = {part.state_port or name: part.initial_state for name, part in parts.items()}
         self.initial_states = {name: state for name, state in initial.items() if len(state)}
@@ -146,9 +147,9 @@ class _CombinedEquations:
         for part in parts.values():
             self.outputs |= part.outputs
             read |= part.inputs
-        self.holds_acceleration = holds_acceleration
-        if holds_acceleration:
-            read[_ACCELERATION] = read[_MOVING] // 2
+        self.hold_order = hold_order
+        for name in (_ACCELERATION, _JERK)[: hold_order - 1]:
+            read[name] = read[_MOVING] // 2
         known = {*self.states, *self.outputs, _HELD}
         self.inputs = {name: size for name, size in read.items() if name not in known}
 
@@ -277,11 +278,15 @@ def _traced(
         state, held, sample_time = _Memory.view(memory)
         elapsed = time - sample_time
         step = elapsed / steps
+        derivative_names = (_ACCELERATION, _JERK)[: together.hold_order - 1]
 
         def rate(state: NDArray, since: NDArray) -> NDArray:
             parts = _split(inputs, together.inputs)
-            acceleration = parts[_ACCELERATION] if together.holds_acceleration else None
-            parts[_MOVING] = motion_after(parts[_MOVING], since - elapsed, acceleration)
+            after = since - elapsed
+            derivatives = [parts[name] for name in derivative_names]
+            parts[_MOVING] = motion_after(parts[_MOVING], after, *derivatives)
+            if len(derivatives) == 2:
+                parts[_ACCELERATION] = derivatives[0] + after * derivatives[1]
             return at.traced(state, np.concatenate([*parts.values()]), held)[0]
 
         for i in range(steps):

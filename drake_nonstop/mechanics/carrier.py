@@ -122,16 +122,23 @@ def carrier_jerk(
     )
 
 
-def motion_after(motion: NDArray, time: NDArray, acceleration: NDArray | None = None) -> NDArray:
+def motion_after(
+    motion: NDArray, time: NDArray, acceleration: NDArray | None = None, jerk: NDArray | None = None
+) -> NDArray:
     """[positions, velocities] (6n,) of carriers a `time` (1,) after `motion` (6n,), SI.
 
-    p + τ v + τ² a/2 and v + τ a of a constant `acceleration` (3n,), or p + τ v and v without one.
+    p + τ v + τ² a/2 + τ³ j/6 and v + τ a + τ² j/2 of an `acceleration` (3n,) at `motion` that has
+    a constant `jerk` (3n,), each zero where it is not given.
     """
     positions, velocities = np.split(motion, 2)
     if acceleration is None:
         return np.concatenate([positions + time * velocities, velocities])
     change = time * acceleration
-    return np.concatenate([positions + time * (velocities + change / 2), velocities + change])
+    half = change / 2
+    if jerk is not None:
+        of_jerk = time * time * jerk / 2
+        half, change = half + of_jerk / 3, change + of_jerk
+    return np.concatenate([positions + time * (velocities + half), velocities + change])
 
 
 def pid_forces(

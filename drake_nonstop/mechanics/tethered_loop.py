@@ -13,13 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.rotation import skew
 from drake_nonstop.mechanics.sampled_loop import SampledLoop, sampled_loop
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
 
 LOAD_ERRORS = 12  # [e_R, e_p, e_ω, e_v]
 _INTEGRALS = 6
 _WRENCH = 6  # [torque; force]
+_COMPLEX_STEP = 1e-30j  # N and N/s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +37,7 @@ class Carriers:
             feedforward; 0: nothing does.
         has_feedforward: whether the references' accelerations are.
         hold: order of the references' motion within a sample: 1 goes on along their velocity, 2
-            along their acceleration, too; 0: they are continuous.
+            along their acceleration, too, 3 along their jerk; 0: they are continuous.
     """
 
     position_gain: float
@@ -42,7 +45,7 @@ class Carriers:
     integral_gain: float = 0.0
     mass: float = 0.0
     has_feedforward: bool = True
-    hold: int = 2
+    hold: int = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,6 +92,7 @@ class Orbit(NamedTuple):
     forces: NDArray  # (n, 3), N
     rates: NDArray  # (n, 3), N/s
     second_rates: NDArray  # (n, 3), N/s²
+    third_rates: NDArray  # (n, 3), N/s³
     velocities: NDArray  # (n, 3), m/s
 
 
@@ -97,6 +101,7 @@ class Inputs(NamedTuple):
 
     acceleration: slice  # (3n,), m/s², of the planned motion at a sample
     jerk: slice  # (3n,), m/s³
+    snap: slice  # (3n,), m/s⁴
     measurement: slice  # (12,), errors of the measured load: rad, m, rad/s and m/s
     velocity: slice  # (3n,), m/s, by which the planned velocities jumped just after a sample
     disturbance: slice  # (6,), N m and N, of a wrench on the load that stays for a sample
@@ -104,7 +109,7 @@ class Inputs(NamedTuple):
     @classmethod
     def of(cls, n: int) -> "Inputs":
         """Those of n carriers."""
-        sizes = [3 * n, 3 * n, LOAD_ERRORS, 3 * n, _WRENCH]
+        sizes = [3 * n, 3 * n, 3 * n, LOAD_ERRORS, 3 * n, _WRENCH]
         ends = np.cumsum([0, *sizes]).tolist()
         return cls(*(slice(a, b) for a, b in pairwise(ends)))
 
@@ -133,12 +138,13 @@ def tethered_loop(
         δF' = −K_p e_v − K_v (δF − B_L e_v)/m − K_i e_p,   δτ' likewise,
         δf = e_R × f + G† [δτ; δF − e_R × F],   δf' = e_ω × f + e_R × f' + G† [δτ'; δF' − e_ω × F],
         δp_d = M δf,   δv_d = M δf' + M' δf,   M = (L₀/T)(I − q qᵀ) + I/K_c,
-        δa_d = L₀ (∂q̈/∂f δf + ∂q̈/∂ḟ δf'),   q = f/T,
+        δa_d = L₀ (∂q̈/∂f δf + ∂q̈/∂ḟ δf'),   q = f/T,   δj_d likewise,
 
     and the carriers' loops m_c p̈ = K_p (p_d − p) + K_d (v_d − v) + m_c a_d. Between samples
     references go on by their hold, which leaves them behind the planned motion by a τ²/2 + j τ³/6
-    of a first-order one, by j τ³/6 of a second-order one; a feedforward that stands still is behind
-    by j τ, none at all by a + j τ. The cables' forces are
+    of a first-order one, by j τ³/6 of a second-order one, by s τ⁴/24 of one of third order, with
+    the snap s; a feedforward that stands still is behind by j τ, that of the third order by s τ²/2,
+    none at all by a + j τ. The cables' forces are
 
         δf_i = (K_c q qᵀ + (T/ℓ)(I − q qᵀ)) (δp_i − e_p − e_R × b_i) + B_c q qᵀ (their rates).
 
@@ -161,7 +167,8 @@ def tethered_loop(
     tension = np.linalg.norm(orbit.forces, axis=1)
     # The state: errors of the load, carriers, their integrals, those of the controller, samples of
     # the delay, the estimate; then what is held in a sample: reference, its acceleration that is
-    # missing, the feedforward that is, the planned jerk, desired forces, and wrench on the load.
+    # missing, the feedforward that is, the jerk that is, the planned snap, desired forces, and
+    # wrench on the load.
     sizes = {
         "load": LOAD_ERRORS,
         "position": size,
@@ -174,7 +181,8 @@ def tethered_loop(
         "desired_velocity": size,
         "missing_acceleration": size,
         "missing_feedforward": size,
-        "jerk": size,
+        "missing_jerk": size,
+        "snap": size if carriers.hold == 3 else 0,
         "desired_force": size if carriers.mass else 0,
         "disturbance": _WRENCH,
     }
@@ -201,9 +209,11 @@ def tethered_loop(
     M[at["desired_position"], at["desired_velocity"]] = unit
     M[at["desired_velocity"], at["missing_acceleration"]] = -unit
     if carriers.hold:
-        M[at["missing_acceleration"], at["jerk"]] = unit
+        M[at["missing_acceleration"], at["missing_jerk"]] = unit
     if carriers.hold or not carriers.has_feedforward:
-        M[at["missing_feedforward"], at["jerk"]] = unit
+        M[at["missing_feedforward"], at["missing_jerk"]] = unit
+    if carriers.hold == 3:
+        M[at["missing_jerk"], at["snap"]] = unit
     if carriers.mass:
         M[velocity, at["desired_force"]] = unit / carriers.mass
     M[e_omega, at["disturbance"]] = np.hstack([inverse, np.zeros((3, 3))])
@@ -231,14 +241,16 @@ def tethered_loop(
     S = np.eye(ends[-1])
     for name in (*list(sizes)[7:],):
         S[at[name], at[name]] = 0
-    parts = [slice(i * size, (i + 1) * size) for i in range(4)]
+    parts = [slice(i * size, (i + 1) * size) for i in range(5)]
     held = {"desired_position": parts[0], "desired_velocity": parts[1]}
     if carriers.mass:
         held["desired_force"] = parts[2]
-    if carriers.hold == 2:
+    if carriers.hold >= 2:
         held["missing_acceleration"] = parts[3]
     if carriers.has_feedforward:
         held["missing_feedforward"] = parts[3]
+    if carriers.hold == 3:
+        held["missing_jerk"] = parts[4]
     places = Inputs.of(n)
     B = np.zeros((ends[-1], places.disturbance.stop))
     # What the controller gets of the state and of the measurement's errors.
@@ -266,7 +278,10 @@ def tethered_loop(
         B[at["missing_acceleration"], places.acceleration] = unit
     if not carriers.has_feedforward:
         B[at["missing_feedforward"], places.acceleration] = unit
-    B[at["jerk"], places.jerk] = unit
+    if carriers.hold == 3:
+        B[at["snap"], places.snap] = unit
+    else:
+        B[at["missing_jerk"], places.jerk] = unit
     B[velocity, places.velocity] = -unit
     B[position, places.velocity] = -period * unit  # of the time that it is not noticed
     B[at["disturbance"], places.disturbance] = np.eye(_WRENCH)
@@ -283,10 +298,10 @@ def tethered_loop(
 
 
 class _Commands(NamedTuple):
-    """How references [δp_d, δv_d, δf, −δa_d] (12n) depend on measured errors and on integrals."""
+    """How references [δp_d, δv_d, δf, −δa_d, −δj_d] (15n) depend on errors and on integrals."""
 
-    of_errors: NDArray  # (12n, 12)
-    of_integrals: NDArray  # (12n, 6), of [∫e_R, ∫e_p]
+    of_errors: NDArray  # (15n, 12)
+    of_integrals: NDArray  # (15n, 6), of [∫e_R, ∫e_p]
 
 
 def _commands(
@@ -331,9 +346,8 @@ def _commands(
     rate[force, omega] += skew(total)
     forces = (pseudo_inverse @ wrench).reshape(n, 3, 18)
     rates = (pseudo_inverse @ rate).reshape(n, 3, 18)
-    positions, velocities, accelerations = (np.zeros((n, 3, 18)) for _ in range(3))
-    of_orbit = zip(orbit.forces, orbit.rates, orbit.second_rates, strict=True)
-    for i, (f, f_rate, f_second_rate) in enumerate(of_orbit):
+    positions, velocities = np.zeros((n, 3, 18)), np.zeros((n, 3, 18))
+    for i, (f, f_rate) in enumerate(zip(orbit.forces, orbit.rates, strict=True)):
         forces[i][:, R] -= skew(f)  # e_R × f
         rates[i][:, omega] -= skew(f)
         rates[i][:, R] -= skew(f_rate)
@@ -347,25 +361,31 @@ def _commands(
         mobility_rate = -swing * (T_rate / T * across + turning)
         positions[i] = mobility @ forces[i]
         velocities[i] = mobility @ rates[i] + mobility_rate @ forces[i]
-        of_f, of_f_rate = _bending(f, f_rate, f_second_rate)
-        accelerations[i] = -cables.rest_length * (of_f @ forces[i] + of_f_rate @ rates[i])
-    made = (positions, velocities, forces, accelerations)
+    both = np.concatenate([forces, rates], axis=1)  # (n, 6, 18)
+    accelerations, jerks = (-part @ both for part in bending(orbit, cables.rest_length))
+    made = (positions, velocities, forces, accelerations, jerks)
     all_of_them = np.concatenate([part.reshape(3 * n, 18) for part in made])
     return _Commands(all_of_them[:, :12], all_of_them[:, 12:])
 
 
-def _bending(f: NDArray, rate: NDArray, second_rate: NDArray) -> tuple[NDArray, NDArray]:
-    """∂q̈/∂f and ∂q̈/∂ḟ (3, 3) of q = s f with s = 1/‖f‖, from q̈ = s̈ f + 2 ṡ ḟ + s f̈."""
-    s, eye = 1 / np.linalg.norm(f), np.eye(3)
-    along, both = f @ rate, rate @ rate + f @ second_rate
-    s_rate = -(s**3) * along
-    s_second_rate = 3 * s**5 * along**2 - s**3 * both
-    s_of_f = -(s**3) * f
-    s_rate_of_f = 3 * s**5 * along * f - s**3 * rate
-    s_second_rate_of_f = (3 * s**5 * both - 15 * s**7 * along**2) * f
-    s_second_rate_of_f += 6 * s**5 * along * rate - s**3 * second_rate
-    s_second_rate_of_rate = 6 * s**5 * along * f - 2 * s**3 * rate
-    of_f = np.outer(f, s_second_rate_of_f) + s_second_rate * eye
-    of_f += 2 * np.outer(rate, s_rate_of_f) + np.outer(second_rate, s_of_f)
-    of_rate = np.outer(f, s_second_rate_of_rate) + 2 * np.outer(rate, s_of_f) + 2 * s_rate * eye
-    return of_f, of_rate
+def bending(orbit: Orbit, rest_length: float) -> tuple[NDArray, NDArray]:
+    """How accelerations and jerks (n, 3, 6) depend on [f; ḟ], for constant f̈ and f⃛.
+
+    By complex steps (Squire and Trapp, SIAM Review 40, 1998), which are exact to round-off.
+    """
+    n = len(orbit.forces)
+    parts = [np.repeat(part, 6, axis=0).astype(complex) for part in orbit[:4]]
+    for part, first in zip(parts[:2], (0, 3), strict=True):
+        part.reshape(n, 6, 3)[:, first : first + 3] += _COMPLEX_STEP * np.eye(3)
+    rest = np.zeros(LOAD_REFERENCE_SIZE)
+    rest[0] = 1.0
+    cables: dict[str, Any] = {
+        "attachments": np.zeros((6 * n, 3)),
+        "rest_length": rest_length,
+        "compliance": 0.0,
+    }
+    found = carrier_acceleration(rest, *parts[:3], **cables), carrier_jerk(rest, *parts, **cables)
+    acceleration, jerk = (
+        np.swapaxes(part.imag.reshape(n, 6, 3), 1, 2) / _COMPLEX_STEP.imag for part in found
+    )
+    return acceleration, jerk

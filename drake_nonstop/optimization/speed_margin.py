@@ -309,7 +309,7 @@ class _Task:
         rest[0] = 1.0
         none = np.zeros((self.model.n, 3))
         _, swing = carrier_motion(rest, forces, rates, attachments=none, **self.cables)
-        return Orbit(forces, rates, -(A * xi**2) * u, swing)
+        return Orbit(forces, rates, -(A * xi**2) * u, -(A * xi**3) * along, swing)
 
 
 class TurnOfLoops(NamedTuple):
@@ -444,7 +444,9 @@ def _shares(
         float(np.max(np.linalg.norm(part, axis=-1)))
         for part in (motion.accelerations, motion.jerks)
     )
-    snap = jerk * float(parameters[0])
+    xi, phase = float(parameters[0]), 2 * math.pi / _PHASES
+    around = (np.roll(motion.jerks, -1, axis=1) - motion.jerks) / phase
+    snap = xi * float(np.max(np.linalg.norm(around, axis=-1)))
     n, places, feedback = task.model.n, loops.places, loops.feedback
     tracking = jumps = noise = delay = disturbed = 0.0
     for orbit, g in loops.responses(task, parameters):
@@ -455,6 +457,7 @@ def _shares(
 
         held = bounded(places.acceleration, n, acceleration, jerk)
         held += bounded(places.jerk, n, jerk, snap)
+        held += bounded(places.snap, n, snap, xi * snap)
         tracking = max(tracking, held)
         if len(task.motion.jerk_jumps) > 0:
             jumps = max(jumps, _of_jump(g[..., places.velocity], task, orbit, limits))

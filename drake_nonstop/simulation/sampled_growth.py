@@ -14,7 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
-from drake_nonstop.mechanics.internal_force import internal_force, internal_force_acceleration
+from drake_nonstop.mechanics.internal_force import (
+    internal_force,
+    internal_force_acceleration,
+    internal_force_jerk,
+)
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadReference
 from drake_nonstop.mechanics.tethered_loop import Orbit
@@ -91,5 +95,6 @@ def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) ->
         offset=pattern.offset,
     )
     turned = rotation_matrix(LoadReference.view(reference).quaternion)
-    second_rates = (pattern.basis @ second).reshape(-1, 3)
-    return Orbit(forces @ turned, rates @ turned, second_rates, np.ones_like(forces))
+    third = internal_force_jerk(parameters, internal, orders=pattern.orders)
+    higher = ((pattern.basis @ part).reshape(-1, 3) for part in (second, third))
+    return Orbit(forces @ turned, rates @ turned, *higher, np.ones_like(forces))

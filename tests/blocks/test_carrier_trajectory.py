@@ -384,25 +384,31 @@ def orbit(rng):
     return {"internal_force_higher_rates": rng.normal(size=8), "wind_estimate": np.zeros(3)}
 
 
+@pytest.mark.parametrize("hold", ["second_order", "third_order"])
 @pytest.mark.parametrize("make", [CarrierTrajectory, InextensibleCarrierTrajectory])
-def test_second_order_hold_goes_on_with_the_acceleration_of_the_sample(rng, make):
-    config = CarrierTrajectoryConfig(hold="second_order")
+def test_holds_go_on_with_the_derivatives_of_the_sample(rng, make, hold):
+    config = CarrierTrajectoryConfig(hold=hold)
     block = make(model(4, 0.01), config)
     context = block.CreateDefaultContext()
     fix(block, context, **generator_inputs(rng, 4), **orbit(rng), sample_time=np.array([2.0]))
     context.SetTime(2.0)
-    motion, acceleration = (
-        output(block, context, name) for name in ("carrier_reference", DERIVATIVES[0])
+    motion, acceleration, jerk = (
+        output(block, context, name) for name in ("carrier_reference", *DERIVATIVES)
     )
+    if hold == "second_order":
+        jerk = 0 * jerk
     positions, velocities = np.split(motion, 2)
     for since in (0.004, 0.01):
         context.SetTime(2.0 + since)
         expected = [
-            positions + since * velocities + since**2 / 2 * acceleration,
-            velocities + since * acceleration,
+            positions + since * velocities + since**2 / 2 * acceleration + since**3 / 6 * jerk,
+            velocities + since * acceleration + since**2 / 2 * jerk,
         ]
         np.testing.assert_allclose(
-            output(block, context, "carrier_reference"), np.ravel(expected), rtol=0, atol=1e-13
+            output(block, context, "carrier_reference"), np.ravel(expected), rtol=0, atol=1e-12
+        )
+        np.testing.assert_allclose(
+            output(block, context, DERIVATIVES[0]), acceleration + since * jerk, atol=1e-12
         )
     continuous = make(model(4), config)
     context = continuous.CreateDefaultContext()
@@ -411,14 +417,14 @@ def test_second_order_hold_goes_on_with_the_acceleration_of_the_sample(rng, make
 
 def test_an_unknown_hold_is_refused():
     with pytest.raises(ScenarioError) as error:
-        CarrierTrajectory(model(), CarrierTrajectoryConfig(hold="third_order"))
+        CarrierTrajectory(model(), CarrierTrajectoryConfig(hold="fourth_order"))
     assert str(error.value) == (
-        "carrier_trajectory.hold = third_order: give second_order or velocity"
+        "carrier_trajectory.hold = fourth_order: give third_order or second_order or velocity"
     )
 
 
-def test_derivatives_stand_still_between_samples(rng):
-    block = CarrierTrajectory(model(4, 0.01))
+def test_derivatives_of_a_second_order_hold_stand_still_between_samples(rng):
+    block = CarrierTrajectory(model(4, 0.01), CarrierTrajectoryConfig(hold="second_order"))
     context = block.CreateDefaultContext()
     fix(block, context, **generator_inputs(rng, 4), **orbit(rng), sample_time=np.array([2.0]))
     values = []

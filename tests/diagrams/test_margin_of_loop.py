@@ -80,7 +80,9 @@ def orbits(model, count, amplitude=1.2, frequency=2.0):
         tension = np.linalg.norm(f, axis=1, keepdims=True)
         across = r - f * (f * r).sum(axis=1, keepdims=True) / tension**2
         second_rates = model.pattern.basis @ (-amplitude * frequency**2 * np.cos(waves))
-        yield Orbit(f, r, second_rates.reshape(-1, 3), model.cable_length / tension * across)
+        third_rates = model.pattern.basis @ (amplitude * frequency**3 * np.sin(waves))
+        higher = (part.reshape(-1, 3) for part in (second_rates, third_rates))
+        yield Orbit(f, r, *higher, model.cable_length / tension * across)
 
 
 def loops_of(model, gains, count, is_measured, estimator=None, **parameters):

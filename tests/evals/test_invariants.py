@@ -141,7 +141,7 @@ def test_carriers_of_a_square_follow_each_other():
 
 @pytest.mark.parametrize(
     ("hold", "largest"),
-    [("velocity", 2e-5), ("second_order", 1e-4)],  # m and m/s, of load and carriers
+    [("velocity", 2e-5), ("second_order", 1e-4), ("third_order", 1e-4)],  # m, m/s, load, carriers
 )
 def test_the_integrator_converges_in_its_nominal_order(hold, largest):
     """Third order, once steps are short for the fastest mode; and the default step's error."""
