@@ -99,8 +99,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     starts with the initial ξ and A where these keep the constraints, and else with others.
 
     The speeds of aircraft are those through the air, in the wind that `wind_estimate` tells at the
-    time of a plan, taken as steady; not connected, or `wind` is false: in still air. What they need of lift, bank,
-    climb and thrust is limited along the plan and, at its end, on the whole orbits of ξ and A.
+    time of a plan, taken as steady; not connected, or `wind` is false: in still air. What they need
+    of lift, bank, climb and thrust is limited along the plan and, at its end, on the whole orbits
+    of ξ and A.
 
     An update ends as kept where the last plan, shifted, cannot be improved; as solved where a plan
     fulfils all constraints; as relaxed where it is the least infeasible one that was found; and as

@@ -14,9 +14,9 @@ from drake_nonstop.blocks.load_trajectory import (
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.resting_orbit import resting_orbits
+from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.stretched_time import OrbitFeasibility, PathDelay, stretching
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.aircraft_margins import MeanWind, margins_at_rest
