@@ -256,11 +256,12 @@ def test_a_least_rate_that_is_too_fast_is_told():
 
 
 AIRCRAFT = [  # a transfer that is too fast in the wind, with ξ and A that do not change
-    "simulation_duration=20",
-    "load_trajectory.displacement=[16, 0, 0]",
+    "simulation_duration=40",
+    "load_trajectory.displacement=[20, 0, 0]",
     "load_trajectory.start_time=2",
-    "load_trajectory.move_time=12",
-    "optimization_layer={frequency: 0.595, speed_bound: 1.4 V_s}",
+    "load_trajectory.move_time=30",
+    "optimization_layer.frequency=0.595",
+    "optimization_layer.speed_bound=1.4 V_s",
     GOVERNED,
 ]
 
@@ -271,10 +272,10 @@ AIRCRAFT = [  # a transfer that is too fast in the wind, with ξ and A that do n
         ("!SteadyWind {velocity: [-1, 0, 0]}", True),
         ("!SteadyWind {velocity: [-1, 0, 0], believed: [0, 0, 0]}", False),
         ("!SteadyWind {velocity: [1, 0, 0]}", False),
-        ("!SteadyWind {velocity: [-1, 0, 0], start_time: 15}", False),
-        # At the load, 50 m above the ground: 0.5 and 1 m/s.
-        ("!WindProfile {velocity: [-0.5, 0, 0], exponent: 0, ground_height: -50}", False),
-        ("!WindProfile {velocity: [-0.5, 0, 0], exponent: 0.43, ground_height: -50}", True),
+        ("!SteadyWind {velocity: [-1, 0, 0], start_time: 33}", False),
+        # At the load, 50 m above the ground: 0.25 and 1 m/s.
+        ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0, ground_height: -50}", False),
+        ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0.86, ground_height: -50}", True),
     ],
 )
 def test_the_wind_that_is_believed_counts_for_aircraft(wind, is_slowed):

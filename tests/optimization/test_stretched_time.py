@@ -234,13 +234,9 @@ def test_other_parameters_near_by_count_where_the_first_ones_do_not_fly():
     assert aircraft_hold(winds, **limits) == [True, False]  # within the default bounds
 
 
-def transfer(distance=20.0, start_time=2.0, move_time=15.0):
-    block = RestToRest(
-        aircraft_model(),
-        RestToRestConfig(
-            displacement=[distance, 0.0, 0.0], start_time=start_time, move_time=move_time
-        ),
-    )
+def transfer():
+    config = RestToRestConfig(displacement=[20.0, 0.0, 0.0], start_time=2.0, move_time=30.0)
+    block = RestToRest(aircraft_model(), config)
     return block.GetOutputPort("reference_preview").Eval(block.CreateDefaultContext())
 
 
@@ -251,7 +247,7 @@ def test_a_load_is_slowed_to_the_largest_velocity_through_the_air_that_aircraft_
         middle = (low + high) / 2
         is_kept = needs([-middle, 0.0, 0.0]).airspeed.min() > 1.02 * bound  # as a reserve asks for
         low, high = (middle, high) if is_kept else (low, middle)
-    largest, duration = low, 30.0
+    largest, duration = low, 60.0
 
     def slowed(winds):
         return stretching(
@@ -269,12 +265,12 @@ def test_a_load_is_slowed_to_the_largest_velocity_through_the_air_that_aircraft_
         )
 
     def steady(times, references):
-        return np.tile([-1.2, 0.0, 0.0], (len(times), 1))
+        return np.tile([-1.7, 0.0, 0.0], (len(times), 1))
 
     def rising(times, references):
         return np.outer(np.clip(times / 20, 0, 1), [-2.0, 0.0, 0.0])
 
-    assert largest > 2.5
+    assert 2.0 < largest < 1.7 + 1.875 * 20 / 30  # the fastest through the air
     assert slowed(None).delay is None
     assert slowed(lambda times, references: -steady(times, references)).delay is None
     times = np.linspace(0, duration, 301)
@@ -283,5 +279,5 @@ def test_a_load_is_slowed_to_the_largest_velocity_through_the_air_that_aircraft_
         assert len(found.too_fast) == len(found.not_at_rest) == 0
         stretched = found.delay.stretched(transfer(), times)
         through_air = stretched[:, 10] - winds(times, stretched)[:, 0]
-        assert 0.9 * largest < np.max(through_air) < 1.04 * largest
+        assert 0.8 * largest < np.max(through_air) < 1.02 * largest  # it accelerates, too
         assert found.delay.at(times)[-1, 0] > 1.0
