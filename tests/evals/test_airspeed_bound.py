@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drake_nonstop import load_scenario
+from drake_nonstop import load_scenario, simulate
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import Parameters
 from drake_nonstop.model.system import aircraft_in
@@ -32,8 +32,15 @@ def test_the_layer_keeps_airspeed_lift_and_bank_in_a_rising_wind(shared_runs):
     assert sum(counts.values()) == 0
 
 
-def test_without_the_layer_the_bound_is_missed(shared_runs):
-    """By 1 m/s, with the ξ and A of calm air."""
-    run = shared_runs.run(load_scenario(NAME, ["optimization_layer=ConstantParameters"]))
+def test_without_the_layer_the_bound_is_missed():
+    """By a tenth, at the end of the way in the full wind with the ξ and A of calm air."""
+    at_end = [
+        "optimization_layer=ConstantParameters",
+        "simulation_duration=12",
+        "load_trajectory.displacement=[0, 0, 0]",
+        "wind.start_time=0",
+        "wind.rise_time=0",
+    ]
+    run = simulate(load_scenario(NAME, at_end))
     bound = SHARE * stall_speed(aircraft_in(run.scenario.system))
-    assert RunQuantities(run).flight.least_airspeed < bound - 0.5
+    assert RunQuantities(run).flight.least_airspeed < 0.93 * bound
