@@ -66,7 +66,7 @@ class ReferenceGovernor(LeafBlock):
 
     Of aircraft the bound is on the airspeed, and the layer's limits of their lift, bank, climb and
     thrust count, too: what matters is the load's velocity less the wind that `wind_estimate` tells
-    at the time and place of its reference. ξ and A are looked for between half and twice the
+    at the time and place of its reference. ξ and A are looked for within a factor of 1.5 of the
     nominal ones.
 
     .. pydrake_system::

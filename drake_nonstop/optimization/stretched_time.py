@@ -29,7 +29,8 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.whole_task import receding_coefficients
 
-_SPACING = 0.1  # s, of the instants along path and time at which orbits are looked at
+_SPACING = 0.1  # s, of the instants along path and time at which orbits are looked at,
+_IN_A_TURN = 32  # and of aircraft's so many in a turn, where that is longer
 _KNOTS = 5  # between knots of the rate, in `change_time`
 _CATCHING_UP = 10  # knots, in which the delay falls by a factor e at most
 _BISECTIONS = 7
@@ -41,8 +42,8 @@ _BATCH = 400  # instants at a time: bounds the memory
 _ROUNDING = 9  # digits of terms, to find equal ones
 _ORDER = 5  # of the delay's spline: of fourth degree
 _AT_KNOTS = np.array([1, 11, 11, 1]) / 24  # its value at a knot by its coefficients
-_WIDEST = 2.0  # times the nominal ξ and A, within which aircraft are taken to fly
-_FREQUENCIES = 17  # ξ there, at which their limits are looked at
+_WIDEST = 1.5  # times the nominal ξ and A, within which aircraft are taken to fly
+_FREQUENCIES, _AMPLITUDES = 13, 7  # ξ and A there, at which their limits are looked at
 _MOST_PASSES = 4  # of finding when the load is where, and what the wind is then
 _SAME_WIND = 1e-3  # m/s
 
@@ -57,7 +58,7 @@ def still_air(times: NDArray, references: NDArray) -> NDArray:
 class OrbitFeasibility:
     """Whether some ξ and A within their bounds fulfil all limits, at all phases of the orbit.
 
-    Of aircraft those between half and twice the nominal ξ and A: formations do not fly far from
+    Of aircraft those within a factor of 1.5 of the nominal ξ and A: formations do not fly far from
     these. Where they have limits of flight ξ and A are those of a grid.
 
     Args:
@@ -79,6 +80,7 @@ class OrbitFeasibility:
         config = dataclasses.replace(config, terminal_phases=16, terminal_amplitudes=17)
         nominal = np.array([limits.frequency, limits.amplitude])
         if model.aircraft is not None:
+            config = dataclasses.replace(config, terminal_amplitudes=_AMPLITUDES)
             bounds = np.array([limits.frequency_bounds, amplitude_range(limits, model)])
             ends = nominal[:, None] * [1 / _WIDEST, _WIDEST]
             of_frequency, of_amplitude = np.clip(ends, bounds[:, :1], bounds[:, 1:]).tolist()
@@ -89,9 +91,10 @@ class OrbitFeasibility:
         self._amplitudes = self._problem.amplitudes
         if model.aircraft is not None:
             self._amplitudes = np.union1d(self._amplitudes, nominal[1])
-        away = np.union1d(np.geomspace(*limits.frequency_bounds, _FREQUENCIES), nominal[0])
+        low, high = limits.frequency_bounds
+        frequencies = np.union1d(np.geomspace(low, high, _FREQUENCIES), nominal[0])
         # ξ, and the number of A, at which limits of flight are looked at, the nearest first.
-        tried = itertools.product(away.tolist(), enumerate(self._amplitudes.tolist()))
+        tried = itertools.product(frequencies.tolist(), enumerate(self._amplitudes.tolist()))
         self._tried = sorted(
             ((xi, k) for xi, (k, _) in tried),
             key=lambda x: np.abs(np.log([x[0], self._amplitudes[x[1]]] / nominal)).sum(),
@@ -223,7 +226,10 @@ def stretching(
     winds = still_air if winds is None or model.aircraft is None else winds
     config = timed(config, limits.frequency, model.control_period)
     feasibility = OrbitFeasibility(model, limits, config, name)
-    path = _SPACING * np.arange(math.ceil(duration / _SPACING) + 1)
+    spacing = _SPACING
+    if model.aircraft is not None:
+        spacing = max(spacing, 2 * math.pi / limits.frequency / _IN_A_TURN)
+    path = spacing * np.arange(math.ceil(duration / spacing) + 1)
     references = preview.at(path)
     nothing = np.zeros(0)
     met = winds(path, references)  # on time
@@ -259,7 +265,7 @@ def stretching(
             limit[holds(np.full(len(path), largest_rate), every)] = largest_rate
         limit[slow] = low
         limit = most = np.minimum(limit, most)
-        delay = _delay(limit, duration, largest_rate, change_time)
+        delay = _delay(limit, spacing, duration, largest_rate, change_time)
         late = np.interp(path, path - delay.at(path)[:, 0], path)  # when the load is there
         before, met = met, winds(late, references)
         if np.abs(met - before).max() <= _SAME_WIND:
@@ -269,15 +275,15 @@ def stretching(
     for _ in range(_MOST_ROUNDS):
         stretched = delay.stretched(preview, path)
         found = feasibility.holds(stretched, winds(path, stretched))
-        behind = np.round((path - delay.at(path)[:, 0]) / _SPACING).astype(int)
-        wrong = np.setdiff1d(behind[~found], np.round(not_at_rest / _SPACING).astype(int))
+        behind = np.round((path - delay.at(path)[:, 0]) / spacing).astype(int)
+        wrong = np.setdiff1d(behind[~found], np.round(not_at_rest / spacing).astype(int))
         wrong = np.array([k for k in wrong if limit[k] > least_rate], dtype=int)
         if len(wrong) == 0:
             break
         near = wrong[:, None] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
         near = np.unique(np.clip(near, 0, len(path) - 1))
         limit[near] = np.maximum(_FURTHER * np.minimum(limit[near], 1.0), least_rate)
-        delay = _delay(limit, duration, largest_rate, change_time)
+        delay = _delay(limit, spacing, duration, largest_rate, change_time)
     return Stretching(delay, too_fast, not_at_rest)
 
 
@@ -311,13 +317,15 @@ def _is_planned(
     return bool(np.min(margins) >= -tolerance)
 
 
-def _delay(limit: NDArray, duration: float, largest_rate: float, change_time: float) -> PathDelay:
-    """The delay of a rate that stays at or below limits (k,) along the path.
+def _delay(
+    limit: NDArray, between: float, duration: float, largest_rate: float, change_time: float
+) -> PathDelay:
+    """The delay of a rate that stays at or below limits (k,), so many s apart along the path.
 
     Spline coefficients of the rate are chosen one after the other: each is the least limit on
     the part of the path where it counts, and above 1 only as far as there is delay to catch up.
     """
-    step = _SPACING / change_time
+    step = between / change_time
     limit = limit.copy()
     for k in range(1, len(limit)):
         limit[k] = min(limit[k], limit[k - 1] + step)
@@ -331,8 +339,8 @@ def _delay(limit: NDArray, duration: float, largest_rate: float, change_time: fl
         start = spacing * (j - (_ORDER - 2))  # from when on the coefficient counts
         sums[j] = sums[j - 1] + rates[j - 1]
         delay = spacing * float(_AT_KNOTS @ sums[j - _ORDER + 2 : j + 1])
-        first = (start - delay) / _SPACING
-        last = first + (_ORDER - 1) * spacing * largest_rate / _SPACING
+        first = (start - delay) / between
+        last = first + (_ORDER - 1) * spacing * largest_rate / between
         window = limit[max(math.floor(first), 0) : math.ceil(last) + 1]
         highest = min(largest_rate, 1 + delay / (_CATCHING_UP * spacing))
         rates[j] = 1 - min(float(np.min(window, initial=highest)), highest)
