@@ -257,7 +257,7 @@ def test_a_load_is_slowed_to_the_largest_velocity_through_the_air_that_aircraft_
             duration,
             least_rate=0.1,
             largest_rate=1.0,
-            change_time=2.0,
+            change_time=8.0,
             can_plan=False,
             config=HorizonConfig(),
             name=lambda: "transfer",
@@ -279,5 +279,5 @@ def test_a_load_is_slowed_to_the_largest_velocity_through_the_air_that_aircraft_
         assert len(found.too_fast) == len(found.not_at_rest) == 0
         stretched = found.delay.stretched(transfer(), times)
         through_air = stretched[:, 10] - winds(times, stretched)[:, 0]
-        assert 0.8 * largest < np.max(through_air) < 1.02 * largest  # it accelerates, too
+        assert 0.8 * largest < np.max(through_air) < 1.05 * largest  # it accelerates, too
         assert found.delay.at(times)[-1, 0] > 1.0
