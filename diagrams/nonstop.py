@@ -490,6 +490,7 @@ def _made_parts(
             trajectory,
             with_margin(scenario.optimization_layer, margin),
             scenario.simulation_duration,
+            next((b for b in blocks.values() if "wind_estimate" in wiring.output_names(b)), None),
         )
     return _Parts(believed, blocks, watched, margin)
 

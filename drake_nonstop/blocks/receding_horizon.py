@@ -82,6 +82,7 @@ class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
 
     tightening: float | str = 0.02  # the solver aims at (1 + tightening) ε; "auto": computed
     preview: bool = True  # read the motion ahead; without it the motion goes on as it does
+    wind: bool = True  # count the wind that aircraft fly in; without it their ground speed counts
     max_iterations: int = 2  # quadratic programs of a plan
     time_limit: float = float("inf")  # s, of wall time, beyond which the plan that exists goes on
 
@@ -98,8 +99,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     starts with the initial ξ and A where these keep the constraints, and else with others.
 
     The speeds of aircraft are those through the air, in the wind that `wind_estimate` tells at the
-    time of a plan, taken as steady; not connected: in still air. What they need of lift, bank,
-    climb and thrust is limited along the plan and, at its end, on the whole orbits of ξ and A.
+    time of a plan, taken as steady; not connected, or `wind` is false: in still air. What they need
+    of lift, bank, climb and thrust is limited along the plan and, at its end, on the whole orbits
+    of ξ and A.
 
     An update ends as kept where the last plan, shifted, cannot be improved; as solved where a plan
     fulfils all constraints; as relaxed where it is the least infeasible one that was found; and as
@@ -172,6 +174,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         settling_time: s, of that overshoot
         orbit_tightening: of the speed of the nominal orbits, the least margin
         preview: read the motion ahead; without it the motion goes on as it does
+        wind: count the wind that aircraft fly in; without it their ground speed counts
         max_iterations: quadratic programs of a plan
         time_limit: s, of wall time, beyond which the plan that exists goes on
 
@@ -304,7 +307,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
 
     def _wind_in(self, context: Context) -> NDArray:
         """The wind (3,) that the aircraft fly in, as far as it is known, m/s, in W."""
-        if self._wind is None or not self._wind.HasValue(context):
+        if self._wind is None or not self._config.wind or not self._wind.HasValue(context):
             return STILL_AIR
         return self._wind.Eval(context).copy()
 

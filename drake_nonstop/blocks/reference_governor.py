@@ -1,4 +1,4 @@
-"""What slows the load's trajectory down where no ξ and A keep the speed bound with it."""
+"""What slows the load's trajectory down where no ξ and A keep the limits with it."""
 
 import warnings
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import BasicVector, Context, System
@@ -13,13 +14,21 @@ from pydrake.systems.framework import BasicVector, Context, System
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
     REFERENCE_HIGHER_RATES_SIZE,
+    WIND_SIZE,
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
-from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
-from drake_nonstop.optimization.stretched_time import PathDelay, stretching
+from drake_nonstop.optimization.problem_config import (
+    FLIGHT_LIMITS,
+    LimitsConfig,
+    with_fields_of,
+    with_stated_bound,
+)
+from drake_nonstop.optimization.stretched_time import PathDelay, Winds, still_air, stretching
 from drake_nonstop.systems.block import LeafBlock, number
+from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import (
     ScenarioError,
     ScenarioWarning,
@@ -31,6 +40,7 @@ from drake_nonstop.validation import (
 
 _FIELD = "reference_governor"
 _PREVIEW, _HIGHER_RATES = "reference_preview", "reference_higher_rates"
+_WIND, _LOAD_STATE = "wind_estimate", "load_state"
 
 
 @dataclass(kw_only=True)
@@ -53,6 +63,11 @@ class ReferenceGovernor(LeafBlock):
     rises above 1 afterwards, until s = t again. Velocities, accelerations and the jerk are exact,
     see `mechanics.stretched_time`. A reference governor in the sense of Garone, Di Cairano and
     Kolmanovsky, Automatica 75 (2017), by time scaling.
+
+    Of aircraft the bound is on the airspeed, and the layer's limits of their lift, bank, climb and
+    thrust count, too: what matters is the load's velocity less the wind that `wind_estimate` tells
+    at the time and place of its reference. ξ and A are looked for within a factor of 1.5 of the
+    nominal ones.
 
     .. pydrake_system::
 
@@ -127,6 +142,7 @@ def governed(
     trajectory: System,
     layer: Any,
     duration: float,
+    wind: System | None = None,
 ) -> System:
     """The `ReferenceGovernor` of a trajectory; the trajectory itself where none is needed.
 
@@ -136,9 +152,11 @@ def governed(
         trajectory: the block for the box `load_trajectory`.
         layer: the optimization layer's config, with the margin that was computed for it.
         duration: s, how long the motion is looked at.
+        wind: the block that makes `wind_estimate`, which counts for aircraft; None: still air.
 
     Raises:
-        ScenarioError: a parameter cannot be used, or the trajectory does not tell its motion.
+        ScenarioError: a parameter cannot be used, or the trajectory does not tell its motion, or
+            the wind is not known beforehand.
     """
     _check(model, config)
     name = type(trajectory).__name__
@@ -153,7 +171,8 @@ def governed(
     is_known = isinstance(preview, ReferencePreview) and preview.end_time == np.inf
     remedy = f"give a {_PREVIEW} that is known for ever, of end_time inf"
     require(is_known, _FIELD, f"with load_trajectory = {name}", remedy)
-    limits, can_plan = _limits(layer)
+    limits, can_plan = _limits(model, layer)
+    counts_wind = model.aircraft is not None and getattr(layer, "wind", True) is not False
     found = stretching(
         model,
         limits,
@@ -165,13 +184,16 @@ def governed(
         can_plan=can_plan,
         config=with_fields_of(HorizonConfig, layer),
         name=lambda: _FIELD,
+        winds=_winds(wind) if wind is not None and counts_wind else still_air,
     )
+    less = "give a lower speed_bound, or wider bounds of frequency and amplitude"
+    if model.aircraft is not None:
+        less += f", higher ones of {', '.join(FLIGHT_LIMITS)}, or less wind"
     if len(found.not_at_rest):
         warnings.warn(
             f"{_FIELD} = {type(config).__name__.removesuffix('Config')}: from "
             f"{found.not_at_rest[0]:.1f} s of the motion on even a load at rest leaves no ξ and A "
-            "that fulfil the limits at all phases, and the motion is not slowed there; give a "
-            "lower speed_bound, or wider bounds of frequency and amplitude",
+            f"that fulfil the limits at all phases, and the motion is not slowed there; {less}",
             ScenarioWarning,
             stacklevel=4,
         )
@@ -203,9 +225,39 @@ def _check(model: Model, config: ReferenceGovernorConfig) -> None:
     )
 
 
-def _limits(layer: Any) -> tuple[LimitsConfig, bool]:
+def _winds(block: System) -> Winds:
+    """What a block's `wind_estimate` tells of a load that is on its reference."""
+    context, port = block.CreateDefaultContext(), block.GetOutputPort(_WIND)
+    reads_load = _LOAD_STATE in input_names(block)
+
+    def winds(times: NDArray, references: NDArray) -> NDArray:
+        found = np.empty((len(times), WIND_SIZE))
+        for row, time, reference in zip(found, times, references, strict=True):
+            context.SetTime(time)
+            if reads_load:
+                block.GetInputPort(_LOAD_STATE).FixValue(context, reference[:LOAD_STATE_SIZE])
+            row[:] = port.Eval(context)
+        return found
+
+    remedy = (
+        f"its {_WIND} is not known before the run; let it follow from time and {_LOAD_STATE} "
+        f"alone, or leave {_FIELD} out"
+    )
+    said = f"with wind = {type(block).__name__}"
+    require(context.is_stateless(), _FIELD, said, remedy)
+    try:
+        winds(np.zeros(1), np.eye(LOAD_REFERENCE_SIZE)[:1])
+    except ScenarioError:
+        raise
+    except Exception as error:
+        raise ScenarioError(f"{_FIELD} = {said}: {remedy}") from error
+    return winds
+
+
+def _limits(model: Model, layer: Any) -> tuple[LimitsConfig, bool]:
     """Those of a layer's config, and whether it may change ξ and A."""
-    limits = with_fields_of(LimitsConfig, layer)
+    own = with_fields_of(LimitsConfig, layer)
+    limits = with_stated_bound("optimization_layer", own, model)
     can_plan = hasattr(layer, "frequency_bounds")
     if not can_plan and hasattr(layer, "frequency") and hasattr(layer, "amplitude"):
         limits.frequency_bounds = [layer.frequency] * 2

@@ -28,6 +28,8 @@ from drake_nonstop.mechanics.planned_flight import (
     FlightTerms,
     PlannedOrbit,
     flight_along_reference,
+    flight_needs,
+    flight_products,
     planned_flight,
 )
 from drake_nonstop.mechanics.planned_orbit import (
@@ -118,7 +120,7 @@ class HorizonData(NamedTuple):
     speed_bound: float  # m/s, tightened
     aims: NDArray  # (k, n), m/s, what speeds have to reach at the instants: no less than that
     flat_flight: NDArray  # (k, 15n + 9), the `FlightTerms` there; (k, 0) without limits of flight
-    wind: NDArray  # (3,), m/s, that aircraft fly in
+    wind: NDArray  # (3,) or (k, 3), m/s, that aircraft fly in
 
     @property
     def terms(self) -> OrbitTerms:
@@ -347,12 +349,45 @@ class HorizonProblem:
 
     def terms_at(self, reference: NDArray, wind: NDArray = STILL_AIR) -> NDArray:
         """The flat `OrbitTerms` (9n + 3,) of a reference (22,), in a wind (3,) in m/s, in W."""
-        return self._all_terms(reference, wind)[0]
+        return self._terms(reference, self._beliefs, wind)[0].copy()
 
-    def _all_terms(self, reference: NDArray, wind: NDArray) -> tuple[NDArray, NDArray]:
-        """Copies of those and, where flight has limits, of the flat `FlightTerms`."""
-        terms, flight = self._terms(reference, self._beliefs, wind)
-        return terms.copy(), flight.copy()
+    def all_terms(self, references: NDArray, winds: NDArray) -> tuple[NDArray, NDArray]:
+        """The flat `OrbitTerms` (k, 9n + 3) of references (k, 22), and the flat `FlightTerms`.
+
+        These are (k, 15n + 9); (k, 0) without limits of flight. The winds in m/s, in W, are (3,) or
+        (k, 3).
+        """
+        winds = np.broadcast_to(winds, (len(references), WIND_SIZE))
+        found = [
+            tuple(part.copy() for part in self._terms(reference, self._beliefs, wind))
+            for reference, wind in zip(references, winds, strict=True)
+        ]
+        flat, flight = (np.array(parts) for parts in zip(*found, strict=True))
+        return flat, flight
+
+    def orbit_flight_margins(
+        self, flat_flight: NDArray, frequency: float, amplitude: float
+    ) -> NDArray:
+        """The worst margins (k,) of aircraft's limits over whole orbits of constant ξ and A.
+
+        Of flat `FlightTerms` (k, 15n + 9), with limits of flight.
+        """
+        aircraft, angles, count = self.model.aircraft, self._orbit_angles, len(flat_flight)
+        assert aircraft is not None
+        shape = np.ones(count * len(angles))
+        orbit = PlannedOrbit(
+            np.tile(angles, count),
+            frequency * shape,
+            0 * shape,
+            amplitude * shape,
+            0 * shape,
+            0 * shape,
+        )
+        terms = FlightTerms.view(np.repeat(flat_flight, len(angles), axis=0))
+        products = flight_products(aircraft, terms, self.axes, orbit, **self._cables)
+        margins = self._flight_limits.margins(aircraft, flight_needs(aircraft, products))
+        worst: NDArray = np.min(margins, axis=(0, 2)).reshape(count, -1).min(axis=1)
+        return worst
 
     def data(
         self,
@@ -367,7 +402,8 @@ class HorizonProblem:
 
         Where `last` is of the same reference, bound and wind, and began at the same time or one
         interval between knots before, what both have in common is taken from it. The wind (3,) in
-        m/s, in W, is that of the whole horizon; it counts for aircraft.
+        m/s, in W, is that of the whole horizon, or those (k, 3) at its instants, without `last`; it
+        counts for aircraft.
         """
         bound = tightened_bound(self.limits, speed_bound)
         spacing = self.config.knot_spacing
@@ -381,8 +417,7 @@ class HorizonProblem:
             known = [part[self._per_knot :] for part in (last.flat_terms, last.flat_flight)]
         times = self._times(start_time)
         references = references_at(reference, times if known is None else times[len(known[0]) :])
-        found = [self._all_terms(values, wind) for values in references]
-        flat, flight = (np.array(parts) for parts in zip(*found, strict=True))
+        flat, flight = self.all_terms(references, wind)
         if known is not None:
             flat, flight = (
                 np.concatenate(parts) for parts in zip(known, (flat, flight), strict=True)
@@ -445,13 +480,22 @@ class HorizonProblem:
         counts = knot * self._per_knot + np.arange(1, len(self.instants) + 1)
         return counts * (spacing / self._per_knot)
 
-    def terminal_set(self, flat_terms: NDArray, speed_bound: NDArray | float) -> TerminalSet:
-        """The terminal set of flat terms (k, 9n + 3), for a bound in m/s or those (k, n, 1)."""
+    def terminal_set(
+        self,
+        flat_terms: NDArray,
+        speed_bound: NDArray | float,
+        amplitudes: NDArray | None = None,
+    ) -> TerminalSet:
+        """The terminal set of flat terms (k, 9n + 3), for a bound in m/s or those (k, n, 1).
+
+        Over a table of A (a,) in N; None: that of all plans.
+        """
+        amplitudes = self.amplitudes if amplitudes is None else amplitudes
         terms = OrbitTerms.view(flat_terms)
         least, most, *tension_squares = product_limits(
             terms,
             self.axes,
-            self.amplitudes,
+            amplitudes,
             speed_bound,
             self._limits.max_speed,
             phase_count=self.config.terminal_phases,
@@ -463,8 +507,8 @@ class HorizonProblem:
                 margins = np.minimum(margins, margin)
         if self._separation is not None:
             for row, forces in zip(margins, terms.forces, strict=True):
-                np.minimum(row, self._orbit_separation_margins(forces, self.amplitudes), out=row)
-        return TerminalSet(self.amplitudes, least, most, margins)
+                np.minimum(row, self._orbit_separation_margins(forces, amplitudes), out=row)
+        return TerminalSet(amplitudes, least, most, margins)
 
     def amplitude_margins(
         self, data: HorizonData, every: int

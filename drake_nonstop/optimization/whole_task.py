@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import (
     HorizonConfig,
@@ -35,6 +36,7 @@ def receding_coefficients(
     *,
     start_angle: float = 0.0,
     max_iterations: int = 2,
+    wind: Callable[[float], NDArray] = lambda time: STILL_AIR,
 ) -> tuple[NDArray, list[PlanAnswer]]:
     """What plans over a receding horizon make of a task that goes as it is predicted.
 
@@ -45,6 +47,7 @@ def receding_coefficients(
         speed_bound: m/s, ε.
         start_angle: θ at the start, rad.
         max_iterations: of each plan but the first.
+        wind: (3,), m/s, in W, that aircraft are believed to fly in, at a time in s.
 
     Returns:
         The coefficients (2, intervals + 4) that are flown, and each plan.
@@ -55,7 +58,8 @@ def receding_coefficients(
     angle, scale, data = start_angle, 1.0, None
     start: NDArray | None = None
     for k in range(intervals):
-        data = problem.data(k * spacing, angle, reference, speed_bound, data)
+        start_time = k * spacing
+        data = problem.data(start_time, angle, reference, speed_bound, data, wind(start_time))
         if start is None:
             answer = solver.solve(data, solver.first_guess(data), max_iterations=_FIRST_ITERATIONS)
         else:

@@ -28,15 +28,15 @@ def aircraft_model():
     return Model(scenario.system, scenario.pattern, scenario.control_period)
 
 
-def planned(wind=None, **fields):
+def planned(told_wind=None, **fields):
     """The layer's outputs after its first plan, above a resting load."""
     fields = {"frequency": 0.595, "amplitude": 1.0, "instants": 4, "terminal_phases": 12} | fields
     block = RecedingHorizonOptimizer(aircraft_model(), RecedingHorizonOptimizerConfig(**fields))
     simulator = Simulator(block)
     context = simulator.get_mutable_context()
     fix(block, context, reference=AT_REST)
-    if wind is not None:
-        fix(block, context, wind_estimate=wind)
+    if told_wind is not None:
+        fix(block, context, wind_estimate=told_wind)
     simulator.Initialize()
     names = ("parameters", "diagnostics", "missed_limits", "speed_bound")
     found = {name: output(block, context, name).copy() for name in names}
@@ -61,6 +61,8 @@ def test_the_first_plan_keeps_the_airspeed_in_the_wind_that_is_told():
     assert told.outcome == Outcome.SOLVED
     assert told.speed_margin > 0
     assert sum(missed) == 0
+    without, _, _ = planned(WIND, wind=False, **bound)
+    np.testing.assert_array_equal(without["parameters"], still["parameters"])
 
 
 def test_a_limit_that_no_plan_keeps_is_counted():

@@ -148,7 +148,7 @@ def test_check_looks_at_the_motion_that_the_governor_lets_pass():
 def test_it_slows_down_for_the_margin_that_is_computed(monkeypatch):
     margins = []
 
-    def recorded(model, config, trajectory, layer, duration):
+    def recorded(model, config, trajectory, layer, duration, wind):
         margins.append(layer.speed_margin)
         return trajectory
 
@@ -253,3 +253,71 @@ def test_a_least_rate_that_is_too_fast_is_told():
     overrides = [*FAST_LINE, GOVERNED, "reference_governor.least_rate=0.95"]
     with pytest.warns(ScenarioWarning, match=r"^reference_governor.least_rate = 0.95: at .* it is"):
         make_nonstop(load_scenario("line_without_optimization", overrides))
+
+
+AIRCRAFT = [  # a transfer that is too fast in the wind, with ξ and A that do not change
+    "simulation_duration=40",
+    "load_trajectory.displacement=[20, 0, 0]",
+    "load_trajectory.start_time=2",
+    "load_trajectory.move_time=30",
+    "optimization_layer.frequency=0.595",
+    "optimization_layer.speed_bound=1.4 V_s",
+    GOVERNED,
+]
+
+
+@pytest.mark.parametrize(
+    ("wind", "is_slowed"),
+    [
+        ("!SteadyWind {velocity: [-1, 0, 0]}", True),
+        ("!SteadyWind {velocity: [-1, 0, 0], believed: [0, 0, 0]}", False),
+        ("!SteadyWind {velocity: [1, 0, 0]}", False),
+        ("!SteadyWind {velocity: [-1, 0, 0], start_time: 33}", False),
+        # At the load, 50 m above the ground: 0.25 and 1 m/s.
+        ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0, ground_height: -50}", False),
+        ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0.86, ground_height: -50}", True),
+    ],
+)
+def test_the_wind_that_is_believed_counts_for_aircraft(wind, is_slowed):
+    scenario = load_scenario("aircraft_transfer", [*AIRCRAFT, f"wind={wind}"])
+    loop = make_nonstop(scenario, at_equilibrium=False)
+    trajectory = loop.GetSubsystemByName("load_trajectory")
+    assert (type(trajectory) is ReferenceGovernor) == is_slowed
+
+
+class OwnWind(LeafSystem):
+    """Some wind, which a state or an input tells."""
+
+    def __init__(self, source):
+        super().__init__()
+        if source == "state":
+            self.DeclareDiscreteState(3)
+        else:
+            port = self.DeclareVectorInputPort("tensions", 4)
+        for name, size in (("wind", 12), ("load_wind", 3), ("wind_estimate", 3)):
+
+            def calc(context, output, size=size):
+                if source != "state":
+                    port.Eval(context)
+                output.SetFromVector(np.zeros(size))
+
+            self.DeclareVectorOutputPort(name, size, calc)
+
+
+@pytest.mark.parametrize("source", ["state", "input"])
+def test_the_wind_has_to_be_known_before_the_run(source):
+    scenario = load_scenario("aircraft_transfer", AIRCRAFT)
+    with pytest.raises(ScenarioError) as error:
+        make_nonstop(scenario, at_equilibrium=False, wind=lambda model: OwnWind(source))
+    assert str(error.value) == (
+        "reference_governor = with wind = OwnWind: its wind_estimate is not known before the run; "
+        "let it follow from time and load_state alone, or leave reference_governor out"
+    )
+
+
+def test_less_wind_is_a_remedy_of_aircraft_that_do_not_fly_at_rest():
+    wind = "wind.velocity=[6, 0, 0]"
+    scenario = load_scenario("aircraft_transfer", [*AIRCRAFT, "wind=SteadyWind", wind])
+    said = r"even a load at rest .* higher ones of max_lift_share, .*, or less wind$"
+    with pytest.warns(ScenarioWarning, match=said):
+        make_nonstop(scenario, at_equilibrium=False)

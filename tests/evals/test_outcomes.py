@@ -13,6 +13,7 @@ OUTCOMES = {
     "aircraft_three": "ok",
     "aircraft_transfer": "ok",
     "aircraft_transfer_gusty": "ok",
+    "aircraft_transfer_rising_wind": "ok",
     "line": "ok",
     "line_without_optimization": "bound_missed",
     "paper_line": "bound_missed",

@@ -1,15 +1,25 @@
 """Times along a path that pass more slowly where ξ and A would not keep the bound."""
 
+import functools
+
 import numpy as np
 import pytest
 from helpers import difference, model
 
-from drake_nonstop.blocks.load_trajectory import ConstantVelocityMove, ConstantVelocityMoveConfig
+from drake_nonstop.blocks.load_trajectory import (
+    ConstantVelocityMove,
+    ConstantVelocityMoveConfig,
+    RestToRest,
+    RestToRestConfig,
+)
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.resting_orbit import resting_orbits
+from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.stretched_time import OrbitFeasibility, PathDelay, stretching
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.aircraft_margins import MeanWind, margins_at_rest
 
 START, MOVE = 3.0, 3.0  # s, of the line
 DURATION = 24.0  # s
@@ -161,3 +171,113 @@ def test_a_motion_that_plans_find_a_way_through_is_left_alone(monkeypatch):
 def test_plans_that_need_slack_are_no_way_through():
     slow = ReferencePreview(line().reference)  # which tells one instant after the other
     assert found(0.45, slow, can_plan=True, duration=6.0).delay is not None
+
+
+AT_REST = np.eye(22)[0]
+NOMINAL = np.array([0.595, 1.0])  # rad/s, N, of the aircraft
+FIXED = {"frequency_bounds": [0.595] * 2, "amplitude_bounds": [1.0] * 2}
+
+
+@functools.cache
+def aircraft_model():
+    scenario = load_scenario("aircraft_rest")
+    return Model(scenario.system, scenario.pattern, scenario.control_period)
+
+
+def of_aircraft(**limits):
+    return LimitsConfig(
+        **{"frequency": NOMINAL[0], "amplitude": NOMINAL[1], "tightening": 0.0} | limits
+    )
+
+
+def aircraft_hold(winds, references=None, **limits):
+    """Whether aircraft keep limits in winds (k, 3), above a load that rests if not said."""
+    config = of_aircraft(**limits)
+    feasibility = OrbitFeasibility(aircraft_model(), config, HorizonConfig(), lambda: "aircraft")
+    references = np.tile(AT_REST, (len(winds), 1)) if references is None else references
+    return feasibility.holds(references, np.array(winds)).tolist()
+
+
+def needs(wind):
+    return margins_at_rest(aircraft_model(), AT_REST, NOMINAL, wind=MeanWind(np.array(wind))).needs
+
+
+def test_limits_of_aircraft_are_kept_up_to_what_the_orbit_in_the_wind_needs():
+    """Against margins that are evaluated at 720 phases of positions' exact derivatives."""
+    wind = [1.5, -1.0, 0.0]
+    need = needs(wind)
+    slowest, bank = need.airspeed.min(), np.abs(need.bank).max()
+    for limit, expected in (
+        ({"speed_bound": 0.99 * slowest}, True),
+        ({"speed_bound": 1.02 * slowest}, False),
+        ({"max_bank": 1.005 * bank}, True),
+        ({"max_bank": 0.97 * bank}, False),
+    ):
+        assert aircraft_hold([wind], **{"speed_bound": 0.0} | limit, **FIXED) == [expected], limit
+
+
+def test_velocity_and_wind_count_by_their_difference():
+    rng = np.random.default_rng(3)
+    winds, velocities = (rng.uniform(-3, 3, (12, 3)) * [1, 1, 0] for _ in range(2))
+    moving = np.tile(AT_REST, (12, 1))
+    moving[:, 10:13] = velocities
+    limits = {"speed_bound": 11.0, "max_bank": 0.65}
+    at_rest = aircraft_hold(winds, **limits, **FIXED)
+    assert aircraft_hold(winds + velocities, moving, **limits, **FIXED) == at_rest
+    assert len(set(at_rest)) == 2
+
+
+def test_other_parameters_near_by_count_where_the_first_ones_do_not_fly():
+    limits = {"speed_bound": 11.0, "max_lift_share": 0.8, "max_bank": 0.75}
+    winds = [[3.0, 0.0, 0.0], [12.0, 0.0, 0.0]]
+    assert aircraft_hold(winds, **limits, **FIXED) == [False, False]
+    assert aircraft_hold(winds, **limits) == [True, False]  # within the default bounds
+
+
+def transfer():
+    config = RestToRestConfig(displacement=[20.0, 0.0, 0.0], start_time=2.0, move_time=30.0)
+    block = RestToRest(aircraft_model(), config)
+    return block.GetOutputPort("reference_preview").Eval(block.CreateDefaultContext())
+
+
+def test_a_load_is_slowed_to_the_largest_velocity_through_the_air_that_aircraft_keep_the_bound_at():
+    bound = 11.0  # m/s
+    low, high = 0.0, 6.0  # m/s, of wind that a load at rest is flown in
+    for _ in range(12):
+        middle = (low + high) / 2
+        is_kept = needs([-middle, 0.0, 0.0]).airspeed.min() > 1.02 * bound  # as a reserve asks for
+        low, high = (middle, high) if is_kept else (low, middle)
+    largest, duration = low, 60.0
+
+    def slowed(winds):
+        return stretching(
+            aircraft_model(),
+            of_aircraft(speed_bound=bound, **FIXED),
+            transfer(),
+            duration,
+            least_rate=0.1,
+            largest_rate=1.0,
+            change_time=8.0,
+            can_plan=False,
+            config=HorizonConfig(),
+            name=lambda: "transfer",
+            winds=winds,
+        )
+
+    def steady(times, references):
+        return np.tile([-1.7, 0.0, 0.0], (len(times), 1))
+
+    def rising(times, references):
+        return np.outer(np.clip(times / 20, 0, 1), [-2.0, 0.0, 0.0])
+
+    assert 2.0 < largest < 1.7 + 1.875 * 20 / 30  # the fastest through the air
+    assert slowed(None).delay is None
+    assert slowed(lambda times, references: -steady(times, references)).delay is None
+    times = np.linspace(0, duration, 301)
+    for winds in (steady, rising):
+        found = slowed(winds)
+        assert len(found.too_fast) == len(found.not_at_rest) == 0
+        stretched = found.delay.stretched(transfer(), times)
+        through_air = stretched[:, 10] - winds(times, stretched)[:, 0]
+        assert 0.8 * largest < np.max(through_air) < 1.05 * largest  # it accelerates, too
+        assert found.delay.at(times)[-1, 0] > 1.0

@@ -26,6 +26,7 @@ def test_the_shipped_scenarios():
         "aircraft_three",
         "aircraft_transfer",
         "aircraft_transfer_gusty",
+        "aircraft_transfer_rising_wind",
         "line",
         "line_without_optimization",
         "paper_line",

@@ -138,20 +138,20 @@ class TestGrids:
         assert "\n" not in str(raised.value)
 
     def test_there_is_no_such_grid_or_file(self, tmp_path):
-        with pytest.raises(ScenarioError, match="one of departures, foresight, paper"):
+        with pytest.raises(ScenarioError, match="one of airspeed, departures, foresight, paper"):
             read_grid("papers")
         with pytest.raises(ScenarioError, match="a file that can be read"):
             read_grid(tmp_path / "none.yaml")
 
     @pytest.mark.parametrize("name", grid_names())
-    def test_what_comes_with_the_package_applies_to_the_line(self, name):
+    def test_what_comes_with_the_package_applies_to_its_scenario(self, name):
         grid = read_grid(name)
         assert grid.description
-        line = load_scenario("line")
+        scenario = load_scenario("aircraft_transfer" if name == "airspeed" else "line")
         for overrides in grid.variants.values():
-            variant = changed(line, overrides)
-            assert variant != line
-            make_nonstop(variant)
+            variant = changed(scenario, overrides)
+            assert variant != scenario
+            make_nonstop(variant, at_equilibrium=name != "airspeed")
 
 
 def a_row(name, error=None, below=0.0, ending=COMPLETED, message=""):
@@ -386,7 +386,7 @@ def test_changes_are_marked_as_better_or_worse(tmp_path):
         ([], "--grid, --swap = none: give at least one"),
         (
             ["--grid", "none"],
-            "--grid = none: give a .yaml file or one of departures, foresight, paper",
+            "--grid = none: give a .yaml file or one of airspeed, departures, foresight, paper",
         ),
         (["--swap", "PaperPhase"], "--swap = PaperPhase: give BOX=BLOCK"),
         (["--swap", "phase=Nope"], "phase = !Nope: give one of"),
