@@ -96,5 +96,10 @@ def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) ->
     )
     turned = rotation_matrix(LoadReference.view(reference).quaternion)
     third = internal_force_jerk(parameters, internal, orders=pattern.orders)
-    higher = ((pattern.basis @ part).reshape(-1, 3) for part in (second, third))
-    return Orbit(forces @ turned, rates @ turned, *higher, np.ones_like(forces))
+    return Orbit(
+        forces @ turned,
+        rates @ turned,
+        (pattern.basis @ second).reshape(-1, 3),
+        (pattern.basis @ third).reshape(-1, 3),
+        np.ones_like(forces),
+    )
