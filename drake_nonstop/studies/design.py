@@ -42,7 +42,7 @@ from drake_nonstop.studies.run_all import Progress, no_progress, run_all
 from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import ScenarioError
 
-PEAK = 1.875  # the largest speed of a quintic move, over its mean
+PEAK = 2.1875  # the largest speed of a septic move, over its mean
 _START_TIME, _END_TIME, _REST_TIME = 5.0, 10.0, 60.0  # s, before and after a way; without one
 _CANDIDATES = 150  # of a search's starts, of which the best are taken
 _COARSE, _FINE, _EXACT = 8, 24, 90  # phases of a turn
@@ -139,10 +139,14 @@ class Refusal:
         reserve: of the best that was found; below 1.
         missed: what its aircraft need beyond what is asked, in words.
         remedy: what would help, which was tried; "" where nothing did.
+        phase_turns: κ of the best that was found; 0 for a co-rotating one.
+        variables: of the best that was found, forces in shares of f₀.
     """
 
     kind: str
     carriers: int
+    phase_turns: int
+    variables: FormationVariables
     reserve: float
     missed: str
     remedy: str
@@ -244,7 +248,8 @@ def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
     Args:
         request: with a displacement.
         count: of instants; 6: at rest, the fastest, those of the largest accelerations, and two
-            between.
+            between; else at rest, and evenly from the first instant to the last, where the snap is
+            the largest.
     """
     nothing = np.zeros(3)
     still = LoadMotion(nothing, nothing)
@@ -253,15 +258,22 @@ def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
     way = np.array(request.displacement)
     distance = float(np.linalg.norm(way))
     if count == _KEY_INSTANTS:
-        steep = math.sqrt(3) / 6  # from the middle, where the acceleration is the largest
+        steep = math.sqrt(0.05)  # from the middle, where the acceleration is the largest
         instants = [0.5 + share * steep for share in (0.0, -1.0, 1.0, -0.5, 0.5)]
     else:
-        instants = [k / count for k in range(1, count)]
+        instants = [k / (count - 2) for k in range(count - 1)]
     motions = [still]
-    for t in instants:  # of the quintic s(t)
-        velocity = 30 * t**2 * (1 - t) ** 2 / PEAK
-        acceleration = 60 * t * (1 - t) * (1 - 2 * t) / (PEAK**2 * distance)
-        motions.append(LoadMotion(way / distance * velocity, way / distance * acceleration))
+    for t in instants:  # of s(t) = 35 t⁴ − 84 t⁵ + 70 t⁶ − 20 t⁷
+        u, side = t * (1 - t), 1 - 2 * t
+        rates = 140 * u**3, 420 * u**2 * side, 840 * u * (1 - 5 * u), 840 * side * (1 - 10 * u)
+        motions.append(
+            LoadMotion(
+                *(
+                    way / distance * rate / (PEAK**order * distance ** (order - 1))
+                    for order, rate in enumerate(rates, start=1)
+                )
+            )
+        )
     return tuple(motions)
 
 
@@ -318,7 +330,7 @@ def formation_needs(
     load = task.load._replace(mass=x.mass)
     aircraft = task.aircraft._replace(cable_length=x.cable_length)
     for motion in task.motions:
-        velocity = x.speed * motion.velocity
+        velocity, acceleration, jerk, snap = motion.at(x.speed)
         air = velocity - x.wind * task.wind
         orbit = carrier_orbit(
             formation_shape(task, kind, x),
@@ -326,7 +338,9 @@ def formation_needs(
             azimuths,
             angles,
             air_velocity=air,
-            acceleration=x.speed**2 * motion.acceleration,
+            acceleration=acceleration,
+            jerk=jerk,
+            snap=snap,
         )
         ground = np.linalg.norm(orbit.velocities + velocity, axis=1)
         yield aircraft_needs(aircraft, orbit, -air), ground  # type: ignore[arg-type]
@@ -347,9 +361,11 @@ def formation_shape(task: FormationTask, kind: str, x: FormationVariables) -> Fo
     )
 
 
-def flight_of(task: FormationTask, kind: str, x: FormationVariables) -> Flight:
+def flight_of(
+    task: FormationTask, kind: str, x: FormationVariables, phases: int = _EXACT
+) -> Flight:
     """The extremes of what the aircraft need; the power is that of the first motion."""
-    found = list(formation_needs(task, kind, x))
+    found = list(formation_needs(task, kind, x, phases))
     needs = AircraftNeeds(*map(np.concatenate, zip(*(each for each, _ in found), strict=True)))
     ranges = needs.thrust_max - needs.thrust_min
     at_rest = found[0][0]
@@ -657,7 +673,13 @@ class _Search:
 
     def _refused(self, best: NDArray, missed: str, remedy: str) -> Refusal:
         return Refusal(
-            kind=self.kind, carriers=self.n, reserve=float(best[-1]), missed=missed, remedy=remedy
+            kind=self.kind,
+            carriers=self.n,
+            phase_turns=self.turns,
+            variables=FormationVariables(*map(float, best)),
+            reserve=float(best[-1]),
+            missed=missed,
+            remedy=remedy,
         )
 
     def _remedy(self, program: FormationProgram, best: NDArray) -> str:
@@ -727,7 +749,13 @@ def formation_scenario(
         distance = float(np.linalg.norm(request.displacement))
         time = round(PEAK * distance / request.speed, 2)
         duration = _START_TIME + time + _END_TIME
-        move = {"displacement": request.displacement, "start_time": _START_TIME, "move_time": time}
+        # A quintic's jerk steps, and the carriers' velocities with it, by L_c/g of the step.
+        move = {
+            "blend": "c4",
+            "displacement": request.displacement,
+            "start_time": _START_TIME,
+            "move_time": time,
+        }
     forces = {name: _rounded(share * getattr(x, name)) for name in x._fields[:4]}
     if kind == LEANING:
         pattern = {"_tag": "!EllipticCarousel", "phase_turns": phase_turns, **forces}
@@ -776,7 +804,9 @@ def design_dictionary(found: Design) -> dict[str, Any]:
         "is_feasible": bool(found.formations),
         "verdict": found.verdict,
         "formations": [_dictionary(found, formation) for formation in found.formations],
-        "refusals": [dataclasses.asdict(refusal) for refusal in found.refusals],
+        "refusals": [
+            vars(refusal) | {"variables": refusal.variables._asdict()} for refusal in found.refusals
+        ],
     }
 
 
