@@ -149,11 +149,12 @@ def neighbours_that_fly(
             values[2] = values[1]
         x = FormationVariables(*map(float, values))
         reserve = math.inf
-        for task in (resting, motions):  # the first tells of most
-            if reserve > best:
+        least = min(best, 0.999)  # below, one more is not looked at any further
+        for task in (resting, motions):
+            if reserve > least:
                 needed = flight_of(task, refusal.kind, x, phases=24)
                 reserve = min(reserve, reserve_of(task, needed))
-        if reserve > best:
+        if reserve > least:
             reserve = min(reserve, float(program.rows(values)[0].min()))
         best = max(best, reserve)
         kept += reserve >= 1
