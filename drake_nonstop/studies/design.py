@@ -317,6 +317,23 @@ def design_task(request: DesignRequest, carriers: int, count: int = _KEY_INSTANT
     )
 
 
+def design_bounds(request: DesignRequest, carriers: int, kind: str) -> tuple[NDArray, NDArray]:
+    """The least and the largest `FormationVariables` (10,) that are looked for.
+
+    The load's mass and speed and the wind are those of the request.
+    """
+    wind = float(np.linalg.norm(request.wind))
+    fixed = [request.load_mass, wind, request.speed]
+    least, most = request.cable_length
+    if kind == LEANING:
+        lower = [0.05, 0.01, 0.01, 0.0, 0.05, least, *fixed, -1e3]
+        upper = [1.5, 1.0, 1.0, 0.6 if carriers > 3 else 0.0, 5.0, most, *fixed, _MOST_RESERVE]
+    else:
+        lower = [0.05, 0.0, 0.0, 0.0, 0.05, least, *fixed, -1e3]
+        upper = [2.0, 0.0, 0.0, 0.0, 5.0, most, *fixed, _MOST_RESERVE]
+    return np.array(lower), np.array(upper)
+
+
 def formation_needs(
     task: FormationTask, kind: str, x: FormationVariables, phases: int = _EXACT
 ) -> Iterator[tuple[AircraftNeeds, NDArray]]:
@@ -501,18 +518,9 @@ class _Search:
         self.turns = 1 if carriers == 3 else carriers - 2
         if kind != LEANING:
             self.turns = 0
-        wind = float(np.linalg.norm(request.wind))
-        fixed = [request.load_mass, wind, request.speed]
-        least, most = request.cable_length
-        if kind == LEANING:
-            lower = [0.05, 0.01, 0.01, 0.0, 0.05, least, *fixed, -1e3]
-            upper = [1.5, 1.0, 1.0, 0.6 if carriers > 3 else 0.0, 5.0, most, *fixed, _MOST_RESERVE]
-        else:
-            lower = [0.05, 0.0, 0.0, 0.0, 0.05, least, *fixed, -1e3]
-            upper = [2.0, 0.0, 0.0, 0.0, 5.0, most, *fixed, _MOST_RESERVE]
-        self.lower, self.upper = np.array(lower), np.array(upper)
+        self.lower, self.upper = design_bounds(request, carriers, kind)
         self.trace: TracedFunction | None = None
-        self.most_reserve = -np.eye(len(lower))[-1]
+        self.most_reserve = -np.eye(len(self.lower))[-1]
 
     def formations(self) -> list[DesignedFormation | Refusal]:
         """Those at rising reserves, each of the least power, or why there is none."""

@@ -21,7 +21,13 @@ from drake_nonstop.studies.design import (
     flight_of,
     formation_needs,
 )
-from drake_nonstop.studies.design_figures import make_pareto_figure, make_region_figure
+from drake_nonstop.studies.design_figures import (
+    KEPT,
+    LOST,
+    RegionFlight,
+    make_pareto_figure,
+    make_region_figure,
+)
 from drake_nonstop.studies.design_request import dump_request, read_request, read_request_text
 from drake_nonstop.studies.feasible_region import feasible_region, region_scenario
 from drake_nonstop.validation import ScenarioError
@@ -106,8 +112,9 @@ def test_what_is_printed_and_drawn(windy):
     assert found["formations"][0]["energy_Wh_per_kg_km"] == pytest.approx(energy)
     assert len(make_pareto_figure(windy).axes) == 2
     region = feasible_region(windy.request, windy.formations[0], [8.0, 10.0], 1.0)
-    figure = make_region_figure("flies", [region], [(0, 9.0, 1.0, True), (0, 9.0, 9.0, False)])
-    assert len(figure.axes[0].lines) == 3
+    flown = [RegionFlight("four", 0, 9.0, wind, how) for wind, how in ((1.0, KEPT), (9.0, LOST))]
+    figure = make_region_figure({"four": [region]}, flown)
+    assert len(figure.axes[0].lines) == 5  # the border, two flights, and both in the legend
 
 
 def test_a_load_that_is_too_heavy_is_refused_with_one_that_is_not():
