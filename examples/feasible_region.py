@@ -1,9 +1,9 @@
 """Which wind, load and speed four aircraft can take, beside flights on both sides of the border.
 
-For each load, speed and kind of orbit a formation is designed for the most wind. The border is where
-a limit of the aircraft or of their controllers is reached, by the exact inverse of their dynamics.
-Flights within it have to keep the limits; beyond it the formations that miss them by the least are
-flown. The picture goes to feasible_region.png. It takes ten minutes on two cores.
+For each load, speed and kind of orbit a formation is designed for the most wind. The border is
+where a limit of the aircraft or of their controllers is reached, by the exact inverse of their
+dynamics. Flights within it have to keep the limits; beyond it the formations that miss them by the
+least are flown. The picture goes to feasible_region.png. It takes ten minutes on two cores.
 """
 
 from concurrent.futures import ProcessPoolExecutor

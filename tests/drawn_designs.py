@@ -1,7 +1,7 @@
 """Requests for `design` drawn at random, each from a seed.
 
-`python tests/drawn_designs.py FIRST COUNT --journal FILE` designs for the seeds, flies what is found,
-and looks beside what is refused. Interrupted, the same command goes on from there.
+`python tests/drawn_designs.py FIRST COUNT --journal FILE` designs for the seeds, flies what is
+found, and looks beside what is refused. Interrupted, the same command goes on from there.
 """
 
 import argparse
@@ -124,7 +124,7 @@ def beyond(flown: dict[str, Any]) -> dict[str, float]:
 def neighbours_that_fly(
     request: DesignRequest, refusal: Refusal, count: int, share: float = 0.05
 ) -> tuple[float, int]:
-    """The largest reserve of formations beside the best of a refusal, and how many keep all margins.
+    """The largest reserve of formations beside a refusal's best, and how many keep all margins.
 
     Its forces, rate and cables are changed by up to the share, each by its own, within the
     request's cables. Their margins are those of the exact inverse at all instants of the way.

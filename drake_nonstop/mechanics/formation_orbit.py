@@ -75,8 +75,9 @@ def carrier_orbit(
         F = M (g e₃ + p̈_L) + B_L (ṗ_L − w),
 
     and with its two rates `carrier_motion` and `carrier_acceleration` follow: F changes with the
-    load's acceleration, jerk and snap, in a constant wind. The forces beside F/n have no wrench where φ_i = θ + κ β_i with
-    a κ that suits n, see `EllipticCarouselConfig`; carrier i is at ψ = β_i = 2π i/n + Ω t.
+    load's acceleration, jerk and snap, in a constant wind. The forces beside F/n have no wrench
+    where φ_i = θ + κ β_i with a κ that suits n, see `EllipticCarouselConfig`; carrier i is at
+    ψ = β_i = 2π i/n + Ω t.
 
     Args:
         shape: of the formation.

@@ -51,6 +51,12 @@ _MOST_RESERVE = 2.0  # that is looked for
 _ROUND = 1.01  # of the reserve, since extremes lie between phases
 _CLOSE = 0.02  # of reserves that are the same
 _DOUBLINGS, _HALVINGS = 8, 20
+_EASED = 0.97  # of a margin that is kept, which is asked for instead
+_OTHER_MARGINS = {  # by the names of the program's rows
+    "share": "the least force of a cable",
+    "apart_reach": "the distance of carriers beside the length of their cables",
+    "cables": "the distance of cables",
+}
 
 
 class Flight(NamedTuple):
@@ -446,8 +452,9 @@ def _rows_of(
     ):
         degrees = [math.degrees(angle) for angle in (value, limit, margin)]
         yield name, degrees[0], degrees[1], degrees[2], 1, "deg"
-    for name, value in (("above", flight.thrust_above), ("below", flight.thrust_below)):
-        yield f"thrust left {name}", value, 0.0, limits.thrust_margin, -1, ""
+    for name, value in (("largest", flight.thrust_above), ("least", flight.thrust_below)):
+        margin = 100 * limits.thrust_margin
+        yield f"thrust left to the {name}", 100 * value, 0.0, margin, -1, "% of its range"
 
 
 def breaking_points(
@@ -670,14 +677,17 @@ class _Search:
 
     def _refusal(self, program: FormationProgram, best: NDArray) -> Refusal:
         x = FormationVariables(*map(float, best))
-        flight = flight_of(self.task, self.kind, x)
+        flight = flight_of(self.way, self.kind, x)
         missed = [each.text for each in missed_limits(self.task, flight, 1.0)]
         apart = float(program.separations(best)[0].min())
         if apart < 0.999 * self.request.separation:
             missed.append(f"carriers {apart:.3g} m apart (at least {self.request.separation:g} m)")
         if not missed:
-            missed = [f"{program.closest_row(best)} margin"]
-        return self._refused(best, ", ".join(missed), self._remedy(program, best))
+            name = program.closest_row(best)
+            share = f"{best[-1]:.3g} of its margin (at least 1)"
+            missed = [f"{_OTHER_MARGINS.get(name, name)} with {share}"]
+        remedy = self._remedy(program, best) or self._smaller_margins(flight, apart, best[-1])
+        return self._refused(best, ", ".join(missed), remedy)
 
     def _refused(self, best: NDArray, missed: str, remedy: str) -> Refusal:
         return Refusal(
@@ -721,9 +731,30 @@ class _Search:
             if index == 7:
                 share = value / best[7]
                 wind = [float(_down(share * part)) for part in request.wind]
-                return f"request.wind = {wind} or less"
+                return f"request.wind = {wind} or weaker"
             return f"request.speed = {_down(value)} or less"
         return ""
+
+    def _smaller_margins(self, flight: Flight, apart: float, reserve: float) -> str:
+        """The margins that the best formation keeps, in place of those that it misses."""
+        if reserve < _CLOSE:
+            return ""
+        request, limits = self.request, self.task.limits
+        slowest = float(stall_speed(self.task.aircraft))
+        thrust_left = min(flight.thrust_above, flight.thrust_below)
+        fields = []
+        for name, value, limit, side in (
+            ("lift_share", flight.lift_share, limits.lift_share, 1),
+            ("speed_share", flight.airspeed_min / slowest, limits.speed_share, -1),
+            ("bank", flight.bank, limits.bank, 1),
+            ("climb", flight.climb, limits.climb, 1),
+            ("thrust_reserve", thrust_left, 0.0, -1),
+            ("separation", apart, 0.0, -1),
+        ):
+            eased = limit + _EASED * (value - limit)
+            if side * (eased - getattr(request, name)) > 0:
+                fields.append(f"request.{name} = {eased:.4g}")
+        return " and ".join(fields)
 
 
 def _up(value: float) -> str:
