@@ -31,6 +31,7 @@ KINDS = {"leaning": "Orbits that lean", "co_rotating": "Level circles, the load 
 SPEEDS = (0.0, 1.5, 3.0)  # m/s, of the load
 MASSES = [2.0, 4.0, 7.0, 10.0, 15.0, 20.0]  # kg
 FLOWN = (4.0, 10.0, 20.0)  # kg
+LARGEST_ERROR = 1.0  # m, of a load that is not lost
 FACTORS = (0.9, 1.15)  # of the border's wind, at which it is flown
 
 
@@ -42,7 +43,8 @@ def fly(scenario: Scenario) -> tuple[str, str]:
         return LOST, str(stopped)
     flight, error = metrics["aircraft"], metrics["load"]["position_error_max_m"]
     saturated = flight["saturated_share"]
-    outcome = LOST if metrics["outcome"] != "ok" else KEPT if saturated < 0.01 else AT_LIMITS
+    is_lost = metrics["outcome"] != "ok" or error > LARGEST_ERROR
+    outcome = LOST if is_lost else KEPT if saturated < 0.01 else AT_LIMITS
     return outcome, (
         f"{metrics['outcome']:9} load error max {error:.3f} m, C_L {flight['lift_share_max']:.2f} "
         f"of C_Lmax, saturated {saturated:.1%}"

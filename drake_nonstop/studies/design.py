@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import drawn_power, stall_speed
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
+from drake_nonstop.mechanics.signals import POSE_SIZE
 from drake_nonstop.model.pattern import EllipticCarouselConfig
 from drake_nonstop.optimization.formation_program import (
     LEANING,
@@ -21,7 +22,7 @@ from drake_nonstop.optimization.formation_program import (
     LoadMotion,
 )
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.scenario.overrides import as_override
+from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.aircraft_margins import (
     AircraftMargins,
@@ -31,6 +32,8 @@ from drake_nonstop.simulation.aircraft_margins import (
     aircraft_needs,
 )
 from drake_nonstop.simulation.formation import find_formation
+from drake_nonstop.simulation.run import RunStopped, StepCheck
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.simulation.task import task_of
 from drake_nonstop.studies.design_request import (
     GRAVITY,
@@ -51,6 +54,10 @@ _MOST_RESERVE = 2.0  # that is looked for
 _ROUND = 1.01  # of the reserve, since extremes lie between phases
 _CLOSE = 0.02  # of reserves that are the same
 _DOUBLINGS, _HALVINGS = 8, 20
+_OBSERVERS = (1.0, 0.7, 0.4)  # weights that are tried
+# A flight at rest has three parts of 14 s or a turn. From the second to the third one an error, m,
+# that is larger than the least may grow by 1.15.
+_STEADY_PARTS, _STEADY_TIME, _STEADY_GROWTH, _STEADY_ERROR = 3, 14.0, 1.15, 1e-4
 _EASED = 0.97  # of a margin that is kept, which is asked for instead
 _OTHER_MARGINS = {  # by the names of the program's rows
     "share": "the least force of a cable",
@@ -65,7 +72,6 @@ class Flight(NamedTuple):
     lift_share: float  # of C_Lmax, the largest
     airspeed_min: float  # m/s
     airspeed_max: float  # m/s
-    ground_speed_min: float  # m/s
     bank: float  # rad, the largest, to either side
     climb: float  # rad, the largest, up or down
     thrust_min: float  # N
@@ -342,8 +348,8 @@ def design_bounds(request: DesignRequest, carriers: int, kind: str) -> tuple[NDA
 
 def formation_needs(
     task: FormationTask, kind: str, x: FormationVariables, phases: int = _EXACT
-) -> Iterator[tuple[AircraftNeeds, NDArray]]:
-    """What all aircraft need at phases of a turn, and their speeds above ground, per motion."""
+) -> Iterator[AircraftNeeds]:
+    """What all aircraft need at phases of a turn, for each motion."""
     n = task.load.carriers
     turn, places = (2 * np.pi * np.arange(k) / k for k in (phases, n))
     if kind == LEANING:
@@ -365,8 +371,7 @@ def formation_needs(
             jerk=jerk,
             snap=snap,
         )
-        ground = np.linalg.norm(orbit.velocities + velocity, axis=1)
-        yield aircraft_needs(aircraft, orbit, -air), ground  # type: ignore[arg-type]
+        yield aircraft_needs(aircraft, orbit, -air)  # type: ignore[arg-type]
 
 
 def formation_shape(task: FormationTask, kind: str, x: FormationVariables) -> FormationShape:
@@ -389,14 +394,13 @@ def flight_of(
 ) -> Flight:
     """The extremes of what the aircraft need; the power is that of the first motion."""
     found = list(formation_needs(task, kind, x, phases))
-    needs = AircraftNeeds(*map(np.concatenate, zip(*(each for each, _ in found), strict=True)))
+    needs = AircraftNeeds(*map(np.concatenate, zip(*found, strict=True)))
     ranges = needs.thrust_max - needs.thrust_min
-    at_rest = found[0][0]
+    at_rest = found[0]
     return Flight(
         lift_share=float(np.max(needs.lift)) / float(task.aircraft.max_lift),
         airspeed_min=float(np.min(needs.airspeed)),
         airspeed_max=float(np.max(needs.airspeed)),
-        ground_speed_min=min(float(np.min(ground)) for _, ground in found),
         bank=float(np.max(np.abs(needs.bank))),
         climb=float(np.max(np.abs(needs.climb))),
         thrust_min=float(np.min(needs.thrust)),
@@ -527,6 +531,7 @@ class _Search:
             self.turns = 0
         self.lower, self.upper = design_bounds(request, carriers, kind)
         self.trace: TracedFunction | None = None
+        self.observer: float | None = None  # the weight, once it is known
         self.most_reserve = -np.eye(len(self.lower))[-1]
 
     def formations(self) -> list[DesignedFormation | Refusal]:
@@ -658,6 +663,9 @@ class _Search:
         formation = find_formation(task_of(scenario), count=4)
         if not formation.is_stable:
             return f"a deviation of the load grows by {formation.worst.rate:.2g} 1/s"
+        scenario = self._steadied(scenario, margins.turn)
+        if scenario is None:
+            return "in a flight at rest the load's sway grows"
         mean_speed = request.speed / PEAK
         energy = None
         if mean_speed > 0:
@@ -674,6 +682,20 @@ class _Search:
             energy=energy,
             scenario=scenario,
         )
+
+    def _steadied(self, scenario: Scenario, turn: float) -> Scenario | None:
+        """With the largest weight of the aircraft's observers at which the load's sway fades.
+
+        They hold the carriers on their references, and then nothing but the load's controller damps
+        it. The first formation is flown at rest for that; the others have the same weight.
+        """
+        weights = _OBSERVERS if self.observer is None else (self.observer,)
+        for weight in weights:
+            tried = changed(scenario, [as_override("carrier_controller.observer", weight)])
+            if self.observer is not None or _is_steady(tried, turn):
+                self.observer = weight
+                return tried
+        return None
 
     def _refusal(self, program: FormationProgram, best: NDArray) -> Refusal:
         x = FormationVariables(*map(float, best))
@@ -757,6 +779,26 @@ class _Search:
         return " and ".join(fields)
 
 
+def _is_steady(scenario: Scenario, turn: float) -> bool:
+    """Whether the load's error does not grow from one turn (s) to the next, in a flight at rest."""
+    part = max(_STEADY_TIME, turn)
+    changes = [
+        f"simulation_duration={_STEADY_PARTS * part}",
+        "load_trajectory.displacement=[0.0, 0.0, 0.0]",
+    ]
+    try:
+        run = simulate(changed(scenario, changes), check_step=StepCheck.NOTHING)
+    except RunStopped:
+        return False
+    if run.stopped:
+        return False
+    positions = run.signal("load_state")[:, POSE_SIZE - 3 : POSE_SIZE]
+    errors = np.linalg.norm(positions - positions[0], axis=1)
+    count = len(errors) // _STEADY_PARTS
+    before, last = np.max(errors[-2 * count : -count]), np.max(errors[-count:])
+    return bool(last < max(_STEADY_GROWTH * before, _STEADY_ERROR))
+
+
 def _up(value: float) -> str:
     return f"{math.ceil(value * 1.01):d}"
 
@@ -819,7 +861,7 @@ def formation_scenario(
             "_tag": "!ConstantParameters",
             "frequency": frequency,
             "amplitude": 1.0 if kind == LEANING else 0.0,
-            "speed_bound": math.floor(9 * flight.ground_speed_min) / 10,
+            "speed_bound": math.floor(9 * flight.airspeed_min) / 10,
         },
         "carrier_controller.frequency": 1.8 if kind == LEANING else 1.5,
     }

@@ -221,4 +221,8 @@ def redesigned_scenario(
     )
     flight = flight_of(redesign.way, formation.kind, x)
     shape = formation.kind, formation.carriers, formation.phase_turns
-    return formation_scenario(asked, *shape, x, flight)
+    scenario = formation_scenario(asked, *shape, x, flight)
+    scenario.carrier_controller = formation.scenario.carrier_controller
+    # Beyond the border the least airspeed is no news.
+    scenario.optimization_layer.speed_bound = 0.0  # type: ignore[attr-defined]
+    return scenario
