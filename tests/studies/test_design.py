@@ -117,6 +117,36 @@ def test_what_is_printed_and_drawn(windy):
     assert len(figure.axes[0].lines) == 5  # the border, two flights, and both in the legend
 
 
+def test_observers_have_the_largest_weight_at_which_a_flight_is_steady(windy, monkeypatch):
+    scenario = windy.formations[0].scenario
+    assert scenario.carrier_controller.observer == 1
+    tried = []
+
+    def is_steady(scenario, turn):
+        tried.append(scenario.carrier_controller.observer)
+        return tried[-1] < 0.8
+
+    monkeypatch.setattr(module, "_is_steady", is_steady)
+    search = module._Search(windy.request, 4, "co_rotating")
+    for _ in range(2):  # the second time it is known
+        assert search._steadied(scenario, 10.0).carrier_controller.observer == 0.7
+    assert tried == [1.0, 0.7]
+    monkeypatch.setattr(module, "_is_steady", lambda *_: False)
+    assert module._Search(windy.request, 4, "co_rotating")._steadied(scenario, 10.0) is None
+
+
+def test_margins_that_are_missed_may_be_smaller():
+    """With the margins of the remedy, in place of those that cannot be kept."""
+    tight = ["carriers=[4]", "cable_length=[60, 60]", "lift_share=0.12", "starts=1", "speed=0"]
+    found = found_for(tight)
+    assert not found.formations
+    assert "C_L / C_Lmax" in found.verdict
+    changes = re.findall(r"request\.(\w+ = [\d.]+)", found.verdict.partition("give ")[2])
+    assert changes
+    eased = found_for([*tight, *(change.replace(" ", "") for change in changes)])
+    assert eased.formations
+
+
 def test_a_load_that_is_too_heavy_is_refused_with_one_that_is_not():
     found = found_for(["carriers=[3]", "load_mass=80", "cable_length=[40, 60]", "starts=1"])
     assert not found.formations
