@@ -1,6 +1,5 @@
 """How a disturbance of 1 mm grows in a flight, beside what is predicted of its formation."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -12,6 +11,7 @@ from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.step_size import with_step
 from drake_nonstop.studies.stability import at_rest
 from drake_nonstop.systems.tracing import NotFiniteError
 
@@ -37,8 +37,7 @@ def deviations(scenario: Scenario, duration: float) -> tuple[NDArray, NDArray]:
         plant_states(nonstop).set_states(context, load_state=load)
         simulator = Simulator(nonstop, context)
         step = min(_STEP, scenario.simulator_config.max_step_size)
-        config = dataclasses.replace(scenario.simulator_config, max_step_size=step)
-        ApplySimulatorConfig(config, simulator)
+        ApplySimulatorConfig(with_step(scenario.simulator_config, step), simulator)
         simulator.Initialize()
         simulators.append(simulator)
     radius = float(np.linalg.norm(np.array(scenario.system.attachments), axis=1).max())
@@ -63,7 +62,7 @@ def deviations(scenario: Scenario, duration: float) -> tuple[NDArray, NDArray]:
     return np.array(times), np.array(distances)
 
 
-def measured_rate(scenario: Scenario, duration: float = 60.0) -> float:
+def measured_rate(scenario: Scenario, duration: float = 20.0) -> float:
     """The rate, 1/s, at which the disturbance grows in the end while the load rests.
 
     It is that over the last half of the time, in whole turns where there are any.

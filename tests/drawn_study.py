@@ -163,13 +163,14 @@ def check(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> di
         at_rest = formation.at_rest
         figures |= {"rate_at_rest": at_rest.rate, "growth": formation.growth}
         figures |= {
-            "sampled_rate_at_rest": at_rest.sampled_rate,
+            "sampled_rate_at_rest": at_rest.sampled.rate,
+            "sampled_growth_in_turn": at_rest.sampled.in_turn,
             "sampled_growth": formation.sampled_growth,
         }
         outcome = "sound" if speeds.is_feasible else "infeasible"
         if not formation.is_stable:
             outcome = "unstable"
-            if np.nanmax([at_rest.rate, at_rest.sampled_rate]) > _UNSTABLE:
+            if np.nanmax([at_rest.rate, at_rest.sampled.rate]) > _UNSTABLE:
                 figures["measured_rate_at_rest"] = measured_rate(scenario)
             else:
                 figures["measured_growth"] = measured_growth(scenario)

@@ -174,7 +174,8 @@ class WrenchController(_WrenchPid):
     """PID with feedforward: equations 14-15 with the sign of e_ω that damps.
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping.
+    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
+    position and a quarter of the torques.
 
     .. pydrake_system::
 
@@ -227,7 +228,8 @@ class PaperWrenchController(_WrenchPid):
     the e_ω of the other controllers.
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping.
+    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
+    position and a quarter of the torques.
 
     .. pydrake_system::
 
@@ -283,7 +285,8 @@ class GeometricPd(_WrenchPid):
     """Geometric PD that carries the weight, without integrals and feedforward.
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping.
+    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
+    position and a quarter of the torques.
 
     .. pydrake_system::
 

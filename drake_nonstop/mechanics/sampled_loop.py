@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+_STARTS = 12  # phases from which on deviations are followed
 _TERMS = 9  # of the exponential's series, for a matrix of norm 1/4
 
 
@@ -63,7 +64,7 @@ def matrix_exponential(matrix: NDArray) -> NDArray:
     return result
 
 
-def parts_of_turn(turn: float, period: float, about: int) -> tuple[int, int]:
+def parts_of_turn(turn: float, period: float, about: float) -> tuple[int, int]:
     """How many samples each of about so many equal parts of a turn (s) has, and how many they are.
 
     Together they are a turn, to the nearest part.
@@ -81,6 +82,23 @@ def growth(loops: Sequence[SampledLoop], samples: int) -> float:
     for loop in loops:
         turn = np.linalg.matrix_power(loop.transition, samples) @ turn
     return float(np.max(np.abs(np.linalg.eigvals(turn)), initial=0.0))
+
+
+def growth_in_turn(loops: Sequence[SampledLoop], samples: int, scale: NDArray) -> float:
+    """By how much a deviation of the first states grows at most, from some phase on, within a turn.
+
+    Loops and samples are as of `growth`; `scale` (k,) weighs the first k states, which begin off
+    while all others do not, and whose size is the largest singular value.
+    """
+    k, largest = len(scale), 1.0
+    for first in range(0, len(loops), max(1, len(loops) // _STARTS)):
+        state = np.zeros((len(loops[0].transition), k))
+        state[:k] = np.diag(1 / scale)
+        for loop in (*loops[first:], *loops[:first]):
+            for _ in range(samples):
+                state = loop.transition @ state
+            largest = max(largest, float(np.linalg.norm(scale[:, None] * state[:k], 2)))
+    return largest
 
 
 def responses(loops: Sequence[SampledLoop], samples: int, last: int, lags: int) -> NDArray:

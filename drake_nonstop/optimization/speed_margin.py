@@ -20,6 +20,7 @@ from drake_nonstop.mechanics.sampled_loop import (
     SampledLoop,
     bounded_response,
     growth,
+    growth_in_turn,
     known_response,
     noise_deviation,
     overshoot,
@@ -45,6 +46,7 @@ from drake_nonstop.optimization.terminal_set import product_limits
 DEVIATIONS = 5.0  # standard deviations of noise: a normal value falls below with 2.9e-7
 _PHASES = 24  # of the orbits, at which speeds and their rates are looked at
 _LOOPS = 60  # about as many phases the loop is linearized: steps of forces between them count
+_SEEMS_TO_GROW = 0.05  # per s
 _SEEN = 3  # of these phases, at which the shortfalls are looked at
 _MEMORY = 10.0  # s, of the inputs that matter for a shortfall
 _LARGEST_GROWTH = 0.2  # per s, beyond which there is no margin
@@ -323,6 +325,14 @@ class TurnOfLoops(NamedTuple):
         """1/s, at which a deviation grows from turn to turn, the largest one."""
         return math.log(growth(self.loops, self.samples)) / self.turn
 
+    def growth_in_turn(self, radius: float) -> float:
+        """The logarithm of how many times a deviation of the load's pose grows within a turn.
+
+        An attitude's size is that of the distance it makes at the radius in m.
+        """
+        scale = np.repeat([radius, 1.0], 3)
+        return math.log(growth_in_turn(self.loops, self.samples, scale))
+
 
 def turn_of_loops(
     model: Model,
@@ -333,6 +343,9 @@ def turn_of_loops(
     orbit: Callable[[float], Orbit],
 ) -> TurnOfLoops:
     """The loop of load, cables, carriers and controllers along the orbits.
+
+    It is linearized at some 60 phases; where it seems to grow, at every sample, since forces that
+    step from phase to phase move what is lightly damped.
 
     Args:
         model: what the controllers believe.
@@ -350,24 +363,31 @@ def turn_of_loops(
         compliance=model.cable_compliance,
     )
     turn = 2 * math.pi / frequency
-    samples, count = parts_of_turn(turn, feedback.period, _LOOPS)
-    orbits = [orbit(2 * math.pi * i / count) for i in range(count)]
-    loops = [
-        tethered_loop(
-            plant.load,
-            cables,
-            carriers,
-            feedback.gains,
-            along,
-            pseudo_inverse=model.pseudo_inverse,
-            period=feedback.period,
-            delay=feedback.delay,
-            is_measured=feedback.is_measured,
-            estimator=feedback.estimator,
-        )
-        for along in orbits
-    ]
-    return TurnOfLoops(orbits, loops, samples, turn)
+
+    def at_phases(about: float) -> TurnOfLoops:
+        samples, count = parts_of_turn(turn, feedback.period, about)
+        orbits = [orbit(2 * math.pi * i / count) for i in range(count)]
+        loops = [
+            tethered_loop(
+                plant.load,
+                cables,
+                carriers,
+                feedback.gains,
+                along,
+                pseudo_inverse=model.pseudo_inverse,
+                period=feedback.period,
+                delay=feedback.delay,
+                is_measured=feedback.is_measured,
+                estimator=feedback.estimator,
+            )
+            for along in orbits
+        ]
+        return TurnOfLoops(orbits, loops, samples, turn)
+
+    found = at_phases(_LOOPS)
+    if found.samples == 1 or found.rate < _SEEMS_TO_GROW:
+        return found
+    return at_phases(turn / feedback.period)
 
 
 class _Loops:

@@ -16,14 +16,14 @@ from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK, wrench_a
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.simulation.load_stability import Growth, LoadDeviations
-from drake_nonstop.simulation.sampled_growth import sampled_rate
+from drake_nonstop.simulation.sampled_growth import SampledGrowth, sampled_growth
 from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
 
 Parameters = Callable[[float], NDArray]  # [ξ (rad/s), A (N)] (2,) at a time in s
 
 _MOST_GROWN = 1.0  # logarithm of what becomes of a deviation of 1, of a sound task
-_MOST_GROWN_IN_SAMPLES = 8.0  # likewise
+_MOST_GROWN_IN_SAMPLES = 4.5  # likewise
 _SAMPLED = 4  # instants, at one of which the sampled loop is looked at
 _GAIN_FACTORS = (2.0, 4.0, 8.0, 0.5, 0.25)
 _HALVINGS = 6  # of the range of A
@@ -53,7 +53,7 @@ class FormationInstant(NamedTuple):
     loads: CableLoads
     free: Growth  # without control
     controlled: Growth | None  # with the scenario's; None: it is not known
-    sampled_rate: float  # 1/s, with its samples and carriers; NaN: they are not known
+    sampled: SampledGrowth  # with its samples and carriers
 
     @property
     def rate(self) -> float:
@@ -73,8 +73,8 @@ class Formation(NamedTuple):
     def is_stable(self) -> bool:
         """Whether no deviation grows beyond e times its size until the task's end.
 
-        What grows in samples alone begins with what holds leave, some micrometres, and often ends
-        as a ripple: it may grow 3000 times.
+        What grows in samples alone begins with what holds leave, some micrometres: it may grow 90
+        times.
         """
         return self.growth < _MOST_GROWN and not self.is_lost_in_samples
 
@@ -92,8 +92,8 @@ class Formation(NamedTuple):
     def worst(self) -> FormationInstant:
         """That with the largest rate, in samples where these lose the load."""
         if self.is_lost_in_samples:
-            sampled = [i for i in self.instants if math.isfinite(i.sampled_rate)]
-            return max(sampled, key=lambda instant: instant.sampled_rate)
+            sampled = [i for i in self.instants if math.isfinite(i.sampled.in_turn)]
+            return max(sampled, key=lambda instant: instant.sampled.in_turn)
         return max(self.instants, key=lambda instant: instant.rate)
 
 
@@ -157,9 +157,9 @@ def formation_at(
         cable_loads(task.flown, reference, parameters, task.wind),
         deviations.growth(reference, parameters, wind=task.wind),
         controlled,
-        sampled_rate(task, reference, parameters, gains)
+        sampled_growth(task, reference, parameters, gains)
         if in_samples and gains is not None
-        else math.nan,
+        else SampledGrowth(),
     )
 
 
@@ -189,12 +189,13 @@ def find_formation(
         for i in range(count)
     )
     looked_at = instants[_SAMPLED // 2 :: _SAMPLED] or (at_rest,)
-    sampled = [instant.sampled_rate for instant in looked_at]
+    long_part = task.duration / len(looked_at)
+    in_turn = max(instant.sampled.in_turn for instant in (at_rest, *looked_at))
     return Formation(
         at_rest,
         instants,
         _largest_growth([part * instant.rate for instant in instants]),
-        _largest_growth([task.duration / len(sampled) * rate for rate in sampled]),
+        _largest_growth([long_part * instant.sampled.rate for instant in looked_at]) + in_turn,
     )
 
 
@@ -257,7 +258,8 @@ def find_formation_remedies(
             parameters = at(time) * np.array([1.0, of_amplitude])
             in_samples = found.growth < _MOST_GROWN
             instant = formation_at(task, deviations, time, parameters, used, in_samples=in_samples)
-            is_lost = instant.sampled_rate * task.duration >= _MOST_GROWN_IN_SAMPLES
+            grown = max(0.0, instant.sampled.rate) * task.duration + instant.sampled.in_turn
+            is_lost = grown >= _MOST_GROWN_IN_SAMPLES
             if instant.rate * task.duration >= _MOST_GROWN or is_lost:
                 return False
         return True

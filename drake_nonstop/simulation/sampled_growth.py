@@ -8,7 +8,7 @@ a force moves its carrier by L/T times as much within a sample.
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,38 +23,45 @@ from drake_nonstop.optimization.speed_margin import turn_of_loops
 from drake_nonstop.simulation.task import Task
 
 
-def sampled_rate(
+class SampledGrowth(NamedTuple):
+    """How deviations of the load grow; NaN: the loop is not known, or cables do not stretch."""
+
+    rate: float = math.nan  # 1/s, from turn to turn, that of the largest Floquet multiplier
+    in_turn: float = math.nan  # logarithm of how many times, at most, from any phase on in a turn
+
+
+def sampled_growth(
     task: Task,
     reference: NDArray,
     parameters: NDArray,
     gains: Mapping[str, Any] | None = None,
-) -> float:
-    """The rate (1/s) at which a deviation grows from turn to turn, the largest one.
+) -> SampledGrowth:
+    """That of the loop of `mechanics.tethered_loop`, linearized at phases of the orbits.
 
-    By the Floquet multipliers of `mechanics.tethered_loop`, linearized at phases of the orbits.
+    A loop whose multipliers are small may still lose the load: where a cable is nearly slack for a
+    part of each turn, deviations grow in it before they decay.
 
     Args:
         task: what is flown.
         reference: (22,) of the load, whose motion stays as it is.
         parameters: [ξ (rad/s), A (N)] (2,).
         gains: in place of the wrench controller's.
-
-    Returns:
-        NaN: the loop's carriers or its feedback are not known, or cables do not stretch.
     """
     carriers, feedback = task.carriers, task.feedback
     if carriers is None or feedback is None or not math.isfinite(task.flown.cable_stiffness):
-        return math.nan
+        return SampledGrowth()
     if gains is not None:
         feedback = replace(feedback, gains={**feedback.gains, **gains})
-    return turn_of_loops(
+    found = turn_of_loops(
         task.model,
         task.flown,
         carriers,
         feedback,
         float(parameters[0]),
         lambda angle: _orbit(task, reference, angle, parameters),
-    ).rate
+    )
+    radius = float(np.linalg.norm(task.flown.attachments, axis=1).max())
+    return SampledGrowth(found.rate, found.growth_in_turn(radius))
 
 
 def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) -> Orbit:

@@ -82,7 +82,8 @@ class TaskCheck:
         helps = "; or ".join(self.formation_remedies)
         how = f"{worst.rate:.2g} 1/s{_without(worst)}"
         if self.formation.is_lost_in_samples:
-            how = f"{worst.sampled_rate:.2g} 1/s in the samples of the controllers"
+            times = math.exp(worst.sampled.in_turn)
+            how = f"{times:.2g} times in a turn, in the samples of the controllers"
         return (
             f"formation = unstable: at t = {worst.time:.1f} s a small deviation grows by {how}; "
             f"{'give ' + helps if helps else 'nothing that was tried helps'}"
@@ -162,8 +163,9 @@ def task_table(found: TaskCheck) -> str:
         rates = [f"{instant.free.rate:+.3g} 1/s without control"]
         if instant.controlled is not None:
             rates.insert(0, f"{instant.controlled.rate:+.3g} 1/s")
-        if math.isfinite(instant.sampled_rate):
-            rates.append(f"{instant.sampled_rate:+.3g} 1/s in samples")
+        if math.isfinite(instant.sampled.rate):
+            times = math.exp(instant.sampled.in_turn)
+            rates.append(f"{instant.sampled.rate:+.3g} 1/s in samples, {times:.3g} times in a turn")
         rows.append((f"growth of a deviation, {name}", ", ".join(rates), _at(instant)))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
@@ -210,7 +212,8 @@ def task_dictionary(found: TaskCheck) -> dict[str, Any]:
                     "frequency_rad_s": float(instant.parameters[0]),
                     "amplitude_N": float(instant.parameters[1]),
                     "rate_1_s": instant.controlled and instant.controlled.rate,
-                    "rate_in_samples_1_s": _number(instant.sampled_rate),
+                    "rate_in_samples_1_s": _number(instant.sampled.rate),
+                    "growth_in_a_turn_in_samples": _number(instant.sampled.in_turn),
                     "rate_without_control_1_s": instant.free.rate,
                     "largest_multiplier": float(
                         abs((instant.controlled or instant.free).multipliers[0])

@@ -13,9 +13,7 @@ from drake_nonstop.simulation.simulate import simulate
 
 @pytest.mark.parametrize("name", scenario_names())
 def test_both_plants_agree(name):
-    overrides = (
-        [] if name in ("quintic", "line") else ["simulation_duration=7"]
-    )  # all that move do by then
+    overrides = ["simulation_duration=7"]  # all that move do by then
     scenario = load_scenario(name)
     size = scenario.system.load_inertia[0][0]
     inertia = size * np.array([[1.2, 0.1, 0.0], [0.1, 1.0, 0.2], [0.0, 0.2, 1.5]])
