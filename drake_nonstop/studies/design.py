@@ -663,8 +663,8 @@ class _Search:
         formation = find_formation(task_of(scenario), count=4)
         if not formation.is_stable:
             return f"a deviation of the load grows by {formation.worst.rate:.2g} 1/s"
-        scenario = self._steadied(scenario, margins.turn)
-        if scenario is None:
+        steadied = self._steadied(scenario, margins.turn)
+        if steadied is None:
             return "in a flight at rest the load's sway grows"
         mean_speed = request.speed / PEAK
         energy = None
@@ -680,7 +680,7 @@ class _Search:
             growth=max(instant.rate for instant in formation.instants),
             breaks=tuple(breaking_points(self.task, self.kind, x, self.turns)),
             energy=energy,
-            scenario=scenario,
+            scenario=steadied,
         )
 
     def _steadied(self, scenario: Scenario, turn: float) -> Scenario | None:

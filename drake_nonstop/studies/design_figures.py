@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MARKERS = {"leaning": "o", "co_rotating": "s"}
-KEPT, AT_LIMITS, LOST = "flown within the limits", "flown at the limits", "lost"
+KEPT, AT_LIMITS, LOST = "flight within limits", "flight at limits", "stall, collision or loss"
 _OUTCOMES = {KEPT: ("o", True), AT_LIMITS: ("o", False), LOST: ("X", True)}  # marker, filled
 _DOT = {"markersize": 5.5, "markeredgewidth": 1.1}
 

@@ -224,5 +224,5 @@ def redesigned_scenario(
     scenario = formation_scenario(asked, *shape, x, flight)
     scenario.carrier_controller = formation.scenario.carrier_controller
     # Beyond the border the least airspeed is no news.
-    scenario.optimization_layer.speed_bound = 0.0  # type: ignore[attr-defined]
+    scenario.optimization_layer.speed_bound = 0.0
     return scenario
