@@ -40,8 +40,11 @@ def fly(scenario: Scenario) -> tuple[str, str]:
     try:
         metrics = compute_metrics(simulate(scenario))
     except RunStopped as stopped:
-        return LOST, str(stopped)
-    flight, error = metrics["aircraft"], metrics["load"]["position_error_max_m"]
+        return LOST, f"load error unknown: {stopped}"
+    flight, load = metrics["aircraft"], metrics["load"]
+    if load["position_error_max_m"] is None or flight["saturated_share"] is None:
+        return LOST, f"{metrics['outcome']:9} load error unknown: lost at once"
+    error = load["position_error_max_m"]
     saturated = flight["saturated_share"]
     is_lost = metrics["outcome"] != "ok" or error > LARGEST_ERROR
     outcome = LOST if is_lost else KEPT if saturated < 0.01 else AT_LIMITS
