@@ -54,6 +54,7 @@ _MOST_RESERVE = 2.0  # that is looked for
 _ROUND = 1.01  # of the reserve, since extremes lie between phases
 _CLOSE = 0.02  # of reserves that are the same
 _DOUBLINGS, _HALVINGS = 8, 20
+_OF_RANGE = " of its range"
 _OBSERVERS = (1.0, 0.7, 0.4)  # weights that are tried
 # A flight at rest has three parts of 14 s or a turn. From the second to the third one an error, m,
 # that is larger than the least may grow by 1.15.
@@ -194,7 +195,7 @@ class Design:
         tried = sorted({refusal.carriers for refusal in self.refusals})
         remedies = [r for r in (best, *self.refusals) if r.remedy]
         remedy = f"give {remedies[0].remedy}" if remedies else "nothing that was tried helps"
-        within = ", though within the limits," if best.reserve >= 0 else ""
+        within = " though within the limits," if best.reserve >= 0 else ""
         return (
             f"request.carriers = {tried}: no formation of {self.request.aircraft_name} keeps the "
             f"margins; the best, {best.carriers} {best.kind.replace('_', '-')},{within} misses "
@@ -428,7 +429,7 @@ def missed_limits(task: FormationTask, flight: Flight, reserve: float = 0.0) -> 
         if beyond > 1e-4:
             bound = "at most" if side > 0 else "at least"
             found, wanted = (f"{number:.3g} {unit}".rstrip() for number in (value, asked))
-            text = f"{name} {found} ({bound} {wanted})"
+            text = f"{name} {found} ({bound} {wanted.removesuffix(_OF_RANGE)})"
             rows.append(Missed(beyond, name, text))
     return sorted(rows, reverse=True)
 
@@ -458,7 +459,7 @@ def _rows_of(
         yield name, degrees[0], degrees[1], degrees[2], 1, "deg"
     for name, value in (("largest", flight.thrust_above), ("least", flight.thrust_below)):
         margin = 100 * limits.thrust_margin
-        yield f"thrust left to the {name}", 100 * value, 0.0, margin, -1, "% of its range"
+        yield f"thrust left to the {name}", 100 * value, 0.0, margin, -1, "%" + _OF_RANGE
 
 
 def breaking_points(
