@@ -14,6 +14,7 @@ from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_motion
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, POSE_SIZE
 
 _UP = np.array([0.0, 0.0, 1.0])
+_NONE = np.zeros(3)
 
 
 class FormationShape(NamedTuple):
@@ -62,6 +63,8 @@ def carrier_orbit(
     *,
     air_velocity: NDArray,
     acceleration: NDArray,
+    jerk: NDArray = _NONE,
+    snap: NDArray = _NONE,
 ) -> CarrierMotion:
     """The carriers' motion at azimuths ψ and phases φ (k,) each, rad.
 
@@ -71,9 +74,10 @@ def carrier_orbit(
         f = F/n + (C + A_r cos φ) r + A_t sin φ t − B cos φ e₃,
         F = M (g e₃ + p̈_L) + B_L (ṗ_L − w),
 
-    of which F is constant: its rate, the load's jerk, is left out. `carrier_motion` and
-    `carrier_acceleration` follow. The forces beside F/n have no wrench where φ_i = θ + κ β_i with
-    a κ that suits n, see `EllipticCarouselConfig`; carrier i is at ψ = β_i = 2π i/n + Ω t.
+    and with its two rates `carrier_motion` and `carrier_acceleration` follow: F changes with the
+    load's acceleration, jerk and snap, in a constant wind. The forces beside F/n have no wrench
+    where φ_i = θ + κ β_i with a κ that suits n, see `EllipticCarouselConfig`; carrier i is at
+    ψ = β_i = 2π i/n + Ω t.
 
     Args:
         shape: of the formation.
@@ -82,6 +86,8 @@ def carrier_orbit(
         phases: φ.
         air_velocity: ṗ_L − w (3,), m/s, in W.
         acceleration: p̈_L (3,), m/s², in W.
+        jerk: of the load (3,), m/s³, in W.
+        snap: of the load (3,), m/s⁴, in W.
     """
     cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
     zero = 0 * cosine
@@ -95,14 +101,18 @@ def carrier_orbit(
     along_second, across_second = -rate * rate * shape.radial * cosine, -rate * rate * across
     lift = shape.vertical * cosine
     held = load.mass * (load.gravity * _UP + acceleration) + load.drag * air_velocity
+    held_rate = load.mass * jerk + load.drag * acceleration
+    held_second = load.mass * snap + load.drag * jerk
     forces = held / load.carriers + along * outward + across * onward - lift * _UP
     rates = (
-        (along_rate - turn * across) * outward
+        held_rate / load.carriers
+        + (along_rate - turn * across) * outward
         + (across_rate + turn * along) * onward
         + rate * shape.vertical * sine * _UP
     )
     second_rates = (
-        (along_second - 2 * turn * across_rate - turn * turn * along) * outward
+        held_second / load.carriers
+        + (along_second - 2 * turn * across_rate - turn * turn * along) * outward
         + (across_second + 2 * turn * along_rate - turn * turn * across) * onward
         + rate * rate * lift * _UP
     )

@@ -50,6 +50,7 @@ class FormationVariables(NamedTuple):
 
 _SIZE = len(FormationVariables._fields)
 _AIR = slice(7, 9)  # wind and speed
+_MOTION_SIZE = 12  # of a `LoadMotion`
 # Names of rows: for the separation that is asked for, the reach, and the cables.
 _APART, _APART_REACH, _CABLES = "apart", "apart_reach", "cables"
 
@@ -59,6 +60,18 @@ class LoadMotion(NamedTuple):
 
     velocity: NDArray  # (3,), m/s
     acceleration: NDArray  # (3,), m/s², which grows with the square of the speed
+    jerk: NDArray = np.zeros(3)  # (3,), m/s³, with its cube
+    snap: NDArray = np.zeros(3)  # (3,), m/s⁴, with its fourth power
+
+    def at(self, speed: Any) -> tuple[Any, Any, Any, Any]:
+        """Velocity, acceleration, jerk and snap (3,) each for a largest speed in m/s."""
+        square = speed * speed
+        return (
+            speed * self.velocity,
+            square * self.acceleration,
+            square * speed * self.jerk,
+            square * square * self.snap,
+        )
 
 
 class DesignLimits(NamedTuple):
@@ -128,7 +141,7 @@ _CROSSING, _CROSSING_MARGIN = 0.85, 0.015
 
 
 def _trace(task: FormationTask, kind: str) -> TracedFunction:
-    """`NEEDS` of the variables, an azimuth, a phase, and the load's velocity and acceleration."""
+    """`NEEDS` of the variables, [azimuth, phase], and a `LoadMotion` (12,)."""
     is_leaning = kind == LEANING
 
     def needs(values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
@@ -146,14 +159,18 @@ def _trace(task: FormationTask, kind: str) -> TracedFunction:
         )
         aircraft = task.aircraft._replace(cable_length=x.cable_length)
         load = task.load._replace(mass=x.mass)
-        air_velocity = x.speed * motion[:3] - x.wind * task.wind
+        moved = LoadMotion(*(motion[i : i + 3] for i in range(0, _MOTION_SIZE, 3)))
+        velocity, acceleration, jerk, snap = moved.at(x.speed)
+        air_velocity = velocity - x.wind * task.wind
         orbit = carrier_orbit(
             shape,
             load,
             angles[:1],
             angles[1:],
             air_velocity=air_velocity,
-            acceleration=x.speed * x.speed * motion[3:],
+            acceleration=acceleration,
+            jerk=jerk,
+            snap=snap,
         )
         velocity = orbit.velocities + air_velocity
         force = needed_force(aircraft, orbit.accelerations, orbit.cable_forces)
@@ -182,7 +199,7 @@ def _trace(task: FormationTask, kind: str) -> TracedFunction:
             ]
         )
 
-    sizes = [_SIZE, 2, 6]
+    sizes = [_SIZE, 2, _MOTION_SIZE]
     return TracedFunction(needs, sizes, name=lambda: "design", largest=1e12, jacobian_of=0)
 
 
@@ -304,7 +321,7 @@ class FormationProgram:
         count, radius = len(self._neighbours), self.task.load.radius
         distances, clearances = np.empty(count), np.empty(count)
         slopes, clearance_slopes = np.empty((count, _SIZE)), np.empty((count, _SIZE))
-        rest = np.zeros(6)
+        rest = np.zeros(_MOTION_SIZE)
         values = values.copy()
         values[_AIR] = 0.0
         for k, pair in enumerate(self._neighbours):

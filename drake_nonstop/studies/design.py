@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import drawn_power, stall_speed
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
+from drake_nonstop.mechanics.signals import POSE_SIZE
 from drake_nonstop.model.pattern import EllipticCarouselConfig
 from drake_nonstop.optimization.formation_program import (
     LEANING,
@@ -21,7 +22,7 @@ from drake_nonstop.optimization.formation_program import (
     LoadMotion,
 )
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.scenario.overrides import as_override
+from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.aircraft_margins import (
     AircraftMargins,
@@ -31,6 +32,8 @@ from drake_nonstop.simulation.aircraft_margins import (
     aircraft_needs,
 )
 from drake_nonstop.simulation.formation import find_formation
+from drake_nonstop.simulation.run import RunStopped, StepCheck
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.simulation.task import task_of
 from drake_nonstop.studies.design_request import (
     GRAVITY,
@@ -42,7 +45,7 @@ from drake_nonstop.studies.run_all import Progress, no_progress, run_all
 from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import ScenarioError
 
-PEAK = 1.875  # the largest speed of a quintic move, over its mean
+PEAK = 2.1875  # the largest speed of a septic move, over its mean
 _START_TIME, _END_TIME, _REST_TIME = 5.0, 10.0, 60.0  # s, before and after a way; without one
 _CANDIDATES = 150  # of a search's starts, of which the best are taken
 _COARSE, _FINE, _EXACT = 8, 24, 90  # phases of a turn
@@ -51,6 +54,17 @@ _MOST_RESERVE = 2.0  # that is looked for
 _ROUND = 1.01  # of the reserve, since extremes lie between phases
 _CLOSE = 0.02  # of reserves that are the same
 _DOUBLINGS, _HALVINGS = 8, 20
+_OF_RANGE = " of its range"
+_OBSERVERS = (1.0, 0.7, 0.4)  # weights that are tried
+# A flight at rest has three parts of 14 s or a turn. From the second to the third one an error, m,
+# that is larger than the least may grow by 1.15.
+_STEADY_PARTS, _STEADY_TIME, _STEADY_GROWTH, _STEADY_ERROR = 3, 14.0, 1.15, 1e-4
+_EASED = 0.97  # of a margin that is kept, which is asked for instead
+_OTHER_MARGINS = {  # by the names of the program's rows
+    "share": "the least force of a cable",
+    "apart_reach": "the distance of carriers beside the length of their cables",
+    "cables": "the distance of cables",
+}
 
 
 class Flight(NamedTuple):
@@ -59,7 +73,6 @@ class Flight(NamedTuple):
     lift_share: float  # of C_Lmax, the largest
     airspeed_min: float  # m/s
     airspeed_max: float  # m/s
-    ground_speed_min: float  # m/s
     bank: float  # rad, the largest, to either side
     climb: float  # rad, the largest, up or down
     thrust_min: float  # N
@@ -139,10 +152,14 @@ class Refusal:
         reserve: of the best that was found; below 1.
         missed: what its aircraft need beyond what is asked, in words.
         remedy: what would help, which was tried; "" where nothing did.
+        phase_turns: κ of the best that was found; 0 for a co-rotating one.
+        variables: of the best that was found, forces in shares of f₀.
     """
 
     kind: str
     carriers: int
+    phase_turns: int
+    variables: FormationVariables
     reserve: float
     missed: str
     remedy: str
@@ -178,7 +195,7 @@ class Design:
         tried = sorted({refusal.carriers for refusal in self.refusals})
         remedies = [r for r in (best, *self.refusals) if r.remedy]
         remedy = f"give {remedies[0].remedy}" if remedies else "nothing that was tried helps"
-        within = ", though within the limits," if best.reserve >= 0 else ""
+        within = " though within the limits," if best.reserve >= 0 else ""
         return (
             f"request.carriers = {tried}: no formation of {self.request.aircraft_name} keeps the "
             f"margins; the best, {best.carriers} {best.kind.replace('_', '-')},{within} misses "
@@ -244,7 +261,8 @@ def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
     Args:
         request: with a displacement.
         count: of instants; 6: at rest, the fastest, those of the largest accelerations, and two
-            between.
+            between; else at rest, and evenly from the first instant to the last, where the snap is
+            the largest.
     """
     nothing = np.zeros(3)
     still = LoadMotion(nothing, nothing)
@@ -253,15 +271,22 @@ def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
     way = np.array(request.displacement)
     distance = float(np.linalg.norm(way))
     if count == _KEY_INSTANTS:
-        steep = math.sqrt(3) / 6  # from the middle, where the acceleration is the largest
+        steep = math.sqrt(0.05)  # from the middle, where the acceleration is the largest
         instants = [0.5 + share * steep for share in (0.0, -1.0, 1.0, -0.5, 0.5)]
     else:
-        instants = [k / count for k in range(1, count)]
+        instants = [k / (count - 2) for k in range(count - 1)]
     motions = [still]
-    for t in instants:  # of the quintic s(t)
-        velocity = 30 * t**2 * (1 - t) ** 2 / PEAK
-        acceleration = 60 * t * (1 - t) * (1 - 2 * t) / (PEAK**2 * distance)
-        motions.append(LoadMotion(way / distance * velocity, way / distance * acceleration))
+    for t in instants:  # of s(t) = 35 t⁴ − 84 t⁵ + 70 t⁶ − 20 t⁷
+        u, side = t * (1 - t), 1 - 2 * t
+        rates = 140 * u**3, 420 * u**2 * side, 840 * u * (1 - 5 * u), 840 * side * (1 - 10 * u)
+        motions.append(
+            LoadMotion(
+                *(
+                    way / distance * rate / (PEAK**order * distance ** (order - 1))
+                    for order, rate in enumerate(rates, start=1)
+                )
+            )
+        )
     return tuple(motions)
 
 
@@ -305,10 +330,27 @@ def design_task(request: DesignRequest, carriers: int, count: int = _KEY_INSTANT
     )
 
 
+def design_bounds(request: DesignRequest, carriers: int, kind: str) -> tuple[NDArray, NDArray]:
+    """The least and the largest `FormationVariables` (10,) that are looked for.
+
+    The load's mass and speed and the wind are those of the request.
+    """
+    wind = float(np.linalg.norm(request.wind))
+    fixed = [request.load_mass, wind, request.speed]
+    least, most = request.cable_length
+    if kind == LEANING:
+        lower = [0.05, 0.01, 0.01, 0.0, 0.05, least, *fixed, -1e3]
+        upper = [1.5, 1.0, 1.0, 0.6 if carriers > 3 else 0.0, 5.0, most, *fixed, _MOST_RESERVE]
+    else:
+        lower = [0.05, 0.0, 0.0, 0.0, 0.05, least, *fixed, -1e3]
+        upper = [2.0, 0.0, 0.0, 0.0, 5.0, most, *fixed, _MOST_RESERVE]
+    return np.array(lower), np.array(upper)
+
+
 def formation_needs(
     task: FormationTask, kind: str, x: FormationVariables, phases: int = _EXACT
-) -> Iterator[tuple[AircraftNeeds, NDArray]]:
-    """What all aircraft need at phases of a turn, and their speeds above ground, per motion."""
+) -> Iterator[AircraftNeeds]:
+    """What all aircraft need at phases of a turn, for each motion."""
     n = task.load.carriers
     turn, places = (2 * np.pi * np.arange(k) / k for k in (phases, n))
     if kind == LEANING:
@@ -318,7 +360,7 @@ def formation_needs(
     load = task.load._replace(mass=x.mass)
     aircraft = task.aircraft._replace(cable_length=x.cable_length)
     for motion in task.motions:
-        velocity = x.speed * motion.velocity
+        velocity, acceleration, jerk, snap = motion.at(x.speed)
         air = velocity - x.wind * task.wind
         orbit = carrier_orbit(
             formation_shape(task, kind, x),
@@ -326,10 +368,11 @@ def formation_needs(
             azimuths,
             angles,
             air_velocity=air,
-            acceleration=x.speed**2 * motion.acceleration,
+            acceleration=acceleration,
+            jerk=jerk,
+            snap=snap,
         )
-        ground = np.linalg.norm(orbit.velocities + velocity, axis=1)
-        yield aircraft_needs(aircraft, orbit, -air), ground  # type: ignore[arg-type]
+        yield aircraft_needs(aircraft, orbit, -air)  # type: ignore[arg-type]
 
 
 def formation_shape(task: FormationTask, kind: str, x: FormationVariables) -> FormationShape:
@@ -347,17 +390,18 @@ def formation_shape(task: FormationTask, kind: str, x: FormationVariables) -> Fo
     )
 
 
-def flight_of(task: FormationTask, kind: str, x: FormationVariables) -> Flight:
+def flight_of(
+    task: FormationTask, kind: str, x: FormationVariables, phases: int = _EXACT
+) -> Flight:
     """The extremes of what the aircraft need; the power is that of the first motion."""
-    found = list(formation_needs(task, kind, x))
-    needs = AircraftNeeds(*map(np.concatenate, zip(*(each for each, _ in found), strict=True)))
+    found = list(formation_needs(task, kind, x, phases))
+    needs = AircraftNeeds(*map(np.concatenate, zip(*found, strict=True)))
     ranges = needs.thrust_max - needs.thrust_min
-    at_rest = found[0][0]
+    at_rest = found[0]
     return Flight(
         lift_share=float(np.max(needs.lift)) / float(task.aircraft.max_lift),
         airspeed_min=float(np.min(needs.airspeed)),
         airspeed_max=float(np.max(needs.airspeed)),
-        ground_speed_min=min(float(np.min(ground)) for _, ground in found),
         bank=float(np.max(np.abs(needs.bank))),
         climb=float(np.max(np.abs(needs.climb))),
         thrust_min=float(np.min(needs.thrust)),
@@ -385,7 +429,7 @@ def missed_limits(task: FormationTask, flight: Flight, reserve: float = 0.0) -> 
         if beyond > 1e-4:
             bound = "at most" if side > 0 else "at least"
             found, wanted = (f"{number:.3g} {unit}".rstrip() for number in (value, asked))
-            text = f"{name} {found} ({bound} {wanted})"
+            text = f"{name} {found} ({bound} {wanted.removesuffix(_OF_RANGE)})"
             rows.append(Missed(beyond, name, text))
     return sorted(rows, reverse=True)
 
@@ -413,8 +457,9 @@ def _rows_of(
     ):
         degrees = [math.degrees(angle) for angle in (value, limit, margin)]
         yield name, degrees[0], degrees[1], degrees[2], 1, "deg"
-    for name, value in (("above", flight.thrust_above), ("below", flight.thrust_below)):
-        yield f"thrust left {name}", value, 0.0, limits.thrust_margin, -1, ""
+    for name, value in (("largest", flight.thrust_above), ("least", flight.thrust_below)):
+        margin = 100 * limits.thrust_margin
+        yield f"thrust left to the {name}", 100 * value, 0.0, margin, -1, "%" + _OF_RANGE
 
 
 def breaking_points(
@@ -485,18 +530,10 @@ class _Search:
         self.turns = 1 if carriers == 3 else carriers - 2
         if kind != LEANING:
             self.turns = 0
-        wind = float(np.linalg.norm(request.wind))
-        fixed = [request.load_mass, wind, request.speed]
-        least, most = request.cable_length
-        if kind == LEANING:
-            lower = [0.05, 0.01, 0.01, 0.0, 0.05, least, *fixed, -1e3]
-            upper = [1.5, 1.0, 1.0, 0.6 if carriers > 3 else 0.0, 5.0, most, *fixed, _MOST_RESERVE]
-        else:
-            lower = [0.05, 0.0, 0.0, 0.0, 0.05, least, *fixed, -1e3]
-            upper = [2.0, 0.0, 0.0, 0.0, 5.0, most, *fixed, _MOST_RESERVE]
-        self.lower, self.upper = np.array(lower), np.array(upper)
+        self.lower, self.upper = design_bounds(request, carriers, kind)
         self.trace: TracedFunction | None = None
-        self.most_reserve = -np.eye(len(lower))[-1]
+        self.observer: float | None = None  # the weight, once it is known
+        self.most_reserve = -np.eye(len(self.lower))[-1]
 
     def formations(self) -> list[DesignedFormation | Refusal]:
         """Those at rising reserves, each of the least power, or why there is none."""
@@ -627,6 +664,9 @@ class _Search:
         formation = find_formation(task_of(scenario), count=4)
         if not formation.is_stable:
             return f"a deviation of the load grows by {formation.worst.rate:.2g} 1/s"
+        steadied = self._steadied(scenario, margins.turn)
+        if steadied is None:
+            return "in a flight at rest the load's sway grows"
         mean_speed = request.speed / PEAK
         energy = None
         if mean_speed > 0:
@@ -641,23 +681,46 @@ class _Search:
             growth=max(instant.rate for instant in formation.instants),
             breaks=tuple(breaking_points(self.task, self.kind, x, self.turns)),
             energy=energy,
-            scenario=scenario,
+            scenario=steadied,
         )
+
+    def _steadied(self, scenario: Scenario, turn: float) -> Scenario | None:
+        """With the largest weight of the aircraft's observers at which the load's sway fades.
+
+        They hold the carriers on their references, and then nothing but the load's controller damps
+        it. The first formation is flown at rest for that; the others have the same weight.
+        """
+        weights = _OBSERVERS if self.observer is None else (self.observer,)
+        for weight in weights:
+            tried = changed(scenario, [as_override("carrier_controller.observer", weight)])
+            if self.observer is not None or _is_steady(tried, turn):
+                self.observer = weight
+                return tried
+        return None
 
     def _refusal(self, program: FormationProgram, best: NDArray) -> Refusal:
         x = FormationVariables(*map(float, best))
-        flight = flight_of(self.task, self.kind, x)
+        flight = flight_of(self.way, self.kind, x)
         missed = [each.text for each in missed_limits(self.task, flight, 1.0)]
         apart = float(program.separations(best)[0].min())
         if apart < 0.999 * self.request.separation:
             missed.append(f"carriers {apart:.3g} m apart (at least {self.request.separation:g} m)")
         if not missed:
-            missed = [f"{program.closest_row(best)} margin"]
-        return self._refused(best, ", ".join(missed), self._remedy(program, best))
+            name = program.closest_row(best)
+            share = f"{best[-1]:.3g} of its margin (at least 1)"
+            missed = [f"{_OTHER_MARGINS.get(name, name)} with {share}"]
+        remedy = self._remedy(program, best) or self._smaller_margins(flight, apart, best[-1])
+        return self._refused(best, ", ".join(missed), remedy)
 
     def _refused(self, best: NDArray, missed: str, remedy: str) -> Refusal:
         return Refusal(
-            kind=self.kind, carriers=self.n, reserve=float(best[-1]), missed=missed, remedy=remedy
+            kind=self.kind,
+            carriers=self.n,
+            phase_turns=self.turns,
+            variables=FormationVariables(*map(float, best)),
+            reserve=float(best[-1]),
+            missed=missed,
+            remedy=remedy,
         )
 
     def _remedy(self, program: FormationProgram, best: NDArray) -> str:
@@ -691,9 +754,50 @@ class _Search:
             if index == 7:
                 share = value / best[7]
                 wind = [float(_down(share * part)) for part in request.wind]
-                return f"request.wind = {wind} or less"
+                return f"request.wind = {wind} or weaker"
             return f"request.speed = {_down(value)} or less"
         return ""
+
+    def _smaller_margins(self, flight: Flight, apart: float, reserve: float) -> str:
+        """The margins that the best formation keeps, in place of those that it misses."""
+        if reserve < _CLOSE:
+            return ""
+        request, limits = self.request, self.task.limits
+        slowest = float(stall_speed(self.task.aircraft))
+        thrust_left = min(flight.thrust_above, flight.thrust_below)
+        fields = []
+        for name, value, limit, side in (
+            ("lift_share", flight.lift_share, limits.lift_share, 1),
+            ("speed_share", flight.airspeed_min / slowest, limits.speed_share, -1),
+            ("bank", flight.bank, limits.bank, 1),
+            ("climb", flight.climb, limits.climb, 1),
+            ("thrust_reserve", thrust_left, 0.0, -1),
+            ("separation", apart, 0.0, -1),
+        ):
+            eased = limit + _EASED * (value - limit)
+            if side * (eased - getattr(request, name)) > 0:
+                fields.append(f"request.{name} = {eased:.4g}")
+        return " and ".join(fields)
+
+
+def _is_steady(scenario: Scenario, turn: float) -> bool:
+    """Whether the load's error does not grow from one turn (s) to the next, in a flight at rest."""
+    part = max(_STEADY_TIME, turn)
+    changes = [
+        f"simulation_duration={_STEADY_PARTS * part}",
+        "load_trajectory.displacement=[0.0, 0.0, 0.0]",
+    ]
+    try:
+        run = simulate(changed(scenario, changes), check_step=StepCheck.NOTHING)
+    except RunStopped:
+        return False
+    if run.stopped:
+        return False
+    positions = run.signal("load_state")[:, POSE_SIZE - 3 : POSE_SIZE]
+    errors = np.linalg.norm(positions - positions[0], axis=1)
+    count = len(errors) // _STEADY_PARTS
+    before, last = np.max(errors[-2 * count : -count]), np.max(errors[-count:])
+    return bool(last < max(_STEADY_GROWTH * before, _STEADY_ERROR))
 
 
 def _up(value: float) -> str:
@@ -727,7 +831,13 @@ def formation_scenario(
         distance = float(np.linalg.norm(request.displacement))
         time = round(PEAK * distance / request.speed, 2)
         duration = _START_TIME + time + _END_TIME
-        move = {"displacement": request.displacement, "start_time": _START_TIME, "move_time": time}
+        # A quintic's jerk steps, and the carriers' velocities with it, by L_c/g of the step.
+        move = {
+            "blend": "c4",
+            "displacement": request.displacement,
+            "start_time": _START_TIME,
+            "move_time": time,
+        }
     forces = {name: _rounded(share * getattr(x, name)) for name in x._fields[:4]}
     if kind == LEANING:
         pattern = {"_tag": "!EllipticCarousel", "phase_turns": phase_turns, **forces}
@@ -752,7 +862,7 @@ def formation_scenario(
             "_tag": "!ConstantParameters",
             "frequency": frequency,
             "amplitude": 1.0 if kind == LEANING else 0.0,
-            "speed_bound": math.floor(9 * flight.ground_speed_min) / 10,
+            "speed_bound": math.floor(9 * flight.airspeed_min) / 10,
         },
         "carrier_controller.frequency": 1.8 if kind == LEANING else 1.5,
     }
@@ -776,7 +886,9 @@ def design_dictionary(found: Design) -> dict[str, Any]:
         "is_feasible": bool(found.formations),
         "verdict": found.verdict,
         "formations": [_dictionary(found, formation) for formation in found.formations],
-        "refusals": [dataclasses.asdict(refusal) for refusal in found.refusals],
+        "refusals": [
+            vars(refusal) | {"variables": refusal.variables._asdict()} for refusal in found.refusals
+        ],
     }
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MARKERS = {"leaning": "o", "co_rotating": "s"}
+KEPT, AT_LIMITS, LOST = "flight within limits", "flight at limits", "stall, collision or loss"
+_OUTCOMES = {KEPT: ("o", True), AT_LIMITS: ("o", False), LOST: ("X", True)}  # marker, filled
+_DOT = {"markersize": 5.5, "markeredgewidth": 1.1}
+
+
+class RegionFlight(NamedTuple):
+    """A simulated flight beside the borders of regions."""
+
+    panel: str
+    region: int  # in its panel
+    mass: float  # kg, of the load
+    wind: float  # m/s
+    outcome: str  # `KEPT`, `AT_LIMITS` or `LOST`
 
 
 def make_pareto_figure(found: Design) -> Figure:
@@ -61,32 +74,41 @@ def make_pareto_figure(found: Design) -> Figure:
 
 
 def make_region_figure(
-    title: str,
-    regions: Sequence[FeasibleRegion],
-    flown: Sequence[tuple[int, float, float, bool]] = (),
+    panels: Mapping[str, Sequence[FeasibleRegion]], flown: Sequence[RegionFlight] = ()
 ) -> Figure:
     """The largest wind over the load's mass at several speeds of the load, and flights.
 
     Args:
-        title: of the figure.
-        regions: one for each speed.
-        flown: the region, mass (kg), wind (m/s) and success of simulated flights.
+        panels: regions, one for each speed, by the title of their panel.
+        flown: simulated flights.
     """
-    figure = new_figure((5.2, 3.6))
-    axes = figure.subplots()
-    for k, region in enumerate(regions):
-        colour = COLOURS[k % len(COLOURS)]
-        axes.plot(region.masses, region.winds, color=colour, label=f"{region.speed:g} m/s")
-        axes.fill_between(region.masses, 0, region.winds, color=colour, alpha=0.12, linewidth=0)
-    for k, mass, wind, is_ok in flown:
-        colour = COLOURS[k % len(COLOURS)]
-        face = colour if is_ok else "white"
-        marker = "o" if is_ok else "X"
-        axes.plot(mass, wind, marker, color=colour, markerfacecolor=face, markersize=6, zorder=3)
-    axes.set_xlabel("mass of the load (kg)")
-    axes.set_ylabel("largest wind (m/s)")
-    axes.set_ylim(0, None)
-    axes.grid(alpha=0.3)
-    axes.legend(title="speed of the load", frameon=False, fontsize=8)
-    axes.set_title(title, fontsize="medium")
+    figure = new_figure((3.4 * len(panels) + 0.4, 3.4))
+    row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, (title, regions) in zip(row, panels.items(), strict=True):
+        for k, region in enumerate(regions):
+            colour = COLOURS[k % len(COLOURS)]
+            label = f"load at {region.speed:g} m/s" if region.speed else "load at rest"
+            own = label if axes is row[0] else None
+            axes.plot(region.masses, region.winds, color=colour, linewidth=1.6, label=own)
+            axes.fill_between(region.masses, 0, region.winds, color=colour, alpha=0.10, linewidth=0)
+        axes.set_title(title, fontsize="medium")
+        axes.set_xlabel("mass of the load (kg)")
+        axes.grid(alpha=0.3)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    row[0].set_ylabel("wind against the load's way (m/s)")
+    titles = list(panels)
+    for flight in flown:
+        colour = COLOURS[flight.region % len(COLOURS)]
+        marker, filled = _OUTCOMES[flight.outcome]
+        face = colour if filled else "white"
+        row[titles.index(flight.panel)].plot(
+            flight.mass, flight.wind, marker, color=colour, markerfacecolor=face, zorder=3, **_DOT
+        )
+    row[0].set_ylim(0, None)
+    for outcome in [name for name in _OUTCOMES if any(f.outcome == name for f in flown)]:
+        marker, filled = _OUTCOMES[outcome]
+        face = "0.3" if filled else "white"
+        row[0].plot([], [], marker, color="0.3", markerfacecolor=face, label=outcome, **_DOT)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     return figure

@@ -1,4 +1,4 @@
-"""Which wind, load and speed a formation can take."""
+"""Which wind, load and speed a formation can take, as it is or designed again for each."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -7,20 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.optimization.formation_program import FormationProgram, FormationVariables
 from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.design import (
     PEAK,
     DesignedFormation,
+    design_bounds,
     design_task,
     flight_of,
+    formation_scenario,
     missed_limits,
+    reserve_of,
     with_load,
 )
 from drake_nonstop.studies.design_request import DesignRequest
 
 _STRONGEST = 20.0  # m/s, of the winds that are tried
 _STEPS = 12  # halvings
+_INSTANTS = 24  # of the way
+_TOLERANCE = 0.05  # of the reserve, at a border
+_WIND, _RESERVE = (FormationVariables._fields.index(name) for name in ("wind", "reserve"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,12 +39,14 @@ class FeasibleRegion:
         masses: (k,), kg.
         winds: (k,), m/s; nan where the formation flies in none.
         limits: (k,), the limit that is missed first in more wind.
+        formations: (k,) that fly in these winds, where each has its own; None where there is none.
     """
 
     speed: float
     masses: NDArray
     winds: NDArray
     limits: tuple[str, ...]
+    formations: tuple[FormationVariables | None, ...] = ()
 
 
 def feasible_region(
@@ -107,3 +116,113 @@ def region_scenario(
         changes.append("load_trajectory.displacement=[0.0, 0.0, 0.0]")
         changes.append("simulation_duration=40.0")
     return changed(formation.scenario, changes)
+
+
+class _Redesign:
+    """Formations like a given one for other loads, winds and speeds."""
+
+    def __init__(self, request: DesignRequest, formation: DesignedFormation, speed: float):
+        moved = dataclasses.replace(request, speed=speed)
+        self.task = design_task(moved, formation.carriers)
+        self.way = design_task(moved, formation.carriers, _INSTANTS)
+        self.kind = formation.kind
+        self.program = FormationProgram(self.task, formation.kind, formation.phase_turns)
+        self.bounds = design_bounds(moved, formation.carriers, formation.kind)
+
+    def reserve(self, values: NDArray) -> float:
+        x = FormationVariables(*map(float, values))
+        on_way = reserve_of(self.way, flight_of(self.way, self.kind, x))
+        return min(on_way, float(self.program.rows(values)[0].min()))
+
+    def in_wind(self, start: NDArray, wind: float) -> NDArray:
+        """The formation of the largest reserve in a wind, for the load of the start."""
+        lower, upper = self._bounds(start)
+        lower[_WIND] = upper[_WIND] = wind
+        found = self.program.solve(start, lower, upper, -np.eye(len(start))[_RESERVE])
+        found[_RESERVE] = self.reserve(found)
+        return found
+
+    def in_most_wind(self, start: NDArray) -> NDArray | None:
+        """The formation that keeps its limits in the most wind, for the load of the start."""
+        for share in (1.0, 0.7, 0.3, 0.0):
+            begin = start if share == 1 else self.in_wind(start, share * start[_WIND])
+            least = 0.0
+            for _ in range(3):  # between the instants of the program the reserve is less
+                lower, upper = self._bounds(start)
+                lower[_WIND], upper[_WIND] = 0.0, _STRONGEST
+                lower[_RESERVE] = upper[_RESERVE] = least
+                found = self.program.solve(begin, lower, upper, -np.eye(len(start))[_WIND])
+                reserve = self.reserve(found)
+                if abs(reserve) < _TOLERANCE:
+                    return found
+                begin, least = found, least - reserve
+        return None
+
+    def _bounds(self, start: NDArray) -> tuple[NDArray, NDArray]:
+        lower, upper = (bound.copy() for bound in self.bounds)
+        mass = FormationVariables._fields.index("mass")
+        lower[mass] = upper[mass] = start[mass]
+        return lower, upper
+
+
+def redesigned_region(
+    request: DesignRequest, formation: DesignedFormation, masses: Sequence[float], speed: float
+) -> FeasibleRegion:
+    """The border of what aircraft can take in a formation that is designed for each load and wind.
+
+    As `feasible_region`, but the forces, ξ and, in the request's range, the cables are those that
+    keep the limits in the most wind; found from mass to mass, from that of the request on.
+
+    Args:
+        request: what the formation was designed for.
+        formation: whose numbers of carriers, kind and κ they have.
+        masses: of the load, kg, in rising order.
+        speed: of the load, m/s.
+    """
+    redesign = _Redesign(request, formation, speed)
+    found: dict[float, FormationVariables] = {}
+    heavier = [mass for mass in masses if mass >= request.load_mass]
+    lighter = [mass for mass in reversed(masses) if mass < request.load_mass]
+    for one_way in (heavier, lighter):
+        start = formation.variables
+        for mass in one_way:
+            begin = start._replace(mass=mass, speed=speed)
+            values = redesign.in_most_wind(np.array(begin))
+            if values is not None:
+                found[mass] = start = FormationVariables(*map(float, values))
+    rows = [found.get(mass) for mass in masses]
+    return FeasibleRegion(
+        speed=speed,
+        masses=np.array(masses),
+        winds=np.array([np.nan if x is None else x.wind for x in rows]),
+        limits=tuple("" if x is None else redesign.program.closest_row(np.array(x)) for x in rows),
+        formations=tuple(rows),
+    )
+
+
+def redesigned_scenario(
+    request: DesignRequest, formation: DesignedFormation, beside: FormationVariables, wind: float
+) -> Scenario:
+    """The scenario of the formation that keeps the most margin in a wind.
+
+    Args:
+        request: what the formation was designed for.
+        formation: whose numbers of carriers, kind and κ it has.
+        beside: a formation for that load and speed, such as one of a `FeasibleRegion`.
+        wind: m/s.
+    """
+    redesign = _Redesign(request, formation, beside.speed)
+    x = FormationVariables(*map(float, redesign.in_wind(np.array(beside), wind)))
+    asked = dataclasses.replace(
+        request,
+        load_mass=x.mass,
+        speed=x.speed,
+        wind=(wind * redesign.task.wind).tolist(),
+    )
+    flight = flight_of(redesign.way, formation.kind, x)
+    shape = formation.kind, formation.carriers, formation.phase_turns
+    scenario = formation_scenario(asked, *shape, x, flight)
+    scenario.carrier_controller = formation.scenario.carrier_controller
+    # Beyond the border the least airspeed is no news.
+    scenario.optimization_layer.speed_bound = 0.0
+    return scenario

@@ -69,20 +69,25 @@ def test_they_are_those_of_the_general_equations(pattern, n, yaw_rate, turns):
 
 @pytest.mark.parametrize("yaw_rate", [0.0, 0.7])
 def test_velocities_and_accelerations_are_the_rates_of_positions(yaw_rate):
-    """Also where the load accelerates, and orbits lean above a load that turns."""
+    """Also where the load moves with a constant snap, and orbits lean above a load that turns."""
     shape = FormationShape(6.0, 2.0, 3.0, 1.5, 0.9, yaw_rate, 40.0)
     load = CarriedLoad(10.0, 0.6, 9.81, 4, 1.5, 1 / 120.0)
-    pushed = np.array([0.3, -0.2, 0.1])
+    way = np.polynomial.Polynomial([0.0, 2.0, 0.15, 0.05, 0.02])
+    along = np.array([0.7, -0.4, 0.2])
 
     def orbit(time):
         angles = np.array([0.4 + yaw_rate * time]), np.array([0.9 * time])
-        return carrier_orbit(shape, load, *angles, air_velocity=WIND, acceleration=pushed)
+        velocity, *rates = (way.deriv(order)(time) * along for order in (1, 2, 3, 4))
+        names = ("acceleration", "jerk", "snap")
+        moved = dict(zip(names, rates, strict=True))
+        return carrier_orbit(shape, load, *angles, air_velocity=velocity + WIND, **moved)
 
     found = orbit(1.3)
     rate = difference(lambda time: orbit(time).positions, 1.3)
     np.testing.assert_allclose(found.velocities, rate, atol=1e-8)
     rate = difference(lambda time: orbit(time).velocities, 1.3)
-    np.testing.assert_allclose(found.accelerations - pushed, rate, atol=1e-8)
+    own = way.deriv(2)(1.3) * along
+    np.testing.assert_allclose(found.accelerations - own, rate, atol=1e-8)
 
 
 def test_the_forces_hold_the_load():

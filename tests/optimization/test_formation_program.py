@@ -56,7 +56,8 @@ def needs_at(program, values):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradients_are_central_differences(kind):
-    program = FormationProgram(task(LoadMotion(X, 0.2 * X)), kind, 2, phases=3)
+    moved = LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X)
+    program = FormationProgram(task(moved), kind, 2, phases=3)
     point = np.array([0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 10.0, 2.0, 1.2, 0.5])
     rows, gradients, _, power_gradient = program.rows(point)
     assert len(rows) == len(program.row_names)
