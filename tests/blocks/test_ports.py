@@ -333,8 +333,12 @@ BLOCKS = {
 # What a control period adds: the time of the sample.
 SAMPLED = {
     PaperPhase: ("sample_time", "phase", "planned"),
-    CarrierTrajectory: ("sample_time", "carrier_reference"),
-    InextensibleCarrierTrajectory: ("sample_time", "carrier_reference"),
+    CarrierTrajectory: ("sample_time", "carrier_reference", "carrier_reference_acceleration"),
+    InextensibleCarrierTrajectory: (
+        "sample_time",
+        "carrier_reference",
+        "carrier_reference_acceleration",
+    ),
     first_order_trajectory: ("sample_time", "carrier_reference"),
     MeasuredCarrierTrajectory: ("sample_time", "carrier_reference"),
 }
