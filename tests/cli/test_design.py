@@ -2,11 +2,13 @@
 
 import json
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
+from drake_nonstop.optimization.formation_program import FormationVariables
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.studies import design
 from drake_nonstop.studies.design import Design, Refusal
@@ -43,7 +45,15 @@ def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(
     other = tmp_path / "out" / "design" / "formation"
     other.mkdir(parents=True)
     (other / "request.yaml").write_text("load_mass: 1.0\n")
-    missed = Refusal(kind="leaning", carriers=3, reserve=-1.0, missed="bank", remedy="less")
+    missed = Refusal(
+        kind="leaning",
+        carriers=3,
+        phase_turns=1,
+        variables=FormationVariables(*np.ones(10)),
+        reserve=-1.0,
+        missed="bank",
+        remedy="less",
+    )
 
     def none(request, progress):
         return Design(request=request, formations=(), refusals=(missed,))
