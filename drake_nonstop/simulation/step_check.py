@@ -30,7 +30,7 @@ _FAR = 0.25  # a `difference` of a short flight that is in doubt
 _ORDER = 3  # of the schemes whose errors fourth differences tell
 _ORDERS = {"runge_kutta3": 3, "bogacki_shampine3": 3, "radau3": 3, "runge_kutta5": 3}
 _ROUGH = 0.26  # a `difference` in 10 ms that is in doubt
-_JUMP = 3.0  # the same, had the steps 10 ms: of a jump, to which the layer may respond otherwise
+_JUMP = 2.5  # the same, had the steps 10 ms: of a jump, to which the layer may respond otherwise
 
 
 class SavedStates:
