@@ -135,6 +135,7 @@ class _CombinedEquations:
     `inputs` are the sizes of the inputs from outside, except the disturbance, and `outputs`
     those of the parts' outputs, by the names of the ports. `states` are those of the parts'
     states, by the names of the ports that show them or, where there is none, of the parts.
+    `derivatives` are the inputs with which the `carrier_reference` moves.
     """
 
     def __init__(self, parts: Mapping[str, Equations], hold_order: int):
@@ -147,8 +148,8 @@ class _CombinedEquations:
         for part in parts.values():
             self.outputs |= part.outputs
             read |= part.inputs
-        self.hold_order = hold_order
-        for name in (_ACCELERATION, _JERK)[: hold_order - 1]:
+        self.derivatives = (_ACCELERATION, _JERK)[: hold_order - 1]
+        for name in self.derivatives:
             read[name] = read[_MOVING] // 2
         known = {*self.states, *self.outputs, _HELD}
         self.inputs = {name: size for name, size in read.items() if name not in known}
@@ -278,12 +279,11 @@ def _traced(
         state, held, sample_time = _Memory.view(memory)
         elapsed = time - sample_time
         step = elapsed / steps
-        derivative_names = (_ACCELERATION, _JERK)[: together.hold_order - 1]
 
         def rate(state: NDArray, since: NDArray) -> NDArray:
             parts = _split(inputs, together.inputs)
             after = since - elapsed
-            derivatives = [parts[name] for name in derivative_names]
+            derivatives = [parts[name] for name in together.derivatives]
             parts[_MOVING] = motion_after(parts[_MOVING], after, *derivatives)
             if len(derivatives) == 2:
                 parts[_ACCELERATION] = derivatives[0] + after * derivatives[1]

@@ -13,7 +13,7 @@ from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_motion
 from drake_nonstop.mechanics.internal_force import internal_force, internal_force_acceleration
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference, Parameters, Pose
+from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose, resting_reference
 
 
 class CarrierOrbits(NamedTuple):
@@ -103,8 +103,7 @@ def resting_orbits(
     force_second_rates = second_rates_L + 2 * cross(omega, rates_L) + cross(omega, turning)
 
     # In axes that coincide with the load's, all instants as so many carriers.
-    motion = np.zeros(LOAD_REFERENCE_SIZE)
-    motion[0] = 1.0
+    motion = resting_reference()
     LoadReference.view(motion).angular_velocity[:] = omega
     cables: dict[str, Any] = {
         "attachments": np.tile(attachments, (count, 1)),

@@ -82,6 +82,13 @@ class LoadReference(NamedTuple):
         )
 
 
+def resting_reference() -> NDArray:
+    """A new `LoadReference` (22,) that rests at W's origin, with its axes."""
+    values = np.zeros(LOAD_REFERENCE_SIZE)
+    LoadReference.view(values).quaternion[0] = 1.0
+    return values
+
+
 class ReferenceHigherRates(NamedTuple):
     """The rates of a load reference's angular acceleration and of its jerk."""
 

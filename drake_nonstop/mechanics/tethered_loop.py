@@ -17,7 +17,7 @@ from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.rotation import skew
 from drake_nonstop.mechanics.sampled_loop import SampledLoop, sampled_loop
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
+from drake_nonstop.mechanics.signals import resting_reference
 
 LOAD_ERRORS = 12  # [e_R, e_p, e_ω, e_v]
 _INTEGRALS = 6
@@ -377,8 +377,7 @@ def bending(orbit: Orbit, rest_length: float) -> tuple[NDArray, NDArray]:
     parts = [np.repeat(part, 6, axis=0).astype(complex) for part in orbit[:4]]
     for part, first in zip(parts[:2], (0, 3), strict=True):
         part.reshape(n, 6, 3)[:, first : first + 3] += _COMPLEX_STEP * np.eye(3)
-    rest = np.zeros(LOAD_REFERENCE_SIZE)
-    rest[0] = 1.0
+    rest = resting_reference()
     cables: dict[str, Any] = {
         "attachments": np.zeros((6 * n, 3)),
         "rest_length": rest_length,

@@ -29,7 +29,7 @@ from drake_nonstop.mechanics.sampled_loop import (
     step_response,
     waves_deviation,
 )
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
+from drake_nonstop.mechanics.signals import LoadReference, resting_reference
 from drake_nonstop.mechanics.tethered_loop import (
     Cables,
     Carriers,
@@ -278,8 +278,7 @@ class _Task:
         omega = self.terms.angular_velocity[:, None, None]
         r = self.terms.rates[:, None] + np.cross(omega, f) + A * xi * along
         shape, count = f.shape, f[..., 0].size
-        rest = np.zeros(LOAD_REFERENCE_SIZE)
-        rest[0] = 1.0
+        rest = resting_reference()
 
         def flat(values: NDArray) -> NDArray:
             return np.broadcast_to(values, shape).reshape(-1, 3)
@@ -305,8 +304,7 @@ class _Task:
             math.cos(angle) * q - math.sin(angle) * p,
         )
         forces, rates = self.terms.forces[0] + A * u, A * xi * along
-        rest = np.zeros(LOAD_REFERENCE_SIZE)
-        rest[0] = 1.0
+        rest = resting_reference()
         none = np.zeros((self.model.n, 3))
         _, swing = carrier_motion(rest, forces, rates, attachments=none, **self.cables)
         return Orbit(forces, rates, -(A * xi**2) * u, -(A * xi**3) * along, swing)
@@ -318,12 +316,7 @@ class TurnOfLoops(NamedTuple):
     orbits: list[Orbit]
     loops: list[SampledLoop]
     samples: int  # that each of them lasts
-    turn: float  # s
-
-    @property
-    def rate(self) -> float:
-        """1/s, at which a deviation grows from turn to turn, the largest one."""
-        return math.log(growth(self.loops, self.samples)) / self.turn
+    rate: float  # 1/s, at which a deviation grows from turn to turn, the largest one
 
     def growth_in_turn(self, radius: float) -> float:
         """The logarithm of how many times a deviation of the load's pose grows within a turn.
@@ -382,7 +375,7 @@ def turn_of_loops(
             )
             for along in orbits
         ]
-        return TurnOfLoops(orbits, loops, samples, turn)
+        return TurnOfLoops(orbits, loops, samples, math.log(growth(loops, samples)) / turn)
 
     found = at_phases(_LOOPS)
     if found.samples == 1 or found.rate < _SEEMS_TO_GROW:
@@ -417,10 +410,10 @@ class _Loops:
             float(parameters[0]),
             partial(task.orbit, parameters),
         )
-        rate = found.rate
-        if rate > _LARGEST_GROWTH:
+        if found.rate > _LARGEST_GROWTH:
             raise NoMarginError(
-                f"the linear loop {self._with_delay}grows by {rate:.3g} per s along the orbits"
+                f"the linear loop {self._with_delay}grows by {found.rate:.3g} per s along the "
+                "orbits"
             )
         lags = math.ceil(_MEMORY / self.feedback.period)
         count = len(found.loops)

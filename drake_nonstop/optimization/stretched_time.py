@@ -199,7 +199,7 @@ def stretching(
     can_plan: bool,
     config: HorizonConfig,
     name: Callable[[], str],
-    winds: Winds | None = None,
+    winds: Winds = still_air,
 ) -> Stretching:
     """How a motion has to be slowed down for limits to hold, if at all.
 
@@ -221,9 +221,8 @@ def stretching(
         can_plan: whether plans of ξ and A are an option.
         config: of the plans.
         name: as of `OrbitFeasibility`.
-        winds: that are believed, which count for aircraft; None: still air.
+        winds: that are believed, which count for aircraft.
     """
-    winds = still_air if winds is None or model.aircraft is None else winds
     config = timed(config, limits.frequency, model.control_period)
     feasibility = OrbitFeasibility(model, limits, config, name)
     spacing = _SPACING

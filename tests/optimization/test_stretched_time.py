@@ -17,7 +17,12 @@ from drake_nonstop.mechanics.resting_orbit import resting_orbits
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.optimization.stretched_time import OrbitFeasibility, PathDelay, stretching
+from drake_nonstop.optimization.stretched_time import (
+    OrbitFeasibility,
+    PathDelay,
+    still_air,
+    stretching,
+)
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.aircraft_margins import MeanWind, margins_at_rest
 
@@ -271,7 +276,7 @@ def test_a_load_is_slowed_to_the_largest_velocity_through_the_air_that_aircraft_
         return np.outer(np.clip(times / 20, 0, 1), [-2.0, 0.0, 0.0])
 
     assert 2.0 < largest < 1.7 + 1.875 * 20 / 30  # the fastest through the air
-    assert slowed(None).delay is None
+    assert slowed(still_air).delay is None
     assert slowed(lambda times, references: -steady(times, references)).delay is None
     times = np.linspace(0, duration, 301)
     for winds in (steady, rising):
