@@ -34,13 +34,13 @@ from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig, NonstopProblemConfig
 from drake_nonstop.optimization.speed_margin import (
     Disturbance,
-    Feedback,
     Gust,
     Motion,
     NoMarginError,
     SpeedMargin,
     speed_margin,
 )
+from drake_nonstop.optimization.turn_of_loops import Feedback
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioWarning
 
@@ -102,7 +102,11 @@ def margin_of_loop(
         )
     except NoMarginError as error:
         cause = str(error)
-        left_out.append(f"what faster orbits add, as {cause}" if error.margin else cause)
+        if error.margin is not None:
+            rest = -error.margin.uncovered
+            known = f"{rest:.3g} m/s of what is needed, and " if rest > 0 else ""
+            cause = f"{known}what faster orbits add, as {cause}"
+        left_out.append(cause)
         return LoopMargin(error.margin, tuple(left_out))
     return LoopMargin(margin, tuple(left_out))
 
@@ -120,7 +124,7 @@ def computed_margin(
         causes = "; ".join(found.left_out)
         what = f"the margin leaves out: {causes}; give it as speed_margin, in m/s, if it matters"
         if found.margin is None:
-            what = f"no margin is computed, and 1 % of the bound is kept ({causes}); give a number"
+            what = f"no margin is computed, and 2 % of the bound is kept ({causes}); give a number"
         warnings.warn(
             f"optimization_layer.tightening = {AUTO}: {what}", ScenarioWarning, stacklevel=5
         )
@@ -230,6 +234,8 @@ def _motion(
 
         preview = ReferencePreview(reference)
     end = min(duration, preview.end_time, _LONGEST)
+    if end < duration:
+        left_out.append(f"the load's motion after t = {end:g} s")
     times = np.linspace(0.0, end, _INSTANTS)
     # Between them, where a motion hardly begins or ends.
     between = times[:-1] + _BETWEEN * np.diff(times)

@@ -498,7 +498,7 @@ def _made_parts(
 def _wants_margin(entry: Any) -> bool:
     """Whether a layer's entry has a margin computed for it."""
     is_auto = isinstance(entry, LimitsConfig) and entry.tightening == AUTO
-    return is_auto and entry.speed_margin == 0
+    return is_auto and entry.speed_margin == 0 < entry.speed_bound
 
 
 def _require_motion(model: Model, blocks: Mapping[str, System]) -> None:

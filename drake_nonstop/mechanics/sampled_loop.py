@@ -5,7 +5,7 @@ of the interval after a sample, since held commands ripple within it. A loop tha
 periodic motion is one such loop after the other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -101,25 +101,29 @@ def growth_in_turn(loops: Sequence[SampledLoop], samples: int, scale: NDArray) -
     return largest
 
 
-def responses(loops: Sequence[SampledLoop], samples: int, last: int, lags: int) -> NDArray:
+def responses(
+    loops: Sequence[SampledLoop], samples: int, ends: Sequence[int], lags: int
+) -> Iterator[NDArray]:
     """How outputs depend on single inputs: g (lags, j o, u), one row per sample before.
 
-    The outputs are those at the end of the loop of number `last`, each of which lasts for so many
-    samples; about as many inputs are looked at as there are to be lags.
+    The outputs are those at the end of the loops of the numbers `ends`, one after the other, each
+    of which lasts for so many samples; about as many inputs are looked at as there are to be lags.
     """
-    end = loops[last]
-    size, u = end.input.shape
-    rows = end.outputs.reshape(-1, size)
-    parts = [end.feedthrough.reshape(1, -1, u)]
-    blocks: dict[int, NDArray] = {}
-    for i in range(-(-lags // samples)):
-        loop = (last - i) % len(loops)
-        if loop not in blocks:
-            blocks[loop] = _block(loops[loop], samples)
-        part = (rows @ blocks[loop]).reshape(len(rows), samples, u)
-        parts.append(part.swapaxes(0, 1))
-        rows = rows @ np.linalg.matrix_power(loops[loop].transition, samples)
-    return np.concatenate(parts)
+    count = -(-lags // samples)
+    used = {(end - i) % len(loops) for end in ends for i in range(count)}
+    blocks = {k: _block(loops[k], samples) for k in used}
+    powers = {k: np.linalg.matrix_power(loops[k].transition, samples) for k in used}
+    for last in ends:
+        end = loops[last]
+        size, u = end.input.shape
+        rows = end.outputs.reshape(-1, size)
+        parts = [end.feedthrough.reshape(1, -1, u)]
+        for i in range(count):
+            k = (last - i) % len(loops)
+            part = (rows @ blocks[k]).reshape(len(rows), samples, u)
+            parts.append(part.swapaxes(0, 1))
+            rows = rows @ powers[k]
+        yield np.concatenate(parts)
 
 
 def _block(loop: SampledLoop, samples: int) -> NDArray:
@@ -132,8 +136,8 @@ def _block(loop: SampledLoop, samples: int) -> NDArray:
 
 def bounded_response(
     g: NDArray, groups: int, bounds: NDArray, rate_bounds: NDArray, period: float
-) -> float:
-    """The largest output for inputs that are bounded, and so are their rates.
+) -> NDArray:
+    """The largest of each output (o,) for inputs that are bounded, and so are their rates.
 
     The inputs are `groups` vectors of equal size, one after the other; the norm of the l-th stays
     below `bounds[l]`, and that of its rate below `rate_bounds[l]` (groups,), which may be infinite.
@@ -153,7 +157,7 @@ def bounded_response(
     gain, varying = norms(g).sum(axis=0), tails[1:].sum(axis=0)
     rates = np.where(varying > 0, rate_bounds, 0.0)
     slow = bounds * tails[0] + period * rates * varying
-    return float(np.max(np.minimum(bounds * gain, slow).sum(axis=-1)))
+    return np.minimum(bounds * gain, slow).sum(axis=-1)
 
 
 def overshoot(g: NDArray) -> NDArray:
@@ -164,8 +168,8 @@ def overshoot(g: NDArray) -> NDArray:
     return np.max(g - np.maximum(g[:1], 0.0), axis=0)
 
 
-def known_response(g: NDArray, inputs: NDArray) -> float:
-    """The largest output for inputs (samples, u) that are known, and zero before.
+def known_response(g: NDArray, inputs: NDArray) -> NDArray:
+    """The largest of each output (o,), at least 0, for known inputs (samples, u), and zero before.
 
     It is that of a loop at rest before the first sample, at whatever phase the loop is then.
     """
@@ -176,11 +180,13 @@ def known_response(g: NDArray, inputs: NDArray) -> float:
     for i in used:
         spectrum += np.fft.rfft(g[..., i], size, axis=0) * np.fft.rfft(inputs[:, i], size)[:, None]
     response = np.fft.irfft(spectrum, size, axis=0)[: len(inputs)]
-    return float(np.max(response, initial=0.0))
+    return np.max(response, axis=0, initial=0.0)
 
 
-def waves_deviation(g: NDArray, deviations: NDArray, frequencies: NDArray, period: float) -> float:
-    """The largest standard deviation of an output under inputs that are sums of waves.
+def waves_deviation(
+    g: NDArray, deviations: NDArray, frequencies: NDArray, period: float
+) -> NDArray:
+    """The standard deviation of each output (o,) under inputs that are sums of waves.
 
     The inputs are independent, with deviations (u,), each of waves of equal size, frequencies
     (rad/s) and random phases. A wave of frequency ω reaches an output as |Σ g_m exp(−iωmT)|, T the
@@ -190,14 +196,14 @@ def waves_deviation(g: NDArray, deviations: NDArray, frequencies: NDArray, perio
     turning = np.exp(-1j * period * np.outer(frequencies, np.arange(lags)))
     gains = (turning @ g.reshape(lags, -1)).reshape(-1, outputs, u)
     variance = (np.abs(gains) ** 2).mean(axis=0)
-    return float(np.sqrt(np.max((variance * deviations**2).sum(axis=-1))))
+    return np.sqrt((variance * deviations**2).sum(axis=-1))
 
 
-def step_response(g: NDArray, step: NDArray) -> float:
-    """The largest output after inputs (u,) that begin and stay."""
-    return float(np.max(np.cumsum(g @ step, axis=0), initial=0.0))
+def step_response(g: NDArray, step: NDArray) -> NDArray:
+    """The largest of each output (o,), at least 0, after inputs (u,) that begin and stay."""
+    return np.max(np.cumsum(g @ step, axis=0), axis=0, initial=0.0)
 
 
-def noise_deviation(g: NDArray, deviations: NDArray) -> float:
-    """The largest standard deviation of an output under white inputs of deviations (u,)."""
-    return float(np.sqrt(np.max(((g * deviations) ** 2).sum(axis=(0, 2)))))
+def noise_deviation(g: NDArray, deviations: NDArray) -> NDArray:
+    """The standard deviation of each output (o,) under white inputs of deviations (u,)."""
+    return np.sqrt(((g * deviations) ** 2).sum(axis=(0, 2)))

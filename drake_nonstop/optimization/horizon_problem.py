@@ -415,7 +415,7 @@ class HorizonProblem:
         is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
         if last is not None and is_next and is_alike:
             known = [part[self._per_knot :] for part in (last.flat_terms, last.flat_flight)]
-        times = self._times(start_time)
+        times = self.times(start_time)
         references = references_at(reference, times if known is None else times[len(known[0]) :])
         flat, flight = self.all_terms(references, wind)
         if known is not None:
@@ -471,7 +471,7 @@ class HorizonProblem:
         least = np.maximum(tightened, speed_bound + self.config.orbit_tightening * orbits)
         return least + self.jump_margins(flat_terms, self._instant_spacing)
 
-    def _times(self, start_time: float) -> NDArray:
+    def times(self, start_time: float) -> NDArray:
         """The times (k,) of the instants, those of two plans that start at knots to the bit."""
         spacing = self.config.knot_spacing
         knot = round(start_time / spacing)

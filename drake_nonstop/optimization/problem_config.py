@@ -22,7 +22,7 @@ from drake_nonstop.validation import (
 )
 
 LEAST_BOUND = 1e-3  # m/s, unless there is none at all: margins are relative to the bound
-_UNCOMPUTED = 0.01  # the tightening of what has no margin computed for it
+_UNCOMPUTED = 0.02  # the tightening of what has no margin computed for it
 FLIGHT_LIMITS = ("max_lift_share", "max_bank", "max_climb", "max_thrust_share")
 _Config = TypeVar("_Config")
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
@@ -184,9 +184,10 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
         min_separation=config.min_separation,
     )
     require(config.model_error < 1, f"{box}.model_error", config.model_error, "give less than 1")
-    is_used = config.speed_margin == 0 or config.tightening == AUTO
     remedy = f"give {box}.tightening: {AUTO}, which alone aims at it, or leave it out"
-    require(is_used, f"{box}.speed_margin", config.speed_margin, remedy)
+    for name in ("speed_margin", "model_error"):
+        value = getattr(config, name)
+        require(value == 0 or config.tightening == AUTO, f"{box}.{name}", value, remedy)
     require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)

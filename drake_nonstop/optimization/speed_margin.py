@@ -4,8 +4,9 @@ The assumptions under which the sum is a bound in continuous time, and what the 
 are in diagrams/speed_error_budget.md.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,68 +18,37 @@ from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk, 
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.sampled_loop import (
-    SampledLoop,
     bounded_response,
-    growth,
-    growth_in_turn,
     known_response,
     noise_deviation,
     overshoot,
-    parts_of_turn,
     responses,
     step_response,
     waves_deviation,
 )
 from drake_nonstop.mechanics.signals import LoadReference, resting_reference
-from drake_nonstop.mechanics.tethered_loop import (
-    Cables,
-    Carriers,
-    Estimator,
-    Inputs,
-    Orbit,
-    tethered_loop,
-)
+from drake_nonstop.mechanics.tethered_loop import Carriers, Inputs, Orbit
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range
 from drake_nonstop.optimization.terminal_set import product_limits
+from drake_nonstop.optimization.turn_of_loops import Feedback, TurnOfLoops, turn_of_loops
 
 DEVIATIONS = 5.0  # standard deviations of noise: a normal value falls below with 2.9e-7
-_PHASES = 24  # of the orbits, at which speeds and their rates are looked at
-_LOOPS = 60  # about as many phases the loop is linearized: steps of forces between them count
-_SEEMS_TO_GROW = 0.05  # per s
-_SEEN = 3  # of these phases, at which the shortfalls are looked at
+_PHASES = 48  # of the orbits, at which speeds and their rates are looked at
+_SEEN = 12  # of these phases, at which the responses are looked at
 _MEMORY = 10.0  # s, of the inputs that matter for a shortfall
 _LARGEST_GROWTH = 0.2  # per s, beyond which there is no margin
 _AMPLITUDES = 25  # among which the plan's is looked for
 _SPARSE = 5  # of the instants, one at which it is
-_NEAR = 1.5  # of the speed that is aimed at, up to which a speed may dip below it
 _AMPLITUDE_WEIGHT = 4.0  # of (A/A₀ − 1)² beside (ξ/ξ₀ − 1)², as plans weigh them
 _FIRST = 0.02  # of ε, a margin to begin with
-_REPEATS = 4  # of the margin, as a larger one asks for faster orbits
+_REPEATS = 6  # of the margin, as a larger one asks for faster orbits
 _LEAST_SPEED = 1e-9  # m/s
-_SAME = 1.1  # of a margin, by which the next one is larger to begin with
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Feedback:
-    """What the loop does with errors of the load.
-
-    Attributes:
-        gains: of `mechanics.wrench.wrench_and_rate`, by name.
-        deviations: (12,), standard deviations of the measured [e_R, e_p, e_ω, e_v]; SI.
-        is_measured: (12,), 0 for what the controller takes as desired, else 1.
-        delay: of the measurement, in samples.
-        period: between samples, s.
-        estimator: of the errors, behind the measurement; None: there is none.
-    """
-
-    gains: Mapping[str, Any]
-    deviations: NDArray
-    is_measured: NDArray
-    delay: int
-    period: float
-    estimator: Estimator | None = None
+_ROUNDING = 1e-9
+_LEAST_MARGIN = 1e-3  # of ε, for what plans are off by
+_MOST_UNCLOSED = 1.0  # of ε, the largest margin that is used where none suffices
+_NEXT = 1.1  # of what is needed, the next margin to try
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,6 +66,16 @@ class Motion:
     references: NDArray
     step: float
     jerk_jumps: NDArray
+
+    @property
+    def desired(self) -> LoadReference:
+        """The reference at the instants."""
+        return LoadReference.view(self.references[1])
+
+    def in_load_frame(self, vectors: NDArray) -> NDArray:
+        """Vectors (k, 3) at the instants, in W, in the load's frame."""
+        turned: NDArray = np.einsum("kji,kj->ki", rotation_matrix(self.desired.quaternion), vectors)
+        return turned
 
 
 class Gust(NamedTuple):
@@ -119,15 +99,10 @@ class Disturbance:
     unknown: NDArray
     gusts: tuple[Gust, ...] = ()
 
-    @property
-    def is_any(self) -> bool:
-        """Whether anything acts."""
-        return bool(np.any(self.believed) or np.any(self.unknown) or self.gusts)
-
 
 @dataclass(frozen=True, kw_only=True)
 class SpeedMargin:
-    """The shares of a margin, each m/s, of the largest shortfall of a speed."""
+    """The shares of a margin, each m/s, of the carrier and the phase where it has to be largest."""
 
     tracking: float  # of the carriers behind held references
     jumps: float  # beyond the planned velocities, where the reference's jerk jumps
@@ -136,19 +111,21 @@ class SpeedMargin:
     delay: float  # of the feedback
     model: float  # of a wrench that is off by a share of the weight
     disturbance: float  # of steady forces on the load, and `DEVIATIONS` of those of gusts
+    faster: float  # not positive: the carrier is as much faster there than it has to be
+    uncovered: float = 0.0  # not positive: what no orbits cover
 
     @property
     def total(self) -> float:
-        """Their sum, m/s."""
-        return math.fsum(vars(self).values())
+        """Their sum, m/s, at least 0."""
+        return max(0.0, math.fsum(vars(self).values()))
 
 
 class NoMarginError(RuntimeError):
     """Nothing bounds the errors; the message says why.
 
     Attributes:
-        margin: that of the orbits without it, which may be too small for the faster ones with it;
-            None where there is none.
+        margin: that of the orbits without it, as far as it is covered: at most ε. None where there
+            is none, or its own orbits cannot be flown.
     """
 
     def __init__(self, cause: str, margin: SpeedMargin | None = None):
@@ -169,8 +146,9 @@ def speed_margin(
 ) -> SpeedMargin:
     """The margin of a loop, for a task.
 
-    Each share is the largest of any carrier, at those constant ξ and A that keep the margin over
-    the whole task with the least change of both.
+    The orbits are those of the constant ξ and A that keep the margin over the whole task with the
+    least change of both. A shortfall counts as far as it is larger than what its carrier is faster
+    there than the bound and the margin, at every instant of the task.
 
     Args:
         model: what the controllers believe.
@@ -188,22 +166,37 @@ def speed_margin(
     """
     task = _Task(model, limits, motion)
     loops = _Loops(model, plant, carriers, feedback)
-    margin = _FIRST * limits.speed_bound
-    first: SpeedMargin | None = None
+    bound = limits.speed_bound
+
+    def shares_at(parameters: NDArray, margin: float) -> SpeedMargin:
+        return _shares(task, loops, parameters, bound + margin, instant_spacing, disturbance)
+
+    margin = _FIRST * bound
+    chosen, is_kept = task.parameters_for(bound + margin)
+    could_be_kept = is_kept
+    first = shares = shares_at(chosen, margin)
     for _ in range(_REPEATS):
-        chosen = task.parameters_for(limits.speed_bound + margin)
-        try:
-            shares = _shares(task, loops, chosen, limits, instant_spacing, margin, disturbance)
-        except NoMarginError as error:
-            raise NoMarginError(str(error), first) from None
+        if not is_kept:
+            cause = "no constant xi and A within their bounds have them"
+            break
         if shares.total <= margin:
             return shares
-        first = first or shares
-        margin = _SAME * shares.total
-    raise NoMarginError(
-        f"a speed {margin:.3g} m/s above the bound needs orbits whose errors are larger still",
-        first,
-    )
+        margin = _NEXT * shares.total
+        chosen, is_kept = task.parameters_for(bound + margin)
+        try:
+            shares = shares_at(chosen, margin) if is_kept else shares
+        except NoMarginError as error:
+            cause = str(error)
+            break
+    else:
+        cause = "their errors are larger still"
+    cause = f"a speed {margin:.3g} m/s above the bound needs faster orbits, and {cause}"
+    # What can be had of it, if its own orbits can be flown.
+    covered = min(first.total, _MOST_UNCLOSED * bound)
+    chosen, is_kept = task.parameters_for(bound + covered)
+    if (could_be_kept and not is_kept) or loops.turn(task, chosen).rate > _LARGEST_GROWTH:
+        raise NoMarginError(cause)
+    raise NoMarginError(cause, replace(first, uncovered=covered - first.total))
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,19 +223,20 @@ class _Task:
         self.terms, step = now, motion.step
         self.second_rates = (after.rates - before.rates) / (2 * step)
         self.third_rates = (after.rates - 2 * now.rates + before.rates) / step**2
-        desired = LoadReference.view(motion.references[1])
-        turned = rotation_matrix(desired.quaternion)  # (k, 3, 3)
-        self.accelerations, self.jerks = (
-            np.einsum("kji,kj->ki", turned, vectors)
-            for vectors in (desired.acceleration, desired.jerk)
+        desired = motion.desired
+        self.accelerations, self.jerks = map(
+            motion.in_load_frame, (desired.acceleration, desired.jerk)
         )
         self.cables: dict[str, Any] = {
             "rest_length": model.cable_length,
             "compliance": model.cable_compliance,
         }
 
-    def parameters_for(self, speed: float) -> NDArray:
-        """[ξ, A] (2,) nearest to the nominal ones that keep a speed (m/s) over the task."""
+    def parameters_for(self, speed: float) -> tuple[NDArray, bool]:
+        """[ξ, A] (2,) nearest to the nominal ones that keep a speed (m/s) over the task.
+
+        Also whether they do: where none within the bounds do, they are those that come closest.
+        """
         low, high = amplitude_range(self.limits, self.model)
         amplitudes = np.linspace(low, high, _AMPLITUDES)
         amplitudes = np.sort(np.append(amplitudes, self.limits.amplitude))
@@ -257,43 +251,79 @@ class _Task:
         change += _AMPLITUDE_WEIGHT * (amplitudes / self.limits.amplitude - 1) ** 2
         change += 1e3 * np.maximum(products / (amplitudes * frequencies) - 1, 0)
         best = int(np.argmin(change))
-        return np.array([frequencies[best], amplitudes[best]])
+        found = np.array([frequencies[best], amplitudes[best]])
+        return found, bool(products[best] <= (1 + _ROUNDING) * found[0] * found[1])
 
-    def derivatives(self, parameters: NDArray, extra: NDArray | None = None) -> _Derivatives:
+    def derivatives(self, parameters: NDArray) -> _Derivatives:
         """The carriers' motion for constant [ξ, A] (2,).
-
-        `extra`, (n, 3) or (k, n, 3), adds to their forces.
 
         Rates of forces are those in the load's frame, which turns slowly beside the orbits.
         """
+        forces, rates, u, along = self._forces(parameters)
+        xi, A = parameters
+        shape = forces.shape
+
+        def flat(values: NDArray) -> NDArray:
+            return np.broadcast_to(values, shape).reshape(-1, 3)
+
+        second = self.second_rates[:, None] - A * xi**2 * u
+        third = self.third_rates[:, None] - A * xi**3 * along
+        parts = [flat(part) for part in (forces, rates, second, third)]
+        rest, cables = resting_reference(), self._cables_of(len(parts[0]))
+        acceleration = carrier_acceleration(rest, *parts[:3], **cables)
+        jerk = carrier_jerk(rest, *parts, **cables)
+        return _Derivatives(
+            self._velocities(forces, rates),
+            acceleration.reshape(shape) + self.accelerations[:, None, None],
+            jerk.reshape(shape) + self.jerks[:, None, None],
+        )
+
+    def speeds(self, parameters: NDArray, extra: NDArray | None = None) -> NDArray:
+        """The carriers' speeds (k, h, n), m/s, for constant [ξ, A] (2,).
+
+        `extra`, (n, 3) or (k, n, 3), adds to their forces.
+        """
+        forces, rates, *_ = self._forces(parameters, extra)
+        found: NDArray = np.linalg.norm(self._velocities(forces, rates), axis=-1)
+        return found
+
+    def _velocities(self, forces: NDArray, rates: NDArray) -> NDArray:
+        flat = [part.reshape(-1, 3) for part in (forces, rates)]
+        _, swing = carrier_motion(resting_reference(), *flat, **self._cables_of(len(flat[0])))
+        velocities: NDArray = swing.reshape(forces.shape) + self.terms.velocities[:, None]
+        return velocities
+
+    def _cables_of(self, count: int) -> dict[str, Any]:
+        """Of so many carriers, above one point."""
+        return self.cables | {"attachments": np.zeros((count, 3))}
+
+    def _forces(
+        self, parameters: NDArray, extra: NDArray | None = None
+    ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """Forces and their rates (k, h, n, 3), and the directions (h, n, 3) of A and of A ξ."""
         xi, A = parameters
         angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
         p, q = self.axes
         cosine, sine = np.cos(angles)[:, None, None], np.sin(angles)[:, None, None]
         u, along = cosine * p + sine * q, cosine * q - sine * p  # (h, n, 3)
         added = np.zeros((1, self.model.n, 3)) if extra is None else extra.reshape(-1, *p.shape)
-        f0 = self.terms.forces[:, None] + added[:, None]
-        slow = self.second_rates[:, None], self.third_rates[:, None]
-        f = f0 + A * u
+        f = self.terms.forces[:, None] + added[:, None] + A * u
         omega = self.terms.angular_velocity[:, None, None]
         r = self.terms.rates[:, None] + np.cross(omega, f) + A * xi * along
-        shape, count = f.shape, f[..., 0].size
-        rest = resting_reference()
+        return f, r, u, along
 
-        def flat(values: NDArray) -> NDArray:
-            return np.broadcast_to(values, shape).reshape(-1, 3)
+    def faster(self, parameters: NDArray, speed: float) -> NDArray:
+        """How much faster than a speed (m/s) carriers are at phases (h, n), m/s, at least 0.
 
-        higher = slow[0] - A * xi**2 * u, slow[1] - A * xi**3 * along
-        forces = [flat(part) for part in (f, r, *higher)]
-        cables = self.cables | {"attachments": np.zeros((count, 3))}
-        _, swing = carrier_motion(rest, forces[0], forces[1], **cables)
-        acceleration = carrier_acceleration(rest, *forces[:3], **cables)
-        jerk = carrier_jerk(rest, *forces, **cables)
-        return _Derivatives(
-            swing.reshape(shape) + self.terms.velocities[:, None],
-            acceleration.reshape(shape) + self.accelerations[:, None, None],
-            jerk.reshape(shape) + self.jerks[:, None, None],
-        )
+        The least over the task, of the orbits for [ξ, A] (2,) and of those with the nominal ξ or A:
+        a plan may be anywhere between them, and pass by slow phases that it does not meet.
+        """
+        xi, A = parameters
+        own = self.limits
+        least = np.full((_PHASES, self.model.n), np.inf)
+        for other in itertools.product((xi, own.frequency), (A, own.amplitude)):
+            least = np.minimum(least, self.speeds(np.array(other)).min(axis=0))
+        return np.maximum(least - speed, 0.0)
 
     def orbit(self, parameters: NDArray, angle: float) -> Orbit:
         """The orbits' phase at an angle (rad) above the load as at the start, at rest."""
@@ -310,79 +340,6 @@ class _Task:
         return Orbit(forces, rates, -(A * xi**2) * u, -(A * xi**3) * along, swing)
 
 
-class TurnOfLoops(NamedTuple):
-    """The linear sampled loop at phases that fill a turn of the carriers."""
-
-    orbits: list[Orbit]
-    loops: list[SampledLoop]
-    samples: int  # that each of them lasts
-    rate: float  # 1/s, at which a deviation grows from turn to turn, the largest one
-
-    def growth_in_turn(self, radius: float) -> float:
-        """The logarithm of how many times a deviation of the load's pose grows within a turn.
-
-        An attitude's size is that of the distance it makes at the radius in m.
-        """
-        scale = np.repeat([radius, 1.0], 3)
-        return math.log(growth_in_turn(self.loops, self.samples, scale))
-
-
-def turn_of_loops(
-    model: Model,
-    plant: Model,
-    carriers: Carriers,
-    feedback: Feedback,
-    frequency: float,
-    orbit: Callable[[float], Orbit],
-) -> TurnOfLoops:
-    """The loop of load, cables, carriers and controllers along the orbits.
-
-    It is linearized at some 60 phases; where it seems to grow, at every sample, since forces that
-    step from phase to phase move what is lightly damped.
-
-    Args:
-        model: what the controllers believe.
-        plant: what is simulated.
-        carriers: their controllers and references.
-        feedback: the wrench controller's.
-        frequency: ξ, rad/s.
-        orbit: that at a phase in rad.
-    """
-    cables = Cables(
-        attachments=plant.attachments,
-        stiffness=plant.cable_stiffness,
-        damping=plant.cable_damping,
-        rest_length=plant.cable_length,
-        compliance=model.cable_compliance,
-    )
-    turn = 2 * math.pi / frequency
-
-    def at_phases(about: float) -> TurnOfLoops:
-        samples, count = parts_of_turn(turn, feedback.period, about)
-        orbits = [orbit(2 * math.pi * i / count) for i in range(count)]
-        loops = [
-            tethered_loop(
-                plant.load,
-                cables,
-                carriers,
-                feedback.gains,
-                along,
-                pseudo_inverse=model.pseudo_inverse,
-                period=feedback.period,
-                delay=feedback.delay,
-                is_measured=feedback.is_measured,
-                estimator=feedback.estimator,
-            )
-            for along in orbits
-        ]
-        return TurnOfLoops(orbits, loops, samples, math.log(growth(loops, samples)) / turn)
-
-    found = at_phases(_LOOPS)
-    if found.samples == 1 or found.rate < _SEEMS_TO_GROW:
-        return found
-    return at_phases(turn / feedback.period)
-
-
 class _Loops:
     """The linear loop along the orbits."""
 
@@ -396,13 +353,9 @@ class _Loops:
         late = self.feedback.delay * self.feedback.period
         return f"with a measurement that is {late:g} s late " if late else ""
 
-    def responses(self, task: _Task, parameters: NDArray) -> Iterator[tuple[Orbit, NDArray]]:
-        """Phases, and how shortfalls there depend on inputs, for [ξ, A] (2,).
-
-        Raises:
-            NoMarginError: a deviation grows from turn to turn.
-        """
-        found = turn_of_loops(
+    def turn(self, task: _Task, parameters: NDArray) -> TurnOfLoops:
+        """The loop along the orbits of [ξ, A] (2,)."""
+        return turn_of_loops(
             self.model,
             self.plant,
             self.carriers,
@@ -410,6 +363,14 @@ class _Loops:
             float(parameters[0]),
             partial(task.orbit, parameters),
         )
+
+    def responses(self, task: _Task, parameters: NDArray) -> tuple[list[Orbit], Iterator[NDArray]]:
+        """Orbits at phases, and how shortfalls there depend on inputs, for [ξ, A] (2,).
+
+        Raises:
+            NoMarginError: a deviation grows from turn to turn.
+        """
+        found = self.turn(task, parameters)
         if found.rate > _LARGEST_GROWTH:
             raise NoMarginError(
                 f"the linear loop {self._with_delay}grows by {found.rate:.3g} per s along the "
@@ -417,22 +378,50 @@ class _Loops:
             )
         lags = math.ceil(_MEMORY / self.feedback.period)
         count = len(found.loops)
-        for i in range(0, count, max(1, count // _SEEN)):
-            yield found.orbits[i], responses(found.loops, found.samples, i, lags)
+        seen = np.unique(np.arange(_SEEN) * count // _SEEN).tolist()
+        g = responses(found.loops, found.samples, seen, lags)
+        return [found.orbits[i] for i in seen], g
 
 
 def _shares(
     task: _Task,
     loops: _Loops,
     parameters: NDArray,
-    limits: LimitsConfig,
+    speed: float,
     instant_spacing: float,
-    margin: float,
     disturbance: Disturbance | None,
 ) -> SpeedMargin:
-    """The shares at [ξ, A] (2,), for a margin in m/s."""
+    """The shares at [ξ, A] (2,), of plans that keep a speed in m/s."""
     motion = task.derivatives(parameters)
     speeds = np.linalg.norm(motion.velocities, axis=-1)
+    # Of each carrier at each phase: (h, n).
+    shares = {name: np.zeros(speeds.shape[1:]) for name in SpeedMargin.__dataclass_fields__}
+    for name, values in _of_responses(task, loops, parameters, motion, disturbance).items():
+        # The larger of those before and after each phase.
+        after = np.arange(_PHASES) * len(values) // _PHASES
+        shares[name] += np.maximum(values[after], np.roll(values, -1, axis=0)[after])
+    if disturbance is not None and np.any(disturbance.believed):
+        borne = _borne(task, disturbance.believed)  # which plans, those in still air, leave out
+        falls = speeds - task.speeds(parameters, borne)
+        shares["disturbance"] += np.max(falls, axis=0, initial=0.0)
+    if task.limits.model_error:
+        shares["model"] += _of_model_error(task, parameters, speeds)
+    shares["grid"] += grid_dip(motion, speeds, instant_spacing).max(axis=0)
+    needed = np.sum([*shares.values()], axis=0)
+    shares["faster"] -= np.minimum(task.faster(parameters, speed), needed)
+    worst = np.unravel_index(np.argmax(needed + shares["faster"]), needed.shape)
+    return SpeedMargin(**{name: float(part[worst]) for name, part in shares.items()})
+
+
+def _of_responses(
+    task: _Task,
+    loops: _Loops,
+    parameters: NDArray,
+    motion: _Derivatives,
+    disturbance: Disturbance | None,
+) -> dict[str, NDArray]:
+    """The shares that follow from the loop's response, by their names: (h, n), at even phases."""
+    n, places, feedback = task.model.n, loops.places, loops.feedback
     acceleration, jerk = (
         float(np.max(np.linalg.norm(part, axis=-1)))
         for part in (motion.accelerations, motion.jerks)
@@ -440,72 +429,65 @@ def _shares(
     xi, phase = float(parameters[0]), 2 * math.pi / _PHASES
     around = (np.roll(motion.jerks, -1, axis=1) - motion.jerks) / phase
     snap = xi * float(np.max(np.linalg.norm(around, axis=-1)))
-    n, places, feedback = task.model.n, loops.places, loops.feedback
-    tracking = jumps = noise = delay = disturbed = 0.0
-    for orbit, g in loops.responses(task, parameters):
+    orbits, found = loops.responses(task, parameters)
+    shares = {name: np.zeros((len(orbits), n)) for name in SpeedMargin.__dataclass_fields__}
 
-        def bounded(place: slice, groups: int, bounds: Any, rates: Any, g: NDArray = g) -> float:
-            bounds, rates = (np.broadcast_to(values, groups) for values in (bounds, rates))
-            return bounded_response(g[..., place], groups, bounds, rates, feedback.period)
+    late = _late(task.motion, feedback) if feedback.delay else None
 
-        held = bounded(places.acceleration, n, acceleration, jerk)
-        held += bounded(places.jerk, n, jerk, snap)
-        held += bounded(places.snap, n, snap, xi * snap)
-        tracking = max(tracking, held)
+    def note(name: str, h: int, outputs: NDArray) -> None:
+        shares[name][h] += outputs.reshape(-1, n).max(axis=0)
+
+    for h, (orbit, g) in enumerate(zip(orbits, found, strict=True)):
+        for place, bound, rate in (
+            (places.acceleration, acceleration, jerk),
+            (places.jerk, jerk, snap),
+            (places.snap, snap, xi * snap),
+        ):
+            bounds, rates = (np.full(n, value) for value in (bound, rate))
+            held = bounded_response(g[..., place], n, bounds, rates, feedback.period)
+            note("tracking", h, held)
         if len(task.motion.jerk_jumps) > 0:
-            jumps = max(jumps, _of_jump(g[..., places.velocity], task, orbit, limits))
+            note("jumps", h, _of_jump(g[..., places.velocity], task, orbit))
         if np.any(feedback.deviations):
             spread = noise_deviation(g[..., places.measurement], feedback.deviations)
-            noise = max(noise, DEVIATIONS * spread)
-        if feedback.delay:
-            late = known_response(g[..., places.measurement], _late(task.motion, feedback))
-            delay = max(delay, late)
+            note("noise", h, DEVIATIONS * spread)
+        if late is not None:
+            note("delay", h, known_response(g[..., places.measurement], late))
         if disturbance is not None:
             wrench = g[..., places.disturbance]
-            disturbed = max(disturbed, _of_disturbance(wrench, disturbance, task, feedback.period))
-    if disturbance is not None:
-        disturbed += _of_believed(disturbance.believed, task, parameters, speeds)
-    return SpeedMargin(
-        tracking=tracking,
-        jumps=jumps,
-        grid=grid_dip(motion, speeds, limits.speed_bound + margin, instant_spacing),
-        noise=noise,
-        delay=delay,
-        model=_of_model_error(task, parameters, speeds, limits) if limits.model_error else 0.0,
-        disturbance=disturbed,
-    )
+            forced = _of_disturbance(wrench, disturbance, task, feedback.period)
+            note("disturbance", h, forced)
+    return shares
 
 
-def grid_dip(motion: _Derivatives, speeds: NDArray, speed: float, instant_spacing: float) -> float:
-    """By how much (m/s) speeds that are kept at instants may be lower between two of them.
+def grid_dip(motion: _Derivatives, speeds: NDArray, instant_spacing: float) -> NDArray:
+    """By how much (m/s) speeds (k, h, n) kept at instants may be lower between two of them.
 
     A function that is kept at two instants Δ apart is at most Δ²/8 times the largest of its second
-    rate below them in between; |v|'' = (a·a + v·j)/|v| − (v·a)²/|v|³. Speeds far above the one that
-    is aimed at do not matter.
+    rate below them in between; |v|'' = (a·a + v·j)/|v| − (v·a)²/|v|³.
     """
     v, a, j = motion.velocities, motion.accelerations, motion.jerks
-    slow = np.maximum(speeds, 1e-9)
+    slow = np.maximum(speeds, _LEAST_SPEED)
     along = (v * a).sum(axis=-1)
     second = ((a * a).sum(axis=-1) + (v * j).sum(axis=-1)) / slow - along**2 / slow**3
-    near = speeds < _NEAR * speed
-    return float(instant_spacing**2 / 8 * np.max(second, initial=0.0, where=near))
+    return instant_spacing**2 / 8 * np.maximum(second, 0.0)
 
 
-def _of_jump(g: NDArray, task: "_Task", orbit: Orbit, limits: LimitsConfig) -> float:
-    """By how much (m/s) a carrier is slower than both speeds before and after a planned jump.
+def _of_jump(g: NDArray, task: _Task, orbit: Orbit) -> NDArray:
+    """By how much (m/s) carriers (n,) are slower than both speeds before and after a planned jump.
 
     Its velocity goes from one to the other, on a chord Δv long, which is Δv²/(8 v) below two speeds
     v, and overshoots. A horizon keeps a share of Δv there by itself: what is left counts. `g`
     (lags, j n, 3n) are the responses to jumps of the planned velocities.
     """
     columns = _velocity_jumps(task, orbit) @ task.motion.jerk_jumps.T
-    n = task.model.n
+    n, limits = task.model.n, task.limits
     # The first output, just after the jump, is the jump itself.
     steps = (g.reshape(len(g), -1, n, g.shape[-1]) @ columns).reshape(-1, n, columns.shape[1])
     sizes = np.linalg.norm(columns.reshape(n, 3, -1), axis=1)
     chords = np.minimum(sizes**2 / (8 * max(limits.speed_bound, _LEAST_SPEED)), sizes)
     kept = limits.overshoot if isinstance(limits, HorizonConfig) else 0.0
-    return max(0.0, float(np.max(overshoot(steps) + chords - kept * sizes)))
+    return np.max(overshoot(steps) + chords - kept * sizes, axis=1, initial=0.0)
 
 
 def _velocity_jumps(task: _Task, orbit: Orbit) -> NDArray:
@@ -528,12 +510,11 @@ def _late(motion: Motion, feedback: Feedback) -> NDArray:
 
     The load as it was is behind the reference by the delay times [ω, v, α, a], in its frame.
     """
-    desired = LoadReference.view(motion.references[1])
-    turned = rotation_matrix(desired.quaternion)
+    desired = motion.desired
     late = feedback.delay * feedback.period
     behind = np.hstack(
         [
-            np.einsum("kji,kj->ki", turned, part)
+            motion.in_load_frame(part)
             for part in (
                 desired.angular_velocity,
                 desired.velocity,
@@ -547,54 +528,45 @@ def _late(motion: Motion, feedback: Feedback) -> NDArray:
     return -late * np.stack(errors, axis=-1)
 
 
-def _of_disturbance(g: NDArray, disturbance: Disturbance, task: _Task, period: float) -> float:
-    """By how much (m/s) gusts and unknown forces on the load slow a carrier down.
+def _of_disturbance(g: NDArray, disturbance: Disturbance, task: _Task, period: float) -> NDArray:
+    """By how much (m/s) gusts and unknown forces on the load slow carriers down, (j n,).
 
     `g` (lags, j n, 6) are the responses to a wrench in the load's frame, as at the start. The gusts
     are taken as held for a sample.
     """
     start = rotation_matrix(LoadReference.view(task.motion.references[1, 0]).quaternion)
     in_world = np.concatenate([g[..., :3] @ start.T, g[..., 3:] @ start.T], axis=-1)
-    variance = 0.0
+    variance = np.zeros(g.shape[1])
     for gust in disturbance.gusts:
-        spread = waves_deviation(in_world, gust.deviations, gust.frequencies, period)
-        variance += spread**2
-    steady = step_response(in_world, disturbance.unknown)
-    return DEVIATIONS * math.sqrt(variance) + steady
+        variance += waves_deviation(in_world, gust.deviations, gust.frequencies, period) ** 2
+    return DEVIATIONS * np.sqrt(variance) + step_response(in_world, disturbance.unknown)
 
 
-def _of_believed(forces: NDArray, task: _Task, parameters: NDArray, speeds: NDArray) -> float:
-    """By how much (m/s) speeds fall as the cables bear forces (k, 3) on the load, in W, as well.
-
-    The plan leaves them out: it is one in still air.
-    """
-    if not np.any(forces):
-        return 0.0
-    turned = rotation_matrix(LoadReference.view(task.motion.references[1]).quaternion)
-    borne = -np.einsum("kji,kj->ki", turned, forces)
-    extra = (borne @ task.model.pseudo_inverse[:, 3:].T).reshape(-1, task.model.n, 3)
-    changed = task.derivatives(parameters, extra)
-    return float(np.max(speeds - np.linalg.norm(changed.velocities, axis=-1), initial=0.0))
+def _borne(task: _Task, forces: NDArray) -> NDArray:
+    """What the cables bear more (k, n, 3), in the load's frame, of forces (k, 3) on it, in W."""
+    borne = -task.motion.in_load_frame(forces)
+    return (borne @ task.model.pseudo_inverse[:, 3:].T).reshape(-1, task.model.n, 3)
 
 
-def _of_model_error(
-    task: _Task, parameters: NDArray, speeds: NDArray, limits: LimitsConfig
-) -> float:
-    """By how much (m/s) speeds fall where the wrench controller adds a share of the weight.
+def _of_model_error(task: _Task, parameters: NDArray, speeds: NDArray) -> NDArray:
+    """By how much (m/s) speeds fall, (h, n), as the wrench controller adds a share of the weight.
 
     Whatever the model of the load lacks, the feedback adds in the end: a force of up to
-    `model_error` m g of any direction, which changes the tensions and with them the speeds.
+    `model_error` m g of any direction, which changes the tensions and with them the speeds: by the
+    larger of both signs along each axis, which count as the parts of a gradient.
     """
     model = task.model
-    force = limits.model_error * model.load_mass * model.gravity
-    fall = 0.0
-    for direction in np.vstack([np.eye(3), -np.eye(3)]):
-        extra = (model.pseudo_inverse[:, 3:] @ (force * direction)).reshape(model.n, 3)
-        changed = task.derivatives(parameters, extra)
-        fall = max(fall, float(np.max(speeds - np.linalg.norm(changed.velocities, axis=-1))))
-    return fall
+    force = task.limits.model_error * model.load_mass * model.gravity
+    squares = np.zeros(speeds.shape)
+    for axis in force * np.eye(3):
+        extra = model.pseudo_inverse[:, 3:] @ axis
+        falls = [speeds - task.speeds(parameters, sign * extra) for sign in (1, -1)]
+        squares += np.max(falls, axis=0, initial=0.0) ** 2
+    return np.sqrt(squares).max(axis=0)
 
 
 def with_margin(config: Any, margin: SpeedMargin | None) -> Any:
     """The config of a layer with what is computed for it, if there is anything."""
-    return config if margin is None else replace(config, speed_margin=margin.total)
+    if margin is None:
+        return config
+    return replace(config, speed_margin=max(margin.total, _LEAST_MARGIN * config.speed_bound))

@@ -26,7 +26,7 @@ from drake_nonstop.mechanics.aircraft import (
 )
 from drake_nonstop.mechanics.resting_orbit import CarrierOrbits, resting_orbits
 from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
-from drake_nonstop.mechanics.wind import power_law
+from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model, overridden
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import Scenario, check
@@ -37,27 +37,6 @@ _INSTANTS = 720  # of a turn
 _MOST_TURNS = 10  # until an internal force and a load that turns are back where they were
 _REFINEMENTS, _PARTS = 3, 4  # of the interval about each extreme
 _WIND_TRIALS = 10  # halvings of the range of the largest wind
-
-
-class MeanWind(NamedTuple):
-    """A wind without its gusts, of the fields of the box "wind"."""
-
-    velocity: NDArray  # (3,), m/s, in W, at the reference height
-    exponent: float = 0.0  # of the height
-    reference_height: float = 10.0  # m, above the ground
-    ground_height: float = 0.0  # m, z of the ground in W
-
-    def at(self, positions: NDArray) -> NDArray:
-        """(..., 3), m/s, in W, at positions (..., 3), m."""
-        if self.exponent == 0:
-            return np.broadcast_to(self.velocity, positions.shape)
-        height = positions[..., 2:] - self.ground_height
-        law = {"reference_height": self.reference_height, "exponent": self.exponent}
-        return self.velocity * power_law(height, **law)
-
-    def times(self, share: float) -> "MeanWind":
-        """A share of it."""
-        return self._replace(velocity=share * self.velocity)
 
 
 class FlightLimits(NamedTuple):
@@ -144,6 +123,20 @@ class FlightMargin:
         if self.unit == "rad":
             return f"{math.degrees(value):.1f} deg"
         return f"{value:.{1 if self.unit else 2}f} {self.unit}".rstrip()
+
+    @property
+    def dictionary(self) -> dict[str, Any]:
+        """All of it for a JSON file."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "value": self.value,
+            "limit": self.limit,
+            "limit_is": "upper" if self.is_upper else "lower",
+            "margin": self.margin,
+            "phase_rad": self.phase,
+            "carriers": list(self.carriers),
+        }
 
     @property
     def sentence(self) -> str:
@@ -284,19 +277,7 @@ def margins_dictionary(found: AircraftMargins) -> dict[str, Any]:
         "turn_s": found.turn,
         "wind_m_s": found.wind.velocity.tolist(),
         "possible_share_of_wind": found.possible_wind,
-        "margins": [
-            {
-                "name": margin.name,
-                "unit": margin.unit,
-                "value": margin.value,
-                "limit": margin.limit,
-                "limit_is": "upper" if margin.is_upper else "lower",
-                "margin": margin.margin,
-                "phase_rad": margin.phase,
-                "carriers": list(margin.carriers),
-            }
-            for margin in found.margins
-        ],
+        "margins": [margin.dictionary for margin in found.margins],
         "ranges": {
             name: [float(values.min()), float(values.max())]
             for name, values in (
@@ -329,7 +310,7 @@ def margins_of_loop(scenario: Scenario, nonstop: Diagram, context: Context) -> A
         reference,
         parameters,
         wind=_mean_wind(scenario, nonstop, context),
-        limits=_limits(scenario),
+        limits=flight_limits_of(scenario),
         name=scenario.name,
     )
 
@@ -354,7 +335,7 @@ def _aircraft_of(model: Model) -> Aircraft:
     return typing.cast(Aircraft, model.aircraft)
 
 
-def _limits(scenario: Scenario) -> FlightLimits:
+def flight_limits_of(scenario: Scenario) -> FlightLimits:
     """Those of the scenario's controller, as far as it has any, and of its runs."""
     controller, default = scenario.carrier_controller, FlightLimits()
     return default._replace(
@@ -372,8 +353,7 @@ def _mean_wind(scenario: Scenario, nonstop: Diagram, context: Context) -> MeanWi
     velocity = getattr(config, "velocity", None)
     if velocity is None:
         velocity = nonstop.GetOutputPort("load_wind").Eval(context)
-    law = {name: getattr(config, name) for name in MeanWind._fields[1:] if hasattr(config, name)}
-    return MeanWind(np.array(velocity, dtype=float), **law)
+    return MeanWind.of(config, velocity)
 
 
 def margins_at_rest(
@@ -415,7 +395,7 @@ def margins_at_rest(
     return dataclasses.replace(found, possible_wind=low)
 
 
-class _Quantity(NamedTuple):
+class Quantity(NamedTuple):
     """One that has a limit, at k instants, of carriers or of pairs of them."""
 
     name: str
@@ -426,11 +406,9 @@ class _Quantity(NamedTuple):
     carriers: Sequence[tuple[int, ...]]  # c
 
     def worst(self, phases: NDArray) -> FlightMargin:
-        """Its margin at the phases (k,), rad."""
+        """Its least margin at the phases (k,), rad."""
         limits = np.broadcast_to(self.limits, self.values.shape)
-        left = limits - self.values if self.is_upper else self.values - limits
-        # Rounded, so that of equal ones it is the first.
-        instant, column = np.unravel_index(np.argmin(left.round(9)), left.shape)
+        instant, column = self.worst_place
         return FlightMargin(
             name=self.name,
             unit=self.unit,
@@ -438,8 +416,32 @@ class _Quantity(NamedTuple):
             limit=float(limits[instant, column]),
             is_upper=self.is_upper,
             phase=float(phases[instant]),
-            carriers=self.carriers[int(column)],
+            carriers=self.carriers[column],
         )
+
+    @property
+    def worst_place(self) -> tuple[int, int]:
+        """The instant and the column of its least margin; of equal ones the first."""
+        left = self.limits - self.values if self.is_upper else self.values - self.limits
+        instant, column = np.unravel_index(np.argmin(left.round(9)), self.values.shape)
+        return int(instant), int(column)
+
+
+def quantities_of_each(
+    aircraft: Aircraft, needs: AircraftNeeds, limits: FlightLimits
+) -> Iterator[Quantity]:
+    """What each carrier needs, beside its limit."""
+    carriers = [(i + 1,) for i in range(needs.lift.shape[1])]
+    lift, airspeed = needs.lift / aircraft.max_lift, needs.airspeed / stall_speed(aircraft)
+    for name, unit, values, limit, is_upper in (
+        ("C_L / C_Lmax", "", lift, limits.lift_share, True),
+        ("airspeed / stall speed", "", airspeed, limits.speed_share, False),
+        ("bank", "rad", np.abs(needs.bank), limits.bank, True),
+        ("climb or descent", "rad", np.abs(needs.climb), limits.climb, True),
+        ("thrust", "N", needs.thrust, needs.thrust_max, True),
+        ("thrust", "N", needs.thrust, needs.thrust_min, False),
+    ):
+        yield Quantity(name, unit, values, limit, is_upper, carriers)
 
 
 class _Orbit:
@@ -464,10 +466,9 @@ class _Orbit:
         self.rate = rates[0] or 1.0  # rad/s, of the phase; nothing moves where it is zero
         self.turns = Fraction(rates[-1] / self.rate).limit_denominator(_MOST_TURNS).denominator
         self.limits = limits
-        self._carriers = [(i + 1,) for i in range(model.n)]
         self._pairs = list(combinations(range(model.n), 2))
 
-    def at(self, phases: NDArray, wind: MeanWind) -> tuple[AircraftNeeds, list[_Quantity]]:
+    def at(self, phases: NDArray, wind: MeanWind) -> tuple[AircraftNeeds, list[Quantity]]:
         """What the aircraft need at phases (k,), rad, and all quantities that have limits."""
         model, pattern = self.model, self.model.pattern
         motion = resting_orbits(
@@ -487,22 +488,10 @@ class _Orbit:
             compliance=model.cable_compliance,
         )
         needs = aircraft_needs(self.aircraft, motion, wind.at(motion.positions))
-        return needs, [*self._of_each(needs), *self._of_pairs(motion)]
+        of_each = quantities_of_each(self.aircraft, needs, self.limits)
+        return needs, [*of_each, *self._of_pairs(motion)]
 
-    def _of_each(self, needs: AircraftNeeds) -> Iterator[_Quantity]:
-        aircraft = self.aircraft
-        lift, airspeed = needs.lift / aircraft.max_lift, needs.airspeed / stall_speed(aircraft)
-        for name, unit, values, limits, is_upper in (
-            ("C_L / C_Lmax", "", lift, self.limits.lift_share, True),
-            ("airspeed / stall speed", "", airspeed, self.limits.speed_share, False),
-            ("bank", "rad", np.abs(needs.bank), self.limits.bank, True),
-            ("climb or descent", "rad", np.abs(needs.climb), self.limits.climb, True),
-            ("thrust", "N", needs.thrust, needs.thrust_max, True),
-            ("thrust", "N", needs.thrust, needs.thrust_min, False),
-        ):
-            yield _Quantity(name, unit, values, limits, is_upper, self._carriers)
-
-    def _of_pairs(self, motion: CarrierOrbits) -> Iterator[_Quantity]:
+    def _of_pairs(self, motion: CarrierOrbits) -> Iterator[Quantity]:
         model = self.model
         reach = np.linalg.norm(model.attachments, axis=1).max() + model.cable_length
         apart = [
@@ -518,7 +507,7 @@ class _Orbit:
             ("carriers apart", carriers, self.limits.carrier_distance * reach),
             ("cables apart", cables, self.limits.cable_distance * np.array(apart)),
         ):
-            yield _Quantity(name, "m", np.stack(distances, axis=1), limits, False, pairs)
+            yield Quantity(name, "m", np.stack(distances, axis=1), limits, False, pairs)
 
 
 def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:

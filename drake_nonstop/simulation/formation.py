@@ -208,13 +208,14 @@ def _largest_growth(parts: Sequence[float]) -> float:
     return largest if math.isfinite(sum(parts)) else math.nan
 
 
-def growth_complaint(task: Task, duration: float) -> str:
+def growth_complaint(task: Task, duration: float, *, in_samples: bool = False) -> str:
     """What to say of a formation that is unstable at the task's start; "" where it is not.
 
     Args:
         task: whose start is looked at.
         duration: s, in which a deviation may grow; less than a turn of the carriers: nothing is
             looked at.
+        in_samples: whether the sampled loop of load, carriers and controllers is looked at, too.
     """
     if not duration * task.limits.frequency >= 2 * math.pi:
         return ""
@@ -229,9 +230,19 @@ def growth_complaint(task: Task, duration: float) -> str:
         return rate(of_amplitude) * duration < _MOST_GROWN
 
     found = rate(1.0)
-    if found * duration < _MOST_GROWN:
-        return ""
     remedy = "let drake-nonstop check try what helps"
+    if found * duration < _MOST_GROWN:
+        if not in_samples or gains is None:
+            return ""
+        sampled = sampled_growth(task, task.reference(0.0), task.nominal, gains)
+        growth = _largest_growth([sampled.rate * duration]) + sampled.in_turn
+        if not growth >= _MOST_GROWN_IN_SAMPLES:
+            return ""
+        return (
+            "formation = unstable: in the samples of the controllers a small deviation of the "
+            f"load grows by {sampled.rate:.2g} 1/s at the start, and by as much as "
+            f"{math.exp(sampled.in_turn):.2g} times in a turn; {remedy}"
+        )
     if (amplitude := _largest_amplitude(task, is_stable)) is not None:
         remedy = f"give optimization_layer.amplitude of at most {amplitude:.3g} N, or {remedy}"
     return (

@@ -1,8 +1,11 @@
 """By how much carriers were slower than planned in a run."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.blocks.wind import StillAirConfig
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.signals import (
     PLANNED_SIZE,
@@ -21,16 +24,18 @@ _AHEAD = (56.0, -140.0, 120.0, -35.0)  # of the values 5, 6, 7 and 8 samples bef
 
 
 def largest_shortfall(run: Run) -> float | None:
-    """The largest difference (m/s) of a planned speed and the one that was flown, at 100 Hz.
+    """By how much (m/s) a carrier was at most slower than planned, at 100 Hz, where it matters.
 
-    The planned speeds are those along the reference, in still air, of the ξ, A and θ that the loop
-    flies: the signal `planned`, or `parameters` and `phase`. Where they jump, the lower one of
-    before and after counts for 50 ms; what a plan over a horizon keeps there beyond its margin is
-    left out. None where there is no such signal, or the layer keeps no
-    speed bound.
+    That is what is below the slowest planned speed of all carriers within a nominal turn, half
+    before and half after: a margin above the bound has to cover it. The planned speeds are those
+    along the reference, in still air, of the ξ, A and θ that the loop flies: the signal `planned`,
+    or `parameters` and `phase`. Where they jump, the lower one of before and after counts for
+    50 ms; what a plan over a horizon keeps there beyond its margin is left out. None where there is
+    no such signal, the layer keeps no speed bound, or it is one through air that moves.
     """
-    limits = run.scenario.optimization_layer
-    if not isinstance(limits, LimitsConfig):
+    limits, is_calm = run.scenario.optimization_layer, isinstance(run.scenario.wind, StillAirConfig)
+    has_airspeed = run.scenario.system.aircraft is not None and not is_calm
+    if not isinstance(limits, LimitsConfig) or has_airspeed:
         return None
     try:
         planned, references = _planned(run), run.signal("reference")
@@ -60,7 +65,15 @@ def largest_shortfall(run: Run) -> float | None:
         wanted[-count:] = np.minimum(wanted[-count:], before)
     if plans_ahead:
         wanted -= problem.jump_margins(terms, SIGNAL_PERIOD)
-    return float(np.max(wanted - flown[1:]))
+    slowest = _least_around(planned_speed.min(axis=1), math.pi / limits.frequency)
+    return float(np.max(np.minimum(wanted, slowest[:, None]) - flown[1:]))
+
+
+def _least_around(values: NDArray, time: float) -> NDArray:
+    """The least of samples (k,) at 100 Hz within a time (s) before and after each of them."""
+    reach = round(time / SIGNAL_PERIOD)
+    padded = np.pad(values, reach, constant_values=np.inf)
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).min(axis=1)
 
 
 def _planned(run: Run) -> NDArray:

@@ -23,7 +23,7 @@ from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadReference
 from drake_nonstop.mechanics.tethered_loop import Orbit
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
-from drake_nonstop.optimization.speed_margin import turn_of_loops
+from drake_nonstop.optimization.turn_of_loops import turn_of_loops
 from drake_nonstop.simulation.task import Task
 
 

@@ -372,25 +372,29 @@ def _warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> 
             warnings.warn(message, ScenarioWarning, stacklevel=4)
 
 
-def _growth_complaint(scenario: Scenario, nonstop: Diagram, context: Context, time: float) -> str:
+def _growth_complaint(
+    scenario: Scenario, nonstop: Diagram, context: Context, time: float, *, in_samples: bool
+) -> str:
     """What to say of a formation that is unstable at the start, in a flight of a time in s."""
     with contextlib.suppress(ScenarioError):  # what is no formation
         task = task_of_loop(scenario, *innermost(nonstop, context, RUN_SIGNALS))
         if task is not None:
-            return growth_complaint(task, time)
+            return growth_complaint(task, time, in_samples=in_samples)
     return ""
 
 
 def _warn_of_growth(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
     """Warns where a small deviation of the load grows from the start on."""
-    complaint = _growth_complaint(scenario, nonstop, context, scenario.simulation_duration)
+    duration = scenario.simulation_duration
+    complaint = _growth_complaint(scenario, nonstop, context, duration, in_samples=False)
     if complaint:
         warnings.warn(complaint, ScenarioWarning, stacklevel=4)
 
 
 def _cause_of_divergence(scenario: Scenario, nonstop: Diagram, time: float) -> str:
     """Why a run may have diverged at a time in s."""
-    complaint = _growth_complaint(scenario, nonstop, nonstop.CreateDefaultContext(), time)
+    context = nonstop.CreateDefaultContext()
+    complaint = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
     return complaint or "the loop may be unstable, or simulator_config.max_step_size too large"
 
 

@@ -121,7 +121,7 @@ def feasible_speeds(
     problem: HorizonProblem, task: Task, times: NDArray, frequencies: NDArray, amplitudes: NDArray
 ) -> NDArray:
     """The least speed (k, x, a), m/s, over an orbit, of constant ξ (k, x) and A (k, a) at times."""
-    terms = OrbitTerms.view(np.array([problem.terms_at(task.reference(time)) for time in times]))
+    terms = _terms_along(problem, task, times)
     angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
     shape = (10, 3, _PHASES, len(times), task.model.n, 1)
     polynomials = orbit_polynomials(terms, problem.axes, angles).reshape(shape)
@@ -134,6 +134,12 @@ def feasible_speeds(
         s = frequency[:, None, None] * amplitudes[:, None, :]
         least.append((c + s * (2 * b + s * a)).min(axis=(0, 2)))
     return np.sqrt(np.maximum(np.stack(least, axis=1), 0.0))
+
+
+def _terms_along(problem: HorizonProblem, task: Task, times: NDArray) -> OrbitTerms:
+    """The terms at times (k,), s, of speeds through the air where those count."""
+    flat = [problem.terms_at(task.reference(time), task.counted_wind(time)) for time in times]
+    return OrbitTerms.view(np.array(flat))
 
 
 def set_over_time(
@@ -173,7 +179,7 @@ def constant_speeds(task: Task, times: NDArray) -> NDArray:
             state,
             reference,
             np.zeros(WRENCH_SIZE),
-            task.wind,
+            task.wind_at(time),
             feedforward=1.0,
             **NO_FEEDBACK,
         )
@@ -196,7 +202,7 @@ def constant_speeds(task: Task, times: NDArray) -> NDArray:
             rest_length=model.cable_length,
             compliance=model.cable_compliance,
         )
-        speeds.append(np.linalg.norm(velocities, axis=1))
+        speeds.append(np.linalg.norm(velocities - task.counted_wind(time), axis=1))
     return np.array(speeds)
 
 
@@ -209,11 +215,9 @@ def find_speed_remedies(task: Task, found: SpeedCheck) -> list[SpeedRemedy]:
     remedies = []
     if not task.changes_parameters and _can_plan(task):
         layer = replace(task, changes_parameters=True)
-        least = check_speeds(layer, is_quick=True).least
-        if least >= 1:
-            said = "a layer that changes xi and A: optimization_layer=RecedingHorizonOptimizer"
-            remedies.append(SpeedRemedy(said, least))
-        task = layer if least >= 1 else task
+        said = "a layer that changes xi and A: optimization_layer=RecedingHorizonOptimizer"
+        if (remedy := _tried(layer, said)) is not None:
+            remedies.append(remedy)
     for attempt in (_wider_bounds, _faster_start, _longer_cables, _slower_motion):
         for remedy in attempt(task):
             remedies.append(remedy)
@@ -269,10 +273,10 @@ def _planned(task: Task, *, most: int | None) -> list[_Planned]:
     for config in (coarse, whole):
         problem = problem_of(task, config)
         if terms is None:
-            flat = [problem.terms_at(task.reference(time)) for time in fine]
-            terms = OrbitTerms.view(np.array(flat))
+            terms = _terms_along(problem, task, fine)
         solver = HorizonSolver(problem)
-        data = problem.data(0.0, 0.0, task.reference, bound)
+        winds = np.array([task.planned_wind(time) for time in problem.times(0.0)])
+        data = problem.data(0.0, 0.0, task.reference, bound, wind=winds)
         nominal = problem.plan(data, problem.nominal_coefficients())
         if task.changes_parameters and _ratios(problem, terms, fine, nominal, bound)[0].min() < 1:
             solver = HorizonSolver(problem, fixed=0)  # a layer then starts with others
@@ -304,7 +308,10 @@ def _starts(
     yield solver.first_guess(data)
     yield problem.nominal_coefficients()
     receding = problem_of(task)
-    yield receding_coefficients(receding, task.reference, intervals, task.limits.speed_bound)[0]
+    bound = task.limits.speed_bound
+    yield receding_coefficients(receding, task.reference, intervals, bound, wind=task.planned_wind)[
+        0
+    ]
     for factors in _FURTHER_STARTS:
         start = problem.nominal_coefficients()
         start[:, solver.fixed :] *= np.array(factors)[:, None]

@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,13 +20,16 @@ from drake_nonstop.blocks.load_feedback import (
 from drake_nonstop.diagrams.box import block_class, is_of_package
 from drake_nonstop.diagrams.margin_of_loop import carriers_of, feedback_of
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
+from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.mechanics.stretched_time import stretched_reference
 from drake_nonstop.mechanics.tethered_loop import Carriers
+from drake_nonstop.mechanics.wind import MeanWind, risen_share
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK
 from drake_nonstop.model.system import Model, given_fields, overridden
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
-from drake_nonstop.optimization.speed_margin import Feedback
+from drake_nonstop.optimization.turn_of_loops import Feedback
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.load_stability import LoadDeviations
 from drake_nonstop.validation import require
@@ -68,7 +72,10 @@ class Task:
         measures_attitude: as of `LoadDeviations`.
         is_above_load: as of `LoadDeviations`.
         carrier_stiffness: as of `LoadDeviations`, N/m.
-        wind: at the load (3,), m/s, in W, without gusts.
+        mean_wind: everywhere, without gusts, once it has risen.
+        believed: (3,), m/s, in W, the wind that the controllers believe; None: that at the load.
+        rise: when the wind begins to rise, s, and how long it takes, s; 0: at once.
+        counts_wind: whether the speeds that the layer bounds are those through the air.
         horizon: of plans of ξ and A.
     """
 
@@ -86,8 +93,35 @@ class Task:
     measures_attitude: bool
     is_above_load: bool
     carrier_stiffness: float
-    wind: NDArray
+    mean_wind: MeanWind
+    believed: NDArray | None
+    rise: tuple[float, float]
+    counts_wind: bool
     horizon: HorizonConfig
+
+    @cached_property
+    def wind(self) -> NDArray:
+        """At the load at the start (3,), m/s, in W, without gusts, once it has risen."""
+        return self.mean_wind.at(LoadReference.view(self.reference(0.0)).position)
+
+    def wind_at(self, time: float, above: float = 0.0) -> NDArray:
+        """The wind (3,) at a time in s, so many m above the load's reference; m/s, in W."""
+        start, rise_time = self.rise
+        share = float(time >= start)
+        if rise_time > 0:
+            share = float(risen_share(np.array(time), start=start, rise_time=rise_time))
+        position = LoadReference.view(self.reference(time)).position + np.array([0, 0, above])
+        return share * self.mean_wind.at(position)
+
+    def counted_wind(self, time: float) -> NDArray:
+        """The wind (3,) as far as it counts for the speed bound, m/s, in W."""
+        return self.wind_at(time) if self.counts_wind else STILL_AIR
+
+    def planned_wind(self, time: float) -> NDArray:
+        """What a layer takes for it."""
+        if self.believed is None or not self.counts_wind:
+            return self.counted_wind(time)
+        return self.believed
 
     @property
     def nominal(self) -> NDArray:
@@ -214,6 +248,7 @@ def _task(
     layer, feedback = scenario.optimization_layer, scenario.load_feedback
     limits = with_fields_of(LimitsConfig, layer)  # of one without bounds, the default ones
     horizon = with_fields_of(HorizonConfig, layer)
+    believed = getattr(scenario.wind, "believed", None)
     return Task(
         name=scenario.name,
         model=model,
@@ -229,7 +264,10 @@ def _task(
         measures_attitude=not isinstance(feedback, DesiredAttitudeFeedbackConfig),
         is_above_load=isinstance(scenario.carrier_trajectory, MeasuredCarrierTrajectoryConfig),
         carrier_stiffness=_carrier_stiffness(scenario.carrier_controller),
-        wind=np.array(getattr(scenario.wind, "velocity", np.zeros(3)), dtype=float),
+        mean_wind=MeanWind.of(scenario.wind, getattr(scenario.wind, "velocity", STILL_AIR)),
+        believed=None if believed is None else np.array(believed, dtype=float),
+        rise=(getattr(scenario.wind, "start_time", 0.0), getattr(scenario.wind, "rise_time", 0.0)),
+        counts_wind=model.aircraft is not None and getattr(layer, "wind", True),
         horizon=timed(horizon, limits.frequency, scenario.control_period),
     )
 

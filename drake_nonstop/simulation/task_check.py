@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.aircraft_margins import flight_limits_of
+from drake_nonstop.simulation.flight_of_plan import FlightOfPlan, flight_of_plan
 from drake_nonstop.simulation.formation import (
     Formation,
     FormationInstant,
@@ -33,6 +35,7 @@ class TaskCheck:
         formation: at rest and at instants of the best plan.
         speed_remedies: of a task that is infeasible, each tried.
         formation_remedies: of an unstable formation, each tried.
+        flight: of aircraft along the best plan; None: there are none, or it is not known.
     """
 
     task: Task
@@ -40,16 +43,19 @@ class TaskCheck:
     formation: Formation
     speed_remedies: tuple[SpeedRemedy, ...] = ()
     formation_remedies: tuple[str, ...] = ()
+    flight: FlightOfPlan | None = None
 
     @property
     def is_sound(self) -> bool:
-        """Whether the bound can be kept and the formation is stable."""
-        return self.speeds.is_feasible and self.formation.is_stable
+        """Whether the bound is kept, the formation is stable, and aircraft keep their limits."""
+        is_flyable = self.flight is None or self.flight.is_flyable
+        return self.speeds.is_feasible and self.formation.is_stable and is_flyable
 
     @property
-    def verdicts(self) -> tuple[str, str]:
-        """A sentence about the speed bound, and one about the formation."""
-        return self._of_speeds(), self._of_formation()
+    def verdicts(self) -> tuple[str, ...]:
+        """A sentence about the speed bound, one about the formation, and one about aircraft."""
+        of_flight = [] if self.flight is None else [self.flight.verdict]
+        return self._of_speeds(), self._of_formation(), *of_flight
 
     def _of_speeds(self) -> str:
         found = self.speeds
@@ -124,6 +130,7 @@ def check_task(scenario: Scenario) -> TaskCheck:
         formation=formation,
         speed_remedies=tuple(remedies),
         formation_remedies=tuple(stabilizing),
+        flight=flight_of_plan(task, speeds, flight_limits_of(scenario)),
     )
 
 
@@ -186,9 +193,10 @@ def _at(instant: FormationInstant, cable: int | None = None) -> str:
 def task_dictionary(found: TaskCheck) -> dict[str, Any]:
     """The same for a JSON file; keys end in their units."""
     speeds, formation = found.speeds, found.formation
-    of_speeds, of_formation = found.verdicts
+    of_speeds, of_formation, *_ = found.verdicts
     has_bound = speeds.speed_bound > 0
-    return {
+    of_flight = {} if found.flight is None else {"flight": found.flight.dictionary}
+    return of_flight | {
         "speed_bound": {
             "verdict": of_speeds,
             "is_feasible": speeds.is_feasible,

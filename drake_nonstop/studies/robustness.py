@@ -229,11 +229,17 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
 
 
 def _measured(text: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """How the run of a case ended, and its metrics; raises ScenarioError without overrides only."""
+    """How the run of a case ended, and its metrics.
+
+    Raises:
+        ScenarioError: this process cannot read the scenario, or cannot build it without overrides.
+    """
     with warnings.catch_warnings(record=True) as caught:  # of a case, which they do not name
         warnings.simplefilter("always")
-        # A copy of a scenario that was trusted when it was loaded.
-        tried = attempt(lambda: changed(parse_scenario(text, trust=True), overrides))
+        # A copy of a scenario that was trusted when it was loaded; what it cannot be read for here,
+        # such as a module that this process lacks, is no fault of a case.
+        scenario = parse_scenario(text, trust=True)
+        tried = attempt(lambda: changed(scenario, overrides))
     if tried.ending == UNBUILDABLE and not overrides:
         raise ScenarioError(tried.message) from tried.error
     values: dict[str, Any] = {}

@@ -12,10 +12,11 @@ from drake_nonstop.blocks.receding_horizon import (
     RecedingHorizonOptimizerConfig,
 )
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import Diagnostics, MissedLimits, Outcome
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.aircraft_margins import MeanWind, margins_at_rest
+from drake_nonstop.simulation.aircraft_margins import margins_at_rest
 from drake_nonstop.validation import ScenarioError
 
 AT_REST = np.concatenate([[1.0], np.zeros(21)])

@@ -14,6 +14,7 @@ from drake_nonstop.blocks.load_trajectory import (
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.resting_orbit import resting_orbits
+from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
 from drake_nonstop.optimization.problem_config import LimitsConfig
@@ -24,7 +25,7 @@ from drake_nonstop.optimization.stretched_time import (
     stretching,
 )
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.aircraft_margins import MeanWind, margins_at_rest
+from drake_nonstop.simulation.aircraft_margins import margins_at_rest
 
 START, MOVE = 3.0, 3.0  # s, of the line
 DURATION = 24.0  # s

@@ -9,6 +9,7 @@ from helpers import regular
 
 from drake_nonstop.mechanics.aircraft import drag_coefficient, stall_speed
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
+from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
@@ -16,7 +17,6 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation import aircraft_margins
 from drake_nonstop.simulation.aircraft_margins import (
     FlightLimits,
-    MeanWind,
     margins_at_rest,
     margins_dictionary,
     margins_table,

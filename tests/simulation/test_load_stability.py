@@ -104,6 +104,13 @@ def test_a_load_too_light_for_its_cables_is_refused():
         find_formation(task, count=1)
 
 
+def test_a_diverged_run_is_told_of_its_samples():
+    task = task_of(carriers_task(30))
+    said = growth_complaint(task, task.duration, in_samples=True)
+    assert said.startswith("formation = unstable: in the samples of the controllers")
+    assert growth_complaint(task, task.duration) == ""
+
+
 @pytest.mark.parametrize(("seed", "is_lost"), [(30, True), (1010, False)])
 def test_a_loop_that_its_samples_make_unstable_is_told(seed, is_lost):
     """The flight of the first of these drawn tasks ends with a lost load."""

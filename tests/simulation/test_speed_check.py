@@ -8,6 +8,7 @@ from drake_nonstop.simulation.speed_check import (
     check_speeds,
     constant_speeds,
     feasible_speeds,
+    find_speed_remedies,
     problem_of,
 )
 from drake_nonstop.simulation.task import task_of
@@ -57,3 +58,30 @@ def test_constant_parameters_miss_a_bound_and_slower_motion_keeps_it():
 def test_a_task_without_a_bound_is_feasible():
     task = task_of(load_scenario("quintic", ["optimization_layer.speed_bound=0"]))
     assert check_speeds(task).is_feasible
+
+
+def test_the_wind_of_a_check_is_that_at_the_height_of_the_load_when_it_has_risen():
+    profile = "velocity: [4, 0, 0], exponent: 0.3, ground_height: -80, start_time: 2, rise_time: 4"
+    believed = "believed: [3, 0, 0]"
+    scenario = load_scenario("aircraft_transfer", [f"wind=!WindProfile {{{profile}, {believed}}}"])
+    task = task_of(scenario)
+    height = 80 + task.reference(0.0)[6]
+    at_load = 4 * (height / 10) ** 0.3
+    np.testing.assert_allclose(task.wind, [at_load, 0, 0], rtol=1e-12)
+    assert task.wind_at(1.0)[0] == 0
+    assert task.wind_at(4.0)[0] == pytest.approx(at_load / 2)
+    assert task.wind_at(9.0, above=20.0)[0] == pytest.approx(4 * ((height + 20) / 10) ** 0.3)
+    np.testing.assert_allclose(task.counted_wind(9.0), task.wind_at(9.0))
+    np.testing.assert_allclose(task.planned_wind(9.0), [3, 0, 0])
+
+
+def test_where_a_layer_helps_bounds_that_it_has_are_not_named():
+    fields = "speed_bound: 0.5, frequency: 1.6, amplitude: 1.2"
+    given = [f"optimization_layer=!ConstantParameters {{{fields}}}", "simulation_duration=3"]
+    task = task_of(load_scenario("three_carriers", given))
+    found = check_speeds(task)
+    assert not found.is_feasible
+    first, *others = find_speed_remedies(task, found)
+    assert "a layer that changes xi and A" in first.text
+    assert others
+    assert not any("bounds" in remedy.text for remedy in others)

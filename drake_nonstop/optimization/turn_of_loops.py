@@ -1,0 +1,115 @@
+"""The linear sampled loop of load, cables, carriers and controllers along a turn of the orbits."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.sampled_loop import (
+    SampledLoop,
+    growth,
+    growth_in_turn,
+    parts_of_turn,
+)
+from drake_nonstop.mechanics.tethered_loop import Cables, Carriers, Estimator, Orbit, tethered_loop
+from drake_nonstop.model.system import Model
+
+_LOOPS = 60  # about as many phases the loop is linearized: steps of forces between them count
+_SEEMS_TO_GROW = 0.05  # per s
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Feedback:
+    """What the loop does with errors of the load.
+
+    Attributes:
+        gains: of `mechanics.wrench.wrench_and_rate`, by name.
+        deviations: (12,), standard deviations of the measured [e_R, e_p, e_ω, e_v]; SI.
+        is_measured: (12,), 0 for what the controller takes as desired, else 1.
+        delay: of the measurement, in samples.
+        period: between samples, s.
+        estimator: of the errors, behind the measurement; None: there is none.
+    """
+
+    gains: Mapping[str, Any]
+    deviations: NDArray
+    is_measured: NDArray
+    delay: int
+    period: float
+    estimator: Estimator | None = None
+
+
+class TurnOfLoops(NamedTuple):
+    """The linear sampled loop at phases that fill a turn of the carriers."""
+
+    orbits: list[Orbit]
+    loops: list[SampledLoop]
+    samples: int  # that each of them lasts
+    rate: float  # 1/s, at which a deviation grows from turn to turn, the largest one
+
+    def growth_in_turn(self, radius: float) -> float:
+        """The logarithm of how many times a deviation of the load's pose grows within a turn.
+
+        An attitude's size is that of the distance it makes at the radius in m.
+        """
+        scale = np.repeat([radius, 1.0], 3)
+        return math.log(growth_in_turn(self.loops, self.samples, scale))
+
+
+def turn_of_loops(
+    model: Model,
+    plant: Model,
+    carriers: Carriers,
+    feedback: Feedback,
+    frequency: float,
+    orbit: Callable[[float], Orbit],
+) -> TurnOfLoops:
+    """The loop of load, cables, carriers and controllers along the orbits.
+
+    It is linearized at some 60 phases; where it seems to grow, at every sample, since forces that
+    step from phase to phase move what is lightly damped.
+
+    Args:
+        model: what the controllers believe.
+        plant: what is simulated.
+        carriers: their controllers and references.
+        feedback: the wrench controller's.
+        frequency: ξ, rad/s.
+        orbit: that at a phase in rad.
+    """
+    cables = Cables(
+        attachments=plant.attachments,
+        stiffness=plant.cable_stiffness,
+        damping=plant.cable_damping,
+        rest_length=plant.cable_length,
+        compliance=model.cable_compliance,
+    )
+    turn = 2 * math.pi / frequency
+
+    def at_phases(about: float) -> TurnOfLoops:
+        samples, count = parts_of_turn(turn, feedback.period, about)
+        orbits = [orbit(2 * math.pi * i / count) for i in range(count)]
+        loops = [
+            tethered_loop(
+                plant.load,
+                cables,
+                carriers,
+                feedback.gains,
+                along,
+                pseudo_inverse=model.pseudo_inverse,
+                period=feedback.period,
+                delay=feedback.delay,
+                is_measured=feedback.is_measured,
+                estimator=feedback.estimator,
+            )
+            for along in orbits
+        ]
+        return TurnOfLoops(orbits, loops, samples, math.log(growth(loops, samples)) / turn)
+
+    found = at_phases(_LOOPS)
+    if found.samples == 1 or found.rate < _SEEMS_TO_GROW:
+        return found
+    return at_phases(turn / feedback.period)

@@ -1,0 +1,79 @@
+"""What aircraft need along a plan, against the resting orbit and against flights."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from drake_nonstop import load_scenario
+from drake_nonstop.mechanics.aircraft import stall_speed
+from drake_nonstop.mechanics.signals import AircraftState
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.simulation.aircraft_margins import aircraft_margins, flight_limits_of
+from drake_nonstop.simulation.flight_of_plan import flight_of_plan
+from drake_nonstop.simulation.speed_check import check_speeds
+from drake_nonstop.simulation.task import task_of
+from drake_nonstop.simulation.task_check import check_task
+from tests.drawn_tasks import aircraft_task
+
+# One whose aircraft need more lift than they have at the end of the way, of a layer that does not
+# know of it.
+BEYOND = 4148
+AT_REST = ["load_trajectory.start_time=1000", "simulation_duration=40"]
+BLIND = ["optimization_layer.max_lift_share=.inf", "optimization_layer.max_bank=.inf"]
+
+
+def flight(scenario):
+    task = task_of(scenario)
+    return flight_of_plan(task, check_speeds(task), flight_limits_of(scenario))
+
+
+@pytest.mark.parametrize("name", ["aircraft_rest", "aircraft_co_rotating"])
+def test_at_rest_the_needs_are_those_of_the_resting_orbit(name):
+    still = AT_REST if name == "aircraft_rest" else AT_REST[1:]
+    scenario = load_scenario(name, still)
+    found, expected = flight(scenario), aircraft_margins(scenario)
+    for margin, resting in zip(found.margins, expected.margins, strict=False):
+        assert margin.name == resting.name
+        assert margin.value == pytest.approx(resting.value, rel=2e-3, abs=1e-3)
+        assert margin.limit == pytest.approx(resting.limit, rel=5e-3)
+
+
+def test_the_needs_on_the_way_are_those_that_are_flown(shared_runs):
+    """Of each limit at its tightest instant; C_L, bank and airspeed within 1 %, thrust 4 %."""
+    scenario = load_scenario("aircraft_transfer")
+    found = flight(scenario)
+    run = shared_runs.run(scenario)
+    state = AircraftState.view(run.signal("aircraft_state"))
+    aircraft = task_of(scenario).model.aircraft
+    flown = {
+        "C_L / C_Lmax": state.lift / aircraft.max_lift,
+        "airspeed / stall speed": state.airspeed / stall_speed(aircraft),
+        "bank": np.abs(state.bank),
+        "thrust": state.thrust,
+    }
+    for margin, time in zip(found.margins, found.times, strict=True):
+        if margin.name in flown:
+            at = np.argmin(np.abs(run.time - time))
+            value = flown[margin.name][at, margin.carriers[0] - 1]
+            share = 0.04 * margin.limit if margin.name == "thrust" else 0.01 * margin.value
+            assert margin.value == pytest.approx(value, abs=abs(share)), margin.name
+
+
+def test_a_way_beyond_the_aircraft_is_told_beforehand_and_the_layer_may_avoid_it():
+    scenario = aircraft_task(BEYOND)
+    blind = flight(changed(scenario, BLIND))
+    assert not blind.is_flyable
+    assert "C_L / C_Lmax 1.00 (at most 0.90) at t = 30.8 s, carrier 4" in blind.verdict
+    lift = flight(scenario).margins[0]
+    assert lift.name == "C_L / C_Lmax"
+    assert 0.8 < lift.value <= 0.9
+
+
+def test_a_check_is_not_sound_where_the_way_cannot_be_flown():
+    found = check_task(load_scenario("aircraft_rest", AT_REST))
+    assert found.is_sound
+    assert found.verdicts[-1] == found.flight.verdict
+    margin = dataclasses.replace(found.flight.margins[0], value=0.95)
+    beyond = found.flight._replace(margins=(margin, *found.flight.margins[1:]))
+    assert not dataclasses.replace(found, flight=beyond).is_sound
