@@ -11,12 +11,12 @@ between carriers are constraints of the same kind, with slack of their own. Limi
 ξ and A, and their bounds, hold for the coefficients, and so at all times.
 
 The speeds of aircraft are those through the air. The limits of their lift, bank, climb and thrust
-are constraints, with slack of their own, at the predicted phases and, in the last part, at all
-phases of the orbit of the ξ and A there, taken as constant: these limits are not monotone in ξ.
+are constraints, with slack of their own, at some of the predicted phases and, in the last part, at
+all phases of the orbit of the ξ and A there, taken as constant: these limits are not monotone in ξ.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
@@ -62,6 +62,10 @@ from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.tracing import TracedFunction
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
+
+# Aircraft have their limits at one in so many instants, at least so many between two knots: what
+# they need has fewer dips in a turn than speeds that pass low values.
+_FLIGHT_EVERY, _LEAST_FLIGHTS = 4, 5
 
 _NEIGHBOURS = (-1, 1, 2)  # of an instant, which tell how low a speed is between two
 
@@ -119,7 +123,8 @@ class HorizonData(NamedTuple):
     terminal: TerminalSet  # at the terminal instants
     speed_bound: float  # m/s, tightened
     aims: NDArray  # (k, n), m/s, what speeds have to reach at the instants: no less than that
-    flat_flight: NDArray  # (k, 15n + 9), the `FlightTerms` there; (k, 0) without limits of flight
+    # (f, 15n + 9), the `FlightTerms` at those with limits of flight; (f, 0) where there are none
+    flat_flight: NDArray
     wind: NDArray  # (3,) or (k, 3), m/s, that aircraft fly in
 
     @property
@@ -147,6 +152,23 @@ class Slopes(NamedTuple):
     amplitude_second_rate: NDArray  # N/s²
 
 
+class Table(NamedTuple):
+    """Where margins belong: one row per instant, one column per constraint."""
+
+    instants: NDArray  # (k,), the rows of the slopes
+    width: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The numbers of instants and of constraints."""
+        return len(self.instants), self.width
+
+    @property
+    def size(self) -> int:
+        """The number of margins."""
+        return math.prod(self.shape)
+
+
 @dataclass(frozen=True, eq=False)
 class Linearization:
     """The constraints about a plan, as margins and their gradients.
@@ -163,8 +185,9 @@ class Linearization:
     instant_of: NDArray  # (r,), the row of the slopes
     slack_of: NDArray  # (r,), the number of the slack
     slopes: Slopes
-    table: tuple[int, int]  # the first margins are those of k instants and so many constraints
-    weights: NDArray  # (3, r), of the same constraint at the instants `_NEIGHBOURS` from it
+    tables: tuple[Table, ...]  # of the first margins, one after the other
+    weights: NDArray  # (3, r), of the same constraint at its table's `_NEIGHBOURS`
+    widths: NDArray  # (r,), of the tables; 0 in none
     orbits: tuple[int, int, int]  # the last margins are those of k instants, h phases, m limits
 
     def changes(self, step: NDArray) -> NDArray:
@@ -180,17 +203,18 @@ class Linearization:
                 *([slopes.frequency_rate @ c, slopes.amplitude_second_rate @ d] if rates else []),
             ]
         )
-        count, width = self.table
-        end = count * width
-        table = self.gradients[:, :end].reshape(-1, count, width)
-        last = (self.gradients[:, end:] * of_instants[:, self.instant_of[end:]]).sum(axis=0)
-        changes = np.concatenate(
-            [np.einsum("ikm,ik->km", table, of_instants[:, :count]).reshape(-1), last]
-        )
+        parts = []
+        for start, table in self._placed:
+            gradients = self.gradients[:, start : start + table.size].reshape(-1, *table.shape)
+            parts.append(np.einsum("ikm,ik->km", gradients, of_instants[:, table.instants]).ravel())
+        end = self._last
+        parts.append((self.gradients[:, end:] * of_instants[:, self.instant_of[end:]]).sum(axis=0))
+        changes = np.concatenate(parts)
         found = changes.copy()
         for weights, shift in zip(self.weights, _NEIGHBOURS, strict=True):
             dips = np.flatnonzero(weights)
-            found[dips] += weights[dips] * (changes[dips + shift * self.table[1]] - changes[dips])
+            neighbours = changes[dips + shift * self.widths[dips]]
+            found[dips] += weights[dips] * (neighbours - changes[dips])
         return found
 
     def jacobian(self, chosen: NDArray, fixed: int = 0) -> NDArray:
@@ -199,7 +223,8 @@ class Linearization:
         own = found.copy()
         for weights, shift in zip(self.weights, _NEIGHBOURS, strict=True):
             dips = np.flatnonzero(weights[chosen])
-            neighbours = self._rows(chosen[dips] + shift * self.table[1], fixed)
+            numbers = chosen[dips]
+            neighbours = self._rows(numbers + shift * self.widths[numbers], fixed)
             found[dips] += weights[chosen[dips], None] * (neighbours - own[dips])
         return found
 
@@ -214,6 +239,17 @@ class Linearization:
     def _with_rates(self) -> bool:
         return len(self.gradients) == len(self.slopes)
 
+    @property
+    def _placed(self) -> list[tuple[int, Table]]:
+        """The tables with the numbers of their first margins."""
+        starts = np.cumsum([0, *(table.size for table in self.tables[:-1])])
+        return list(zip(starts.tolist(), self.tables, strict=True))
+
+    @property
+    def _last(self) -> int:
+        """The number of the first margin that is in no table."""
+        return sum(table.size for table in self.tables)
+
     def dips(self, margins: NDArray, largest: float) -> NDArray:
         """The numbers of margins of at most `largest` that are the least of their neighbours.
 
@@ -221,25 +257,30 @@ class Linearization:
         phases of an orbit; the table's limits have none. `margins` (r,) are about the same plan or
         of a step from it.
         """
-        count, width = self.table
-        table = margins[: count * width].reshape(count, width)
-        is_dip = table <= largest
-        is_dip[1:] &= table[1:] <= table[:-1]
-        is_dip[:-1] &= table[:-1] < table[1:]
-        end = len(margins) - math.prod(self.orbits)
-        last = np.flatnonzero(margins[count * width : end] <= largest) + count * width
+        found = []
+        for start, table in self._placed:
+            values = margins[start : start + table.size].reshape(table.shape)
+            is_dip = values <= largest
+            is_dip[1:] &= values[1:] <= values[:-1]
+            is_dip[:-1] &= values[:-1] < values[1:]
+            found.append(np.flatnonzero(is_dip) + start)
+        start, end = self._last, len(margins) - math.prod(self.orbits)
+        found.append(np.flatnonzero(margins[start:end] <= largest) + start)
         orbits = margins[end:].reshape(self.orbits)
         before, after = np.roll(orbits, 1, axis=1), np.roll(orbits, -1, axis=1)
         is_low = (orbits <= largest) & (orbits <= before) & (orbits < after)
-        return np.concatenate([np.flatnonzero(is_dip), last, np.flatnonzero(is_low) + end])
+        return np.concatenate([*found, np.flatnonzero(is_low) + end])
 
     def with_neighbours(self, chosen: NDArray, margins: NDArray, largest: float) -> NDArray:
         """The numbers of chosen margins, and of those before and after that are at most that."""
-        count, width = self.table
-        chosen_speeds = chosen[chosen < count * width]
-        near = np.concatenate([chosen_speeds - width, chosen_speeds + width])
-        near = near[(near >= 0) & (near < count * width)]
-        return np.concatenate([chosen, near[margins[near] <= largest]])
+        found = [chosen]
+        for start, table in self._placed:
+            end = start + table.size
+            own = chosen[(chosen >= start) & (chosen < end)]
+            near = np.concatenate([own - table.width, own + table.width])
+            near = near[(near >= start) & (near < end)]
+            found.append(near[margins[near] <= largest])
+        return np.concatenate(found)
 
 
 class HorizonProblem:
@@ -288,6 +329,11 @@ class HorizonProblem:
         # Some of the instants, the same ones in each interval.
         self._terminal_at = count - 1 - back * self._per_knot // self._terminal_per_knot
         self.terminal_instants = self.instants[self._terminal_at]
+        # The last instant of each interval is one of those at which flight is limited.
+        flown = max(math.ceil(self._per_knot / _FLIGHT_EVERY), min(_LEAST_FLIGHTS, self._per_knot))
+        back = np.arange(flown * self.intervals)[::-1]
+        self._flight_at = count - 1 - back * self._per_knot // flown
+        self._flights_per_knot = flown
         # What aircraft need on whole orbits is limited at the ends of the intervals.
         self._orbits_of = np.arange(1, config.terminal_knots + 1) * self._terminal_per_knot - 1
         self._limits = ConstraintMargins(limits, 0)
@@ -300,6 +346,7 @@ class HorizonProblem:
         self._pairs = np.array(np.triu_indices(model.n, 1))
         rows = spline_rows(self.instants, self.intervals, spacing)
         self._rows = rows
+        self._flight_rows = type(rows)(*(part[self._flight_at] for part in rows))
         frequency, amplitude = self.nominal
         every = np.concatenate([np.arange(count), self._terminal_at])
         self._slopes = Slopes(
@@ -312,18 +359,10 @@ class HorizonProblem:
         )
         self._place_constraints()
         self.hessian = self._hessian()
-        self._terms = TracedFunction(
-            self._trace_terms,
-            [LOAD_REFERENCE_SIZE, len(self._beliefs), WIND_SIZE],
-            name=name,
-            key=(
-                "orbit along reference",
-                model.attachments,
-                model.pseudo_inverse,
-                model.aircraft is None,
-                self._limits_flight,
-            ),
-        )
+        self._terms = self._traced(orbit_along_reference)
+        self._flight_terms: TracedFunction | None = None
+        if self._limits_flight:
+            self._flight_terms = self._traced(flight_along_reference)
 
     @property
     def largest_differences(self) -> NDArray:
@@ -351,19 +390,17 @@ class HorizonProblem:
         """The flat `OrbitTerms` (9n + 3,) of a reference (22,), in a wind (3,) in m/s, in W."""
         return self._terms(reference, self._beliefs, wind)[0].copy()
 
-    def all_terms(self, references: NDArray, winds: NDArray) -> tuple[NDArray, NDArray]:
-        """The flat `OrbitTerms` (k, 9n + 3) of references (k, 22), and the flat `FlightTerms`.
+    def all_terms(self, references: NDArray, winds: NDArray) -> NDArray:
+        """The flat `OrbitTerms` (k, 9n + 3) of references (k, 22), in winds (3,) or (k, 3)."""
+        return np.array([self.terms_at(*pair) for pair in _pairs(references, winds)])
 
-        These are (k, 15n + 9); (k, 0) without limits of flight. The winds in m/s, in W, are (3,) or
-        (k, 3).
-        """
-        winds = np.broadcast_to(winds, (len(references), WIND_SIZE))
-        found = [
-            tuple(part.copy() for part in self._terms(reference, self._beliefs, wind))
-            for reference, wind in zip(references, winds, strict=True)
-        ]
-        flat, flight = (np.array(parts) for parts in zip(*found, strict=True))
-        return flat, flight
+    def flight_terms(self, references: NDArray, winds: NDArray) -> NDArray:
+        """The flat `FlightTerms` (k, 15n + 9) likewise; (k, 0) without limits of flight."""
+        function = self._flight_terms
+        if function is None:
+            return np.zeros((len(references), 0))
+        pairs = _pairs(references, winds)
+        return np.array([function(row, self._beliefs, wind)[0].copy() for row, wind in pairs])
 
     def orbit_flight_margins(
         self, flat_flight: NDArray, frequency: float, amplitude: float
@@ -411,25 +448,26 @@ class HorizonProblem:
         is_alike = last is not None and last.speed_bound == bound and (last.wind == wind).all()
         if last is not None and is_alike and last.start_time == start_time:
             return last._replace(start_angle=start_angle)
-        known: list[NDArray] | None = None
         is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
-        if last is not None and is_next and is_alike:
-            known = [part[self._per_knot :] for part in (last.flat_terms, last.flat_flight)]
-        times = self.times(start_time)
-        references = references_at(reference, times if known is None else times[len(known[0]) :])
-        flat, flight = self.all_terms(references, wind)
+        known = last if is_next and is_alike else None
+        count = self._per_knot if known is not None else len(self.instants)
+        flown = self._flights_per_knot if known is not None else len(self._flight_at)
+        references = references_at(reference, self.times(start_time)[-count:])
+        winds = np.broadcast_to(wind, (len(self.instants), WIND_SIZE))
+        at = self._flight_at[-flown:]
+        flat = self.all_terms(references, winds[-count:])
+        flight = self.flight_terms(references[at - len(self.instants)], winds[at])
         if known is not None:
-            flat, flight = (
-                np.concatenate(parts) for parts in zip(known, (flat, flight), strict=True)
-            )
+            flat = np.concatenate([known.flat_terms[count:], flat])
+            flight = np.concatenate([known.flat_flight[flown:], flight])
         aims = self._aims(flat, speed_bound, bound)
-        if last is None or known is None:
+        if known is None:
             places = self._terminal_at
             terminal = self.terminal_set(flat[places], aims[places, :, None])
         else:
             places = self._terminal_at[-self._terminal_per_knot :]
             new = self.terminal_set(flat[places], aims[places, :, None])
-            terminal = last.terminal.continued(new, self._terminal_per_knot)
+            terminal = known.terminal.continued(new, self._terminal_per_knot)
         return HorizonData(start_time, start_angle, flat, terminal, bound, aims, flight, wind)
 
     def jump_margins(self, flat_terms: NDArray, spacing: float) -> NDArray:
@@ -616,30 +654,34 @@ class HorizonProblem:
             margins.append(factor * squares - 1)
             zero = np.zeros(by_angle.shape)
             gradients.append(factor * np.stack([by_angle, zero, by_amplitude, zero]))
-        terminal, of_terminal = self._terminal_margins(data, coefficients)
-        if self._limits_flight:
-            flight, of_flight = self._flight_margins(data, coefficients)
-            count = len(self.instants)
-            margins.append(flight[:count])
-            gradients = [_with_zero_rates(of_kind) for of_kind in gradients]
-            gradients.append(of_flight[:, :count])
-            terminal = np.concatenate([terminal, flight[count:].ravel()])
-            of_orbits = of_flight[:, count:].reshape(len(of_flight), -1)
-            of_orbits[[0, 3, 4, 5]] = 0  # the orbits are of constant ξ and A, at given phases
-            of_terminal = np.hstack([_with_zero_rates(of_terminal), of_orbits])
         of_instants, weights = _with_dips(np.concatenate(margins, axis=1))
         # What carriers have to keep beyond the bound steps with time: no minimum follows from it.
         of_instants[:, : self.model.n] -= (data.aims**2 - bound**2) / unit**2
-        none = np.zeros((len(_NEIGHBOURS), len(terminal)))
-        by_instants = np.concatenate(gradients, axis=2)
+        terminal, of_terminal = self._terminal_margins(data, coefficients)
+        found = [of_instants.ravel(), terminal]
+        by = [_columns(np.concatenate(gradients, axis=2)), of_terminal]
+        all_weights = [_columns(weights)]
+        if self._limits_flight:
+            flight, of_flight = self._flight_margins(data, coefficients)
+            count = len(self._flight_at)
+            dipping, weights = _with_dips(flight[:count])
+            of_orbits = _columns(of_flight[:, count:])
+            of_orbits[[0, 3, 4, 5]] = 0  # the orbits are of constant ξ and A, at given phases
+            found = [of_instants.ravel(), dipping.ravel(), terminal, flight[count:].ravel()]
+            by = [_with_zero_rates(part) for part in by]
+            by = [by[0], _columns(of_flight[:, :count]), by[1], of_orbits]
+            all_weights.append(_columns(weights))
+        all_margins = np.concatenate(found)
+        all_weights.append(np.zeros((len(_NEIGHBOURS), np.count_nonzero(self._widths == 0))))
         return Linearization(
-            np.concatenate([of_instants.reshape(-1), terminal]),
-            np.hstack([by_instants.reshape(len(by_instants), -1), of_terminal]),
+            all_margins,
+            np.hstack(by),
             self._instant_of,
             self._slack_of,
             self._slopes,
-            of_instants.shape,
-            np.hstack([weights.reshape(len(_NEIGHBOURS), -1), none]),
+            self._tables,
+            np.hstack(all_weights),
+            self._widths,
             self._orbits,
         )
 
@@ -683,47 +725,56 @@ class HorizonProblem:
         if self._separation is not None:
             others += self._pairs.shape[1]
         of_flight = n * len(self._flight_limits.kinds)
-        kinds = np.repeat([0, 1, 2 if others else 1], [n, others, of_flight])
-        pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).astype(int)
-        slack_of = pieces[:, None] + (self.intervals + 1) * kinds
+        tables = [Table(np.arange(count), n + others), Table(self._flight_at, of_flight)]
+        self._tables = tuple(table for table in tables if table.width)
+        slack_kinds = [np.repeat([0, 1], [n, others]), np.full(of_flight, 2 if others else 1)]
         is_limited = [True, limits.limit_high_speeds, self._limits_amplitude]
         self._terminal_kinds = np.flatnonzero(is_limited)
-        terminal_kinds = np.minimum(self._terminal_kinds, 1)
-        terminal_slack = self.intervals + (self.intervals + 1) * terminal_kinds
         terminal = np.arange(len(self.terminal_instants))
         phases = len(self._orbit_angles) if of_flight else 0
         self._orbits = (len(self._orbits_of), phases, of_flight)
         orbits = math.prod(self._orbits)
+        ends = len(terminal) * len(self._terminal_kinds) + orbits
+        pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).astype(int)
+        slack_of_kind = (self.intervals + 1) * np.arange(3)
+        of_terminal = self.intervals + slack_of_kind[np.minimum(self._terminal_kinds, 1)]
+        of_tables = [
+            (pieces[table.instants, None] + slack_of_kind[kinds]).ravel()
+            for table, kinds in zip(tables, slack_kinds, strict=True)
+        ]
         self._slack_of = np.concatenate(
             [
-                slack_of.ravel(),
-                np.repeat(terminal_slack, len(terminal)),
-                np.full(orbits, self.intervals + (self.intervals + 1) * kinds[-1]),
+                *of_tables,
+                np.repeat(of_terminal, len(terminal)),
+                np.full(orbits, self.intervals + slack_of_kind[2 if others else 1]),
             ]
         )
         self._instant_of = np.concatenate(
             [
-                np.repeat(np.arange(count), n + others + of_flight),
-                np.tile(count + terminal, len(terminal_slack)),
+                *(np.repeat(table.instants, table.width) for table in tables),
+                np.tile(count + terminal, len(of_terminal)),
                 np.repeat(count + self._orbits_of, phases * of_flight),
             ]
+        )
+        self._widths = np.concatenate(
+            [np.repeat([t.width for t in tables], [t.size for t in tables]), np.zeros(ends, int)]
         )
         names = [*self._flight_limits.kinds, "airspeed", ""]
         own = np.repeat(np.arange(len(names) - 2), n)
         bound, other = len(names) - 2, len(names) - 1
-        of_instant = np.concatenate([np.full(n, bound), np.full(others, other), own])
-        of_terminal = np.where(self._terminal_kinds == 0, bound, other)
+        of_instant = np.repeat([bound, other], [n, others])
         self._names = names
         self._name_of = np.concatenate(
             [
                 np.tile(of_instant, count),
-                np.repeat(of_terminal, len(terminal)),
+                np.tile(own, len(self._flight_at)),
+                np.repeat(np.where(self._terminal_kinds == 0, bound, other), len(terminal)),
                 np.tile(own, len(self._orbits_of) * phases),
             ]
         )
         weights = np.full(self.intervals + 1, self.config.knot_spacing)
         weights[-1] *= self.config.terminal_knots
-        shares = [1.0] + [_OTHERS_SHARE] * int(kinds.max())
+        shares = [1.0] + [_OTHERS_SHARE] * ((others > 0) + (of_flight > 0))
         self.slack_weights = self.config.slack_weight * np.outer(shares, weights).ravel()
 
     @property
@@ -733,13 +784,13 @@ class HorizonProblem:
     def _flight_margins(self, data: HorizonData, coefficients: NDArray) -> tuple[NDArray, NDArray]:
         """Those of aircraft's limits (k, m) and their gradients (6, k, m), by the `Slopes`.
 
-        At the instants, and after them at all phases of orbits at the ends of the last intervals.
+        At those instants, and after them at all phases of orbits at the ends of the last intervals.
         """
         aircraft = self.model.aircraft
         assert aircraft is not None
         c, d = coefficients
         frequency, amplitude = self.nominal
-        rows, at, angles = self._rows, self._terminal_at[self._orbits_of], self._orbit_angles
+        rows, angles = self._flight_rows, self._orbit_angles
         along = PlannedOrbit(
             data.start_angle + frequency * (rows.integral @ c),
             frequency * (rows.value @ c),
@@ -748,6 +799,7 @@ class HorizonProblem:
             amplitude * (rows.rate @ d),
             amplitude * (rows.second_rate @ d),
         )
+        at = np.searchsorted(self._flight_at, self._terminal_at[self._orbits_of])
         every = np.repeat(at, len(angles))
         zero = np.zeros(len(every))
         around = PlannedOrbit(
@@ -835,30 +887,41 @@ class HorizonProblem:
         )
         return hessian
 
-    def _trace_terms(
-        self, reference: NDArray, vector: NDArray, wind: NDArray
-    ) -> tuple[NDArray, NDArray]:
-        """The flat `OrbitTerms`, and where flight has limits the flat `FlightTerms`."""
-        beliefs = Beliefs.view(vector)
-        load = RigidLoad(
-            mass=beliefs.load_mass,
-            inertia=beliefs.load_inertia.reshape(3, 3),
-            drag=beliefs.load_drag,
-            angular_drag=beliefs.load_angular_drag,
-            gravity=beliefs.gravity,
-        )
+    def _traced(self, terms: Callable[..., NDArray]) -> TracedFunction:
+        """The flat terms that a function has of a load, a reference, a wind and a model."""
         model = self.model
-        of_model: dict[str, NDArray] = {
-            "pseudo_inverse": model.pseudo_inverse,
-            "offset": beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
-            "attachments": model.attachments,
-        }
-        if model.aircraft is None:
-            wind = STILL_AIR
-        terms = orbit_along_reference(load, reference, wind, **of_model)
-        if not self._limits_flight:
-            return terms, np.zeros(0)
-        return terms, flight_along_reference(load, reference, wind, **of_model)
+
+        def of_reference(reference: NDArray, vector: NDArray, wind: NDArray) -> NDArray:
+            beliefs = Beliefs.view(vector)
+            load = RigidLoad(
+                mass=beliefs.load_mass,
+                inertia=beliefs.load_inertia.reshape(3, 3),
+                drag=beliefs.load_drag,
+                angular_drag=beliefs.load_angular_drag,
+                gravity=beliefs.gravity,
+            )
+            return terms(
+                load,
+                reference,
+                STILL_AIR if model.aircraft is None else wind,
+                pseudo_inverse=model.pseudo_inverse,
+                offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
+                attachments=model.attachments,
+            )
+
+        key = terms.__name__, model.attachments, model.pseudo_inverse, model.aircraft is None
+        sizes = [LOAD_REFERENCE_SIZE, len(self._beliefs), WIND_SIZE]
+        return TracedFunction(of_reference, sizes, name=self.name, key=key)
+
+
+def _pairs(references: NDArray, winds: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
+    """Each reference (k, 22) with its wind, of those (k, 3) or of the one (3,)."""
+    return zip(references, np.broadcast_to(winds, (len(references), WIND_SIZE)), strict=True)
+
+
+def _columns(parts: NDArray) -> NDArray:
+    """An array (g, k, m) as (g, k m)."""
+    return parts.reshape(len(parts), -1)
 
 
 def _with_zero_rates(gradients: NDArray) -> NDArray:

@@ -107,7 +107,8 @@ class OrbitFeasibility:
 
         In winds (k, 3), or one wind (3,), in m/s, in W, which count for aircraft.
         """
-        flat, flight = self._problem.all_terms(references, winds)
+        flat = self._problem.all_terms(references, winds)
+        flight = self._problem.flight_terms(references, winds)
         # At rest, and at a constant velocity, all instants are alike.
         terms = np.hstack([flat, flight])
         _, first, number = np.unique(
