@@ -68,11 +68,8 @@ _PREVIEW = "reference_preview"  # an optional input
 _WIND = "wind_estimate"  # an optional input, of aircraft
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _MOST_ITERATIONS = 100  # of any other
-_MORE = 4  # times the iterations again, for a plan that needs slack
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
-# Of the start, from which plans begin that would otherwise need slack: where a carrier would all
-# but stop, no small change helps.
-_OTHER_FREQUENCIES = (1.1, 0.9)
+_ANEW = 0.0  # in place of a factor of `_Effort`: constant ξ and A that are searched for
 _NO_PLAN = 0.0  # in place of a scale
 
 
@@ -199,7 +196,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self._planner = _Planner(model, config, self.get_name) if self.scalar is float else None
         count = round(config.horizon / config.knot_spacing) + DEGREE
         nominal = np.array([config.frequency, config.amplitude])
-        first = _PlanState(0.0, 0.0, _NO_PLAN, config.speed_bound, nominal, np.ones((2, count)))
+        ones = np.ones((2, count))
+        first = _PlanState(0.0, 0.0, _NO_PLAN, config.speed_bound, 0.0, nominal, ones)
         self._plan = self.DeclareDiscreteState(first.flat())
         entry = self.DeclareCacheEntry(
             "plan",
@@ -343,18 +341,18 @@ class _PlanState(NamedTuple):
     start_angle: float  # rad
     scale: float  # of the trust region
     speed_bound: float  # m/s, ε
+    slack: float  # that it needs
     nominal: NDArray  # (2,), [ξ, A], rad/s and N
     coefficients: NDArray  # (2, N), relative to these
 
     @classmethod
     def view(cls, vector: NDArray) -> "_PlanState":
-        """The parts of a vector (6 + 2N,)."""
-        time, angle, scale, bound = vector[:4].tolist()
-        return cls(time, angle, scale, bound, vector[4:6], vector[6:].reshape(2, -1))
+        """The parts of a vector (7 + 2N,)."""
+        return cls(*vector[:5].tolist(), vector[5:7], vector[7:].reshape(2, -1))
 
     def flat(self) -> NDArray:
         """The vector (6 + 2N,) of the parts."""
-        return np.concatenate([self[:4], self.nominal, self.coefficients.ravel()])
+        return np.concatenate([self[:5], self.nominal, self.coefficients.ravel()])
 
     def plan(self, spacing: float) -> Plan:
         """The plan with knots every `spacing` s."""
@@ -368,6 +366,25 @@ class _Planned(NamedTuple):
     outcome: Outcome
     slowest_speed: float  # m/s, along the plan
     missed: set[str]  # of the names of `MissedLimits`
+
+
+class _Effort(NamedTuple):
+    """How much is tried for a plan that needs slack from the start that it has."""
+
+    repeats: int  # of its iterations, from each start
+    # Factors of the ξ of its start, from which it begins again: where a carrier would all but
+    # stop, no small change helps.
+    starts: tuple[float, ...]
+
+    def after_relaxed(self, number: int) -> "_Effort":
+        """That of a plan whose predecessor has tried all of it in vain; `number` counts plans.
+
+        The starts take turns, until a plan needs no slack.
+        """
+        return _Effort(1, (self.starts[number % len(self.starts)],))
+
+
+_MOST_EFFORT = _Effort(4, (_ANEW, 1.1, 0.9))
 
 
 class _Planner:
@@ -413,19 +430,29 @@ class _Planner:
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, LEAST_START_SCALE)
         arrays = data.flat_terms, data.flat_flight, start, numbers.beliefs
-        key = (start_time, angle, speed_bound, is_new, scale, *(a.tobytes() for a in arrays))
+        effort = _MOST_EFFORT
+        if not is_new and last.slack > PLAN_TOLERANCE:
+            effort = effort.after_relaxed(round(start_time / spacing))
+        numbers_of = (start_time, angle, speed_bound, is_new, scale, effort)
+        key = (*numbers_of, *(array.tobytes() for array in arrays))
         known = self._last
         if known is None or known[0] != key:
-            made = self._make(solver, data, start, scale, is_new)
+            made = self._make(solver, data, start, scale, is_new, effort)
             if is_first and not made[0].is_feasible:
                 # Nothing has to go on: the carriers start wherever the plan does.
                 free = HorizonSolver(problem, fixed=0)
-                made = self._make(free, data, start, scale, is_new)
+                made = self._make(free, data, start, scale, is_new, effort)
             squares = problem.speeds(data, made[0].coefficients).squares
             self._last = known = key, (*made, math.sqrt(squares.min()))
         answer, outcome, slowest = known[1]
         state = _PlanState(
-            start_time, angle, answer.scale, speed_bound, numbers.nominal, answer.coefficients
+            start_time,
+            angle,
+            answer.scale,
+            speed_bound,
+            answer.slack,
+            numbers.nominal,
+            answer.coefficients,
         )
         missed: set[str] = set()
         if not answer.is_feasible:
@@ -446,6 +473,7 @@ class _Planner:
         start: NDArray,
         scale: float,
         is_new: bool,
+        effort: _Effort,
     ) -> tuple[PlanAnswer, Outcome]:
         def improved(coefficients: NDArray, scale: float) -> PlanAnswer:
             if is_new:
@@ -459,20 +487,21 @@ class _Planner:
             return solver.solve(
                 data,
                 answer.coefficients,
-                max_iterations=_MORE * iterations,
+                max_iterations=effort.repeats * iterations,
                 scale=max(answer.scale, LEAST_START_SCALE),
                 until_feasible=True,
             )
 
         answer = improved(start, scale)
-        if is_new or answer.slack > _FAR_FROM_FEASIBLE:
-            guess = solver.first_guess(data, start[:, : solver.fixed])
-            answer = min(answer, improved(guess, 1.0), key=solver.merit)
-        for factor in _OTHER_FREQUENCIES:
-            if not answer.is_feasible:
+        for factor in effort.starts:
+            if factor == _ANEW and (is_new or answer.slack > _FAR_FROM_FEASIBLE):
+                other = solver.first_guess(data, start[:, : solver.fixed])
+            elif factor != _ANEW and not answer.is_feasible:
                 other = start.copy()
                 other[0, solver.fixed :] *= factor
-                answer = min(answer, improved(other, 1.0), key=solver.merit)
+            else:
+                continue
+            answer = min(answer, improved(other, 1.0), key=solver.merit)
         if not answer.is_feasible:
             return answer, Outcome.RELAXED
         is_kept = np.array_equal(answer.coefficients, start)
