@@ -348,7 +348,8 @@ class _PlanState(NamedTuple):
     @classmethod
     def view(cls, vector: NDArray) -> "_PlanState":
         """The parts of a vector (7 + 2N,)."""
-        return cls(*vector[:5].tolist(), vector[5:7], vector[7:].reshape(2, -1))
+        time, angle, scale, bound, slack = vector[:5].tolist()
+        return cls(time, angle, scale, bound, slack, vector[5:7], vector[7:].reshape(2, -1))
 
     def flat(self) -> NDArray:
         """The vector (6 + 2N,) of the parts."""
