@@ -61,10 +61,15 @@ def _refusal(field: str, value: Any, remedy: str) -> ScenarioError:
 
 
 def require_installed(what: str, **packages: str) -> None:
-    """Raises ScenarioError unless what needs these packages, by the names of modules, has them."""
+    """Raises ScenarioError unless what needs these packages, by the names of modules, has them.
+
+    A package may be an extra, "drake-nonstop[jsbsim]".
+    """
     for module, package in packages.items():
         is_installed = importlib.util.find_spec(module) is not None
-        require(is_installed, what, f"no {package}", f"install it, `pip install {package}`")
+        name = package.rpartition("[")[2].rstrip("]")
+        quoted = package if name == package else f"'{package}'"  # from the shell
+        require(is_installed, what, f"no {name}", f"install it, `pip install {quoted}`")
 
 
 def listed(field: str, value: Any, remedy: str) -> list[Any]:

@@ -104,6 +104,8 @@ class JsbsimCarriers(DiagramBlock):
             on, its time was set, or it starts between two steps.
     """
 
+    has_state_outside = True
+
     def __init__(self, model: Model, config: JsbsimCarriersConfig | None = None):
         super().__init__()
         config = config or JsbsimCarriersConfig()

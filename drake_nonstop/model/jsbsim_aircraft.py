@@ -21,12 +21,15 @@ radius is subtracted: rounding leaves 1e-7 m. The density of the air is the mode
 
 import contextlib
 import functools
+import re
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,8 +57,10 @@ WRITTEN = {  # the properties under carrier/ that are the model's, by their fiel
     "lift_gain": ("lift-gain",),
     "thrust_gain": ("thrust-gain",),
 }
+_WAITS = "carrier/motion-waits"
 _NEEDED = (
     "external_reactions/cable/magnitude",
+    _WAITS,
     *(f"carrier/{name}-command" for name in ("lift", "bank", "thrust")),
     *(f"carrier/{name}" for name in ("lift", "bank", "thrust")),
 )
@@ -84,7 +89,8 @@ _RADIUS = 1e8  # m, of the planet
 _LEAST = 1e-12  # N, beside the size of a force
 # s, in which filters and servos come to rest before the start; first for the lift of the elevator
 _SETTLING = (0.3, 0.3, 4.0)
-_WAITS = "carrier/motion-waits"
+_LEAST_VERSION = [1, 3, 3]  # as of the extra: before, what it prints could not be taken
+_TRIAL_TIME = 30.0  # s, in which a file is loaded and makes a step
 _ALIKE = 1e-3  # relative, of what the file and the model have both
 _INTEGRATORS = [
     f"simulation/integrator/{kind}/{motion}"
@@ -161,6 +167,7 @@ class JsbsimAircraft:
         if missing:
             remedy = f"it declares no {missing[0]}; add it, see drake_nonstop/model/"
             raise ScenarioError(f"{owner}.aircraft_file = {path}: {remedy}jsbsim_aircraft.py")
+        self._check_frame()
         self._check_size()
         self._place_hook(hook)
         self._write_model()
@@ -175,6 +182,13 @@ class JsbsimAircraft:
 
     def _set(self, name: str, value: float) -> None:
         self._root.get_node(name, True).set_double_value(float(value))
+
+    def _check_frame(self) -> None:
+        """Raises ScenarioError where the cable's force is not in the frame in which it is told."""
+        cables = ElementTree.parse(self._path).iterfind("external_reactions/force[@name='cable']")
+        for frame in [cable.get("frame") for cable in cables]:
+            remedy = f'its force "cable" has the frame {frame}; give LOCAL: north, east, down'
+            require(frame == "LOCAL", f"{self._owner}.aircraft_file", self._path, remedy)
 
     def _check_size(self) -> None:
         """Raises ScenarioError for a file of another aircraft."""
@@ -398,8 +412,10 @@ def aircraft_file(given: str, model: str | None, owner: str, field: str) -> Path
     """
     if given:
         name = f"{owner}.aircraft_file"
-        require_file(given, name, "give the path of an aircraft's XML file")
+        remedy = "give the path of an aircraft's .xml file"
+        require_file(given, name, remedy)
         path = Path(given).absolute()
+        require(path.suffix == ".xml", name, given, remedy)
         fault = _fault(path, path.stat().st_mtime_ns)
         if fault:
             raise _not_loaded(name, path, fault)
@@ -423,7 +439,12 @@ def _fault(path: Path, changed: int) -> str:
     So a process of its own tries the file first.
     """
     command = [sys.executable, "-c", _TRIAL, str(path.parent), path.stem]
-    tried = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        tried = subprocess.run(
+            command, capture_output=True, text=True, check=False, timeout=_TRIAL_TIME
+        )
+    except subprocess.TimeoutExpired:
+        return f"it has made no step after {_TRIAL_TIME:g} s"
     if tried.returncode == 0:
         return ""
     lines = [line.strip() for line in tried.stderr.splitlines() if line.strip()]
@@ -432,8 +453,12 @@ def _fault(path: Path, changed: int) -> str:
 
 
 def require_jsbsim(owner: str) -> None:
-    """Raises ScenarioError where JSBSim is not installed."""
-    require_installed(owner, jsbsim="jsbsim")
+    """Raises ScenarioError where JSBSim, of the version of the extra, is not installed."""
+    require_installed(owner, jsbsim="drake-nonstop[jsbsim]")
+    version = metadata.version("jsbsim")
+    remedy = "it is too old; `pip install 'drake-nonstop[jsbsim]'`"
+    numbers = [int(part) for part in re.findall(r"\d+", version)[:3]]
+    require(numbers >= _LEAST_VERSION, owner, f"jsbsim {version}", remedy)
 
 
 def _loaded(path: Path, aircraft: Aircraft, step: float, field: str, messages: list[str]) -> Any:

@@ -56,7 +56,8 @@ def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
     That is a scheme of first or second order, whose errors add up; a slack cable, since an instant
     at which a force ends is resolved by no step; fourth differences of velocities or tensions,
     the measure of a third-order scheme's error, that are large; or the hardest parts of the run,
-    flown again with half the step, that differ from it.
+    flown again with half the step, that differ from it. Where a block has state outside of the
+    context no parts are flown again.
 
     Args:
         run: what is judged.
@@ -72,6 +73,8 @@ def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
     accumulated = (run.step / SIGNAL_PERIOD) ** _ORDER * np.max(roughness)
     if np.max(roughness) > _JUMP or accumulated > _ROUGH:
         return True
+    if any(getattr(block, "has_state_outside", False) for block in run.diagram.GetSystems()):
+        return False  # nothing can be flown again from a state on the way
     config = with_step(run.scenario.simulator_config, run.step)
     period = run.scenario.control_period
     flights = ShortFlights(run.diagram, context, config, period)

@@ -67,9 +67,11 @@ class DiagramBlock(Diagram, metaclass=BlockType):  # type: ignore[metaclass]
     Attributes:
         is_sampled: whether its outputs, with a control period, change at the controllers' samples
             only, or, as `carrier_reference`, move along their rates in between.
+        has_state_outside: whether part of its state is not in the context: a run cannot go back.
     """
 
     is_sampled = False
+    has_state_outside = False
 
     def __init__(self) -> None:
         """Makes the block; a box's takes a `model` and a `config` (None: the default values)."""
@@ -84,10 +86,12 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
 
     Attributes:
         is_sampled: as of `DiagramBlock`.
+        has_state_outside: as of `DiagramBlock`.
         scalar: the type of its numbers: float, AutoDiffXd or Expression.
     """
 
     is_sampled = False
+    has_state_outside = False
     scalar: ClassVar[type] = float
     _arguments: tuple[tuple[Any, ...], dict[str, Any]]
 

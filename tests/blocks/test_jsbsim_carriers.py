@@ -1,5 +1,6 @@
 """Aircraft of JSBSim as a block: ports, start, repetition, and what it refuses."""
 
+import importlib.metadata
 import importlib.util
 
 import numpy as np
@@ -7,10 +8,11 @@ import pytest
 from helpers import fix, model, output
 from pydrake.systems.analysis import Simulator
 
-from drake_nonstop import ScenarioError, load_scenario, make_nonstop
+from drake_nonstop import ScenarioError, StepCheck, load_scenario, make_nonstop, simulate
 from drake_nonstop.blocks.jsbsim_carriers import JsbsimCarriers, JsbsimCarriersConfig
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.aircraft import AircraftParameters
+from drake_nonstop.simulation import step_check
 from drake_nonstop.systems.wiring import input_names, output_names
 
 RASCAL = AircraftParameters(model="rascal_110")
@@ -24,7 +26,16 @@ def test_without_the_extra_it_is_refused(monkeypatch):
     )
     with pytest.raises(ScenarioError) as caught:
         JsbsimCarriers(model(aircraft=RASCAL, cable_length=150.0))
-    assert str(caught.value) == ("carrier_dynamics = no jsbsim: install it, `pip install jsbsim`")
+    assert str(caught.value) == (
+        "carrier_dynamics = no jsbsim: install it, `pip install 'drake-nonstop[jsbsim]'`"
+    )
+
+
+def test_an_old_version_is_refused(monkeypatch):
+    pytest.importorskip("jsbsim")
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: "1.2.10")
+    with pytest.raises(ScenarioError, match=r"carrier_dynamics = jsbsim 1.2.10: it is too old"):
+        JsbsimCarriers(model(aircraft=RASCAL, cable_length=150.0))
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +112,15 @@ def test_a_run_goes_on_where_it_ended():
         return output(made, context, "carrier_state")
 
     np.testing.assert_array_equal(ended(0.1, 0.1025, 0.2), ended(0.2))
+
+
+def test_no_part_of_a_run_is_flown_again_and_none_is_in_doubt(monkeypatch):
+    """Its aircraft cannot go back to the middle of a run, where its hardest part is."""
+    monkeypatch.setattr(step_check, "_roughness", lambda run, flown: 1e-9 * np.eye(1, 151, 90)[0])
+    changes = ["carrier_dynamics=JsbsimCarriers", "simulation_duration=1.5"]
+    run = simulate(load_scenario("aircraft_rest", changes), check_step=StepCheck.PARTS)
+    assert run.unresolved == ()
+    assert run.half_step is None
 
 
 def test_a_copied_context_does_not_go_on(loop):

@@ -144,6 +144,14 @@ def test_mass_and_lift_are_the_models():
 TEXT = FILE.read_text(encoding="utf-8")
 
 
+def test_a_file_that_is_no_xml_is_refused_whatever_is_beside_it(tmp_path):
+    (tmp_path / "other.xml").write_text(TEXT, encoding="utf-8")
+    path = tmp_path / "other.txt"
+    path.write_text("nothing", encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"aircraft_file = .*: give the path of an aircraft's"):
+        aircraft_file(str(path), None, "carrier_dynamics", "system")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -155,6 +163,8 @@ TEXT = FILE.read_text(encoding="utf-8")
         ("aero/betadot-rad_sec", "no/such", "property no/such does not exist); correct the file"),
         ('name="cable"', 'name="rope"', "it declares no external_reactions/cable/magnitude; add"),
         ('<htailarm unit="M"> 1.0 </htailarm>', "", "it has no htailarm above zero in <metrics>"),
+        ('name="cable" frame="LOCAL"', 'name="cable" frame="BODY"', "has the frame BODY; give"),
+        ("carrier/motion-waits", "carrier/moves", "it declares no carrier/motion-waits; add"),
     ],
 )
 def test_a_file_that_is_no_aircraft_is_refused(tmp_path, old, new, said):
