@@ -36,6 +36,11 @@ def add_to(commands: Commands) -> None:
         type=Path,
         help="fields of a DesignRequest (a load of 10 kg for 3 to 6 rascal_110)",
     )
+    parser.add_argument(
+        "--print-request",
+        action="store_true",
+        help="print the request with every field, unit and meaning, to save and change",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="results' folder (out/design/NAME)")
     parser.add_argument(
         "--set",
@@ -51,9 +56,16 @@ def _design(options: argparse.Namespace) -> int:
     # Imported here: other commands need none of it.
     from drake_nonstop.studies.design import design, design_dictionary, design_table
     from drake_nonstop.studies.design_figures import make_pareto_figure
-    from drake_nonstop.studies.design_request import dump_request, read_request
+    from drake_nonstop.studies.design_request import (
+        commented_request,
+        dump_request,
+        read_request,
+    )
 
     request = read_request(options.request, options.set)
+    if options.print_request:
+        print(commented_request(request), end="")
+        return 0
     text = dump_request(request)
     require_drawing()
     folder: Path = options.out or _folder(Path("out") / "design" / request.name, text)

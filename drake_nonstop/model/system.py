@@ -166,7 +166,7 @@ class Model:
         self.control_period = control_period
         self.load = RigidLoad(
             mass=system.load_mass,
-            inertia=_checked_inertia(f"{field}.load_inertia", system.load_inertia),
+            inertia=checked_inertia(f"{field}.load_inertia", system.load_inertia),
             drag=system.load_drag,
             angular_drag=system.load_angular_drag,
             gravity=system.gravity,
@@ -288,7 +288,12 @@ def _with_aircraft(
     return dataclasses.replace(system, carrier_mass=mass), aircraft
 
 
-def _checked_inertia(name: str, value: list[list[float]]) -> NDArray:
+def checked_inertia(name: str, value: list[list[float]]) -> NDArray:
+    """The inertia matrix (3, 3), kg m², of a field of that name.
+
+    Raises:
+        ScenarioError: no rigid body has it.
+    """
     inertia = require_array(name, value, [3, 3], "rows of the inertia matrix")
     moments = np.linalg.eigvalsh(inertia)
     require(

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.aircraft import drawn_power, stall_speed
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
 from drake_nonstop.mechanics.signals import POSE_SIZE
@@ -43,7 +44,7 @@ from drake_nonstop.studies.design_request import (
 )
 from drake_nonstop.studies.run_all import Progress, no_progress, run_all
 from drake_nonstop.systems.tracing import TracedFunction
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, message_of
 
 PEAK = 2.1875  # the largest speed of a septic move, over its mean
 _START_TIME, _END_TIME, _REST_TIME = 5.0, 10.0, 60.0  # s, before and after a way; without one
@@ -85,10 +86,20 @@ class Flight(NamedTuple):
 class Break(NamedTuple):
     """How far one thing may grow, alone, and the limit that is then missed first."""
 
-    what: str  # wind, load or speed
+    what: str  # wind, with its direction, load or speed
     unit: str
-    value: float  # inf: further than was looked
-    limit: str
+    value: float  # the largest that was looked at, where it misses no limit
+    limit: str  # "": there is none
+
+    @property
+    def text(self) -> str:
+        """Such as "load 14.2 kg (bank)"."""
+        reached = f"{self.value:.3g} {self.unit}"
+        return (
+            f"{self.what} {reached} ({self.limit})"
+            if self.limit
+            else (f"{self.what} not up to {reached}")
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,8 +114,10 @@ class DesignedFormation:
         flight: what the aircraft need at rest and on the way.
         distances: m, the least of two carriers and of two cables, at rest.
         growth: 1/s, of a deviation of the load, the largest at rest and on the way.
+        stall_speed: m/s.
         breaks: what breaks first as wind, load and speed grow.
-        energy: Wh/(kg km) from all batteries at the load's mean speed; None where it rests.
+        energy: Wh/(kg km) from all batteries, with the power at rest and the load's mean speed;
+            None where it rests.
         scenario: that flies it.
     """
 
@@ -115,6 +128,7 @@ class DesignedFormation:
     flight: Flight
     distances: tuple[float, float]
     growth: float
+    stall_speed: float
     breaks: tuple[Break, ...]
     energy: float | None
     scenario: Scenario
@@ -150,7 +164,8 @@ class Refusal:
         kind: leaning or co_rotating.
         carriers: n.
         reserve: of the best that was found; below 1.
-        missed: what its aircraft need beyond what is asked, in words.
+        missed: what its aircraft need beyond what is asked, in words; "" where that is kept.
+        fault: what forbids a formation that keeps the margins, such as a load that sways.
         remedy: what would help, which was tried; "" where nothing did.
         phase_turns: κ of the best that was found; 0 for a co-rotating one.
         variables: of the best that was found, forces in shares of f₀.
@@ -163,6 +178,15 @@ class Refusal:
     reserve: float
     missed: str
     remedy: str
+    fault: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """Why there is no such formation, and what would help."""
+        if self.fault:
+            return f"not at {self.reserve:.3g} of the margins: {self.fault}"
+        remedy = f"; give {self.remedy}" if self.remedy else ""
+        return f"none; the best misses {self.missed}{remedy}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +196,7 @@ class Design:
     Attributes:
         request: as given.
         formations: that keep its margins, the least power first.
-        refusals: of other numbers of carriers and kinds.
+        refusals: of other numbers of carriers and kinds, or of some margins of the same.
     """
 
     request: DesignRequest
@@ -194,13 +218,23 @@ class Design:
         best = max(self.refusals, key=lambda refusal: refusal.reserve)
         tried = sorted({refusal.carriers for refusal in self.refusals})
         remedies = [r for r in (best, *self.refusals) if r.remedy]
-        remedy = f"give {remedies[0].remedy}" if remedies else "nothing that was tried helps"
-        within = " though within the limits," if best.reserve >= 0 else ""
+        remedy = "nothing that was tried helps"
+        if remedies:
+            other = "" if remedies[0] is best else f" for {_about(remedies[0])}"
+            remedy = f"give {remedies[0].remedy}{other}"
+        why = f"misses {best.missed}"
+        if best.fault:
+            why = f"keeps them, but {best.fault}"
+        elif best.reserve >= 0:
+            why = f"though within the limits, {why}"
         return (
             f"request.carriers = {tried}: no formation of {self.request.aircraft_name} keeps the "
-            f"margins; the best, {best.carriers} {best.kind.replace('_', '-')},{within} misses "
-            f"{best.missed}; {remedy}"
+            f"margins and flies; the best, {_about(best)}, {why}; {remedy}"
         )
+
+
+def _about(refusal: Refusal) -> str:
+    return f"{refusal.carriers} {refusal.kind.replace('_', '-')}"
 
 
 def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
@@ -214,6 +248,7 @@ def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
         KeyboardInterrupt: Ctrl-C.
     """
     request.check()
+    _require_buildable(request)
     text = dump_request(request)
     keys = [(n, kind) for n in request.carriers for kind in request.kinds]
     found: dict[tuple[int, str], Any] = {}
@@ -238,6 +273,22 @@ def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
     ]
     refusals = [r for key in keys for r in found[key] if isinstance(r, Refusal)]
     return Design(request=request, formations=tuple(named), refusals=tuple(refusals))
+
+
+def _require_buildable(request: DesignRequest) -> None:
+    """Checks that there is a loop for the request's load, of any formation."""
+    n, kind = request.carriers[0], request.kinds[0]
+    lower, upper = design_bounds(request, n, kind)
+    x = FormationVariables(*map(float, np.where(upper > lower, 0.9 * lower + 0.1 * upper, lower)))
+    flight = flight_of(design_task(request, n, _KEY_INSTANTS), kind, x, phases=1)
+    try:
+        scenario = formation_scenario(request, kind, n, max(n - 2, 1), x, flight)
+        make_nonstop(scenario, at_equilibrium=False)
+    except ScenarioError as error:
+        remedy = "change what this follows from in the request"
+        raise ScenarioError(
+            f"request: no loop flies its load; {message_of(error)}; {remedy}"
+        ) from None
 
 
 def _renamed(scenario: Scenario, name: str) -> Scenario:
@@ -300,7 +351,7 @@ def design_task(request: DesignRequest, carriers: int, count: int = _KEY_INSTANT
     """
     own = FlightLimits()
     wind = np.array(request.wind)
-    along = wind if np.any(wind) else np.array(request.displacement)
+    along = wind if np.any(wind) else -np.array(request.displacement)
     size = float(np.linalg.norm(along))
     return FormationTask(
         aircraft=request.check(),
@@ -463,29 +514,45 @@ def _rows_of(
 
 
 def breaking_points(
-    task: FormationTask, kind: str, x: FormationVariables, phase_turns: int
+    task: FormationTask,
+    kind: str,
+    x: FormationVariables,
+    phase_turns: int,
+    phases: int = _FINE,
 ) -> Iterator[Break]:
     """How far the wind, the load and its speed may grow, each alone, before a limit is missed.
 
     The forces of the pattern stay as they are, in N. The wind grows in its direction, or where
-    there is none in that of the load's way.
+    there is none against the load's way. The distances of carriers and of cables, and the least
+    force of a cable, are those at rest.
+
+    Args:
+        task: of the instants of the way at which the limits are looked at.
+        kind: one of `KINDS`.
+        x: the formation.
+        phase_turns: κ.
+        phases: of a turn.
     """
 
     def grown(what: str, value: float) -> FormationVariables:
         return with_load(x, value) if what == "mass" else x._replace(**{what: value})
 
-    program = FormationProgram(task, kind, phase_turns, phases=_FINE)
-    distance_limit = task.limits.carrier_distance * (task.load.radius + x.cable_length)
+    program = FormationProgram(task.with_motions(1), kind, phase_turns, phases=phases)
+    beside = np.flatnonzero(np.isin(program.row_names, list(_OTHER_MARGINS)))
 
     def missed(what: str, value: float) -> list[str]:
         values = grown(what, value)
-        found = [each.name for each in missed_limits(task, flight_of(task, kind, values))]
-        if what == "mass" and program.separations(np.array(values))[0].min() < distance_limit:
-            found.append("carriers apart")
+        flight = flight_of(task, kind, values, phases=phases)
+        found = [each.name for each in missed_limits(task, flight)]
+        rows = program.rows(np.array(values))[0][beside]
+        if np.min(rows) < 0:
+            found.append(_OTHER_MARGINS[str(program.row_names[beside[np.argmin(rows)]])])
         return found
 
+    is_along = len(task.motions) > 1 and x.wind == 0
+    wind = "wind against the load's way" if is_along else "wind"
     for what, name, unit, first in (
-        ("wind", "wind", "m/s", max(1.0, 2 * x.wind)),
+        ("wind", wind, "m/s", max(1.0, 2 * x.wind)),
         ("mass", "load", "kg", 1.5 * x.mass),
         ("speed", "speed", "m/s", max(1.0, 2 * x.speed)),
     ):
@@ -498,7 +565,7 @@ def breaking_points(
                 break
             low, high = high, 2 * high
         else:
-            yield Break(name, unit, math.inf, "")
+            yield Break(name, unit, low, "")
             continue
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
@@ -548,20 +615,15 @@ class _Search:
         if best[-1] < 1 + 4 * _CLOSE:
             levels = [best[-1]]
         start = best
-        reasons = []
-        for level in reversed(levels):
+        for k, level in enumerate(reversed(levels)):
             least = level - (_CLOSE / 2 if level == best[-1] else 0.0)
             values = self._of_least_power(program, start, least)
             if values[-1] < 1:
+                if k > 0:
+                    continue  # of less power there is none
                 values = start
             start = values
-            formation = self._described(values)
-            if isinstance(formation, str):
-                reasons.append(formation)
-            else:
-                found.append(formation)
-        if not found:
-            found.append(self._refused(best, reasons[0], ""))
+            found.append(self._described(values))
         return found
 
     def _of_least_power(self, program: FormationProgram, start: NDArray, least: float) -> NDArray:
@@ -652,21 +714,23 @@ class _Search:
         values[4] = speed / radius
         return np.clip(values, self.lower, self.upper)
 
-    def _described(self, values: NDArray) -> DesignedFormation | str:
-        """The formation of these variables; a sentence where it is no formation after all."""
+    def _described(self, values: NDArray) -> DesignedFormation | Refusal:
+        """The formation of these variables, or why it is none after all."""
         x = FormationVariables(*map(float, values))
         request = self.request
         flight = flight_of(self.way, self.kind, x)
         scenario = formation_scenario(request, self.kind, self.n, self.turns, x, flight)
         margins = aircraft_margins(scenario)
         if not margins.is_flyable:
-            return ", ".join(margin.sentence for margin in margins.missed)
+            fault = ", ".join(margin.sentence for margin in margins.missed)
+            return self._refused(values, fault=fault)
         formation = find_formation(task_of(scenario), count=4)
         if not formation.is_stable:
-            return f"a deviation of the load grows by {formation.worst.rate:.2g} 1/s"
+            fault = f"a deviation of the load grows by {formation.worst.rate:.2g} 1/s"
+            return self._refused(values, fault=fault)
         steadied = self._steadied(scenario, margins.turn)
         if steadied is None:
-            return "in a flight at rest the load's sway grows"
+            return self._refused(values, fault="in a flight at rest the load's sway grows")
         mean_speed = request.speed / PEAK
         energy = None
         if mean_speed > 0:
@@ -679,7 +743,8 @@ class _Search:
             flight=flight,
             distances=_distances(margins),
             growth=max(instant.rate for instant in formation.instants),
-            breaks=tuple(breaking_points(self.task, self.kind, x, self.turns)),
+            stall_speed=float(stall_speed(self.task.aircraft)),
+            breaks=tuple(breaking_points(self.way, self.kind, x, self.turns)),
             energy=energy,
             scenario=steadied,
         )
@@ -712,7 +777,9 @@ class _Search:
         remedy = self._remedy(program, best) or self._smaller_margins(flight, apart, best[-1])
         return self._refused(best, ", ".join(missed), remedy)
 
-    def _refused(self, best: NDArray, missed: str, remedy: str) -> Refusal:
+    def _refused(
+        self, best: NDArray, missed: str = "", remedy: str = "", fault: str = ""
+    ) -> Refusal:
         return Refusal(
             kind=self.kind,
             carriers=self.n,
@@ -721,6 +788,7 @@ class _Search:
             reserve=float(best[-1]),
             missed=missed,
             remedy=remedy,
+            fault=fault,
         )
 
     def _remedy(self, program: FormationProgram, best: NDArray) -> str:
@@ -737,14 +805,14 @@ class _Search:
             lower, upper = self.lower.copy(), self.upper.copy()
             (upper if sign > 0 else lower)[index] = limit
             eased = program.solve(best, lower, upper, self.most_reserve)
-            eased = self._with_true_reserve(program, eased)
+            eased = self._with_true_reserve(program, eased, everywhere=True)
             if eased[-1] < _ROUND:
                 continue
             lower[-1] = _ROUND
             cost = np.zeros(len(lower))
             cost[index] = sign / max(best[index], 1.0)
             found = program.solve(eased, lower, upper, cost)
-            if self._with_true_reserve(program, found)[-1] < 1:
+            if self._with_true_reserve(program, found, everywhere=True)[-1] < 1:
                 found = eased
             value = float(found[index])
             if index == 5:
@@ -753,7 +821,7 @@ class _Search:
                 return f"request.load_mass = {_down(value)} or less"
             if index == 7:
                 share = value / best[7]
-                wind = [float(_down(share * part)) for part in request.wind]
+                wind = [float(_down(share * part)) + 0.0 for part in request.wind]
                 return f"request.wind = {wind} or weaker"
             return f"request.speed = {_down(value)} or less"
         return ""
@@ -805,7 +873,11 @@ def _up(value: float) -> str:
 
 
 def _down(value: float) -> str:
-    return f"{math.copysign(math.floor(abs(value) * 99) / 100, value):g}"
+    """One percent nearer to zero, of three digits that do not round away from it."""
+    if value == 0:
+        return "0"
+    digit = 10.0 ** (math.floor(math.log10(abs(value))) - 2)
+    return f"{math.copysign(math.floor(0.99 * abs(value) / digit) * digit, value):.3g}"
 
 
 def _distances(margins: AircraftMargins) -> tuple[float, float]:
@@ -907,6 +979,7 @@ def _dictionary(found: Design, formation: DesignedFormation) -> dict[str, Any]:
         "lift_share": flight.lift_share,
         "airspeed_min_m_s": flight.airspeed_min,
         "airspeed_max_m_s": flight.airspeed_max,
+        "airspeed_over_stall_min": flight.airspeed_min / formation.stall_speed,
         "bank_rad": flight.bank,
         "climb_rad": flight.climb,
         "thrust_min_N": flight.thrust_min,
@@ -920,10 +993,10 @@ def _dictionary(found: Design, formation: DesignedFormation) -> dict[str, Any]:
         "growth_1_s": formation.growth,
         "breaks_first": [
             {
-                "as": each.what,
+                "grows": each.what,
                 "unit": each.unit,
-                "value": each.value if math.isfinite(each.value) else None,
-                "limit": each.limit,
+                "value": each.value,
+                "limit": each.limit or None,
             }
             for each in formation.breaks
         ],
@@ -935,7 +1008,8 @@ def design_table(found: Design) -> str:
     rows: list[Sequence[str]] = [
         (
             *("", "n", "kind", "L_c m", "C N", "A_r N", "A_t N", "B N", "kappa", "xi rad/s"),
-            *("C_L", "V m/s", "bank", "thrust N", "apart m", "W", "Wh/kg km", "reserve"),
+            *("C_L", "V m/s", "V / V_s", "bank", "climb", "thrust N", "apart m", "cables m"),
+            *("W", "Wh/kg km", "reserve"),
         )
     ]
     for f in found.formations:
@@ -951,9 +1025,12 @@ def design_table(found: Design) -> str:
                 f"{x.frequency:.3f}",
                 f"{flight.lift_share:.2f}",
                 f"{flight.airspeed_min:.1f}-{flight.airspeed_max:.1f}",
+                f"{flight.airspeed_min / f.stall_speed:.2f}",
                 f"{math.degrees(flight.bank):.0f}",
+                f"{math.degrees(flight.climb):.0f}",
                 f"{flight.thrust_min:.1f}-{flight.thrust_max:.1f}",
                 f"{f.distances[0]:.1f}",
+                f"{f.distances[1]:.2f}",
                 f"{f.power:.0f}",
                 "" if f.energy is None else f"{f.energy:.1f}",
                 f"{f.reserve:.2f}",
@@ -962,16 +1039,8 @@ def design_table(found: Design) -> str:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     for f in found.formations:
-        words = [
-            f"{each.what} {each.value:.3g} {each.unit} ({each.limit})"
-            if math.isfinite(each.value)
-            else f"{each.what} not at all"
-            for each in f.breaks
-        ]
-        lines.append(f"{f.scenario.name}: breaks first at {', '.join(words)}")
-    for refusal in found.refusals:
-        lines.append(
-            f"{refusal.carriers} {refusal.kind}: none; the best misses {refusal.missed}"
-            + (f"; give {refusal.remedy}" if refusal.remedy else "")
-        )
+        lines.append(f"{f.scenario.name}: breaks first at {', '.join(b.text for b in f.breaks)}")
+    lines += [
+        f"{refusal.carriers} {refusal.kind}: {refusal.sentence}" for refusal in found.refusals
+    ]
     return "\n".join(lines)

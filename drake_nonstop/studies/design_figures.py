@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _MARKERS = {"leaning": "o", "co_rotating": "s"}
 KEPT, AT_LIMITS, LOST = "flight within limits", "flight at limits", "stall, collision or loss"
 _OUTCOMES = {KEPT: ("o", True), AT_LIMITS: ("o", False), LOST: ("X", True)}  # marker, filled
+_ASIDE = 0.02  # of the range of masses
 _DOT = {"markersize": 5.5, "markeredgewidth": 1.1}
 
 
@@ -96,14 +97,18 @@ def make_region_figure(
         axes.grid(alpha=0.3)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
-    row[0].set_ylabel("wind against the load's way (m/s)")
+    row[0].set_ylabel("wind (m/s)")
     titles = list(panels)
+    counts = [len(regions) for regions in panels.values()]
+    masses = [mass for regions in panels.values() for region in regions for mass in region.masses]
+    aside = np.ptp(masses) * _ASIDE  # so that flights of the same load cover none of each other
     for flight in flown:
+        place = flight.mass + aside * (flight.region - (max(counts) - 1) / 2)
         colour = COLOURS[flight.region % len(COLOURS)]
         marker, filled = _OUTCOMES[flight.outcome]
         face = colour if filled else "white"
         row[titles.index(flight.panel)].plot(
-            flight.mass, flight.wind, marker, color=colour, markerfacecolor=face, zorder=3, **_DOT
+            place, flight.wind, marker, color=colour, markerfacecolor=face, zorder=3, **_DOT
         )
     row[0].set_ylim(0, None)
     for outcome in [name for name in _OUTCOMES if any(f.outcome == name for f in flown)]:

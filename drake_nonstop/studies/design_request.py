@@ -1,5 +1,6 @@
 """What a formation of aircraft is to be designed for."""
 
+import inspect
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,10 +12,12 @@ from pydrake.common.yaml import yaml_dump, yaml_load_typed
 
 from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
+from drake_nonstop.model.system import checked_inertia
 from drake_nonstop.optimization.formation_program import KINDS
 from drake_nonstop.scenario.overrides import require_override
 from drake_nonstop.scenario.schema import check_name
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
+from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import (
     ScenarioError,
     StrictFields,
@@ -32,6 +35,8 @@ from drake_nonstop.validation import (
 )
 
 GRAVITY = 9.81  # m/s²
+_CABLES = (1.0, 5000.0)  # m
+_WAY_TIMES = (1.0, 36000.0)  # s, the way's length by the largest speed
 _MOST_CARRIERS = 12
 _MOST_STARTS = 100
 
@@ -41,7 +46,8 @@ class DesignRequest(StrictFields):
     """Aircraft, load, wind and margins: what `design` finds formations for.
 
     The attachments are a regular polygon about the load's centre of mass. The margins hold at rest
-    and on the way of the load, from rest to rest along `displacement`.
+    and on the way of the load, from rest to rest along `displacement`; the separation at rest in
+    still air.
     """
 
     name: str = "formation"  # of the scenarios that are made
@@ -82,9 +88,11 @@ class DesignRequest(StrictFields):
         for n in self.carriers:
             remedy = f"give numbers from 3 to {_MOST_CARRIERS}"
             require(3 <= n <= _MOST_CARRIERS, "request.carriers", self.carriers, remedy)
+        _require_different("request.carriers", self.carriers)
         require(self.kinds, "request.kinds", [], f"give some of {', '.join(KINDS)}")
         for kind in self.kinds:
             require_known(kind, KINDS, "request.kinds", self.kinds)
+        _require_different("request.kinds", self.kinds)
         require_positive(
             "request",
             load_mass=self.load_mass,
@@ -100,10 +108,21 @@ class DesignRequest(StrictFields):
         is_range = 0 < lengths[0] <= lengths[1]
         remedy = "give the least and the largest, above zero, in this order"
         require(is_range, "request.cable_length", self.cable_length, remedy)
+        least, most = _CABLES
+        remedy = f"give lengths from {least:g} to {most:g} m"
+        is_usable = least <= lengths[0] and lengths[1] <= most
+        require(is_usable, "request.cable_length", self.cable_length, remedy)
+        reach = 2 * (self.load_radius + lengths[1])
+        remedy = f"give at most {reach:.3g}, twice the reach of the longest cable"
+        require(self.separation <= reach, "request.separation", self.separation, remedy)
         require_array("request.wind", self.wind, [3], "m/s, in W")
         way = require_array("request.displacement", self.displacement, [3], "m, in W")
         remedy = "give a way other than none, or speed = 0 for a load that rests"
         require(np.any(way) or self.speed == 0, "request.displacement", self.displacement, remedy)
+        if self.speed > 0:
+            slow, fast = (float(np.linalg.norm(way)) / time for time in _WAY_TIMES[::-1])
+            remedy = f"give {slow:.2g} to {fast:.2g}, for the length of the way, or 0 for none"
+            require(slow <= self.speed <= fast, "request.speed", self.speed, remedy)
         for name, low, high in (
             ("lift_share", 0.0, 0.9),
             ("bank", 0.0, math.radians(50)),
@@ -118,9 +137,7 @@ class DesignRequest(StrictFields):
         remedy = f"give 1 to {_MOST_STARTS}"
         require(1 <= self.starts <= _MOST_STARTS, "request.starts", self.starts, remedy)
         require_seed("request.seed", self.seed)
-        inertia = require_array("request.load_inertia", self.inertia, [3, 3], "kg m², rows")
-        remedy = "give rows that are symmetric"
-        require(np.allclose(inertia, inertia.T), "request.load_inertia", self.inertia, remedy)
+        checked_inertia("request.load_inertia", self.inertia)
         return make_aircraft(
             self.aircraft,
             cable_length=float(lengths[1]),
@@ -140,6 +157,11 @@ class DesignRequest(StrictFields):
     def aircraft_name(self) -> str:
         """What the aircraft are called in sentences."""
         return self.aircraft.model or "aircraft of its own"
+
+
+def _require_different(field: str, values: list[Any]) -> None:
+    remedy = "give each of them once"
+    require(len(set(values)) == len(values), field, values, remedy)
 
 
 def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) -> DesignRequest:
@@ -217,6 +239,16 @@ def dump_request(request: DesignRequest) -> str:
     tree = {k: v for k, v in vars(request).items() if v is not None}
     tree["aircraft"] = {k: v for k, v in vars(request.aircraft).items() if v is not None}
     return "".join(f"{key}: {dump_plain(value)}\n" for key, value in tree.items())
+
+
+def commented_request(request: DesignRequest) -> str:
+    """The request as YAML with the unit and meaning of every field."""
+    about = meanings(DesignRequest)
+    lines = [f"# {text}" for text in (inspect.getdoc(DesignRequest) or "").splitlines()]
+    for line in dump_request(request).splitlines():
+        meaning = about.get(line.partition(":")[0], "")
+        lines.append(f"{line}  # {meaning}" if meaning else line)
+    return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
 def read_request_text(text: str) -> DesignRequest:

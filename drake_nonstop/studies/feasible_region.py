@@ -1,4 +1,4 @@
-"""Which wind, load and speed a formation can take, as it is or designed again for each."""
+"""Which wind, load and speed formations can take that are designed again for each."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -8,23 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.optimization.formation_program import FormationProgram, FormationVariables
-from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.design import (
-    PEAK,
     DesignedFormation,
     design_bounds,
     design_task,
     flight_of,
     formation_scenario,
-    missed_limits,
     reserve_of,
-    with_load,
 )
 from drake_nonstop.studies.design_request import DesignRequest
 
 _STRONGEST = 20.0  # m/s, of the winds that are tried
-_STEPS = 12  # halvings
 _INSTANTS = 24  # of the way
 _TOLERANCE = 0.05  # of the reserve, at a border
 _WIND, _RESERVE = (FormationVariables._fields.index(name) for name in ("wind", "reserve"))
@@ -32,90 +27,21 @@ _WIND, _RESERVE = (FormationVariables._fields.index(name) for name in ("wind", "
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FeasibleRegion:
-    """The largest wind in which a formation flies, over the load's mass.
+    """The largest wind in which formations fly, over the load's mass.
 
     Attributes:
         speed: m/s, the largest of the load on its way.
         masses: (k,), kg.
-        winds: (k,), m/s; nan where the formation flies in none.
+        winds: (k,), m/s; nan where none was found.
         limits: (k,), the limit that is missed first in more wind.
-        formations: (k,) that fly in these winds, where each has its own; None where there is none.
+        formations: (k,) that fly in these winds; None where none was found.
     """
 
     speed: float
     masses: NDArray
     winds: NDArray
     limits: tuple[str, ...]
-    formations: tuple[FormationVariables | None, ...] = ()
-
-
-def feasible_region(
-    request: DesignRequest, formation: DesignedFormation, masses: Sequence[float], speed: float
-) -> FeasibleRegion:
-    """The border of what a formation can take: its forces in N, ξ and cables stay as they are.
-
-    Beyond it a limit of the aircraft or of their controllers is missed, at rest or on the way: of
-    lift, airspeed, bank, climb or thrust. The wind has the direction of the request's, or of the
-    load's way.
-
-    Args:
-        request: what the formation was designed for.
-        formation: the formation.
-        masses: of the load, kg.
-        speed: of the load, m/s.
-    """
-    moved = dataclasses.replace(request, speed=speed)
-    task = design_task(moved, formation.carriers)
-
-    def missed(mass: float, wind: float) -> list[str]:
-        x = with_load(formation.variables, mass)._replace(wind=wind, speed=speed)
-        return [each.name for each in missed_limits(task, flight_of(task, formation.kind, x))]
-
-    winds, limits = [], []
-    for mass in masses:
-        found = missed(mass, 0.0)
-        low, high = 0.0, _STRONGEST
-        if found:
-            winds.append(np.nan)
-            limits.append(found[0])
-            continue
-        found = missed(mass, high)
-        for _ in range(_STEPS):
-            middle = (low + high) / 2
-            beyond = missed(mass, middle)
-            if beyond:
-                high, found = middle, beyond
-            else:
-                low = middle
-        winds.append(low)
-        limits.append(found[0] if found else "")
-    return FeasibleRegion(
-        speed=speed, masses=np.array(masses), winds=np.array(winds), limits=tuple(limits)
-    )
-
-
-def region_scenario(
-    request: DesignRequest, formation: DesignedFormation, mass: float, wind: float, speed: float
-) -> Scenario:
-    """The formation's scenario with another load (kg), wind and speed (m/s)."""
-    ratio = mass / request.load_mass
-    inertia = (ratio * np.array(request.inertia)).tolist()
-    velocity = wind * design_task(request, formation.carriers).wind
-    changes = [
-        as_override("system.load_mass", mass),
-        as_override("system.load_inertia", inertia),
-        as_override("wind", {"_tag": "!SteadyWind", "velocity": velocity.tolist()}),
-        "optimization_layer.speed_bound=0.0",
-    ]
-    if speed > 0:
-        move_time = PEAK * float(np.linalg.norm(request.displacement)) / speed
-        changes.append(as_override("load_trajectory.move_time", move_time))
-        changes.append(as_override("load_trajectory.displacement", request.displacement))
-        changes.append(as_override("simulation_duration", move_time + 15.0))
-    else:
-        changes.append("load_trajectory.displacement=[0.0, 0.0, 0.0]")
-        changes.append("simulation_duration=40.0")
-    return changed(formation.scenario, changes)
+    formations: tuple[FormationVariables | None, ...]
 
 
 class _Redesign:
@@ -170,8 +96,10 @@ def redesigned_region(
 ) -> FeasibleRegion:
     """The border of what aircraft can take in a formation that is designed for each load and wind.
 
-    As `feasible_region`, but the forces, ξ and, in the request's range, the cables are those that
-    keep the limits in the most wind; found from mass to mass, from that of the request on.
+    The forces, ξ and, in the request's range, the cables are those that keep the limits in the most
+    wind, at rest and on the way; found from mass to mass, from that of the request on. Beyond the
+    border a limit of the aircraft or of their controllers is missed: of lift, airspeed, bank, climb
+    or thrust. The wind has the direction of the request's, or is against the load's way.
 
     Args:
         request: what the formation was designed for.

@@ -12,6 +12,7 @@ from drake_nonstop.optimization.formation_program import FormationVariables
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.studies import design
 from drake_nonstop.studies.design import Design, Refusal
+from drake_nonstop.studies.design_request import read_request
 
 SMALL = ["carriers=[3]", "kinds=[co_rotating]", "cable_length=[60, 60]", "starts=1"]
 
@@ -36,6 +37,16 @@ def test_a_request_becomes_scenarios_a_table_and_a_figure(tmp_path, capsys, monk
     assert scenario.wind.velocity == [2.0, 0.0, 0.0]
     with Image.open(folder / "pareto.png") as picture:
         assert picture.width > 2000
+
+
+def test_a_printed_request_has_units_and_reads_back(tmp_path, capsys):
+    assert main(["design", "--print-request", "--set", "load_mass=3", "aircraft.mass=7"]) == 0
+    text = capsys.readouterr().out
+    assert "cable_length: [60.0, 200.0]  # m, least and largest" in text
+    file = tmp_path / "formation.yaml"
+    file.write_text(text)
+    assert read_request(file) == read_request(None, ["load_mass=3", "aircraft.mass=7"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["formation.yaml"]
 
 
 def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(

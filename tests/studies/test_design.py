@@ -29,10 +29,13 @@ from drake_nonstop.studies.design_figures import (
     make_region_figure,
 )
 from drake_nonstop.studies.design_request import dump_request, read_request, read_request_text
-from drake_nonstop.studies.feasible_region import feasible_region, region_scenario
+from drake_nonstop.studies.feasible_region import FeasibleRegion
 from drake_nonstop.validation import ScenarioError
 
-WINDY = ["carriers=[4]", "cable_length=[40, 80]", "wind=[0, 3, 0]", "starts=2"]
+WINDY = [
+    *("carriers=[4]", "cable_length=[40, 80]", "wind=[0, 3, 0]", "starts=2"),
+    "displacement=[12, 0, 0]",
+]
 
 
 def found_for(changes, kind="co_rotating"):
@@ -89,21 +92,67 @@ def test_scenarios_read_back_and_need_at_rest_what_was_found(windy):
 
 
 def test_it_breaks_where_it_says(windy):
-    """In the wind at which it breaks at rest, by the margins of the scenario."""
+    """On the way, at other phases than those that were looked at; each thing grows alone."""
     formation = windy.formations[0]
     wind, load, speed = formation.breaks
     assert (wind.what, load.what, speed.what) == ("wind", "load", "speed")
     assert (wind.value > 3, load.value > 10, speed.value > 1.25) == (True, True, True)
+    task = module.design_task(windy.request, 4, 24)
+    for each, grown in (
+        (wind, lambda value: formation.variables._replace(wind=value)),
+        (load, lambda value: module.with_load(formation.variables, value)),
+        (speed, lambda value: formation.variables._replace(speed=value)),
+    ):
+        for factor, flies in ((0.98, True), (1.02, False)):
+            flight = flight_of(task, formation.kind, grown(factor * each.value), phases=97)
+            missed = [limit.name for limit in module.missed_limits(task, flight)]
+            assert missed == ([] if flies else [each.limit])
+
+
+def test_a_resting_formation_breaks_where_the_margins_of_its_scenario_end(windy):
+    """By `aircraft_margins`, which knows nothing of the program."""
+    formation = windy.formations[0]
+    shape = formation.kind, 4, formation.phase_turns
     resting = dataclasses.replace(windy.request, speed=0.0)
-    region = feasible_region(resting, formation, [9.0, 10.0, 10 * load.value], 0.0)
-    assert math.isnan(region.winds[2])
-    for mass, largest in zip(region.masses[:2], region.winds[:2], strict=True):
-        for factor, flies in ((0.99, True), (1.01, False)):
-            scenario = region_scenario(resting, formation, mass, factor * largest, 0.0)
-            found = aircraft_margins(scenario)
-            assert found.is_flyable is flies
-            if not flies:
-                assert found.missed[0].name == region.limits[0]
+    task = module.design_task(resting, 4)
+    x = formation.variables._replace(speed=0.0)
+    wind, load = module.breaking_points(task, formation.kind, x, formation.phase_turns)
+    for factor, flies in ((0.98, True), (1.02, False)):
+        stronger = dataclasses.replace(resting, wind=(factor * wind.value * task.wind).tolist())
+        flight = flight_of(task, formation.kind, x)
+        scenario = module.formation_scenario(stronger, *shape, x, flight)
+        assert aircraft_margins(scenario).is_flyable is flies
+        mass = factor * load.value
+        heavier = dataclasses.replace(resting, load_mass=mass)
+        scenario = module.formation_scenario(heavier, *shape, module.with_load(x, mass), flight)
+        assert aircraft_margins(scenario).is_flyable is flies
+
+
+def test_without_wind_it_breaks_in_one_against_the_way(windy):
+    """Which is less than one from behind."""
+    formation = windy.formations[0]
+    x = formation.variables._replace(wind=0.0, speed=2.5)
+    against, behind = (
+        next(
+            module.breaking_points(
+                dataclasses.replace(task, wind=sign * task.wind), formation.kind, x, 0
+            )
+        )
+        for sign in (1, -1)
+        for task in [module.design_task(dataclasses.replace(windy.request, wind=[0.0] * 3), 4, 24)]
+    )
+    assert against.what == "wind against the load's way"
+    assert against.value < 0.9 * behind.value
+
+
+def test_it_flies_its_way_within_what_is_printed(windy):
+    """To 2 % of C_L, bank and thrust; the load stays within 5 cm."""
+    flown = drawn_designs.flown_beside_printed(windy.formations[-1])
+    assert flown["outcome"] == "ok"
+    assert flown["saturated"] == 0
+    assert flown["error"] < 0.05
+    assert max(drawn_designs.beyond(flown).values()) < 0.02
+    assert flown["apart"][0] > 0.95 * flown["apart"][1]
 
 
 def test_what_is_printed_and_drawn(windy):
@@ -117,7 +166,8 @@ def test_what_is_printed_and_drawn(windy):
     energy = 4 * windy.formations[0].flight.power / (3.6 * 10.0 * 1.25 / 2.1875)
     assert found["formations"][0]["energy_Wh_per_kg_km"] == pytest.approx(energy)
     assert len(make_pareto_figure(windy).axes) == 2
-    region = feasible_region(windy.request, windy.formations[0], [8.0, 10.0], 1.0)
+    border = {"winds": np.array([5.0, 4.0]), "limits": ("lift", "lift"), "formations": (None, None)}
+    region = FeasibleRegion(speed=1.0, masses=np.array([8.0, 10.0]), **border)
     flown = [RegionFlight("four", 0, 9.0, wind, how) for wind, how in ((1.0, KEPT), (9.0, LOST))]
     figure = make_region_figure({"four": [region]}, flown)
     assert len(figure.axes[0].lines) == 5  # the border, two flights, and both in the legend
@@ -151,6 +201,30 @@ def test_margins_that_are_missed_may_be_smaller(unflown):
     assert changes
     eased = found_for([*tight, *(change.replace(" ", "") for change in changes)])
     assert eased.formations
+
+
+def test_formations_that_do_not_fly_are_told_beside_those_that_do(unflown, monkeypatch):
+    """Those of one of three levels sway; with all of them the request is refused for that."""
+    fault = "in a flight at rest the load's sway grows"
+    steady = iter([False, False, False, True, True])  # three weights of the first, the others
+    monkeypatch.setattr(module, "_is_steady", lambda *_: next(steady))
+    changes = ["carriers=[3]", "cable_length=[60, 60]", "starts=1", "speed=0", "load_mass=5"]
+    request = read_request(None, changes)
+    items = module.design_one(module.dump_request(request), 3, "co_rotating")
+    assert [type(item) for item in items] == [Refusal, DesignedFormation, DesignedFormation]
+    assert items[0].fault == fault
+    assert items[0].sentence == f"not at {items[0].reserve:.3g} of the margins: {fault}"
+    assert len({item.variables for item in items}) == len(items)
+    verdict = Design(request=request, formations=(), refusals=(items[0],)).verdict
+    assert f"the best, 3 co-rotating, keeps them, but {fault}; nothing that" in verdict
+    found = Design(request=request, formations=tuple(items[1:]), refusals=(items[0],))
+    assert f"3 co_rotating: not at {items[0].reserve:.3g} of the margins" in design_table(found)
+
+
+def test_remedies_of_small_numbers_are_told_to_three_digits():
+    assert [module._down(value) for value in (0.008, -0.001, 12.345, 0.0)] == [
+        *("0.00791", "-0.00098", "12.2", "0")
+    ]
 
 
 def test_a_load_that_is_too_heavy_is_refused_with_one_that_is_not(unflown):
@@ -213,6 +287,13 @@ def test_drawn_requests_are_within_their_ranges():
     ("change", "sentence"),
     [
         ("carriers=[2]", "request.carriers = [2]: give numbers from 3 to 12"),
+        ("carriers=[4, 4]", "request.carriers = [4, 4]: give each of them once"),
+        ("kinds=[leaning, leaning]", "give each of them once"),
+        ("speed=1e6", "request.speed = 1000000.0: give 0.0014 to 50, for the length of the way"),
+        ("speed=1e-7", "request.speed = 1e-07: give 0.0014 to 50"),
+        ("separation=1e6", "request.separation = 1000000.0: give at most 403"),
+        ("cable_length=[1e-9, 80]", "request.cable_length = [1e-09, 80.0]: give lengths from 1 to"),
+        ("load_inertia=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "positive definite"),
         ("carriers=[]", "request.carriers = []: give numbers of carriers, such as [3, 4]"),
         ("kinds=[flat]", "request.kinds"),
         ("load_mass=-1", "request.load_mass = -1.0: give a finite number greater than zero"),
@@ -232,6 +313,12 @@ def test_drawn_requests_are_within_their_ranges():
 def test_a_request_that_cannot_be_used_is_refused_in_a_sentence(change, sentence):
     with pytest.raises(ScenarioError, match=re.escape(sentence)):
         read_request(None, [change])
+
+
+def test_a_load_that_no_loop_flies_is_refused_before_the_search():
+    request = read_request(None, ["load_mass=0.05"])
+    with pytest.raises(ScenarioError, match="request: no loop flies its load; wrench_controller"):
+        module.design(request)
 
 
 def test_a_request_is_read_from_a_file(tmp_path):
