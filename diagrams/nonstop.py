@@ -534,6 +534,13 @@ def _check_turn(model: Model, blocks: Mapping[str, System]) -> None:
         "the load does not turn at the rate that optimization_layer = TurnRateOptimizer makes; "
         "give !PlannedTurn, and phase: !ShapedPhase, or another optimization_layer",
     )
+    shaper = blocks.get("phase")
+    require(
+        type(shaper) is phase.ShapedPhase or not isinstance(shaper, phase.VARIANTS),
+        "phase",
+        type(shaper).__name__,
+        "its ξ has no rates, which the load's turn follows; give !ShapedPhase",
+    )
 
 
 def _check_command(blocks: Mapping[str, System]) -> None:

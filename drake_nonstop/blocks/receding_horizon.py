@@ -277,7 +277,6 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         if not self.is_enabled(context):
             bound = 0.0
         last = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
-        start = clock.perf_counter()
         planned = self._planner.plan(
             context.get_time(),
             self._reference_ahead(context),
@@ -286,9 +285,6 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             last,
             self._wind_in(context),
         )
-        solve_time = clock.perf_counter() - start
-        if solve_time > self._config.time_limit and last.scale != _NO_PLAN:
-            planned = planned._replace(outcome=Outcome.HELD, state=last)
         if self.is_enabled(context):
             diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
             count_update(diagnostics, planned.outcome, planned.slowest_speed - bound)
@@ -298,7 +294,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
                 count_missed(missed, planned.missed)
                 discrete_state.set_value(self._missed, missed)
         discrete_state.set_value(self._plan, planned.state.flat())
-        discrete_state.set_value(self._solve_time, [solve_time])
+        discrete_state.set_value(self._solve_time, [planned.solve_time])
         if self._values is not None:
             plan = planned.state.plan(self._config.knot_spacing)
             discrete_state.set_value(self._values, plan.values(context.get_time()))
@@ -352,7 +348,7 @@ class _PlanState(NamedTuple):
         return cls(time, angle, scale, bound, slack, vector[5:7], vector[7:].reshape(2, -1))
 
     def flat(self) -> NDArray:
-        """The vector (6 + 2N,) of the parts."""
+        """The vector (7 + 2N,) of the parts."""
         return np.concatenate([self[:5], self.nominal, self.coefficients.ravel()])
 
     def plan(self, spacing: float) -> Plan:
@@ -367,6 +363,7 @@ class _Planned(NamedTuple):
     outcome: Outcome
     slowest_speed: float  # m/s, along the plan
     missed: set[str]  # of the names of `MissedLimits`
+    solve_time: float  # s, of wall time
 
 
 class _Effort(NamedTuple):
@@ -410,7 +407,11 @@ class _Planner:
         last: _PlanState,
         wind: NDArray,
     ) -> _Planned:
-        """The next plan, from a time in s on, in a wind (3,), which goes on from the last one."""
+        """The next plan, from a time in s on, in a wind (3,), which goes on from the last one.
+
+        Where it takes too much time the last one stays, judged by what is known now.
+        """
+        began = clock.perf_counter()
         solver = self._solver_for(numbers)
         problem, spacing = solver.problem, self._config.knot_spacing
         start_time = spacing * np.floor(time / spacing + 1e-6)
@@ -446,20 +447,25 @@ class _Planner:
             squares = problem.speeds(data, made[0].coefficients).squares
             self._last = known = key, (*made, math.sqrt(squares.min()))
         answer, outcome, slowest = known[1]
+        coefficients, slack = answer.coefficients, answer.slack
         state = _PlanState(
             start_time,
             angle,
             answer.scale,
             speed_bound,
-            answer.slack,
+            slack,
             numbers.nominal,
-            answer.coefficients,
+            coefficients,
         )
+        solve_time = clock.perf_counter() - began
+        if solve_time > self._config.time_limit and not is_first:
+            state, outcome, coefficients, slack = last, Outcome.HELD, start, math.inf
+            slowest = math.sqrt(problem.speeds(data, start).squares.min())
         missed: set[str] = set()
-        if not answer.is_feasible:
-            margins = problem.margins(data, answer.coefficients)
+        if slack > PLAN_TOLERANCE:
+            margins = problem.margins(data, coefficients)
             missed = problem.missed(margins, PLAN_TOLERANCE)
-        return _Planned(state, outcome, slowest, missed)
+        return _Planned(state, outcome, slowest, missed, solve_time)
 
     def _known(self, solver: HorizonSolver, reference: ReferencePreview) -> HorizonData | None:
         """The last plan's data, where they are of the same motion and beliefs."""

@@ -1,4 +1,4 @@
-"""`drake-nonstop report`: every number that the README prints, measured."""
+"""`drake-nonstop report`: the numbers that the README marks as measured, measured again."""
 
 import argparse
 import sys
@@ -15,7 +15,8 @@ from drake_nonstop.visualization.progress import TaskProgress
 def add_to(commands: Commands) -> None:
     """Adds the subcommand."""
     parser = commands.add_parser(
-        "report", help="measure every number that the README prints, and take its pictures"
+        "report",
+        help="measure the numbers that the README marks as measured, and take its pictures",
     )
     parser.set_defaults(action=_report_claims)
     parser.add_argument(

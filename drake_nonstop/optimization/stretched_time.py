@@ -272,13 +272,14 @@ def stretching(
             break
     if delay is None:
         return Stretching(None, too_fast, not_at_rest)
-    for _ in range(_MOST_ROUNDS):
+    for left in reversed(range(_MOST_ROUNDS + 1)):
         stretched = delay.stretched(preview, path)
         found = feasibility.holds(stretched, winds(path, stretched))
         behind = np.round((path - delay.at(path)[:, 0]) / spacing).astype(int)
-        wrong = np.setdiff1d(behind[~found], np.round(not_at_rest / spacing).astype(int))
-        wrong = np.array([k for k in wrong if limit[k] > least_rate], dtype=int)
-        if len(wrong) == 0:
+        missed = np.setdiff1d(behind[~found], np.round(not_at_rest / spacing).astype(int))
+        wrong = missed[limit[missed] > least_rate]
+        if left == 0 or len(wrong) == 0:
+            too_fast = np.union1d(too_fast, path[missed])
             break
         near = wrong[:, None] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
         near = np.unique(np.clip(near, 0, len(path) - 1))

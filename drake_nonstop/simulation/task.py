@@ -17,6 +17,7 @@ from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedbackConfig,
     DesiredStateFeedbackConfig,
 )
+from drake_nonstop.blocks.load_trajectory import PlannedTurnConfig, SteadyTurnConfig
 from drake_nonstop.diagrams.box import block_class, is_of_package
 from drake_nonstop.diagrams.margin_of_loop import carriers_of, feedback_of
 from drake_nonstop.diagrams.nonstop import make_nonstop
@@ -182,7 +183,7 @@ def task_of(scenario: Scenario) -> Task:
     scenario = scenario.sampled()
     model = Model(scenario.system, scenario.pattern, scenario.control_period)
     if scenario.reference_governor is None:
-        trajectory = _block("load_trajectory", scenario.load_trajectory, model)
+        trajectory = _block("load_trajectory", _at_nominal_rate(scenario), model)
     else:  # as the governor lets it pass
         loop = make_nonstop(scenario, at_equilibrium=False)
         trajectory = loop.GetSubsystemByName("load_trajectory")
@@ -199,6 +200,14 @@ def task_of(scenario: Scenario) -> Task:
         if (config := getattr(scenario, box)) is not None
     }
     return _task(scenario, model, _reference_of(trajectory), blocks)
+
+
+def _at_nominal_rate(scenario: Scenario) -> Any:
+    """The config of the load's trajectory; one that turns at the planned ξ turns at the nominal."""
+    config = scenario.load_trajectory
+    if not isinstance(config, PlannedTurnConfig):
+        return config
+    return SteadyTurnConfig(yaw_rate=scenario.optimization_layer.frequency, **vars(config))
 
 
 def task_of_loop(scenario: Scenario, nonstop: Diagram, context: Context) -> Task | None:

@@ -96,6 +96,16 @@ def test_a_pattern_with_orbits_is_refused():
     )
 
 
+def test_a_phase_without_rates_is_refused():
+    """The load's angular acceleration would be told as zero while ξ changes."""
+    with pytest.raises(ScenarioError) as error:
+        make_nonstop(load_scenario("aircraft_co_rotating", [LAYER, TURN, "phase=AccumulatedPhase"]))
+    assert str(error.value) == (
+        "phase = AccumulatedPhase: its ξ has no rates, which the load's turn follows; give "
+        "!ShapedPhase"
+    )
+
+
 def test_a_load_that_turns_at_another_rate_is_refused():
     with pytest.raises(ScenarioError) as error:
         make_nonstop(load_scenario("aircraft_co_rotating", [LAYER, SHAPED]))

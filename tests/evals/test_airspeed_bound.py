@@ -32,6 +32,24 @@ def test_the_layer_keeps_airspeed_lift_and_bank_in_a_rising_wind(shared_runs):
     assert sum(counts.values()) == 0
 
 
+def test_a_load_turns_faster_as_the_wind_rises_and_misses_the_bound_without(shared_runs):
+    name = "aircraft_co_rotating_rising_wind"
+    run, metrics = shared_runs.evaluated(load_scenario(name))
+    bound = 1.5 * stall_speed(aircraft_in(run.scenario.system))
+    assert RunQuantities(run).flight.least_airspeed >= bound
+    assert sum(metrics["aircraft"]["missed_limits"].values()) == 0
+    rates = Parameters.view(run.signal("parameters")).frequency
+    assert rates[run.time < 10].max() == 0.28
+    assert rates[-1, 0] > 1.1 * 0.28
+    fixed = [
+        "optimization_layer=!ConstantParameters {frequency: 0.28, amplitude: 0.0}",
+        "load_trajectory=!SteadyTurn {yaw_rate: 0.28}",
+        *("simulation_duration=24", "wind.start_time=0", "wind.rise_time=0"),
+    ]
+    run = simulate(load_scenario(name, fixed))
+    assert RunQuantities(run).flight.least_airspeed < 0.86 * bound
+
+
 def test_without_the_layer_the_bound_is_missed():
     """By a tenth, at the end of the way in the full wind with the ξ and A of calm air."""
     at_end = [

@@ -7,6 +7,7 @@ from drake_nonstop import scenario_names
 OUTCOMES = {
     "aircraft_co_rotating": "ok",
     "aircraft_co_rotating_gusty": "ok",
+    "aircraft_co_rotating_rising_wind": "ok",
     "aircraft_rest": "ok",
     "aircraft_six": "ok",
     "aircraft_small": "ok",

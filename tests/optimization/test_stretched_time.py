@@ -16,6 +16,7 @@ from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.resting_orbit import resting_orbits
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization import stretched_time
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.stretched_time import (
@@ -150,6 +151,14 @@ def test_what_no_rate_helps_is_told_and_not_slowed():
     result = found(3.0)
     assert result.delay is None
     assert len(result.not_at_rest) == 241
+
+
+def test_instants_that_are_infeasible_after_the_last_round_are_told(monkeypatch):
+    assert len(found(0.5).too_fast) == 0
+    monkeypatch.setattr(stretched_time, "_MOST_ROUNDS", 0)
+    told = found(0.5).too_fast
+    assert len(told) > 0
+    assert np.all((told > START - 1) & (told < START + MOVE + 1))
 
 
 def test_what_the_least_rate_does_not_help_is_told():

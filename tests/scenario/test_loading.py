@@ -20,6 +20,7 @@ def test_the_shipped_scenarios():
     assert scenario_names() == [
         "aircraft_co_rotating",
         "aircraft_co_rotating_gusty",
+        "aircraft_co_rotating_rising_wind",
         "aircraft_rest",
         "aircraft_six",
         "aircraft_small",

@@ -39,6 +39,14 @@ def test_at_rest_the_needs_are_those_of_the_resting_orbit(name):
         assert margin.limit == pytest.approx(resting.limit, rel=5e-3)
 
 
+def test_a_load_that_turns_at_a_planned_rate_is_taken_to_turn_at_the_nominal_one():
+    planned = load_scenario("aircraft_co_rotating_rising_wind", AT_REST[1:])
+    steady = load_scenario("aircraft_co_rotating", ["load_trajectory.yaw_rate=0.28"])
+    of_planned, of_steady = (task_of(scenario).reference(7.0) for scenario in (planned, steady))
+    np.testing.assert_array_equal(of_planned, of_steady)
+    assert flight(planned).is_flyable
+
+
 def test_the_needs_on_the_way_are_those_that_are_flown(shared_runs):
     """Of each limit at its tightest instant; C_L, bank and airspeed within 1 %, thrust 4 %."""
     scenario = load_scenario("aircraft_transfer")
