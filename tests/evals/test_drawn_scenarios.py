@@ -77,7 +77,7 @@ SETTINGS = st.one_of(
 
 
 @settings(
-    max_examples=500,
+    max_examples=320,
     deadline=None,
     derandomize=True,
     phases=[Phase.explicit, Phase.generate],

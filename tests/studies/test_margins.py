@@ -13,7 +13,7 @@ def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch)
 
     def few(scenario):
         mass, _, _, delay, _ = axes(scenario)
-        mass.values, delay.values = [0.2, 0.8], [0.0, 0.02, 0.03]
+        mass.values, delay.values = [0.2, 0.8], [0.02, 0.03]
         return [mass, delay]
 
     monkeypatch.setattr(margins, "_axes", few)
