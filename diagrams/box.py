@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 
 from pydrake.systems.framework import System
 
+from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.model.system import Model
 from drake_nonstop.validation import require
-
-ABSTRACT = "abstract"  # in place of a signal's size
 
 
 class Kind(Enum):
@@ -43,9 +42,7 @@ class Box:
     Attributes:
         variants: the blocks that it can be, the default first. Block X is in the same module as
             the dataclass of its parameters, XConfig, and is made by `X(model, config)`.
-        signals: what its block makes, with sizes: numbers, or, for n carriers and m coordinates
-            of the internal force, texts such as "3n" and "2m". The numbers become texts, too.
-            `ABSTRACT`: the signal is no vector.
+        signals: what its block makes, with their layouts; None: the signal is no vector.
         optional: the signals among them that a block may leave out; the figure's default blocks
             do not need them.
         recorded_where_read: the signals that take time to evaluate and are in a run's recorded
@@ -64,7 +61,7 @@ class Box:
     """
 
     variants: tuple[type[System], ...]
-    signals: Mapping[str, str | int]
+    signals: Mapping[str, Layout | None]
     place: Place
     optional: tuple[str, ...] = ()
     recorded_where_read: tuple[str, ...] = ()
@@ -77,8 +74,6 @@ class Box:
     configs: tuple[type, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        signals = {name: str(size) for name, size in self.signals.items()}
-        object.__setattr__(self, "signals", signals)
         object.__setattr__(self, "configs", tuple(map(config_class, self.variants)))
 
     def sizes(self, n: int, m: int) -> dict[str, int | None]:
@@ -86,12 +81,9 @@ class Box:
 
         None: the signal is abstract.
         """
-        numbers = {"n": n, "m": m}
         return {
-            signal: None
-            if size == ABSTRACT
-            else int(size.rstrip("nm") or 1) * numbers.get(size[-1], 1)
-            for signal, size in ((signal, str(size)) for signal, size in self.signals.items())
+            signal: None if layout is None else layout.count(n, m)
+            for signal, layout in self.signals.items()
         }
 
     def required_and_optional(

@@ -43,7 +43,6 @@ from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, gov
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
 from drake_nonstop.diagrams.box import (
-    ABSTRACT,
     Box,
     Kind,
     Place,
@@ -57,17 +56,11 @@ from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.fusing import fuse
 from drake_nonstop.diagrams.margin_of_loop import computed_margin
 from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.mechanics import signal_layouts
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
+from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
-    PARAMETERS_SIZE,
-    PHASE_SIZE,
-    PLANNED_SIZE,
-    REFERENCE_HIGHER_RATES_SIZE,
-    TRACKING_ERROR_SIZE,
-    WIND_SIZE,
-    WRENCH_SIZE,
     LoadReference,
 )
 from drake_nonstop.model.system import (
@@ -78,7 +71,7 @@ from drake_nonstop.model.system import (
     given_fields,
     overridden,
 )
-from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE, MISSED_LIMITS_SIZE
+from drake_nonstop.optimization.diagnostics import DIAGNOSTICS, MISSED_LIMITS
 from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig
 from drake_nonstop.optimization.speed_margin import SpeedMargin, with_margin
 from drake_nonstop.systems import wiring
@@ -97,10 +90,10 @@ BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
         signals={
-            "reference": LOAD_REFERENCE_SIZE,
-            "reference_higher_rates": REFERENCE_HIGHER_RATES_SIZE,
-            "reference_preview": ABSTRACT,
-            "reference_delay": 1,
+            "reference": signal_layouts.LOAD_REFERENCE,
+            "reference_higher_rates": signal_layouts.REFERENCE_HIGHER_RATES,
+            "reference_preview": None,
+            "reference_delay": Layout(Part("", "1", "s")),
         },
         optional=("reference_higher_rates", "reference_preview", "reference_delay"),
         recorded_where_read=("reference_higher_rates",),
@@ -109,15 +102,15 @@ BOXES: dict[str, Box] = {
     ),
     "load_feedback": Box(
         variants=load_feedback.VARIANTS,
-        signals={"measured_load_state": LOAD_STATE_SIZE},
+        signals={"measured_load_state": signal_layouts.LOAD_STATE},
         place=Place(0, 2, 1, Kind.ADDITION),
     ),
     "wrench_controller": Box(
         variants=wrench_controller.VARIANTS,
         signals={
-            "wrench": WRENCH_SIZE,
-            "wrench_rate": WRENCH_SIZE,
-            "tracking_error": TRACKING_ERROR_SIZE,
+            "wrench": signal_layouts.WRENCH,
+            "wrench_rate": signal_layouts.WRENCH_RATE,
+            "tracking_error": signal_layouts.TRACKING_ERROR,
         },
         optional=("tracking_error",),
         place=Place(2, 2, 1, Kind.WRENCH),
@@ -126,12 +119,12 @@ BOXES: dict[str, Box] = {
     "optimization_layer": Box(
         variants=optimization_layer.VARIANTS,
         signals={
-            "parameters": PARAMETERS_SIZE,
-            "diagnostics": DIAGNOSTICS_SIZE,
-            "plan": PLANNED_SIZE,
-            "solve_time": 1,
-            "speed_bound": 1,
-            "missed_limits": MISSED_LIMITS_SIZE,
+            "parameters": signal_layouts.PARAMETERS,
+            "diagnostics": DIAGNOSTICS,
+            "plan": signal_layouts.PLANNED_PARAMETERS,
+            "solve_time": Layout(Part("", "1", "s")),
+            "speed_bound": Layout(Part("", "1", "m/s")),
+            "missed_limits": MISSED_LIMITS,
         },
         optional=("diagnostics", "plan", "solve_time", "speed_bound", "missed_limits"),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
@@ -140,7 +133,10 @@ BOXES: dict[str, Box] = {
     ),
     "phase": Box(
         variants=phase.VARIANTS,
-        signals={"phase": PHASE_SIZE, "planned": PLANNED_SIZE},
+        signals={
+            "phase": signal_layouts.PHASE,
+            "planned": signal_layouts.PLANNED_PARAMETERS,
+        },
         optional=("planned",),
         recorded_where_read=("planned",),
         place=Place(4, 0, 1, Kind.TRAJECTORY),
@@ -149,7 +145,10 @@ BOXES: dict[str, Box] = {
     ),
     "internal_force": Box(
         variants=internal_force.VARIANTS,
-        signals={"internal_force": "2m", "internal_force_higher_rates": "2m"},
+        signals={
+            "internal_force": signal_layouts.INTERNAL_FORCE,
+            "internal_force_higher_rates": signal_layouts.INTERNAL_FORCE_HIGHER_RATES,
+        },
         optional=("internal_force_higher_rates",),
         recorded_where_read=("internal_force_higher_rates",),
         place=Place(3, 1, -1, Kind.TRAJECTORY),
@@ -157,16 +156,19 @@ BOXES: dict[str, Box] = {
     ),
     "force_distribution": Box(
         variants=force_distribution.VARIANTS,
-        signals={"desired_cable_forces": "3n", "desired_cable_force_rates": "3n"},
+        signals={
+            "desired_cable_forces": Layout(Part("", "3n", "N", "W")),
+            "desired_cable_force_rates": Layout(Part("", "3n", "N/s", "W")),
+        },
         place=Place(3, 2, 1, Kind.INNER_LOOP),
         feeds_fused_plant=True,
     ),
     "carrier_trajectory": Box(
         variants=carrier_trajectory.VARIANTS,
         signals={
-            "carrier_reference": "6n",
-            "carrier_reference_acceleration": "3n",
-            "carrier_reference_jerk": "3n",
+            "carrier_reference": signal_layouts.CARRIER_STATES,
+            "carrier_reference_acceleration": Layout(Part("", "3n", "m/s²", "W")),
+            "carrier_reference_jerk": Layout(Part("", "3n", "m/s³", "W")),
         },
         optional=("carrier_reference_acceleration", "carrier_reference_jerk"),
         recorded_where_read=("carrier_reference_acceleration", "carrier_reference_jerk"),
@@ -175,14 +177,22 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_controller": Box(
         variants=carrier_controller.VARIANTS,
-        signals={"carrier_forces": "3n", "aircraft_command": "3n", "command_saturation": "3n"},
+        signals={
+            "carrier_forces": Layout(Part("", "3n", "N", "W")),
+            "aircraft_command": signal_layouts.AIRCRAFT_COMMAND,
+            "command_saturation": signal_layouts.COMMAND_SATURATION,
+        },
         optional=("carrier_forces", "aircraft_command", "command_saturation"),
         place=Place(4, 3, -1, Kind.PLANT),
         is_fused=True,
     ),
     "carrier_dynamics": Box(
         variants=carrier_dynamics.VARIANTS,
-        signals={"carrier_state": "6n", "aircraft_state": "4n", "carrier_acceleration": "3n"},
+        signals={
+            "carrier_state": signal_layouts.CARRIER_STATES,
+            "aircraft_state": signal_layouts.AIRCRAFT_STATE,
+            "carrier_acceleration": Layout(Part("", "3n", "m/s²", "W")),
+        },
         optional=("aircraft_state", "carrier_acceleration"),
         place=Place(3, 3, -1, Kind.PLANT),
         is_simulated=True,
@@ -190,31 +200,41 @@ BOXES: dict[str, Box] = {
     ),
     "cables": Box(
         variants=cables.VARIANTS,
-        signals={"cable_forces": "3n", "tensions": "n"},
+        signals={
+            "cable_forces": Layout(Part("", "3n", "N", "W")),
+            "tensions": Layout(Part("", "n", "N")),
+        },
         place=Place(2, 3, -1, Kind.PLANT),
         is_simulated=True,
         is_fused=True,
     ),
     "load_disturbance": Box(
         variants=load_disturbance.VARIANTS,
-        signals={"disturbance_wrench": WRENCH_SIZE},
+        signals={"disturbance_wrench": signal_layouts.WRENCH},
         place=Place(0, 4, 1, Kind.ADDITION),
         feeds_fused_plant=True,
     ),
     "wind": Box(
         variants=wind.VARIANTS,
-        signals={"wind": "3n", "load_wind": WIND_SIZE, "wind_estimate": WIND_SIZE},
+        signals={
+            "wind": Layout(Part("", "3n", "m/s", "W")),
+            "load_wind": Layout(Part("", "3", "m/s", "W")),
+            "wind_estimate": Layout(Part("", "3", "m/s", "W")),
+        },
         place=Place(1, 4, 1, Kind.ADDITION),
         feeds_fused_plant=True,
     ),
     "load_plant": Box(
         variants=load_plant.VARIANTS,
-        signals={"load_state": LOAD_STATE_SIZE},
+        signals={"load_state": signal_layouts.LOAD_STATE},
         place=Place(0, 3, -1, Kind.PLANT),
         is_simulated=True,
         is_fused=True,
     ),
 }
+
+# The layouts of all signals of the figure, by their names; None: one is no vector.
+SIGNALS = {name: layout for box in BOXES.values() for name, layout in box.signals.items()}
 
 # Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
 # plant in place of its boxes.

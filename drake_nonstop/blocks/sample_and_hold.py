@@ -1,11 +1,13 @@
 """The inputs of sampled controllers, held from one sample to the next."""
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, State
 
+from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -60,6 +62,7 @@ class SampleAndHold(LeafBlock):
     """
 
     optional_inputs = (_HIGHER_RATES,)
+    signal_layouts: ClassVar = {"sample_time": Layout(Part("", "1", "s"))}
 
     def __init__(
         self,

@@ -31,6 +31,10 @@ def _blocks(options: argparse.Namespace) -> int:
         made = "; ".join(filter(None, kinds))
         print()
         _print_wrapped(made, f"{box.name}{' -> ' if made else ''}")
+        for port in box.signals:
+            if port.layout is not None:
+                parts = "; ".join(map(str, port.layout.parts))
+                _print_wrapped(parts, f"    {port.name} = ")
         for i, choice in enumerate(box.choices):
             print(f"\n  {choice.name}{' (default)' if i == 0 else ''}")
             _print_wrapped(choice.summary, "    ")

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.signal_layouts import Layout, Part
+
 
 class Outcome(IntEnum):
     """How an update of the layer ended; the first entry of `diagnostics`."""
@@ -55,6 +57,10 @@ class MissedLimits(NamedTuple):
 
 MISSED_LIMITS_SIZE = len(MissedLimits._fields)
 DIAGNOSTICS_SIZE = len(Diagnostics._fields)
+DIAGNOSTICS = Layout(
+    *(Part(name, "1", "m/s" if name == "speed_margin" else "") for name in Diagnostics._fields)
+)
+MISSED_LIMITS = Layout(*(Part(name, "1") for name in MissedLimits._fields))
 _PLACES = {name: place for place, name in enumerate(Diagnostics._fields)}
 
 

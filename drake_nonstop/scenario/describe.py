@@ -15,7 +15,8 @@ import yaml
 from pydrake.systems.framework import System
 
 from drake_nonstop.diagrams.box import config_class
-from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
+from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import PATTERN, PATTERNS, Scenario
@@ -41,6 +42,7 @@ class Port:
     name: str
     size: str
     is_optional: bool = False  # an output need not be there, an input need not be connected
+    layout: Layout | None = None  # of a signal of the figure; None: it is not known, or no vector
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,10 +145,15 @@ def _pattern(config: type) -> Choice:
 
 def _port(name: str, size: int | None) -> Port:
     """The port of that name: its size by the contract, or else as it is for the default n."""
-    sizes = {signal: str(size) for box in BOXES.values() for signal, size in box.signals.items()}
+    layout = SIGNALS.get(name)
     is_optional = any(name in box.optional for box in BOXES.values())
     text = "abstract" if size is None else str(size)
-    return Port(name=name, size=sizes.get(name, text), is_optional=is_optional)
+    return Port(
+        name=name,
+        size=text if layout is None else layout.size,
+        is_optional=is_optional,
+        layout=layout,
+    )
 
 
 def _summary(documented: type) -> str:

@@ -1,0 +1,188 @@
+"""What the entries of a signal are, in their order: names, units and frames.
+
+The contract of the figure's boxes, `drake-nonstop blocks`, logs, plots and exports read it here. A
+block of one's own may declare the layouts of its output ports, by their names:
+
+    class FuelGauge(LeafSystem):
+        signal_layouts = {"fuel": Layout(Part("", "n", "kg"))}
+
+An entry has the name "signal.part.carrier.component", without what there is only one of:
+"carrier_state.positions.2.x", "load_state.quaternion.w", "tensions.1", "solve_time". Carriers,
+cables and coordinates are counted from one.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from drake_nonstop.validation import ScenarioError
+
+_COMPONENTS = {1: ("",), 3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
+_SIZE = re.compile(r"([134]?)([nm]?)")
+
+
+class Part(NamedTuple):
+    """Entries of a signal that belong together.
+
+    Of size "1", "3" (x, y, z) or "4" (w, x, y, z), or as many for each of n carriers, "n" and "3n",
+    or of m coordinates of the internal force, "m".
+    """
+
+    name: str  # "" where the signal has no other part
+    size: str
+    unit: str = ""  # SI; "": a number without one
+    frame: str = ""  # W or L, in which its components are; "": it has none
+    meaning: str = ""
+
+    def __str__(self) -> str:
+        """Such as "position (3) m, in W"."""
+        frame = f"in {self.frame}" if self.frame else ""
+        head = f"{self.name} ({self.size}) {self.unit}".strip()
+        return ", ".join(filter(None, [head, frame, self.meaning]))
+
+    @property
+    def base(self) -> int:
+        """The number of its entries, for each carrier or coordinate where it is of these."""
+        return int(self.size.rstrip("nm") or 1)
+
+    @property
+    def per(self) -> str:
+        """Of what it has entries: "n", "m", or "" for neither."""
+        return self.size.lstrip("134")
+
+
+class Entry(NamedTuple):
+    """One number of a signal."""
+
+    name: str  # "signal.part.carrier.component"
+    unit: str
+    frame: str
+
+    @property
+    def label(self) -> str:
+        """The name with its unit, such as "tensions.1 [N]"."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The parts of a signal, in their order.
+
+    Raises:
+        ScenarioError: there is no part, a part's size is none of those that a `Part` may have, or
+            some are those of n carriers and others of m coordinates.
+    """
+
+    parts: tuple[Part, ...]
+
+    def __init__(self, *parts: Part):
+        for part in parts:
+            if not isinstance(part, Part) or not part.size or not _SIZE.fullmatch(part.size):
+                raise ScenarioError(
+                    f"layout = {part}: give Part(name, size, unit, frame) with a size such as 3, "
+                    "n, 3n or m"
+                )
+        kinds = {part.per for part in parts} - {""}
+        if not parts or len(kinds) > 1:
+            raise ScenarioError(
+                f"layout = {len(parts)} parts: give at least one Part, of n carriers or of m "
+                "coordinates, not of both"
+            )
+        object.__setattr__(self, "parts", parts)
+
+    @property
+    def size(self) -> str:
+        """Such as "13", "6n" or "2m"; "7 + 2n" where some parts are those of carriers."""
+        words = []
+        for per in dict.fromkeys(part.per for part in self.parts):
+            total = self._per(per)
+            words.append(f"{total if total > 1 or not per else ''}{per}")
+        return " + ".join(words)
+
+    def count(self, n: int, m: int) -> int:
+        """The number of entries for n carriers and m coordinates of the internal force."""
+        return self._per("") + n * self._per("n") + m * self._per("m")
+
+    def entries(self, signal: str, size: int) -> tuple[Entry, ...] | None:
+        """What each entry of a signal of that name and size is; None: it is of another size."""
+        fixed = self._per("")
+        repeated = self._per("n") + self._per("m")
+        places, rest = divmod(size - fixed, repeated) if repeated else (0, size - fixed)
+        if rest or places < 0:
+            return None
+        return tuple(
+            Entry(".".join(filter(None, (signal, part.name, place, component))), *part[2:4])
+            for part in self.parts
+            for place in (map(str, range(1, places + 1)) if part.per else [""])
+            for component in _COMPONENTS[part.base]
+        )
+
+    def _per(self, per: str) -> int:
+        return sum(part.base for part in self.parts if part.per == per)
+
+
+def numbered_entries(signal: str, size: int) -> tuple[Entry, ...]:
+    """The entries of a signal of which no layout is known."""
+    names = [signal] if size == 1 else [f"{signal}.{i + 1}" for i in range(size)]
+    return tuple(Entry(name, "", "") for name in names)
+
+
+_POSE = (
+    Part("quaternion", "4", "", "W", "of R_WL"),
+    Part("position", "3", "m", "W"),
+)
+_TWIST = (
+    Part("angular_velocity", "3", "rad/s", "W"),
+    Part("velocity", "3", "m/s", "W"),
+)
+
+# The layouts of the `mechanics.signals` and of other vectors between the blocks.
+SCALAR = Layout(Part("", "1"))
+LOAD_STATE = Layout(*_POSE, *_TWIST)
+LOAD_REFERENCE = Layout(
+    _POSE[0]._replace(meaning="of R_WD, D the desired frame"),
+    _POSE[1],
+    *_TWIST,
+    Part("angular_acceleration", "3", "rad/s²", "W"),
+    Part("acceleration", "3", "m/s²", "W"),
+    Part("jerk", "3", "m/s³", "W"),
+)
+REFERENCE_HIGHER_RATES = Layout(
+    Part("angular_jerk", "3", "rad/s³", "W"), Part("snap", "3", "m/s⁴", "W")
+)
+WRENCH = Layout(Part("torque", "3", "N m", "W"), Part("force", "3", "N", "W"))
+WRENCH_RATE = Layout(Part("torque", "3", "N m/s", "W"), Part("force", "3", "N/s", "W"))
+TRACKING_ERROR = Layout(
+    Part("orientation", "3", "rad", "L", "e_R"),
+    Part("position", "3", "m", "W", "e_p"),
+    Part("angular_velocity", "3", "rad/s", "L", "e_ω"),
+    Part("velocity", "3", "m/s", "W", "e_v"),
+)
+CARRIER_STATES = Layout(Part("positions", "3n", "m", "W"), Part("velocities", "3n", "m/s", "W"))
+PARAMETERS = Layout(Part("frequency", "1", "rad/s", "", "ξ"), Part("amplitude", "1", "N", "", "A"))
+PHASE = Layout(Part("angle", "1", "rad", "", "θ"), Part("slope", "1", "s", "", "∂θ/∂ξ"))
+PLANNED_PARAMETERS = Layout(
+    Part("angle", "1", "rad", "", "θ"),
+    Part("frequency", "1", "rad/s", "", "ξ"),
+    Part("amplitude", "1", "N", "", "A"),
+    Part("frequency_rate", "1", "rad/s²", "", "ξ̇"),
+    Part("amplitude_rate", "1", "N/s", "", "Ȧ"),
+    Part("frequency_second_rate", "1", "rad/s³", "", "ξ̈"),
+    Part("amplitude_second_rate", "1", "N/s²", "", "Ä"),
+    Part("amplitude_third_rate", "1", "N/s³", "", "A⃛"),
+)
+INTERNAL_FORCE = Layout(Part("values", "m", "N", "", "λ"), Part("rates", "m", "N/s", "", "λ̇"))
+INTERNAL_FORCE_HIGHER_RATES = Layout(Part("second", "m", "N/s²"), Part("third", "m", "N/s³"))
+AIRCRAFT_COMMAND = Layout(
+    Part("lift", "n", "", "", "C_L"),
+    Part("bank", "n", "rad", "", "positive to the right"),
+    Part("thrust", "n", "N"),
+)
+COMMAND_SATURATION = Layout(
+    *(Part(part.name, "n", "", "", "1 where a limit holds it") for part in AIRCRAFT_COMMAND.parts)
+)
+AIRCRAFT_STATE = Layout(
+    AIRCRAFT_COMMAND.parts[0]._replace(meaning="C_L with the gusts' part, at most its maximum"),
+    *AIRCRAFT_COMMAND.parts[1:],
+    Part("airspeed", "n", "m/s"),
+)

@@ -1,0 +1,85 @@
+"""The layouts of the signals: against the views of the same vectors, and what is no layout."""
+
+import numpy as np
+import pytest
+
+from drake_nonstop.diagrams.nonstop import SIGNALS
+from drake_nonstop.mechanics import signal_layouts, signals
+from drake_nonstop.mechanics.signal_layouts import Layout, Part, numbered_entries
+from drake_nonstop.optimization import diagnostics
+from drake_nonstop.validation import ScenarioError
+
+N, M = 5, 3
+VIEWS = {
+    signals.LoadState: signal_layouts.LOAD_STATE,
+    signals.LoadReference: signal_layouts.LOAD_REFERENCE,
+    signals.ReferenceHigherRates: signal_layouts.REFERENCE_HIGHER_RATES,
+    signals.Wrench: signal_layouts.WRENCH,
+    signals.TrackingError: signal_layouts.TRACKING_ERROR,
+    signals.CarrierStates: signal_layouts.CARRIER_STATES,
+    signals.Parameters: signal_layouts.PARAMETERS,
+    signals.Phase: signal_layouts.PHASE,
+    signals.PlannedParameters: signal_layouts.PLANNED_PARAMETERS,
+    signals.InternalForce: signal_layouts.INTERNAL_FORCE,
+    signals.InternalForceHigherRates: signal_layouts.INTERNAL_FORCE_HIGHER_RATES,
+    signals.AircraftCommand: signal_layouts.AIRCRAFT_COMMAND,
+    signals.AircraftState: signal_layouts.AIRCRAFT_STATE,
+    diagnostics.Diagnostics: diagnostics.DIAGNOSTICS,
+    diagnostics.MissedLimits: diagnostics.MISSED_LIMITS,
+}
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.__name__)
+def test_parts_are_those_of_the_view_in_the_same_places(view):
+    layout = VIEWS[view]
+    count = layout.count(N, M)
+    entries = layout.entries("signal", count)
+    assert len(entries) == count
+    assert len({entry.name for entry in entries}) == count
+    assert tuple(part.name for part in layout.parts) == view._fields
+    for name, numbers in view.view(np.arange(count))._asdict().items():
+        for number in np.ravel(numbers):
+            assert entries[number].name.split(".")[1] == name
+
+
+def test_every_vector_of_the_figure_has_a_layout_with_units_and_frames():
+    for name, layout in SIGNALS.items():
+        if name == "reference_preview":  # no vector
+            continue
+        for entry in layout.entries(name, layout.count(N, M)):
+            assert entry.name.startswith(name)
+            assert bool(entry.frame) == (entry.name.rpartition(".")[2] in set("wxyz")), entry
+    counts = {name for name, layout in SIGNALS.items() if layout and not layout.parts[0].unit}
+    without = {"command_saturation", "diagnostics", "missed_limits", "aircraft_command"}
+    states = {"reference", "measured_load_state", "load_state", "aircraft_state"}
+    assert counts == without | states  # a quaternion, C_L or a count comes first
+
+
+def test_names_of_entries():
+    tensions = SIGNALS["tensions"].entries("tensions", 2)
+    assert [entry.label for entry in tensions] == ["tensions.1 [N]", "tensions.2 [N]"]
+    last = SIGNALS["carrier_state"].entries("carrier_state", 12)[-1]
+    assert last == ("carrier_state.velocities.2.z", "m/s", "W")
+    assert SIGNALS["solve_time"].entries("solve_time", 1)[0].label == "solve_time [s]"
+    assert [entry.name for entry in numbered_entries("own", 2)] == ["own.1", "own.2"]
+    assert numbered_entries("own", 1)[0].label == "own"
+
+
+def test_sizes_that_do_not_fit_have_no_entries():
+    assert signal_layouts.LOAD_STATE.entries("load_state", 12) is None
+    assert signal_layouts.CARRIER_STATES.entries("carrier_state", 13) is None
+    mixed = Layout(Part("clock", "1", "s"), Part("positions", "3n", "m", "W"))
+    assert mixed.size == "1 + 3n"
+    assert len(mixed.entries("own", 7)) == 7
+    assert mixed.entries("own", 0) is None
+
+
+@pytest.mark.parametrize("parts", [(), (Part("a", "2"),), (Part("a", ""),), ("a",)])
+def test_what_is_no_layout_is_refused(parts):
+    with pytest.raises(ScenarioError, match=r"layout = .*give"):
+        Layout(*parts)
+
+
+def test_parts_of_carriers_and_of_coordinates_do_not_mix():
+    with pytest.raises(ScenarioError, match="layout = 2 parts: give at least one Part"):
+        Layout(Part("a", "n"), Part("b", "m"))
