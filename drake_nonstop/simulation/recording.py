@@ -28,7 +28,8 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.blocks.fused_plant import FusedPlant
-from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
+from drake_nonstop.mechanics.signal_layouts import Entry, Layout, numbered_entries
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -141,6 +142,7 @@ class LogSignals:
 
     Attributes:
         nonstop: the diagram whose signals they are.
+        entries: what the columns of the signals are, by their names "block.port".
     """
 
     def __init__(self, builder: DiagramBuilder, nonstop: Diagram):
@@ -151,6 +153,7 @@ class LogSignals:
         self._samples = builder.AddSystem(_SampledLog(sizes, SIGNAL_PERIOD))
         builder.Connect(_multiplexed(builder, sampled), self._samples.get_input_port())
         self._signal_names = _signal_names(nonstop, sampled)
+        self.entries = _entries(nonstop, sampled, self._signal_names)
         self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
 
     @staticmethod
@@ -293,6 +296,24 @@ def _signal_names(nonstop: Diagram, sampled: Mapping[str, OutputPort]) -> dict[s
     return names
 
 
+def _entries(
+    nonstop: Diagram, sampled: Mapping[str, OutputPort], names: Mapping[str, str]
+) -> dict[str, tuple[Entry, ...]]:
+    """What the columns of the signals are, by the names "block.port".
+
+    A block's own `signal_layouts` come first, then the layouts of the figure's signals.
+    """
+    *_, loop = nested(nonstop, RUN_SIGNALS) if all(s in sampled for s in RUN_SIGNALS) else [nonstop]
+    found = {}
+    for name, port in names.items():
+        maker = maker_of(loop if loop.HasOutputPort(port) else nonstop, port)
+        own = getattr(maker, "signal_layouts", {}).get(port)
+        layout, size = own or SIGNALS.get(port.removeprefix(HELD)), sampled[port].size()
+        entries = layout.entries(port, size) if isinstance(layout, Layout) else None
+        found[name] = entries or numbered_entries(port, size)
+    return found
+
+
 def _last_flight(columns: dict[str, NDArray]) -> dict[str, NDArray]:
     """The rows since time was set back last; of those of one instant the last."""
     times = columns[_Log.TIMES]
@@ -319,6 +340,7 @@ class Recording:
         self._steps = _Log(builder, stepped, TriggerType.kPerStep)
         self._samples = _Log(builder, sampled, TriggerType.kForced)
         self._signal_names = _signal_names(nonstop, sampled)
+        self.entries = _entries(nonstop, sampled, self._signal_names)
         self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
         self._folder: _TemporaryFolder | None = None
         self._is_full = False  # the folder

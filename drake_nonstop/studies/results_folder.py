@@ -9,13 +9,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
-
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.stored_run import (
+    SCENARIO,
+    SIGNALS,
+    STEPS,
+    write_signals,
+    write_steps,
+)
 from drake_nonstop.studies.files import (
     as_path,
     open_regular,
@@ -30,10 +35,8 @@ from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import FIGURE_NAMES, figure_names, make_figure
 
 _FIGURES = "figures"
-_SCENARIO = "scenario.yaml"
 _METRICS = "metrics.json"
-_SIGNALS = "signals.npz"
-_DATA = (_SCENARIO, _METRICS, _SIGNALS)
+_DATA = (SCENARIO, _METRICS, SIGNALS, STEPS)
 _OWN_CODE = "own_code"  # in metrics.json, beside the versions of packages
 
 _PICTURES = (
@@ -66,7 +69,7 @@ def default_folder(folder: Path, settings: str | Scenario) -> Path:
         journalled = journalled_settings(place)
         if journalled is not None:
             return journalled == settings
-        names = [name for name in (_SCENARIO, _METRICS) if os.path.lexists(place / name)]
+        names = [name for name in (SCENARIO, _METRICS) if os.path.lexists(place / name)]
         return not names or (isinstance(settings, Scenario) and _is_of(place, names, settings))
 
     return next(place for place in _numbered(folder) if is_free(place))
@@ -101,14 +104,14 @@ def _numbered(folder: Path) -> Iterator[Path]:
 def require_no_other_run(folder: Path, scenario: Scenario) -> None:
     """Raises ScenarioError where the results of a run of another scenario are in the folder."""
     is_other = os.path.lexists(folder / _METRICS) and not _has(folder, dump_scenario(scenario))
-    remedy = f"a run of other settings has its {_SCENARIO} there; give another folder"
+    remedy = f"a run of other settings has its {SCENARIO} there; give another folder"
     require(not is_other, "--out", folder, remedy)
 
 
 def _has(folder: Path, text: str) -> bool:
     """Whether that is the text of the scenario in a folder."""
     try:
-        return read_regular(folder / _SCENARIO) == text.encode()
+        return read_regular(folder / SCENARIO) == text.encode()
     except (OSError, ValueError):
         return False
 
@@ -140,9 +143,9 @@ def write_results(
 ) -> dict[str, Any]:
     """Writes a run's results to the folder and returns its metrics.
 
-    scenario.yaml (resolved), metrics.json and signals.npz replace all of the earlier results once
-    they are written; diagram.svg, replay.html and figures/ follow, one by one. Earlier ones that
-    show the same flight stay until then.
+    scenario.yaml (resolved), metrics.json, signals.npz and steps.npz replace all of the earlier
+    results once they are written; diagram.svg, replay.html and figures/ follow, one by one.
+    Earlier ones that show the same flight stay until then. `Run.load` reads the run back.
 
     Args:
         run: what to write.
@@ -179,10 +182,11 @@ def write_data(run: Run, folder: Path | str, own_code: str | None = None) -> dic
     if own_code is not None:
         metrics["versions"][_OWN_CODE] = own_code
     with replacing_files(folder, _DATA) as new:
-        (new / _SCENARIO).write_text(scenario, encoding="utf-8")
+        (new / SCENARIO).write_text(scenario, encoding="utf-8")
         text = json.dumps(metrics, indent=2, allow_nan=False)
         (new / _METRICS).write_text(text + "\n", encoding="utf-8")
-        _write_signals(new / _SIGNALS, run)
+        write_signals(new / SIGNALS, run)
+        write_steps(new / STEPS, run)
         is_other = _flight_in(folder) != _flight_in(new)
     if is_other:
         _remove(folder, _PICTURES)
@@ -197,9 +201,9 @@ def _remove(folder: Path, items: Sequence[str]) -> None:
 def _flight_in(folder: Path) -> object:
     """What pictures show of the data in a folder: equal for equal flights only."""
     try:
-        with open_regular(folder / _SIGNALS) as file, zipfile.ZipFile(file) as archive:
+        with open_regular(folder / SIGNALS) as file, zipfile.ZipFile(file) as archive:
             signals = [(item.filename, item.file_size, item.CRC) for item in archive.infolist()]
-        return read_regular(folder / _SCENARIO), signals
+        return read_regular(folder / SCENARIO), signals
     except (OSError, ValueError, zipfile.BadZipFile):
         return None
 
@@ -246,12 +250,3 @@ def write_pictures(
 
 def _write_figure(run: Run, name: str, file: BinaryIO) -> None:
     make_figure(run, name).savefig(file, format="png", dpi=150)
-
-
-def _write_signals(path: Path, run: Run) -> None:
-    """Writes what `np.savez_compressed` would, a signal at a time: not all are in memory."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in ("time", *run.signals):
-            values = run.time if name == "time" else run.signals[name]
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-                np.lib.format.write_array(file, values, allow_pickle=False)

@@ -184,6 +184,7 @@ def _written(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             "scenario.yaml",
             "metrics.json",
             "signals.npz",
+            "steps.npz",
             "diagram.svg",
             "replay.html",
             "figures",

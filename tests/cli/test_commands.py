@@ -23,6 +23,7 @@ RESULTS = {
     "scenario.yaml",
     "metrics.json",
     "signals.npz",
+    "steps.npz",
     "diagram.svg",
     "replay.html",
     "figures",
@@ -255,7 +256,13 @@ def test_ctrl_c_keeps_what_was_simulated(tmp_path):
     assert process.returncode == 130
     assert "interrupted" in error
     assert "Traceback" not in error
-    assert contents(tmp_path) == {"scenario.yaml", "metrics.json", "signals.npz", "diagram.svg"}
+    assert contents(tmp_path) == {
+        "scenario.yaml",
+        "metrics.json",
+        "signals.npz",
+        "steps.npz",
+        "diagram.svg",
+    }
 
 
 def test_view_serves_the_replay_until_it_is_interrupted(tmp_path):

@@ -120,7 +120,12 @@ def test_an_interrupt_while_writing_keeps_the_pictures_of_an_equal_run(tmp_path,
         end("whole", "--out", str(folder))
         assert set(contents(folder)) == before
         end("whole", "--out", str(folder), change=["scene.wing_span=0.3"])
-        names = {"scenario.yaml", "metrics.json", "signals.npz"}  # others would not show it
+        names = {
+            "scenario.yaml",
+            "metrics.json",
+            "signals.npz",
+            "steps.npz",
+        }  # others would not show it
         assert {path.name for path in contents(folder)} == names
     (folder / "replay.html").write_text("shows it")
     assert end("whole", "--out", str(folder), "--no-figures", "--no-replay") == 0

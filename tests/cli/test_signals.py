@@ -21,7 +21,7 @@ from drake_nonstop.cli.main import main
 from tests.helpers import handle_signals_as_a_shell_does
 
 TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
-_DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
+_DATA = {"scenario.yaml", "metrics.json", "signals.npz", "steps.npz"}
 _GRACE = 2.0  # s, from the second signal to the end
 _UNPLANNED = ["internal_force=InternalForceTrajectory"]  # reads the two signals that they make
 

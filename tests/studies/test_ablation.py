@@ -39,7 +39,7 @@ from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, FAILED, UNBUILDAB
 from drake_nonstop.validation import ScenarioError
 
 PLOTS = {"position_error.png", "slowest_speed.png", "tension_min.png"}
-RUN = {"scenario.yaml", "metrics.json", "signals.npz", "diagram.svg", "replay.html"}
+RUN = {"scenario.yaml", "metrics.json", "signals.npz", "steps.npz", "diagram.svg", "replay.html"}
 
 
 def written(tmp_path, text):

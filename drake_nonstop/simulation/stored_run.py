@@ -1,0 +1,131 @@
+"""A run in files: its signals with their units, and what its metrics are measured from.
+
+Both are NumPy's archives. `signals.npz` has `time`, each signal by its name "block.port" at 100 Hz,
+and `entries`, a table of the signals' columns: signal, column, name, unit and frame. It repeats to
+the bit from run to run. `steps.npz` has the few signals at every step, and `run`, a JSON text with
+wall time, step and ending.
+"""
+
+import json
+import warnings
+import zipfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.mechanics.signal_layouts import Entry
+from drake_nonstop.scenario.loading import parse_scenario
+from drake_nonstop.simulation.run import Run, solve_times_of
+from drake_nonstop.validation import (
+    ScenarioError,
+    ScenarioWarning,
+    one_line,
+    read_text,
+    require,
+)
+
+SCENARIO, SIGNALS, STEPS = "scenario.yaml", "signals.npz", "steps.npz"
+
+_TIME, _ENTRIES, _RUN = "time", "entries", "run"
+# Of a `Run`, as they are.
+_FIELDS = ("wall_time", "is_steered", "stopped", "step", "unresolved", "half_step")
+_OWN_BLOCKS = "has_own_blocks"
+
+
+def write_signals(path: Path, run: Run) -> None:
+    """Writes `signals.npz`, a signal at a time: not all of a long run are in memory."""
+    arrays = ((name, run.signals[name]) for name in run.signals)
+    _write(path, [(_TIME, run.time), (_ENTRIES, _entry_table(run))], arrays)
+
+
+def write_steps(path: Path, run: Run) -> None:
+    """Writes `steps.npz`."""
+    facts = {name: getattr(run, name) for name in _FIELDS}
+    facts[_OWN_BLOCKS] = run.replacements != {}
+    text = np.array(json.dumps(facts))
+    _write(path, [(_RUN, text)], ((name, run.steps[name]) for name in run.steps))
+
+
+def load_run(folder: Path | str, *, trust: bool = False) -> Run:
+    """The run whose results are in a folder; see `Run.load`."""
+    folder = Path(folder)
+    remedy = "give the folder of a run, with its scenario.yaml, signals.npz and steps.npz"
+    for name in (SCENARIO, SIGNALS, STEPS):
+        require((folder / name).is_file(), "run", folder / name, f"there is no such file; {remedy}")
+    scenario = parse_scenario(read_text(folder / SCENARIO, "run", remedy), "run", trust=trust)
+    signals, steps = (_read(folder / name) for name in (SIGNALS, STEPS))
+    try:
+        time, table = signals.pop(_TIME), signals.pop(_ENTRIES)
+        facts = json.loads(str(steps.pop(_RUN)))
+        known: dict[str, Any] = {name: facts[name] for name in _FIELDS}
+        has_own_blocks = facts[_OWN_BLOCKS]
+    except (KeyError, ValueError) as error:
+        raise ScenarioError(
+            f"run = {folder}: its files lack {one_line(error)}; fly the scenario again, "
+            f"`drake-nonstop run {folder / SCENARIO}`"
+        ) from None
+    if has_own_blocks:
+        text = f"run = {folder}: blocks that its scenario does not name were in the loop; its "
+        warnings.warn(f"{text}diagram is that of the scenario", ScenarioWarning, stacklevel=3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)  # they were told before it flew
+        diagram = make_nonstop(scenario)
+    known["unresolved"] = tuple(known["unresolved"])
+    return Run(
+        scenario=scenario,
+        diagram=diagram,
+        time=time,
+        signals=signals,
+        steps=steps,
+        solve_times=solve_times_of(steps),
+        replacements=None if has_own_blocks else {},
+        entries=_entries(table),
+        **known,
+    )
+
+
+def _write(
+    path: Path, first: Iterable[tuple[str, NDArray]], rest: Iterable[tuple[str, NDArray]]
+) -> None:
+    """What `np.savez_compressed` would write."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for arrays in (first, rest):
+            for name, values in arrays:
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, values, allow_pickle=False)
+
+
+def _read(path: Path) -> dict[str, NDArray]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return dict(archive)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ScenarioError(
+            f"run = {path}: it cannot be read ({one_line(error)}); fly the scenario again"
+        ) from None
+
+
+def _entry_table(run: Run) -> NDArray:
+    """The rows of `entries`."""
+    rows = [
+        (name, column, *entry)
+        for name in run.signals
+        for column, entry in enumerate(run.entries.get(name, ()))
+    ]
+    names = ("signal", "column", *Entry._fields)
+    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    table = np.empty(len(rows), dtype=[(n, c.dtype) for n, c in zip(names, columns, strict=True)])
+    for name, column in zip(names, columns, strict=True):
+        table[name] = column
+    return table
+
+
+def _entries(table: NDArray) -> Mapping[str, tuple[Entry, ...]]:
+    found: dict[str, tuple[Entry, ...]] = {}
+    for signal, _, *entry in table.tolist():
+        found[signal] = (*found.get(signal, ()), Entry(*entry))
+    return found

@@ -1,0 +1,133 @@
+"""A run that is read back from its folder, and its signals as columns."""
+
+import dataclasses
+import json
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from drake_nonstop import (
+    Run,
+    ScenarioError,
+    ScenarioWarning,
+    compute_metrics,
+    load_scenario,
+    simulate,
+    write_results,
+)
+from drake_nonstop.mechanics.signal_layouts import Layout, Part
+from drake_nonstop.simulation.run import UnknownSignalError
+from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.visualization.replay import record_replay
+
+BRIEF = ["simulation_duration=0.5"]
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """A run, and the folder that it is written to."""
+    folder = tmp_path_factory.mktemp("stored") / "run"
+    run = simulate(load_scenario("quintic", BRIEF))
+    write_results(run, folder, figures=False, replay=False)
+    return run, folder
+
+
+def test_it_is_as_if_it_had_just_flown(stored):
+    run, folder = stored
+    loaded = Run.load(folder)
+    for name in ("signals", "steps"):
+        values, expected = getattr(loaded, name), getattr(run, name)
+        assert list(values) == list(expected)
+        for key in expected:
+            np.testing.assert_array_equal(values[key], expected[key])
+    same = [field.name for field in dataclasses.fields(Run)]
+    for name in set(same) - {"signals", "steps", "diagram", "time", "solve_times"}:
+        assert getattr(loaded, name) == getattr(run, name), name
+    assert compute_metrics(loaded) == compute_metrics(run)
+    assert compute_metrics(loaded) == json.loads((folder / "metrics.json").read_text())
+    assert record_replay(loaded) == record_replay(run)
+
+
+def test_it_is_written_again_to_the_bit(stored, tmp_path):
+    _, folder = stored
+    write_results(Run.load(folder), tmp_path, figures=False, replay=False)
+    for name in ("scenario.yaml", "metrics.json", "signals.npz", "steps.npz"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def test_the_signals_file_tells_names_units_and_frames(stored):
+    run, folder = stored
+    with np.load(folder / "signals.npz") as archive:
+        table = archive["entries"]
+        sizes = {name: archive[name].shape[1] for name in run.signals}
+    rows = {name: table[table["signal"] == name] for name in sizes}
+    for name, size in sizes.items():
+        np.testing.assert_array_equal(rows[name]["column"], np.arange(size))
+    velocities = rows["carrier_dynamics.carrier_state"][12:]
+    assert velocities["name"][0] == "carrier_state.velocities.1.x"
+    assert set(velocities["unit"]) == {"m/s"}
+    assert set(velocities["frame"]) == {"W"}
+
+
+def test_a_run_with_blocks_of_ones_own_says_so(tmp_path):
+    class Clock(LeafBlock):
+        signal_layouts: ClassVar = {"hours": Layout(Part("", "1", "h"))}
+
+        def __init__(self, model):
+            super().__init__()
+            self.DeclareVectorOutputPort("hours", 1, self._calc, {self.time_ticket()})
+            self.DeclareVectorOutputPort("numbers", 2, self._calc_numbers)
+
+        def _calc(self, context, output):
+            output.SetAtIndex(0, context.get_time() / 3600)
+
+        def _calc_numbers(self, context, output):
+            output.SetFromVector([1.0, 2.0])
+
+    run = simulate(load_scenario("quintic", BRIEF), extra={"clock": Clock})
+    frame = run.to_pandas(["clock.hours", "numbers"])
+    assert list(frame.columns) == ["hours [h]", "numbers.1", "numbers.2"]
+    assert frame["hours [h]"].iloc[-1] == pytest.approx(0.5 / 3600)
+    write_results(run, tmp_path, figures=False, replay=False)
+    with pytest.warns(ScenarioWarning, match="blocks that its scenario does not name"):
+        loaded = Run.load(tmp_path)
+    assert loaded.replacements is None
+    assert list(loaded.columns(["clock.hours"])) == ["time [s]", "hours [h]"]
+    assert compute_metrics(loaded) == compute_metrics(run)
+
+
+def test_columns_and_frames_have_units(stored):
+    run, _ = stored
+    frame = run.to_pandas(["load_state.velocity", "carrier_state.positions.2.x", "tensions"])
+    assert frame.index.name == "time [s]"
+    labels = [f"load_state.velocity.{axis} [m/s]" for axis in "xyz"]
+    labels += ["carrier_state.positions.2.x [m]", *(f"tensions.{k} [N]" for k in (1, 2, 3, 4))]
+    assert list(frame.columns) == labels
+    assert frame.attrs["units"] == {label: label.partition("[")[2][:-1] for label in labels}
+    assert frame.attrs["frames"][labels[0]] == "W"
+    expected = run.signal("carrier_state")[:, 3]
+    np.testing.assert_array_equal(frame[labels[3]].to_numpy(), expected)
+    assert len(run.columns()) == 1 + sum(values.shape[1] for values in run.signals.values())
+    with pytest.raises(UnknownSignalError, match=r"signal = load_state.speed: give a port"):
+        run.columns(["load_state.speed"])
+
+
+def test_a_run_is_shown_in_one_line(stored):
+    assert repr(stored[0]) == "<Run of quintic: 0.5 s, 29 signals>"
+    stopped = dataclasses.replace(stored[0], stopped="the run diverged")
+    assert repr(stopped) == "<Run of quintic: 0.5 s, 29 signals, stopped: the run diverged>"
+
+
+def test_what_is_no_run_is_refused(stored, tmp_path):
+    _, folder = stored
+    with pytest.raises(ScenarioError, match=r"run = .*scenario.yaml: there is no such file; give"):
+        Run.load(tmp_path)
+    for name in ("scenario.yaml", "signals.npz", "steps.npz"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    (tmp_path / "steps.npz").write_bytes(b"nothing")
+    with pytest.raises(ScenarioError, match=r"steps.npz: it cannot be read"):
+        Run.load(tmp_path)
+    np.savez(tmp_path / "steps.npz", time=[0.0])
+    with pytest.raises(ScenarioError, match=r"its files lack .*fly the scenario again"):
+        Run.load(tmp_path)
