@@ -1,0 +1,69 @@
+"""`drake-nonstop export`: a run in the files of other tools."""
+
+import argparse
+from pathlib import Path
+
+from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.simulation.run import Run
+from drake_nonstop.studies.files import require_writable
+from drake_nonstop.validation import require
+
+_FILES = {
+    "csv": "signals.csv",
+    "parquet": "signals.parquet",
+    "mcap": "run.mcap",
+    "rerun": "run.rrd",
+}
+_TABLES = ("csv", "parquet")
+
+
+def add_to(commands: Commands) -> None:
+    """Adds the subcommand."""
+    parser = commands.add_parser(
+        "export",
+        help="write a run as CSV, Parquet, a bag of ROS 2 messages, or a recording of Rerun",
+        description="Writes the signals of a run, from the folder with its results. Columns of CSV "
+        "and Parquet have their units in their names; a bag (MCAP) has Odometry, WrenchStamped and "
+        "PoseArray messages of ROS 2; a recording of Rerun has the motion in space and plots.",
+        epilog="All but CSV need an extra: pip install 'drake-nonstop[export]'.",
+    )
+    parser.set_defaults(action=_export)
+    parser.add_argument("run", type=Path, metavar="RUN", help="the folder with a run's results")
+    parser.add_argument("--to", choices=_FILES, required=True, help="what to write")
+    parser.add_argument(
+        "--signal",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="of a table: this one, or with more of these those, such as carrier_state (all)",
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="(in RUN, such as signals.csv)")
+    add_trust(parser)
+
+
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """Adds --trust, of a run whose scenario is read back."""
+    parser.add_argument(
+        "--trust", action="store_true", help="let the run's scenario import blocks of your own"
+    )
+
+
+def _export(options: argparse.Namespace) -> int:
+    # Imported here: other commands need none of it.
+    from drake_nonstop.studies.exports.rerun_recording import write_rerun
+    from drake_nonstop.studies.exports.ros_bag import write_mcap
+    from drake_nonstop.studies.exports.tables import write_csv, write_parquet
+
+    remedy = "leave it out: it is for csv and parquet; all else has its own signals"
+    require(options.to in _TABLES or not options.signal, "--signal", options.signal, remedy)
+    file: Path = options.out or options.run / _FILES[options.to]
+    run = Run.load(options.run, trust=options.trust)
+    require_writable(file.parent, [file.name])
+    if options.to in _TABLES:
+        write_table = write_csv if options.to == "csv" else write_parquet
+        write_table(run, file, options.signal)
+    else:
+        write = write_mcap if options.to == "mcap" else write_rerun
+        write(run, file)
+    print(f"written: {file}")
+    return 0

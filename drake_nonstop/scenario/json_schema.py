@@ -1,0 +1,109 @@
+"""A JSON Schema of scenario files, by which editors complete fields and mark what is wrong.
+
+JSON Schema knows no YAML tags: a box has the fields of all blocks that it can be, each with the
+names of those. What a field means and its unit are its description.
+"""
+
+import dataclasses
+import math
+import types
+import typing
+from typing import Any
+
+from drake_nonstop.scenario.loading import scenario_names
+from drake_nonstop.scenario.schema import CHOICES, Scenario
+from drake_nonstop.scenario.tree import block_name
+from drake_nonstop.systems.field_comments import meanings
+
+_PLAIN = {float: "number", int: "integer", bool: "boolean", str: "string"}
+_DISTRIBUTION = {"type": "object"}  # a tag with a mapping, in the place of a number
+
+Schema = dict[str, Any]
+
+
+def scenario_schema() -> Schema:
+    """The schema of a file with one scenario under its name."""
+    scenario = _object(Scenario)
+    scenario["properties"]["based_on"] = {
+        "type": "string",
+        "description": "a scenario's name or file, whose fields count where this one has none",
+        "examples": scenario_names(),
+    }
+    for name in CHOICES:
+        scenario["properties"][name] = _box(name)
+    return {
+        "$schema": "http://json-schema.org/draft-07/schema#",
+        "title": "drake_nonstop scenario",
+        "type": "object",
+        "minProperties": 1,
+        "maxProperties": 1,
+        "additionalProperties": scenario,
+    }
+
+
+def custom_tags() -> list[str]:
+    """The tags of blocks, as the setting `yaml.customTags` of YAML's language server takes them."""
+    blocks = (block_name(config) for configs in CHOICES.values() for config in configs)
+    return sorted({f"!{block} mapping" for block in blocks})
+
+
+def _box(name: str) -> Schema:
+    """A box, or the pattern, with the fields of all that it can be."""
+    properties: dict[str, Schema] = {}
+    for config in CHOICES[name]:
+        block = block_name(config)
+        for key, found in _object(config)["properties"].items():
+            known = properties.setdefault(key, {"anyOf": []})
+            alternative = {k: v for k, v in found.items() if k not in ("description", "default")}
+            if alternative not in known["anyOf"]:
+                known["anyOf"].append(alternative)
+            about = f"{block}: {found.get('description', '')}".removesuffix(": ")
+            known["description"] = "; ".join(filter(None, [known.get("description"), about]))
+    blocks = ", ".join(f"!{block_name(config)}" for config in CHOICES[name])
+    return {
+        "anyOf": [
+            {"type": "object", "properties": properties, "additionalProperties": False},
+            {"type": "null"},
+        ],
+        "description": f"one of {blocks}",
+    }
+
+
+def _object(config: type) -> Schema:
+    """The schema of a dataclass."""
+    about, kinds = meanings(config), typing.get_type_hints(config)
+    properties = {}
+    for field in dataclasses.fields(config):
+        if field.name.startswith("_"):
+            continue
+        properties[field.name] = _of(kinds[field.name])
+        if about.get(field.name):
+            properties[field.name]["description"] = about[field.name]
+        if _is_shown(field.default):
+            properties[field.name]["default"] = field.default
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _is_shown(default: Any) -> bool:
+    """Whether a default has a form in JSON."""
+    if isinstance(default, float):
+        return math.isfinite(default)
+    return isinstance(default, (bool, int, str))
+
+
+def _of(kind: Any) -> Schema:
+    """The schema of a field's type."""
+    if kind in (float, int):
+        return {"anyOf": [{"type": _PLAIN[kind]}, _DISTRIBUTION]}
+    if kind in _PLAIN:
+        return {"type": _PLAIN[kind]}
+    if dataclasses.is_dataclass(kind):
+        return _object(typing.cast(type, kind))
+    if kind is type(None):
+        return {"type": "null"}
+    arguments = typing.get_args(kind)
+    if typing.get_origin(kind) is list:
+        return {"anyOf": [{"type": "array", "items": _of(arguments[0])}, _DISTRIBUTION]}
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        return {"anyOf": [_of(argument) for argument in arguments]}
+    return {}  # Drake's own, such as SimulatorConfig, and mappings

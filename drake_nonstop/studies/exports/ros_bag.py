@@ -1,0 +1,181 @@
+"""A run as a bag of ROS 2 messages in an MCAP file, which needs no ROS to be written or read.
+
+| topic | type | what it is |
+| --- | --- | --- |
+| /load/odometry | nav_msgs/msg/Odometry | the load: pose in `world`, twist in `load` |
+| /load/reference | nav_msgs/msg/Odometry | the desired motion, twist in `desired` |
+| /load/wrench | geometry_msgs/msg/WrenchStamped | what the controller asks for, in `world` |
+| /load/disturbance | geometry_msgs/msg/WrenchStamped | the disturbance, in `world` |
+| /carriers | geometry_msgs/msg/PoseArray | the carriers in `world`, along their velocities |
+| /carriers/K/odometry | nav_msgs/msg/Odometry | one of them, twist along its own axes |
+| /cables/K/force | geometry_msgs/msg/WrenchStamped | the force of a cable on the load, in `world` |
+
+Stamps are the simulated time. A carrier's x axis points along its velocity, its y axis to the left
+and level; its bank is not shown.
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.signals import CarrierStates, LoadState, Wrench
+from drake_nonstop.simulation.run import Run
+from drake_nonstop.studies.files import replacing_file
+from drake_nonstop.validation import require_installed
+
+WORLD, LOAD, DESIRED = "world", "load", "desired"
+
+# The fields of each type, as ROS 2 has them, with those of the types that they are made of.
+_PARTS = {
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
+    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
+    "geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque",
+}
+_TYPES = {
+    "nav_msgs/msg/Odometry": "std_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist",
+    "geometry_msgs/msg/WrenchStamped": "std_msgs/Header header\ngeometry_msgs/Wrench wrench",
+    "geometry_msgs/msg/PoseArray": "std_msgs/Header header\ngeometry_msgs/Pose[] poses",
+}
+_ODOMETRY, _WRENCH, _POSES = _TYPES
+_NO_COVARIANCE = [0.0] * 36
+
+Message = dict[str, Any]
+
+
+def write_mcap(run: Run, path: Path) -> None:
+    """Writes the bag.
+
+    Args:
+        run: what to write.
+        path: of the file.
+
+    Raises:
+        ScenarioError: the package `mcap-ros2-support` is not installed, or the file cannot be
+            written.
+    """
+    require_installed("export", mcap_ros2="drake-nonstop[export]")
+    from mcap_ros2.writer import Writer
+
+    topics = list(_topics(run))
+    with replacing_file(path) as file, Writer(file) as writer:
+        schemas = {name: writer.register_msgdef(name, _definition(name)) for name in _TYPES}
+        writer.add_metadata("drake_nonstop", {"scenario": run.scenario.name})
+        for i, time in enumerate(run.time.tolist()):
+            nanoseconds = round(1e9 * time)
+            stamp = {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+            for topic, kind, frame, message in topics:
+                header = {"stamp": stamp, "frame_id": frame}
+                content = {"header": header, **message(i)}
+                writer.write_message(topic, schemas[kind], content, nanoseconds, nanoseconds, i)
+
+
+def _definition(name: str) -> str:
+    """The text of a type with those of its parts."""
+    texts, open_names = [_TYPES[name]], [_TYPES[name]]
+    known: list[str] = []
+    while open_names:
+        for line in open_names.pop().splitlines():
+            part = line.split()[0].removesuffix("[]")
+            if part in _PARTS and part not in known:
+                known.append(part)
+                open_names.append(_PARTS[part])
+    texts += [f"MSG: {part}\n{_PARTS[part]}" for part in known]
+    return f"\n{80 * '='}\n".join(texts)
+
+
+def _topics(run: Run) -> Iterator[tuple[str, str, str, Callable[[int], Message]]]:
+    """Topic, type, frame, and what makes the message of a sample."""
+    for topic, port, child in (
+        ("/load/odometry", "load_state", LOAD),
+        ("/load/reference", "reference", DESIRED),
+    ):
+        state = LoadState.view(run.signal(port))
+        yield topic, _ODOMETRY, WORLD, _odometry(state, child)
+    ports = {name.partition(".")[2] for name in run.signals}
+    for topic, port in (("/load/wrench", "wrench"), ("/load/disturbance", "disturbance_wrench")):
+        if port in ports:
+            yield topic, _WRENCH, WORLD, _wrench(Wrench.view(run.signal(port)))
+    positions, velocities = CarrierStates.view(run.signal("carrier_state"))
+    attitudes = _along(velocities)
+    yield (
+        "/carriers",
+        _POSES,
+        WORLD,
+        lambda i: {"poses": [_pose(p, q) for p, q in zip(positions[i], attitudes[i], strict=True)]},
+    )
+    zero = np.zeros((len(run.time), 3))
+    for k in range(positions.shape[1]):
+        motion = LoadState(attitudes[:, k], positions[:, k], zero, velocities[:, k])
+        yield f"/carriers/{k + 1}/odometry", _ODOMETRY, WORLD, _odometry(motion, f"carrier_{k + 1}")
+    if "cable_forces" in ports:
+        forces = run.signal("cable_forces").reshape(len(run.time), -1, 3)
+        for k in range(forces.shape[1]):
+            force = _wrench(Wrench(zero, forces[:, k]))
+            yield f"/cables/{k + 1}/force", _WRENCH, WORLD, force
+
+
+def _odometry(state: LoadState, child: str) -> Callable[[int], Message]:
+    """With the twist in the axes of the child's frame, as ROS has it."""
+    linear, angular = (
+        _turned_back(state.quaternion, vectors)
+        for vectors in (state.velocity, state.angular_velocity)
+    )
+
+    def message(i: int) -> Message:
+        twist = {"linear": _vector(linear[i]), "angular": _vector(angular[i])}
+        pose = _pose(state.position[i], state.quaternion[i])
+        return {
+            "child_frame_id": child,
+            "pose": {"pose": pose, "covariance": _NO_COVARIANCE},
+            "twist": {"twist": twist, "covariance": _NO_COVARIANCE},
+        }
+
+    return message
+
+
+def _wrench(wrench: Wrench) -> Callable[[int], Message]:
+    return lambda i: {
+        "wrench": {"force": _vector(wrench.force[i]), "torque": _vector(wrench.torque[i])}
+    }
+
+
+def _pose(position: NDArray, quaternion: NDArray) -> Message:
+    w, x, y, z = quaternion.tolist()
+    return {"position": _vector(position), "orientation": {"x": x, "y": y, "z": z, "w": w}}
+
+
+def _vector(values: NDArray) -> Message:
+    return dict(zip("xyz", values.tolist(), strict=True))
+
+
+def _turned_back(quaternions: NDArray, vectors: NDArray) -> NDArray:
+    """Components (k, 3) of vectors (k, 3) in frames whose quaternions (k, 4) are w x y z."""
+    w, axis = quaternions[:, :1], -quaternions[:, 1:]
+    found: NDArray = vectors + 2 * np.cross(axis, np.cross(axis, vectors) + w * vectors)
+    return found
+
+
+def _along(velocities: NDArray) -> NDArray:
+    """The quaternions (k, n, 4), w x y z, whose x axis is along velocities (k, n, 3), y level."""
+    east, north, up = np.moveaxis(velocities, -1, 0)
+    yaw, pitch = np.arctan2(north, east) / 2, -np.arctan2(up, np.hypot(east, north)) / 2
+    return np.stack(
+        [
+            np.cos(yaw) * np.cos(pitch),
+            -np.sin(yaw) * np.sin(pitch),
+            np.cos(yaw) * np.sin(pitch),
+            np.sin(yaw) * np.cos(pitch),
+        ],
+        axis=-1,
+    )

@@ -1,0 +1,83 @@
+"""The JSON Schema of scenario files: all shipped ones keep it, and misspelled fields do not."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+import drake_nonstop.diagrams
+from drake_nonstop.cli.main import main
+from drake_nonstop.scenario.commented import commented_scenario
+from drake_nonstop.scenario.json_schema import custom_tags, scenario_schema
+from drake_nonstop.scenario.loading import load_scenario, scenario_names
+
+FOLDER = Path(drake_nonstop.diagrams.__file__).parent / "scenarios"
+
+
+class Untagged(yaml.SafeLoader):
+    """Reads tagged mappings as plain ones, as an editor does."""
+
+
+def plain(loader, suffix, node):
+    if isinstance(node, yaml.MappingNode):
+        return loader.construct_mapping(node, deep=True)
+    return loader.construct_scalar(node) or {}
+
+
+Untagged.add_multi_constructor("!", plain)
+
+
+@pytest.fixture(scope="module")
+def faults():
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads(json.dumps(scenario_schema()))
+    jsonschema.Draft7Validator.check_schema(schema)
+    validator = jsonschema.Draft7Validator(schema)
+    return lambda text: list(validator.iter_errors(yaml.load(text, Untagged)))
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_shipped_scenarios_keep_it(faults, name):
+    assert faults((FOLDER / f"{name}.yaml").read_text()) == []
+
+
+@pytest.mark.parametrize("name", ["quintic", "aircraft_transfer_rising_wind"])
+def test_scenarios_with_every_field_keep_it(faults, name):
+    assert faults(commented_scenario(load_scenario(name), "mine")) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: {system: {load_mas: 1}}",
+        "a: {sistem: {}}",
+        "a: {phase: !ShapedPhase {bandwith: 3}}",
+        "a: {control_period: fast}",
+        "a: {system: {attachments: [[1, 2, three]]}}",
+        "a: {}\nb: {}",
+    ],
+)
+def test_what_is_misspelled_does_not(faults, text):
+    assert faults(text)
+
+
+def test_distributions_keep_it(faults):
+    assert faults("a: {system: {load_mass: !Uniform {min: 0.5, max: 1.0}}}") == []
+
+
+def test_fields_have_units_and_blocks():
+    fields = next(iter([scenario_schema()["additionalProperties"]["properties"]]))
+    assert fields["control_period"]["description"].startswith("s, sample time")
+    phase = fields["phase"]["anyOf"][0]["properties"]
+    assert phase["bandwidth"]["description"] == "ShapedPhase: rad/s, of each of three equal poles"
+    assert "!ShapedPhase, !AccumulatedPhase" in fields["phase"]["description"]
+    assert "!ShapedPhase mapping" in custom_tags()
+
+
+def test_the_command_writes_it(tmp_path, capsys):
+    assert main(["schema", "--out", str(tmp_path / "s.json")]) == 0
+    assert json.loads((tmp_path / "s.json").read_text()) == scenario_schema()
+    capsys.readouterr()
+    assert main(["schema", "--tags"]) == 0
+    assert json.loads(capsys.readouterr().out) == custom_tags()
