@@ -45,6 +45,7 @@ from drake_nonstop.simulation.aircraft_margins import (
     FlightMargin,
     aircraft_margins,
 )
+from drake_nonstop.simulation.make_gym_env import make_gym_env
 from drake_nonstop.simulation.make_simulator import make_simulator
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.outcome import RunOutcome
@@ -58,7 +59,7 @@ from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
-from drake_nonstop.systems.energy import kinetic_energy, potential_energy
+from drake_nonstop.systems.energy import LoopDiagram, kinetic_energy, potential_energy
 from drake_nonstop.systems.point_forces import PointForces
 from drake_nonstop.systems.traced_block import Equations, TracedBlock
 from drake_nonstop.systems.wiring import connect_by_name
@@ -71,6 +72,7 @@ from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer, show_in
 from drake_nonstop.visualization.progress import RunProgress, TaskProgress
 from drake_nonstop.visualization.replay import record_replay
+from drake_nonstop.visualization.rich_display import diagram_html, run_html, sweep_html
 
 __all__ = [  # noqa: RUF022 - in the order of the figure
     # what a run is
@@ -114,6 +116,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "AircraftMargins",
     "FlightMargin",
     "make_simulator",
+    "make_gym_env",
     "verify_step",
     "StepAction",
     "StepCheck",
@@ -162,6 +165,10 @@ for _block in (block for box in BOXES.values() for block in box.variants):
     for _name in (_block.__name__, f"{_block.__name__}Config"):
         globals()[_name] = getattr(sys.modules[_block.__module__], _name)
         __all__ += [_name]
+
+# How notebooks show them: figures are drawn in a room above that of runs.
+for _shown, _html in ((Run, run_html), (Sweep, sweep_html), (LoopDiagram, diagram_html)):
+    setattr(_shown, "_repr_html_", _html)  # noqa: B010 - for type checkers it is no attribute
 
 if TYPE_CHECKING:
 

@@ -1,0 +1,156 @@
+"""The loop as an environment of Gymnasium, by Drake's DrakeGymEnv; `make_gym_env` makes it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.gym import DrakeGymEnv
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
+
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    LOAD_STATE_SIZE,
+    WRENCH_SIZE,
+    CarrierStates,
+    LoadReference,
+    LoadState,
+)
+from drake_nonstop.model.system import Model
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.systems.tracing import NotFiniteError
+
+PARAMETERS, WRENCH = "parameters", "wrench"  # what may be the action
+_ACTIONS, _OBSERVATIONS = "actions", "observations"
+_OBSERVED = ("load_state", "reference", "carrier_state")
+
+Reward = Callable[[NDArray, NDArray], float]  # of observation and action
+
+
+class NonstopEnv(DrakeGymEnv):
+    """The loop of a scenario, whose optimization layer or wrench controller is the agent.
+
+    See `drake_nonstop.make_gym_env`.
+    """
+
+    def __init__(self, scenario: Scenario, action: str, time_step: float, reward: Reward | None):
+        model = Model(scenario.system, scenario.pattern, scenario.control_period)
+        self._scenario, self._n = scenario, model.n
+        self._resting = _resting_action(scenario, model, action)
+        self._judge = reward or self._default_reward
+        diagram, self._loop = _diagram(scenario, action, model.n)
+        simulator = Simulator(diagram)
+        ApplySimulatorConfig(scenario.simulator_config, simulator)
+        size = LOAD_STATE_SIZE + LOAD_REFERENCE_SIZE + 6 * model.n
+        super().__init__(
+            simulator=simulator,
+            time_step=time_step,
+            action_space=_action_space(scenario, model, action),
+            observation_space=gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64),
+            reward=lambda system, context: 0.0,
+            action_port_id=_ACTIONS,
+            observation_port_id=_OBSERVATIONS,
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray, dict[str, Any]]:
+        """Starts at the equilibrium under the scenario's own action; nothing of it is random."""
+        gymnasium.Env.reset(self, seed=seed)
+        simulator = self.simulator
+        simulator.reset_context(simulator.get_system().CreateDefaultContext())
+        context = simulator.get_mutable_context()
+        self.action_port.FixValue(context, self._resting)
+        set_equilibrium(self._loop, self._loop.GetMyMutableContextFromRoot(context))
+        simulator.Initialize()
+        return self._observation(), {}
+
+    def step(self, action: NDArray) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
+        """Flies on for `time_step` s under an action.
+
+        The episode is truncated at the scenario's `simulation_duration`. It is terminated by a
+        divergence, with the last finite observation, a reward of -1000 and the `message` in the
+        info, and where a block ends the run, such as a stall.
+        """
+        before = self._observation()
+        try:
+            observation, _, terminated, truncated, info = super().step(
+                np.asarray(action, dtype=float)
+            )
+        except NotFiniteError as error:
+            return before, _DIVERGED, True, False, {"message": str(error)}
+        time = self.simulator.get_context().get_time()
+        is_over = time >= self._scenario.simulation_duration - 1e-9
+        reward = float(self._judge(observation, np.asarray(action)))
+        return observation.copy(), reward, bool(terminated), bool(truncated or is_over), info
+
+    def _observation(self) -> NDArray:
+        values: NDArray = self.observation_port.Eval(self.simulator.get_context())
+        return values.copy()
+
+    def _default_reward(self, observation: NDArray, action: NDArray) -> float:
+        """Minus the load's error by the cable's length, and what the slowest carrier lacks of ε."""
+        load, reference, carriers = np.split(
+            observation, np.cumsum([LOAD_STATE_SIZE, LOAD_REFERENCE_SIZE])
+        )
+        error = LoadState.view(load).position - LoadReference.view(reference).position
+        slowest = np.linalg.norm(CarrierStates.view(carriers).velocities, axis=1).min()
+        bound = self._scenario.speed_bound
+        lacking = max(0.0, 1 - slowest / bound) if bound > 0 else 0.0
+        return -float(np.linalg.norm(error)) / self._scenario.system.cable_length - lacking
+
+
+_DIVERGED = -1000.0  # the reward
+
+
+def _diagram(scenario: Scenario, action: str, n: int) -> tuple[Diagram, Diagram]:
+    """A diagram with the ports of the environment, and the loop inside of it."""
+    if action == PARAMETERS:
+        loop = make_nonstop(scenario, optimization_layer=None, inputs=[PARAMETERS])
+    else:
+        inputs = [WRENCH, "wrench_rate"]
+        loop = make_nonstop(scenario, wrench_controller=None, inputs=inputs)
+    builder = DiagramBuilder()
+    builder.AddSystem(loop)
+    builder.ExportInput(loop.GetInputPort(action), _ACTIONS)
+    if action == WRENCH:  # which is held from step to step
+        rate = builder.AddSystem(ConstantVectorSource(np.zeros(WRENCH_SIZE)))
+        builder.Connect(rate.get_output_port(), loop.GetInputPort("wrench_rate"))
+    observed = builder.AddSystem(Multiplexer([LOAD_STATE_SIZE, LOAD_REFERENCE_SIZE, 6 * n]))
+    for i, name in enumerate(_OBSERVED):
+        builder.Connect(loop.GetOutputPort(name), observed.get_input_port(i))
+    builder.ExportOutput(observed.get_output_port(), _OBSERVATIONS)
+    return builder.Build(), loop
+
+
+def _resting_action(scenario: Scenario, model: Model, action: str) -> NDArray:
+    """The layer's initial ξ and A, or the wrench that carries the weight."""
+    if action == PARAMETERS:
+        layer = scenario.optimization_layer
+        return np.array([layer.frequency, layer.amplitude])
+    weight = model.load.mass * model.load.gravity
+    return np.array([0.0, 0.0, 0.0, 0.0, 0.0, float(np.squeeze(weight))])
+
+
+def _action_space(scenario: Scenario, model: Model, action: str) -> gymnasium.spaces.Box:
+    """The bounds of ξ and A, or of torque and force, by the load's weight."""
+    resting = _resting_action(scenario, model, action)
+    if action == PARAMETERS:
+        layer = scenario.optimization_layer
+        bounds = [
+            getattr(layer, f"{name}_bounds", None) or [0.5 * value, 2 * value]
+            for name, value in zip(("frequency", "amplitude"), resting.tolist(), strict=True)
+        ]
+        low, high = np.array(bounds).T
+        return gymnasium.spaces.Box(low, high, dtype=np.float64)
+    force = resting[-1]
+    reach = float(np.max(np.linalg.norm(model.attachments, axis=1)))
+    most = np.array([*3 * [force * reach], *3 * [force]])
+    least = -most
+    least[-1], most[-1] = 0.0, 2 * force
+    return gymnasium.spaces.Box(least, most, dtype=np.float64)

@@ -1,0 +1,49 @@
+"""How runs, sweeps and loops are shown in notebooks; `drake_nonstop.public` assigns it."""
+
+import base64
+import html
+import io
+from pathlib import Path
+from typing import Any
+
+from pydrake.systems.framework import Diagram
+
+from drake_nonstop.simulation.metrics import compute_metrics, metrics_table
+from drake_nonstop.simulation.run import Run
+from drake_nonstop.visualization.drawing import draw_diagram
+from drake_nonstop.visualization.run_figures import make_figure
+
+_FIGURE = "carrier_speeds"
+_MOST_ROWS = 8
+
+
+def run_html(run: Run) -> str:
+    """A run's table of metrics beside the figure of its carriers' speeds."""
+    if len(run.time) == 0:
+        return _preformatted(repr(run))
+    table = metrics_table(compute_metrics(run))
+    file = io.BytesIO()
+    make_figure(run, _FIGURE).savefig(file, format="png", dpi=90)
+    picture = base64.b64encode(file.getvalue()).decode()
+    return (
+        f"{_preformatted(repr(run))}{_preformatted(table)}"
+        f'<img alt="Carrier speeds" src="data:image/png;base64,{picture}"/>'
+    )
+
+
+def diagram_html(diagram: Diagram) -> str:
+    """A loop's diagram as it is drawn."""
+    drawing = draw_diagram(diagram)
+    return drawing[drawing.index("<svg") :]
+
+
+def sweep_html(done: Any) -> str:
+    """How many runs of a sweep had each ending, its errors, and where its table is."""
+    endings = ", ".join(f"{count} {ending}" for ending, count in done.endings.items())
+    errors = sorted(done.errors.items(), key=lambda item: -item[1])[:_MOST_ROWS]
+    lines = [endings, *(f"{count} x {ending}: {text}" for (ending, text), count in errors)]
+    return _preformatted("\n".join([*lines, f"table: {Path(done.table)}"]))
+
+
+def _preformatted(text: str) -> str:
+    return f'<pre style="font-size: 85%; line-height: 1.3">{html.escape(text)}</pre>'

@@ -1,0 +1,85 @@
+"""The loop as an environment: Gymnasium's own check, the loop's own flight, divergence."""
+
+import numpy as np
+import pytest
+
+from drake_nonstop import ScenarioError, load_scenario, make_gym_env, simulate
+
+pytest.importorskip("gymnasium")
+BRIEF = ["simulation_duration=0.6"]
+
+
+@pytest.mark.parametrize("action", ["parameters", "wrench"])
+def test_it_is_an_environment(action):
+    from gymnasium.utils.env_checker import check_env
+
+    env = make_gym_env(load_scenario("quintic", BRIEF), action=action)
+    check_env(env, skip_render_check=True)
+
+
+def test_constant_parameters_fly_as_the_loop_does():
+    scenario = load_scenario("three_carriers", [*BRIEF, "optimization_layer=ConstantParameters"])
+    env = make_gym_env(scenario, time_step=0.2)
+    action = [scenario.optimization_layer.frequency, scenario.optimization_layer.amplitude]
+    first, _ = env.reset()
+    observations, ends = [first], []
+    for _ in range(3):
+        observation, reward, terminated, truncated, _ = env.step(np.array(action))
+        observations.append(observation)
+        ends.append((terminated, truncated))
+        assert -0.01 < reward <= 0
+    assert ends == [(False, False), (False, False), (False, True)]
+    run = simulate(scenario)
+    signals = [run.signal(name) for name in ("load_state", "reference", "carrier_state")]
+    flown = np.hstack(signals)[[0, 20, 40, 60]]
+    np.testing.assert_allclose(observations, flown, atol=1e-6)
+    again, _ = env.reset()
+    np.testing.assert_array_equal(again, first)
+
+
+def test_a_divergence_ends_the_episode():
+    env = make_gym_env(load_scenario("quintic"), action="wrench")
+    env.reset()
+    push = np.array([0.0, 0.0, 0.0, 9.8, 9.8, 0.0])
+    for _ in range(50):
+        observation, reward, terminated, truncated, info = env.step(push)
+        if terminated:
+            break
+    assert (terminated, truncated) == (True, False)
+    assert reward == -1000
+    assert np.isfinite(observation).all()
+    assert "not finite" in info["message"]
+    observation, _ = env.reset()
+    assert not env.step(np.array([0, 0, 0, 0, 0, 9.81]))[2]
+
+
+def test_slow_carriers_cost_reward_and_a_reward_may_be_given():
+    slow = load_scenario("quintic", BRIEF)
+    env = make_gym_env(slow)
+    env.reset()
+    low = env.action_space.low
+    for _ in range(5):
+        reward = env.step(low)[1]
+    assert reward < -0.05
+    env = make_gym_env(slow, reward=lambda observation, action: float(action[0]))
+    env.reset()
+    assert env.step(low)[1] == low[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"action": "thrust"}, "action = thrust"),
+        ({"time_step": 0.0}, "make_gym_env.time_step = 0.0: give a finite number"),
+        ({"reward": 3}, "reward = 3: give a function"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(arguments, said):
+    with pytest.raises(ScenarioError, match=said):
+        make_gym_env(load_scenario("quintic"), **arguments)
+
+
+def test_without_gymnasium_the_extra_is_named(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ScenarioError, match=r"pip install 'drake-nonstop\[gym\]'"):
+        make_gym_env(load_scenario("quintic"))

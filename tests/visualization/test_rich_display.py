@@ -1,0 +1,33 @@
+"""How notebooks show runs, sweeps and loops."""
+
+import re
+
+import pytest
+
+from drake_nonstop import SweepSpec, load_scenario, make_nonstop, simulate, sweep
+from drake_nonstop.studies.run_all import SerialExecutor
+
+BRIEF = ["simulation_duration=0.2"]
+
+
+def test_a_run_shows_its_metrics_and_a_figure():
+    shown = simulate(load_scenario("quintic", BRIEF))._repr_html_()
+    assert "&lt;Run of quintic: 0.2 s, 29 signals&gt;" in shown
+    assert "carrier speed" in shown
+    assert re.search(r'src="data:image/png;base64,[A-Za-z0-9+/]{5000,}', shown)
+
+
+def test_a_loop_shows_its_drawing():
+    shown = make_nonstop(load_scenario("quintic"))._repr_html_()
+    assert shown.startswith("<svg")
+    assert 'data-block="optimization_layer"' in shown
+
+
+def test_a_sweep_shows_its_endings(tmp_path):
+    pytest.importorskip("pyarrow")
+    spec = SweepSpec(grid={"system.load_mass": [1.0, -1.0]})
+    done = sweep(load_scenario("quintic", BRIEF), spec, tmp_path, executor=SerialExecutor())
+    shown = done._repr_html_()
+    assert "1 completed, 1 unbuildable" in shown
+    assert "1 x unbuildable: system.load_mass = -1.0" in shown
+    assert "runs.parquet" in shown
