@@ -1,13 +1,15 @@
 # make demo: environment, install, one run. make check: lint and types.
 # make test: all tests. make quick: without whole runs, processes and browsers; within a minute.
 # make adversary: 2000 bad and extreme inputs, signals and kills; COUNT=200 SEED=1 for others.
+# make docs: the documentation, in site/.
 # make pictures: those of the README; needs Chromium (on Debian: apt-get install chromium).
+# make release: source distribution and wheel in dist/, both checked.
 # make lowest: the unit tests with the lowest versions that pyproject.toml names.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test quick check adversary pictures clean
+.PHONY: demo test quick check adversary pictures release clean
 
 demo: $(VENV)/.installed
 	$(BIN)/drake-nonstop run quintic
@@ -32,7 +34,21 @@ adversary: $(VENV)/.installed-dev
 	cd tests && ../$(BIN)/python -m adversary --count $(COUNT) --seed $(SEED)
 
 pictures: $(VENV)/.installed-dev
-	$(BIN)/drake-nonstop pictures --out examples/pictures
+	$(BIN)/drake-nonstop pictures --out docs/pictures
+
+# Both distributions, checked: the quick tests in the unpacked source, a run by the installed wheel.
+release: $(VENV)/.installed-dev
+	$(BIN)/pip install --quiet --editable '.[release]'
+	rm -rf dist build/release
+	$(BIN)/python -m build --outdir dist
+	$(BIN)/twine check --strict dist/*
+	mkdir -p build/release
+	tar -xf dist/*.tar.gz -C build/release
+	cd build/release/drake_nonstop-* && OPENBLAS_NUM_THREADS=1 \
+	  "$(CURDIR)/$(BIN)/python" -m pytest -q -n 2 --dist worksteal -m "not slow"
+	$(PYTHON) -m venv build/release/venv
+	build/release/venv/bin/pip install --quiet dist/*.whl
+	cd build/release && venv/bin/drake-nonstop run quintic --set simulation_duration=1
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
@@ -68,3 +84,12 @@ $(LOWEST)/.installed: pyproject.toml
 
 clean:
 	rm -rf $(VENV) $(LOWEST) out
+
+# The documentation, in site/: open site/index.html.
+.PHONY: docs
+docs: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+
+$(VENV)/.installed-docs: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/pip install --quiet --editable '.[docs]'
+	@touch $@

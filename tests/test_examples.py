@@ -1,4 +1,4 @@
-"""Every example's main(), and every Python block of the README, runs."""
+"""Every example's main(), and every block of code in README and documentation, runs."""
 
 import dataclasses
 import importlib.util
@@ -12,19 +12,22 @@ import pytest
 
 import drake_nonstop
 from drake_nonstop.cli.main import main
+from drake_nonstop.cli.parser import make_parser
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-README_BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-FILES = [code for code in README_BLOCKS if code.startswith("# ")]  # and the file's name
-SCRIPTS = [code for code in README_BLOCKS if code not in FILES]
+PAGES = {
+    path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+}
+BLOCKS = {name: re.findall(r"```python\n(.*?)```", text, re.DOTALL) for name, text in PAGES.items()}
+WITH_CODE = [name for name, blocks in BLOCKS.items() if blocks]
+COMMANDS = {name: re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for name, text in PAGES.items()}
 
 
 def test_there_are_examples_and_blocks():
     assert EXAMPLES
-    assert len(SCRIPTS) >= 2
-    assert len(FILES) == 1
+    assert len(WITH_CODE) >= 9
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
@@ -53,21 +56,56 @@ def shared_simulate(shared_runs, monkeypatch):
     monkeypatch.setattr(drake_nonstop, "simulate", shared)
 
 
+def file_name(code):
+    """The name of the file that a block is, by its first line; empty: it is a script."""
+    match = re.match(r"# (\w+\.py)\n", code)
+    return match[1] if match else ""
+
+
 @pytest.mark.usefixtures("shared_simulate")
-@pytest.mark.parametrize("code", SCRIPTS)
-def test_readme_block_runs(code, capsys):
-    exec(compile(code, "README.md", "exec"), {})
-    assert capsys.readouterr().out
+@pytest.mark.parametrize("page", WITH_CODE)
+def test_code_of_a_page_runs(page, capsys, monkeypatch, tmp_path):
+    """One block after the other, as a reader would try them; files are saved first."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    modules = set(sys.modules)
+    for name, code in ((file_name(code), code) for code in BLOCKS[page]):
+        if name:
+            assert len(code.splitlines()) < 40
+            (tmp_path / name).write_text(code)
+    scripts = [code for code in BLOCKS[page] if not file_name(code)]
+    names = {"__name__": "__main__"}
+    for code in scripts:
+        exec(compile(code, page, "exec"), names)
+    if scripts:
+        assert capsys.readouterr().out
+    for module in set(sys.modules) - modules:
+        if (tmp_path / f"{module}.py").exists():
+            del sys.modules[module]
 
 
-def test_readme_layer_runs_in_an_ablation(tmp_path, monkeypatch):
-    """The custom optimization layer, as a file in the current folder, and the README's command."""
-    (code,) = FILES
-    assert len(code.splitlines()) < 40
-    (tmp_path / code.split()[1]).write_text(code)
+@pytest.mark.parametrize("page", [name for name, found in COMMANDS.items() if found])
+def test_commands_of_a_page_are_commands(page):
+    """Their arguments are parsed; scenarios that they name are there."""
+    parser = make_parser()
+    for block in COMMANDS[page]:
+        for line in block.replace("\\\n", " ").splitlines():
+            words = shlex.split(line.partition("  #")[0].partition(" > ")[0], comments=True)
+            if words[:1] == ["drake-nonstop"]:
+                options = parser.parse_args(words[1:])
+                named = getattr(options, "scenario", None)
+                if named and Path(named).suffix == "":
+                    assert named in drake_nonstop.scenario_names(), line
+
+
+def test_a_layer_of_a_page_runs_in_an_ablation(tmp_path, monkeypatch):
+    """The custom optimization layer, as a file in the current folder, and the page's command."""
+    page = "docs/swap.md"
+    (code,) = [code for code in BLOCKS[page] if file_name(code)]
+    (tmp_path / file_name(code)).write_text(code)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    after = README[README.index(code) :]
+    after = PAGES[page][PAGES[page].index(code) :]
     command = re.search(r"drake-nonstop (ablate .*?)```", after, re.DOTALL).group(1)
     arguments = shlex.split(command.replace("\\\n", " "))
     assert (
@@ -78,8 +116,9 @@ def test_readme_layer_runs_in_an_ablation(tmp_path, monkeypatch):
     assert "ConstantParameters" in table
 
 
-def test_readme_links_lead_somewhere():
-    links = re.findall(r"\]\((?!http)([^)#]+)", README)
-    assert len(links) >= 5
-    for link in links:
-        assert (ROOT / link).exists(), link
+@pytest.mark.parametrize("page", PAGES)
+def test_links_of_a_page_lead_somewhere(page):
+    """Pages that are made from the code are `make docs`'s concern."""
+    made = {"figure.md", "blocks.md", "signals.md", "reference.md"}
+    for link in re.findall(r"\]\((?!http)([^)#]+)", PAGES[page]):
+        assert link in made or (ROOT / page).parent.joinpath(link).exists(), link

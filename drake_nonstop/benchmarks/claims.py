@@ -39,7 +39,7 @@ from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import carrier_speeds, load_errors
 from drake_nonstop.studies.run_all import COMPLETED, Progress, attempt, no_progress, run_all
 from drake_nonstop.studies.stability import Stability, linearize
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, read_text, require
 
 Metrics = dict[str, Any]
 
@@ -103,6 +103,17 @@ class Measured:
 
     value: float
     is_resolved: bool = True
+
+
+def documentation(readme: Path) -> str:
+    """The text of a README and of the pages in the folder `docs` beside it.
+
+    Raises:
+        ScenarioError: it cannot be read.
+    """
+    text = read_text(readme, "--readme", "run it in a checkout, or give the file")
+    pages = sorted((readme.parent / "docs").glob("*.md"))
+    return "\n".join([text, *(page.read_text(encoding="utf-8") for page in pages)])
 
 
 def read_claims(text: str) -> list[Claim]:

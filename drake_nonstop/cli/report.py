@@ -7,7 +7,7 @@ from pathlib import Path
 from drake_nonstop.cli.arguments import Commands
 from drake_nonstop.cli.exit_codes import FAILED
 from drake_nonstop.studies.files import replacing_file, require_writable
-from drake_nonstop.validation import read_text, require_installed
+from drake_nonstop.validation import require_installed
 from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
@@ -20,7 +20,11 @@ def add_to(commands: Commands) -> None:
     )
     parser.set_defaults(action=_report_claims)
     parser.add_argument(
-        "--readme", type=Path, metavar="FILE", default=Path("README.md"), help="(README.md)"
+        "--readme",
+        type=Path,
+        metavar="FILE",
+        default=Path("README.md"),
+        help="with docs beside it (README.md)",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/report"))
     parser.add_argument(
@@ -34,7 +38,7 @@ def _report_claims(options: argparse.Namespace) -> int:
     # Imported here: other commands need none of it.
     from drake_nonstop.benchmarks import claims as report
 
-    text = read_text(options.readme, "--readme", "run it in a checkout, or give the file")
+    text = report.documentation(options.readme)
     claims = [
         claim for claim in report.read_claims(text) if not (options.quick and claim.is_of_speed)
     ]

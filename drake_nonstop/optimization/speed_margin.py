@@ -1,7 +1,7 @@
 """By how much a carrier may be slower than planned, and the margin that follows: share by share.
 
 The assumptions under which the sum is a bound in continuous time, and what the shares are worth,
-are in diagrams/speed_error_budget.md.
+are in docs/speed_error_budget.md.
 """
 
 import itertools

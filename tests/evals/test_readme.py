@@ -1,4 +1,4 @@
-"""The README's claims hold, to the digits it prints."""
+"""The claims of README and documentation hold, to the digits they print."""
 
 import shlex
 from pathlib import Path
@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from drake_nonstop import load_scenario
-from drake_nonstop.benchmarks.claims import QUANTITIES, read_claims
+from drake_nonstop.benchmarks.claims import QUANTITIES, documentation, read_claims
 
 README = Path(__file__).parents[2] / "README.md"
-ALL = read_claims(README.read_text(encoding="utf-8"))
+ALL = read_claims(documentation(README))
 CLAIMS = [claim for claim in ALL if claim.is_in_table]  # the others by `drake-nonstop report` only
 PLAIN = [claim for claim in CLAIMS if " " not in claim.arguments]
 CHANGED = sorted({claim.arguments for claim in CLAIMS} - {claim.arguments for claim in PLAIN})
