@@ -56,7 +56,7 @@ _WIND = "wind_estimate"  # an optional input, of aircraft
 class NonstopOptimizerConfig(NonstopProblemConfig):
     """The bound, the problem of eqs. 24-26 and how it is solved.
 
-    What `min_separation` and the solvers cost is said in docs/one_sample.md.
+    What `min_separation` and the solvers cost is said in docs/layers_in_detail.md.
     """
 
 
@@ -78,7 +78,7 @@ class NonstopOptimizer(SpeedBoundLayer):
     limited, too; other carriers' speeds are those over the ground. If x⁻ fulfils the constraints it
     is kept; else `solver` looks for the cheapest x that does, and where none is found the least
     infeasible one is taken. `diagnostics` tells how the update ended, see `Outcome`. The
-    prediction, the constraints and the solvers are described in docs/one_sample.md.
+    prediction, the constraints and the solvers are described in docs/layers_in_detail.md.
 
     `set_speed_bound` and `set_enabled` change parameters of the context during a run, which also
     holds the initial ξ and A, their bounds and what is believed of load, cables and pattern. Where
