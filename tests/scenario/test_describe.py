@@ -107,7 +107,7 @@ def test_every_box_and_block_is_listed_with_the_default_first(boxes):
     for name, box in BOXES.items():
         choices = boxes[name].choices
         assert [choice.name for choice in choices] == [block.__name__ for block in box.variants]
-        assert {port.name: port.size for port in boxes[name].signals} == box.signals
+        assert {port.name: port.layout for port in boxes[name].signals} == box.signals
     names = [config.__name__.removesuffix("Config") for config in pattern_configs()]
     assert [choice.name for choice in boxes["pattern"].choices] == names
     for box in boxes.values():
@@ -129,7 +129,11 @@ def test_every_port_is_listed_with_its_size_whatever_n_and_m_are(boxes, n, m):
     )
     model = Model(system, pattern, 0.01)
     sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
-    texts = {s: k for box in BOXES.values() for s, k in box.signals.items()}
+    texts = {
+        signal: "abstract" if layout is None else layout.size
+        for box in BOXES.values()
+        for signal, layout in box.signals.items()
+    }
     for single in ("sample_time", "speed_bound_command"):
         sizes[single], texts[single] = 1, "1"
     for name, box in BOXES.items():
@@ -245,7 +249,12 @@ def test_blocks_that_are_out_of_the_ordinary_are_shown_too(monkeypatch, capsys):
     monkeypatch.setitem(BOXES, "phase", box)
     assert main(["blocks", "phase"]) == 0
     assert capsys.readouterr().out.partition("\n\n")[2] == (
-        "phase -> phase (2); optional planned (8)\n\n"
+        "phase -> phase (2); optional planned (8)\n"
+        "    phase = angle (1) rad, θ; slope (1) s, ∂θ/∂ξ\n"
+        "    planned = angle (1) rad, θ; frequency (1) rad/s, ξ; amplitude (1) N, A; "
+        "frequency_rate (1)\n"
+        "              rad/s², ξ̇; amplitude_rate (1) N/s, Ȧ; frequency_second_rate (1) rad/s³, ξ̈;\n"
+        "              amplitude_second_rate (1) N/s², Ä; amplitude_third_rate (1) N/s³, A⃛\n\n"
         "  Particular (default)\n"
         "    Stands for a block whose defaults make none.\n"
         "    not with its defaults: phase.file = '': give a file\n"

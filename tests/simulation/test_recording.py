@@ -137,7 +137,7 @@ def test_a_stored_run_is_the_same_run(temporary, tmp_path):
     for part in ("load", "carriers", "cables"):
         assert metrics[part] == compute_metrics(expected)[part]
     with np.load(tmp_path / "out" / "signals.npz") as written:
-        assert list(written) == ["time", *expected.signals]
+        assert list(written) == ["time", "entries", *expected.signals]
         for name, values in expected.signals.items():
             assert written[name].tobytes() == values.tobytes()
     for other in (copy.deepcopy(run.signals), pickle.loads(pickle.dumps(run.signals))):
