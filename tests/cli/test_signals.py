@@ -15,10 +15,10 @@ import time
 
 import numpy as np
 import pytest
+from helpers import handle_signals_as_a_shell_does
 
 from drake_nonstop.cli import list_scenarios
 from drake_nonstop.cli.main import main
-from tests.helpers import handle_signals_as_a_shell_does
 
 TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
 _DATA = {"scenario.yaml", "metrics.json", "signals.npz", "steps.npz"}

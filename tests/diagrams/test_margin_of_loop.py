@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from drawn_tasks import draw
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.diagrams.margin_of_loop import margin_of_loop
@@ -35,7 +36,6 @@ from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
-from tests.drawn_tasks import draw
 
 EXACT = [  # references that are exact within a sample
     "carrier_controller=FeedforwardCarrierPid",

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from drawn_tasks import aircraft_task
 
 from drake_nonstop import load_scenario
 from drake_nonstop.mechanics.aircraft import stall_speed
@@ -14,7 +15,6 @@ from drake_nonstop.simulation.flight_of_plan import flight_of_plan
 from drake_nonstop.simulation.speed_check import check_speeds
 from drake_nonstop.simulation.task import task_of
 from drake_nonstop.simulation.task_check import check_task
-from tests.drawn_tasks import aircraft_task
 
 # One whose aircraft need more lift than they have at the end of the way, of a layer that does not
 # know of it.

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from drawn_tasks import carriers_task
 from helpers import regular
 
 from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS
@@ -19,7 +20,6 @@ from drake_nonstop.simulation.formation import (
 from drake_nonstop.simulation.load_stability import LoadDeviations
 from drake_nonstop.simulation.task import task_of
 from drake_nonstop.validation import ScenarioError
-from tests.drawn_tasks import carriers_task
 
 GRAVITY = 9.81
 REST = np.eye(22)[0]

@@ -7,6 +7,7 @@ from operator import attrgetter
 
 import numpy as np
 import pytest
+from helpers import regular
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -33,7 +34,6 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.outcome import LIMITS
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
-from tests.helpers import regular
 
 SAMPLES = 60
 FALLING = [

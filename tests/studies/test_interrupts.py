@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import pytest
+from helpers import handle_signals_as_a_shell_does
 
 from drake_nonstop import SweepSpec, ablate, load_scenario, sweep
 from drake_nonstop.studies import margins, processes
@@ -23,7 +24,6 @@ from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
 from drake_nonstop.studies.margins import find_margins
 from drake_nonstop.studies.robustness import robustness
 from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor
-from tests.helpers import handle_signals_as_a_shell_does
 
 pytestmark = pytest.mark.usefixtures("faulty_blocks")
 
