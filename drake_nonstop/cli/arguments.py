@@ -56,6 +56,13 @@ def add_scenario(
     )
 
 
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """Adds --trust, of a run whose scenario is read back."""
+    parser.add_argument(
+        "--trust", action="store_true", help="let the run's scenario import blocks of your own"
+    )
+
+
 def add_study(parser: argparse.ArgumentParser, folder: str) -> None:
     """Adds the arguments of `add_scenario`, and --restart."""
     add_scenario(parser, folder)

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.cli.arguments import Commands, add_trust
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.studies.files import require_writable
 from drake_nonstop.validation import require
@@ -39,13 +39,6 @@ def add_to(commands: Commands) -> None:
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="(in RUN, such as signals.csv)")
     add_trust(parser)
-
-
-def add_trust(parser: argparse.ArgumentParser) -> None:
-    """Adds --trust, of a run whose scenario is read back."""
-    parser.add_argument(
-        "--trust", action="store_true", help="let the run's scenario import blocks of your own"
-    )
 
 
 def _export(options: argparse.Namespace) -> int:

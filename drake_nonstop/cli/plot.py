@@ -3,8 +3,7 @@
 import argparse
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands
-from drake_nonstop.cli.export import add_trust
+from drake_nonstop.cli.arguments import Commands, add_trust
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.studies.files import replacing_file, require_writable
 from drake_nonstop.validation import require

@@ -18,6 +18,7 @@ all phases of the orbit of the ξ and A there, taken as constant: these limits a
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -239,13 +240,13 @@ class Linearization:
     def _with_rates(self) -> bool:
         return len(self.gradients) == len(self.slopes)
 
-    @property
+    @cached_property
     def _placed(self) -> list[tuple[int, Table]]:
         """The tables with the numbers of their first margins."""
         starts = np.cumsum([0, *(table.size for table in self.tables[:-1])])
         return list(zip(starts.tolist(), self.tables, strict=True))
 
-    @property
+    @cached_property
     def _last(self) -> int:
         """The number of the first margin that is in no table."""
         return sum(table.size for table in self.tables)

@@ -28,6 +28,7 @@ from drake_nonstop.systems.tracing import NotFiniteError
 PARAMETERS, WRENCH = "parameters", "wrench"  # what may be the action
 _ACTIONS, _OBSERVATIONS = "actions", "observations"
 _OBSERVED = ("load_state", "reference", "carrier_state")
+_DIVERGED = -1000.0  # the reward
 
 Reward = Callable[[NDArray, NDArray], float]  # of observation and action
 
@@ -40,7 +41,7 @@ class NonstopEnv(DrakeGymEnv):
 
     def __init__(self, scenario: Scenario, action: str, time_step: float, reward: Reward | None):
         model = Model(scenario.system, scenario.pattern, scenario.control_period)
-        self._scenario, self._n = scenario, model.n
+        self._scenario = scenario
         self._resting = _resting_action(scenario, model, action)
         self._judge = reward or self._default_reward
         diagram, self._loop = _diagram(scenario, action, model.n)
@@ -50,7 +51,7 @@ class NonstopEnv(DrakeGymEnv):
         super().__init__(
             simulator=simulator,
             time_step=time_step,
-            action_space=_action_space(scenario, model, action),
+            action_space=_action_space(scenario, model, action, self._resting),
             observation_space=gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64),
             reward=lambda system, context: 0.0,
             action_port_id=_ACTIONS,
@@ -105,9 +106,6 @@ class NonstopEnv(DrakeGymEnv):
         return -float(np.linalg.norm(error)) / self._scenario.system.cable_length - lacking
 
 
-_DIVERGED = -1000.0  # the reward
-
-
 def _diagram(scenario: Scenario, action: str, n: int) -> tuple[Diagram, Diagram]:
     """A diagram with the ports of the environment, and the loop inside of it."""
     if action == PARAMETERS:
@@ -137,9 +135,10 @@ def _resting_action(scenario: Scenario, model: Model, action: str) -> NDArray:
     return np.array([0.0, 0.0, 0.0, 0.0, 0.0, float(np.squeeze(weight))])
 
 
-def _action_space(scenario: Scenario, model: Model, action: str) -> gymnasium.spaces.Box:
+def _action_space(
+    scenario: Scenario, model: Model, action: str, resting: NDArray
+) -> gymnasium.spaces.Box:
     """The bounds of ξ and A, or of torque and force, by the load's weight."""
-    resting = _resting_action(scenario, model, action)
     if action == PARAMETERS:
         layer = scenario.optimization_layer
         bounds = [

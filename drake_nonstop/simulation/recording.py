@@ -22,6 +22,7 @@ from pydrake.systems.framework import (
     DiagramBuilder,
     OutputPort,
     PortDataType,
+    System,
     TriggerType,
     ValueProducer,
 )
@@ -284,12 +285,16 @@ def _columns(sizes: Mapping[str, int], log: "VectorLog | _Rows") -> dict[str, ND
     return {_Log.TIMES: log.sample_times().copy()} | columns
 
 
+def _makers(nonstop: Diagram, sampled: Mapping[str, OutputPort]) -> dict[str, System]:
+    """The blocks that make the signals of ports, by the ports' names."""
+    *_, loop = nested(nonstop, RUN_SIGNALS) if all(s in sampled for s in RUN_SIGNALS) else [nonstop]
+    return {port: maker_of(loop if loop.HasOutputPort(port) else nonstop, port) for port in sampled}
+
+
 def _signal_names(nonstop: Diagram, sampled: Mapping[str, OutputPort]) -> dict[str, str]:
     """The ports of a diagram by their names "block.port", with the block that makes the signal."""
-    *_, loop = nested(nonstop, RUN_SIGNALS) if all(s in sampled for s in RUN_SIGNALS) else [nonstop]
     names = {}
-    for port in sampled:
-        maker = maker_of(loop if loop.HasOutputPort(port) else nonstop, port)
+    for port, maker in _makers(nonstop, sampled).items():
         is_named = "@" not in maker.get_name()  # Drake names the others by where they are
         name = maker.get_name().replace(".", "_") if is_named else type(maker).__name__
         names[f"{name}.{port}"] = port
@@ -303,11 +308,10 @@ def _entries(
 
     A block's own `signal_layouts` come first, then the layouts of the figure's signals.
     """
-    *_, loop = nested(nonstop, RUN_SIGNALS) if all(s in sampled for s in RUN_SIGNALS) else [nonstop]
+    makers = _makers(nonstop, sampled)
     found = {}
     for name, port in names.items():
-        maker = maker_of(loop if loop.HasOutputPort(port) else nonstop, port)
-        own = getattr(maker, "signal_layouts", {}).get(port)
+        own = getattr(makers[port], "signal_layouts", {}).get(port)
         layout, size = own or SIGNALS.get(port.removeprefix(HELD)), sampled[port].size()
         entries = layout.entries(port, size) if isinstance(layout, Layout) else None
         found[name] = entries or numbered_entries(port, size)
