@@ -189,7 +189,8 @@ class Command:
 
     def _in_child(self) -> int:
         """What an interpreter does around the command."""
-        os.setsid() if os.getpgid(0) != os.getpid() else None
+        with contextlib.suppress(PermissionError):  # the parent has made it a group's leader
+            os.setsid()
         os.chdir(self.folder)
         environment = self._environment()
         os.environ.clear()
