@@ -6,6 +6,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common import RandomGenerator
 from pydrake.gym import DrakeGymEnv
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
@@ -24,11 +25,13 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.validation import require
 
 PARAMETERS, WRENCH = "parameters", "wrench"  # what may be the action
 _ACTIONS, _OBSERVATIONS = "actions", "observations"
 _OBSERVED = ("load_state", "reference", "carrier_state")
 _DIVERGED = -1000.0  # the reward
+_ROUNDING = 1e-6  # of a bound
 
 Reward = Callable[[NDArray, NDArray], float]  # of observation and action
 
@@ -40,18 +43,16 @@ class NonstopEnv(DrakeGymEnv):
     """
 
     def __init__(self, scenario: Scenario, action: str, time_step: float, reward: Reward | None):
-        model = Model(scenario.system, scenario.pattern, scenario.control_period)
-        self._scenario = scenario
-        self._resting = _resting_action(scenario, model, action)
+        self._given, self._action = scenario, action
+        simulator = self._simulator_of(scenario.sampled())
+        model = _model(self._scenario)
         self._judge = reward or self._default_reward
-        diagram, self._loop = _diagram(scenario, action, model.n)
-        simulator = Simulator(diagram)
-        ApplySimulatorConfig(scenario.simulator_config, simulator)
+        self._is_reset = False
         size = LOAD_STATE_SIZE + LOAD_REFERENCE_SIZE + 6 * model.n
         super().__init__(
             simulator=simulator,
             time_step=time_step,
-            action_space=_action_space(scenario, model, action, self._resting),
+            action_space=_action_space(self._scenario, model, action, self._resting),
             observation_space=gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64),
             reward=lambda system, context: 0.0,
             action_port_id=_ACTIONS,
@@ -61,14 +62,25 @@ class NonstopEnv(DrakeGymEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray, dict[str, Any]]:
-        """Starts at the equilibrium under the scenario's own action; nothing of it is random."""
+        """Starts at the equilibrium under the scenario's own action.
+
+        Where the scenario's fields hold distributions, their numbers are drawn anew, by the seed,
+        or, without one, after those that were drawn last. Nothing else is random.
+        """
         gymnasium.Env.reset(self, seed=seed)
+        require(not options, "options", options, "leave them out, there are none")
+        if seed is not None:
+            self.generator = RandomGenerator(seed)
+        if self._given.sampled() is not self._given:  # it holds distributions
+            self.simulator = self._simulator_of(self._given.sampled(self.generator))
+            self._setup()
         simulator = self.simulator
         simulator.reset_context(simulator.get_system().CreateDefaultContext())
         context = simulator.get_mutable_context()
         self.action_port.FixValue(context, self._resting)
         set_equilibrium(self._loop, self._loop.GetMyMutableContextFromRoot(context))
         simulator.Initialize()
+        self._is_reset = True
         return self._observation(), {}
 
     def step(self, action: NDArray) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
@@ -77,18 +89,34 @@ class NonstopEnv(DrakeGymEnv):
         The episode is truncated at the scenario's `simulation_duration`. It is terminated by a
         divergence, with the last finite observation, a reward of -1000 and the `message` in the
         info, and where a block ends the run, such as a stall.
+
+        Raises:
+            ScenarioError: the action is not in the action space, the environment has not been
+                reset, or the reward is no number.
         """
+        require(self._is_reset, "step", "before reset", "call reset() first")
+        values = _as_action(action, self.action_space)
         before = self._observation()
         try:
-            observation, _, terminated, truncated, info = super().step(
-                np.asarray(action, dtype=float)
-            )
+            observation, _, terminated, truncated, info = super().step(values)
         except NotFiniteError as error:
             return before, _DIVERGED, True, False, {"message": str(error)}
         time = self.simulator.get_context().get_time()
         is_over = time >= self._scenario.simulation_duration - 1e-9
-        reward = float(self._judge(observation, np.asarray(action)))
-        return observation.copy(), reward, bool(terminated), bool(truncated or is_over), info
+        reward = self._judge(observation, values)
+        remedy = "return a finite number from the function"
+        require(np.ndim(reward) == 0 and np.isfinite(reward), "reward", reward, remedy)
+        return observation.copy(), float(reward), bool(terminated), bool(truncated or is_over), info
+
+    def _simulator_of(self, scenario: Scenario) -> Simulator:
+        """A simulator of the loop of a scenario without distributions, which is flown from now."""
+        model = _model(scenario)
+        self._scenario = scenario
+        self._resting = _resting_action(scenario, model, self._action)
+        diagram, self._loop = _diagram(scenario, self._action, model.n)
+        simulator = Simulator(diagram)
+        ApplySimulatorConfig(scenario.simulator_config, simulator)
+        return simulator
 
     def _observation(self) -> NDArray:
         values: NDArray = self.observation_port.Eval(self.simulator.get_context())
@@ -104,6 +132,26 @@ class NonstopEnv(DrakeGymEnv):
         bound = self._scenario.speed_bound
         lacking = max(0.0, 1 - slowest / bound) if bound > 0 else 0.0
         return -float(np.linalg.norm(error)) / self._scenario.system.cable_length - lacking
+
+
+def _model(scenario: Scenario) -> Model:
+    return Model(scenario.system, scenario.pattern, scenario.control_period)
+
+
+def _as_action(action: Any, space: gymnasium.spaces.Box) -> NDArray:
+    """The action as floats; raises ScenarioError where it is not in the space."""
+    try:
+        values = np.asarray(action, dtype=float)
+    except (TypeError, ValueError):
+        values = np.array([np.nan])
+    # A policy of single precision may be beyond a bound by rounding.
+    is_within = values.shape == space.shape and np.all(
+        (values >= space.low - _ROUNDING * np.abs(space.low))
+        & (values <= space.high + _ROUNDING * np.abs(space.high))
+    )
+    low, high = space.low.tolist(), space.high.tolist()
+    require(is_within, "action", action, f"give numbers from {low} to {high}")
+    return np.clip(values, space.low, space.high)
 
 
 def _diagram(scenario: Scenario, action: str, n: int) -> tuple[Diagram, Diagram]:

@@ -25,7 +25,7 @@ def make_gym_env(
     `simulation_duration`, and are terminated by a divergence or where a block ends the run.
 
     Args:
-        scenario: what is flown; where fields hold distributions, numbers are drawn once.
+        scenario: what is flown; where fields hold distributions, each episode draws numbers anew.
         action: "parameters": ξ (rad/s) and A (N) in place of the optimization layer, within its
             bounds; "wrench": torque (N m) and force (N) on the load in place of the wrench
             controller, held for a step.
@@ -44,4 +44,4 @@ def make_gym_env(
     require(reward is None or callable(reward), "reward", reward, "give a function, or None")
     from drake_nonstop.simulation.gym_environment import NonstopEnv
 
-    return NonstopEnv(scenario.sampled(), action, time_step, reward)
+    return NonstopEnv(scenario, action, time_step, reward)

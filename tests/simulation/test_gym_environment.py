@@ -79,6 +79,51 @@ def test_what_cannot_be_used_is_refused(arguments, said):
         make_gym_env(load_scenario("quintic"), **arguments)
 
 
+def test_episodes_draw_their_numbers_by_the_seed():
+    varied = load_scenario("quintic", [*BRIEF, "system.load_mass=!Uniform {min: 0.8, max: 1.2}"])
+    env = make_gym_env(varied)
+
+    def end(seed):
+        env.reset(seed=seed)
+        return env.step(env.action_space.low)[0]
+
+    first, second, again = end(1), end(2), end(1)
+    np.testing.assert_array_equal(first, again)
+    assert np.max(np.abs(first - second)) > 1e-6
+    assert np.max(np.abs(end(None) - first)) > 1e-6
+    alone = make_gym_env(varied)
+    alone.reset(seed=1)
+    np.testing.assert_array_equal(alone.step(alone.action_space.low)[0], first)
+
+
+@pytest.mark.parametrize(
+    "action", [[np.nan, 1.0], [200.0, -50.0], [2.0], 2.0, "fast", None, [[2.0, 1.2]]]
+)
+def test_an_action_outside_of_the_space_is_no_physics(action):
+    env = make_gym_env(load_scenario("quintic", BRIEF))
+    before, _ = env.reset()
+    with pytest.raises(ScenarioError, match=r"action = .*give numbers from"):
+        env.step(action)
+    np.testing.assert_array_equal(env.reset()[0], before)
+
+
+def test_a_policy_of_single_precision_may_be_at_a_bound():
+    env = make_gym_env(load_scenario("quintic", BRIEF))
+    env.reset()
+    assert np.isfinite(env.step(env.action_space.high.astype(np.float32))[1])
+
+
+def test_a_step_before_reset_and_a_reward_that_is_no_number_are_refused():
+    env = make_gym_env(load_scenario("quintic", BRIEF), reward=lambda observation, action: np.nan)
+    with pytest.raises(ScenarioError, match="call reset"):
+        env.step(env.action_space.low)
+    env.reset()
+    with pytest.raises(ScenarioError, match="reward = nan: return a finite number"):
+        env.step(env.action_space.low)
+    with pytest.raises(ScenarioError, match="options"):
+        env.reset(options={"a": 1})
+
+
 def test_without_gymnasium_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ScenarioError, match=r"pip install 'drake-nonstop\[gym\]'"):
