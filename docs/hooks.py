@@ -1,13 +1,27 @@
-"""Pages that are made from the code: the figure, its blocks and signals, and the reference."""
+"""Pages that are made from the code: the figure, its blocks and signals, and the reference.
+
+At the end all links of the built pages are checked, also those that MkDocs does not know: in
+notebooks and in the drawing.
+"""
 
 import html
 import inspect
 import re
+import typing
+from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import drake_nonstop
+from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS, make_nonstop
-from drake_nonstop.scenario.describe import box_names, describe
+from drake_nonstop.model.aircraft import AircraftParameters
+from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.scenario.describe import Parameter, box_names, describe, parameters
+from drake_nonstop.scenario.run_limits import RunLimits
+from drake_nonstop.scenario.scene_config import SceneConfig
+from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.visualization.drawing import draw_diagram
 
 
@@ -26,6 +40,58 @@ def on_files(files: Any, config: Any) -> Any:
     return files
 
 
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """Has notebooks' links to other pages lead to what is built of these."""
+    if page.file.src_uri.endswith(".ipynb"):
+        return re.sub(r'href="((?:\.\./)?\w+)\.md(["#])', r'href="\1.html\2', output)
+    return output
+
+
+def on_post_build(config: Any) -> None:
+    """Ends the build where a link within the pages leads nowhere."""
+    from mkdocs.exceptions import PluginError
+
+    broken = broken_links(Path(config["site_dir"]))
+    if broken:
+        raise PluginError("broken links:\n" + "\n".join(broken))
+
+
+class _Page(HTMLParser):
+    """The places and the links of a page."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.places: set[str] = set()
+        self.links: set[str] = set()
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if value and (name == "id" or (name == "name" and tag == "a")):
+                self.places.add(value)
+            elif value and name in ("href", "src"):
+                self.links.add(value)
+
+
+def broken_links(site: Path) -> list[str]:
+    """The links within a folder of pages that lead nowhere, "page: link"."""
+    pages = {path: _Page(path.read_text(encoding="utf-8")) for path in site.rglob("*.html")}
+    broken = []
+    for path, page in pages.items():
+        for link in sorted(page.links):
+            target, _, place = link.partition("#")
+            if re.match(r"[a-z]+:|//", link) or link.startswith("/") or path.name == "404.html":
+                continue  # elsewhere: not checked
+            file = (path.parent / unquote(target)).resolve() if target else path
+            known = pages.get(file)
+            is_there = file.is_file() or (file / "index.html").is_file()
+            if place and known is not None:
+                is_there = unquote(place) in known.places or place == "__skip"
+            if not is_there:
+                broken.append(f"{path.relative_to(site)}: {link}")
+    return broken
+
+
 def figure_page() -> str:
     """The figure as it is drawn from the built diagram; each box leads to its blocks."""
     drawing = draw_diagram(make_nonstop(drake_nonstop.load_scenario("quintic")))
@@ -33,7 +99,8 @@ def figure_page() -> str:
 
     def linked(match: re.Match[str]) -> str:
         name = match[2]
-        place = f"blocks.html#{name}" if name in BOXES else "reference.html#SampleAndHold"
+        hold = "reference.html#drake_nonstop.blocks.sample_and_hold.SampleAndHold"
+        place = f"blocks.html#{name}" if name in BOXES else hold
         return f'<a href="{place}">{match[0]}</a>'
 
     drawing = re.sub(r'(<g [^>]*data-block="([^"]+)".*?</g>)', linked, drawing, flags=re.DOTALL)
@@ -51,9 +118,13 @@ def figure_page() -> str:
             "",
             f'<div class="figure" markdown="0">{drawing}</div>',
             "",
+            '<div class="boxes" markdown>',
+            "",
             "| box | default | what it does | signals that it makes |",
             "| --- | --- | --- | --- |",
             *rows,
+            "",
+            "</div>",
             "",
         ]
     )
@@ -84,17 +155,38 @@ def blocks_page() -> str:
                 if ports:
                     texts = (f"`{p.name}` ({p.size})" for p in ports)
                     lines += ["", f"{label} {', '.join(texts)}."]
-            if choice.parameters:
-                lines += [
-                    "",
-                    "| parameter | type | default | unit and meaning |",
-                    "| --- | --- | --- | --- |",
-                ]
-                lines += [
-                    f"| `{p.name}` | {_cell(p.type)} | `{_cell(p.default)}` | {_cell(p.meaning)} |"
-                    for p in choice.parameters
-                ]
+            lines += _table(choice.parameters)
+    for name, config in _OTHER_PARTS.items():
+        summary = _escaped(inspect.cleandoc(config.__doc__ or "").partition("\n\n")[0])
+        lines += ["", f"## `{name}` {{: #{name} }}", "", summary, *_table(parameters(config))]
+    elsewhere = {*CHOICES, *_OTHER_PARTS, "simulated", "simulator_config"}
+    plain = [p for p in parameters(Scenario) if p.name not in elsewhere]
+    head = (
+        "Fields of the scenario itself. Besides, `simulated` has those fields of `system` that "
+        "differ in the simulated plant, and `simulator_config` those of Drake's `SimulatorConfig`."
+    )
+    lines += ["", "## The scenario {: #scenario }", "", head, *_table(plain)]
     return "\n".join([*lines, ""])
+
+
+# Parts of a scenario that are no boxes; those of `scene` and others are in `CHOICES`, too.
+_OTHER_PARTS = {
+    "system": SystemParameters,
+    "system.aircraft": AircraftParameters,
+    "reference_governor": ReferenceGovernorConfig,
+    "limits": RunLimits,
+    "scene": SceneConfig,
+}
+
+
+def _table(of: typing.Sequence[Parameter]) -> list[str]:
+    """A table of parameters; nothing where there are none."""
+    if not of:
+        return []
+    head = ["", "| parameter | type | default | unit and meaning |", "| --- | --- | --- | --- |"]
+    return head + [
+        f"| `{p.name}` | {_cell(p.type)} | `{_cell(p.default)}` | {_cell(p.meaning)} |" for p in of
+    ]
 
 
 def signals_page() -> str:
