@@ -4,7 +4,8 @@
 # make docs: the documentation, in site/; EXECUTE_NOTEBOOKS=false: notebooks without outputs.
 # make pictures: those of the README; needs Chromium (on Debian: apt-get install chromium).
 # make release: source distribution and wheel in dist/, both checked.
-# make lowest: the unit tests with the lowest versions that pyproject.toml names.
+# make lowest: the same tests as quick with the lowest versions that pyproject.toml names;
+#   TESTS=: the whole suite; PYTHON_OF_LOWEST=python3.12: with that Python.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -36,7 +37,8 @@ adversary: $(VENV)/.installed-dev
 pictures: $(VENV)/.installed-dev
 	$(BIN)/drake-nonstop pictures --out docs/pictures
 
-# Both distributions, checked: the quick tests in the unpacked source, a run by the installed wheel.
+# Both distributions, checked, each in an environment of its own: the quick tests in the unpacked
+# source, and a run by the installed wheel.
 release: $(VENV)/.installed-dev
 	$(BIN)/pip install --quiet --editable '.[release]'
 	rm -rf dist build/release
@@ -44,11 +46,14 @@ release: $(VENV)/.installed-dev
 	$(BIN)/twine check --strict dist/*
 	mkdir -p build/release
 	tar -xf dist/*.tar.gz -C build/release
-	cd build/release/drake_nonstop-* && OPENBLAS_NUM_THREADS=1 \
-	  "$(CURDIR)/$(BIN)/python" -m pytest -q -n 2 --dist worksteal -m "not slow"
-	$(PYTHON) -m venv build/release/venv
-	build/release/venv/bin/pip install --quiet dist/*.whl
-	cd build/release && venv/bin/drake-nonstop run quintic --set simulation_duration=1
+	mv build/release/drake_nonstop-* build/release/source
+	$(PYTHON) -m venv build/release/of_source
+	build/release/of_source/bin/pip install --quiet --editable 'build/release/source[dev]'
+	cd build/release/source && OPENBLAS_NUM_THREADS=1 \
+	  ../of_source/bin/pytest -n 2 --dist worksteal -m "not slow"
+	$(PYTHON) -m venv build/release/of_wheel
+	build/release/of_wheel/bin/pip install --quiet dist/*.whl
+	cd build/release && of_wheel/bin/drake-nonstop run quintic --set simulation_duration=1
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
@@ -66,14 +71,16 @@ $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 
 # In an environment of its own, with the oldest Python that is found.
 LOWEST := .venv-lowest
+PYTHON_OF_LOWEST ?= python3.10 python3.11 python3.12 python3.13 $(PYTHON)
+TESTS ?= -m "not slow"
 .PHONY: lowest
 lowest: $(LOWEST)/.installed
-	OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/pytest -n 2 --dist worksteal -m "not slow"
+	OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/pytest -n 2 --dist worksteal $(TESTS)
 
 # The lowest versions for which there are wheels: older ones may not compile with a new Python.
 $(LOWEST)/.installed: pyproject.toml
 	rm -rf $(LOWEST)
-	for python in python3.10 python3.11 python3.12 python3.13 $(PYTHON); do \
+	for python in $(PYTHON_OF_LOWEST); do \
 	  $$python -c 'import ensurepip' 2>/dev/null && exec $$python -m venv $(LOWEST); done; exit 1
 	$(LOWEST)/bin/pip install --quiet uv==0.13.9
 	$(LOWEST)/bin/uv pip compile --quiet --python $(LOWEST) --no-build --extra dev pyproject.toml \

@@ -488,11 +488,13 @@ def _made_parts(
         model = watched[name] = WatchedModel(simulated if box.is_simulated else believed)
         blocks[name] = _made(f"replacement {name}", make, model, ", or None to leave the box out")
         made = wiring.check_outputs(name, blocks[name], *box.required_and_optional(believed))
+        _check_layouts(name, blocks[name])
         _check_others(name, blocks[name], made.keys() - box.signals.keys(), sizes)
     for name, entry in _checked_extra(extra).items():
         model = watched[name] = WatchedModel(believed)
         blocks[name] = _made(f"extra {name}", _maker(name, entry), model, "")
         _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
+        _check_layouts(name, blocks[name])
     blocks = {name: blocks[name] for name in [*BOXES, *blocks] if name in blocks}
     _require_motion(believed, blocks)
     _check_turn(believed, blocks)
@@ -807,6 +809,23 @@ def _check_others(name: str, block: System, made: set[str], sizes: wiring.Sizes)
     known = {signal: size for signal, size in sizes.items() if signal in made}
     if known:
         wiring.check_outputs(name, block, known, {})
+
+
+def _check_layouts(name: str, block: System) -> None:
+    """Raises ScenarioError where the layouts that a block declares are not those of its ports."""
+    layouts = getattr(block, "signal_layouts", {})
+    field = f"{name}.signal_layouts"
+    remedy = 'give a mapping from ports to Layouts, such as {"fuel": Layout(Part("", "n", "kg"))}'
+    require(isinstance(layouts, Mapping), field, layouts, remedy)
+    ports = wiring.output_names(block)
+    for port, layout in layouts.items():
+        remedy = f"give the name of an output port, such as {' or '.join(ports[:3])}"
+        require(port in ports, field, port, remedy)
+        field_of_port = f"{field}[{port}]"
+        require(isinstance(layout, Layout), field_of_port, layout, "give a Layout")
+        size = block.GetOutputPort(port).size()
+        remedy = f"give a Layout of {size} entries, as the port has, or the port another size"
+        require(layout.entries(port, size), field_of_port, f"{layout.size} entries", remedy)
 
 
 def _figure_sizes(model: Model) -> dict[str, int | None]:

@@ -20,6 +20,7 @@ from drake_nonstop.diagrams.parameters import (
     set_parameter,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
+from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -57,8 +58,10 @@ from drake_nonstop.studies.design import Design, DesignedFormation, design
 from drake_nonstop.studies.design_request import DesignRequest, read_request
 from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import write_results
+from drake_nonstop.studies.run_all import SerialExecutor
 from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
+from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.energy import LoopDiagram, kinetic_energy, potential_energy
 from drake_nonstop.systems.point_forces import PointForces
 from drake_nonstop.systems.traced_block import Equations, TracedBlock
@@ -101,7 +104,10 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "Outcome",
     "SampleAndHold",
     "PointForces",
+    "LeafBlock",
     "TracedBlock",
+    "Layout",
+    "Part",
     # put together, simulated, judged
     "make_nonstop",
     "make_blocks",
@@ -139,6 +145,7 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "sweep",
     "read_sweep",
     "SweepSpec",
+    "SerialExecutor",
     "PlannedRun",
     "Sweep",
     "SweepInterrupted",

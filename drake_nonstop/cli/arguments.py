@@ -57,9 +57,9 @@ def add_scenario(
 
 
 def add_trust(parser: argparse.ArgumentParser) -> None:
-    """Adds --trust, of a run whose scenario is read back."""
+    """Adds --trust, of a command that reads a scenario without changing it."""
     parser.add_argument(
-        "--trust", action="store_true", help="let the run's scenario import blocks of your own"
+        "--trust", action="store_true", help="let the scenario import blocks of your own"
     )
 
 

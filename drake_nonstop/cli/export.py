@@ -5,7 +5,8 @@ from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_trust
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.studies.files import require_writable
+from drake_nonstop.simulation.stored_run import load_signals
+from drake_nonstop.studies.files import require_writable_file
 from drake_nonstop.validation import require
 
 _FILES = {
@@ -50,12 +51,18 @@ def _export(options: argparse.Namespace) -> int:
     remedy = "leave it out: it is for csv and parquet; all else has its own signals"
     require(options.to in _TABLES or not options.signal, "--signal", options.signal, remedy)
     file: Path = options.out or options.run / _FILES[options.to]
-    run = Run.load(options.run, trust=options.trust)
-    require_writable(file.parent, [file.name])
-    if options.to in _TABLES:
+    suffix = Path(_FILES[options.to]).suffix
+    require(file.suffix == suffix, "--out", file, f"give a name that ends in {suffix}")
+    if options.to in _TABLES:  # they need neither the scenario nor its blocks
+        table = load_signals(options.run)
+        require_writable_file(file)
         write_table = write_csv if options.to == "csv" else write_parquet
-        write_table(run, file, options.signal)
+        write_table(table, file, options.signal)
     else:
+        run = Run.load(options.run, trust=options.trust)
+        require_writable_file(file)
+        remedy = "nothing was recorded of it; fly it for longer"
+        require(len(run.time) > 0, "run", options.run, remedy)
         write = write_mcap if options.to == "mcap" else write_rerun
         write(run, file)
     print(f"written: {file}")

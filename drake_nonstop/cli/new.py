@@ -15,7 +15,9 @@ def add_to(commands: Commands) -> None:
         "new", help="write a scenario file to start from, with every field, unit and meaning"
     )
     parser.set_defaults(action=_new)
-    parser.add_argument("file", type=Path, metavar="FILE.yaml", help="named after the scenario")
+    parser.add_argument(
+        "file", type=Path, metavar="NAME[.yaml]", help="the scenario's name, and that of its file"
+    )
     parser.add_argument(
         "--from",
         dest="base",
@@ -30,7 +32,9 @@ def add_to(commands: Commands) -> None:
 
 def _new(options: argparse.Namespace) -> int:
     path: Path = options.file
-    require(path.suffix in (".yaml", ".yml"), "FILE.yaml", path, "give a name that ends in .yaml")
+    if not path.suffix:
+        path = path.with_name(f"{path.name}.yaml")
+    require(path.suffix in (".yaml", ".yml"), "NAME", path, "give a name that ends in .yaml")
     scenario = load_scenario(options.base, trust=options.trust)
     text = commented_scenario(scenario, path.stem)
     parse_scenario(text, str(path), trust=options.trust)  # refuses a stem that names no scenario
@@ -38,9 +42,9 @@ def _new(options: argparse.Namespace) -> int:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise ScenarioError(f"FILE.yaml = {path}: it exists; give another name") from None
+        raise ScenarioError(f"NAME = {path}: it exists; give another name") from None
     except OSError as error:
         remedy = f"give a file that can be written ({error.strerror})"
-        raise ScenarioError(f"FILE.yaml = {path}: {remedy}") from None
+        raise ScenarioError(f"NAME = {path}: {remedy}") from None
     print(f"{path}: change it, and run it by `drake-nonstop run {path}`")
     return 0

@@ -3,9 +3,9 @@
 import argparse
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands, add_trust
-from drake_nonstop.simulation.run import Run
-from drake_nonstop.studies.files import replacing_file, require_writable
+from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.simulation.stored_run import load_signals
+from drake_nonstop.studies.files import replacing_file, require_writable_file
 from drake_nonstop.validation import require
 from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.signal_figure import make_signal_figure
@@ -36,17 +36,15 @@ def add_to(commands: Commands) -> None:
         default=Path("signals.png"),
         help=f"with a name in {', '.join(_FORMATS)} (signals.png)",
     )
-    add_trust(parser)
 
 
 def _plot(options: argparse.Namespace) -> int:
     file: Path = options.out
     require(file.suffix in _FORMATS, "--out", file, f"give a name in {', '.join(_FORMATS)}")
     require_drawing()
-    require_writable(file.parent, [file.name])
-    runs = {_label(folder, options.runs): folder for folder in options.runs}
-    loaded = {label: Run.load(folder, trust=options.trust) for label, folder in runs.items()}
-    figure = make_signal_figure(loaded, options.signal)
+    require_writable_file(file)
+    runs = {_label(folder, options.runs): load_signals(folder) for folder in options.runs}
+    figure = make_signal_figure(runs, options.signal)
     with replacing_file(file) as opened:
         figure.savefig(opened, format=file.suffix.removeprefix("."), dpi=150)
     print(f"written: {file}")

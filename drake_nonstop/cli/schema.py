@@ -5,9 +5,10 @@ import json
 import sys
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.cli.arguments import Commands, add_trust
 from drake_nonstop.scenario.json_schema import custom_tags, scenario_schema
-from drake_nonstop.studies.files import replacing_file, require_writable
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.studies.files import replacing_file, require_writable_file
 
 
 def add_to(commands: Commands) -> None:
@@ -20,6 +21,13 @@ def add_to(commands: Commands) -> None:
         "to know the blocks, see --tags.",
     )
     parser.set_defaults(action=_schema)
+    parser.add_argument(
+        "scenarios",
+        nargs="*",
+        metavar="NAME|FILE.yaml",
+        help="with the blocks of your own that these scenarios have, see --trust",
+    )
+    add_trust(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help="(the terminal)")
     parser.add_argument(
         "--tags", action="store_true", help="the value of yaml.customTags in place of the schema"
@@ -27,12 +35,13 @@ def add_to(commands: Commands) -> None:
 
 
 def _schema(options: argparse.Namespace) -> int:
-    found = custom_tags() if options.tags else scenario_schema()
+    scenarios = [load_scenario(name, trust=options.trust) for name in options.scenarios]
+    found = custom_tags(scenarios) if options.tags else scenario_schema(scenarios)
     text = json.dumps(found, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     if options.out is None:
         sys.stdout.write(text)
         return 0
-    require_writable(options.out.parent, [options.out.name])
+    require_writable_file(options.out)
     with replacing_file(options.out) as file:
         file.write(text.encode())
     print(f"written: {options.out}")

@@ -26,7 +26,7 @@ def add_to(commands: Commands) -> None:
     )
     parser.set_defaults(action=_sweep)
     add_study(parser, "out/sweep/NAME_SPEC")
-    parser.add_argument("spec", type=Path, metavar="SPEC.yaml", help="grid, draws; see README")
+    parser.add_argument("spec", type=Path, metavar="SPEC.yaml", help="see docs/sweep.md")
     parser.add_argument(
         "--run",
         type=int,

@@ -19,6 +19,7 @@ from drake_nonstop.validation import ScenarioError
 
 _COMPONENTS = {1: ("",), 3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
 _SIZE = re.compile(r"([134]?)([nm]?)")
+_MARKS = {*',"[]\n\r'}  # between and around the names in the first line of a table
 
 
 class Part(NamedTuple):
@@ -69,19 +70,29 @@ class Layout:
     """The parts of a signal, in their order.
 
     Raises:
-        ScenarioError: there is no part, a part's size is none of those that a `Part` may have, or
-            some are those of n carriers and others of m coordinates.
+        ScenarioError: there is no part, or two have one name; a part's size is none of those that
+            a `Part` may have; a name, unit or frame cannot stand in a table; or some parts are
+            those of n carriers and others of m coordinates.
     """
 
     parts: tuple[Part, ...]
 
     def __init__(self, *parts: Part):
         for part in parts:
-            if not isinstance(part, Part) or not part.size or not _SIZE.fullmatch(part.size):
+            is_part = isinstance(part, Part) and all(isinstance(text, str) for text in part)
+            if not is_part or not part.size or not _SIZE.fullmatch(part.size):
                 raise ScenarioError(
-                    f"layout = {part}: give Part(name, size, unit, frame) with a size such as 3, "
-                    "n, 3n or m"
+                    f"layout = {tuple.__repr__(part) if isinstance(part, tuple) else part!r}: give "
+                    "Part(name, size, unit, frame) of texts, with a size such as 3, n, 3n or m"
                 )
+            if _MARKS & {*part.name, *part.unit, *part.frame}:
+                raise ScenarioError(
+                    f"layout = {tuple.__repr__(part)}: give names, units and frames without "
+                    "commas, quotation marks, square brackets and line breaks"
+                )
+        names = [part.name for part in parts]
+        if len({*names}) < len(names):
+            raise ScenarioError(f"layout = {', '.join(names)}: give each Part a name of its own")
         kinds = {part.per for part in parts} - {""}
         if not parts or len(kinds) > 1:
             raise ScenarioError(

@@ -14,6 +14,7 @@ _LINE_WIDTH = 100  # characters; a comment for which there is no room stands abo
 _HEADING = """\
 # {name} with every field; lines that you delete have their defaults.
 # Vectors are in the world frame W, or where a comment says so in the load's frame L.
+# `drake-nonstop schema --help` tells how an editor completes and checks this file.
 """
 
 

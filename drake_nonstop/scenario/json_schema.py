@@ -8,8 +8,12 @@ import dataclasses
 import math
 import types
 import typing
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+from pydrake.systems.analysis import SimulatorConfig
+
+from drake_nonstop.diagrams.box import import_path
 from drake_nonstop.scenario.loading import scenario_names
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import block_name
@@ -21,16 +25,21 @@ _DISTRIBUTION = {"type": "object"}  # a tag with a mapping, in the place of a nu
 Schema = dict[str, Any]
 
 
-def scenario_schema() -> Schema:
-    """The schema of a file with one scenario under its name."""
+def scenario_schema(scenarios: Iterable[Scenario] = ()) -> Schema:
+    """The schema of a file with one scenario under its name.
+
+    Args:
+        scenarios: whose blocks of one's own the boxes may be, too.
+    """
+    choices = _choices(scenarios)
     scenario = _object(Scenario)
     scenario["properties"]["based_on"] = {
         "type": "string",
         "description": "a scenario's name or file, whose fields count where this one has none",
         "examples": scenario_names(),
     }
-    for name in CHOICES:
-        scenario["properties"][name] = _box(name)
+    for name, configs in choices.items():
+        scenario["properties"][name] = _box(configs)
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": "drake_nonstop scenario",
@@ -41,16 +50,37 @@ def scenario_schema() -> Schema:
     }
 
 
-def custom_tags() -> list[str]:
-    """The tags of blocks, as the setting `yaml.customTags` of YAML's language server takes them."""
-    blocks = (block_name(config) for configs in CHOICES.values() for config in configs)
-    return sorted({f"!{block} mapping" for block in blocks})
+def custom_tags(scenarios: Iterable[Scenario] = ()) -> list[str]:
+    """The tags of blocks, as the setting `yaml.customTags` of YAML's language server takes them.
+
+    Args:
+        scenarios: as of `scenario_schema`.
+    """
+    configs = {config for choices in _choices(scenarios).values() for config in choices}
+    return sorted(f"!{_tag(config)} mapping" for config in configs)
 
 
-def _box(name: str) -> Schema:
+def _tag(config: type) -> str:
+    """The name by which scenarios have a block: that of one's own has its module before it."""
+    is_known = any(config in choices for choices in CHOICES.values())
+    return block_name(config) if is_known else import_path(config)
+
+
+def _choices(scenarios: Iterable[Scenario]) -> dict[str, tuple[type, ...]]:
+    """`CHOICES` with the configs of scenarios' own blocks."""
+    found = dict(CHOICES)
+    for scenario in scenarios:
+        for name in CHOICES:
+            config = type(getattr(scenario, name))
+            if dataclasses.is_dataclass(config) and config not in found[name]:
+                found[name] = (*found[name], config)
+    return found
+
+
+def _box(configs: Sequence[type]) -> Schema:
     """A box, or the pattern, with the fields of all that it can be."""
     properties: dict[str, Schema] = {}
-    for config in CHOICES[name]:
+    for config in configs:
         block = block_name(config)
         for key, found in _object(config)["properties"].items():
             known = properties.setdefault(key, {"anyOf": []})
@@ -59,7 +89,7 @@ def _box(name: str) -> Schema:
                 known["anyOf"].append(alternative)
             about = f"{block}: {found.get('description', '')}".removesuffix(": ")
             known["description"] = "; ".join(filter(None, [known.get("description"), about]))
-    blocks = ", ".join(f"!{block_name(config)}" for config in CHOICES[name])
+    blocks = ", ".join(f"!{_tag(config)}" for config in configs)
     return {
         "anyOf": [
             {"type": "object", "properties": properties, "additionalProperties": False},
@@ -99,6 +129,11 @@ def _of(kind: Any) -> Schema:
         return {"type": _PLAIN[kind]}
     if dataclasses.is_dataclass(kind):
         return _object(typing.cast(type, kind))
+    if kind is SimulatorConfig:
+        default = SimulatorConfig()
+        values = {field.name: getattr(default, field.name) for field in default.__fields__}
+        properties = {name: {"type": _PLAIN[type(value)]} for name, value in values.items()}
+        return {"type": "object", "properties": properties, "additionalProperties": False}
     if kind is type(None):
         return {"type": "null"}
     arguments = typing.get_args(kind)
@@ -106,4 +141,4 @@ def _of(kind: Any) -> Schema:
         return {"anyOf": [{"type": "array", "items": _of(arguments[0])}, _DISTRIBUTION]}
     if typing.get_origin(kind) in (typing.Union, types.UnionType):
         return {"anyOf": [_of(argument) for argument in arguments]}
-    return {}  # Drake's own, such as SimulatorConfig, and mappings
+    return {}  # mappings

@@ -17,7 +17,8 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, UnknownSignalError
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
+from drake_nonstop.simulation.signal_table import UnknownSignalError
 
 _SETTLING = 5  # samples at 100 Hz, in which a carrier goes from one planned speed to another
 _AHEAD = (56.0, -140.0, 120.0, -35.0)  # of the values 5, 6, 7 and 8 samples before: a cubic's value

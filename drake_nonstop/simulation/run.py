@@ -1,8 +1,7 @@
 """What a simulation produces, and how it may end."""
 
-import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -12,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.mechanics.signal_layouts import Entry, numbered_entries
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.validation import ScenarioError, require, require_installed
+from drake_nonstop.simulation.signal_table import SignalTable
+from drake_nonstop.validation import require
 
 if TYPE_CHECKING:
-    import pandas
-
     from drake_nonstop.simulation.recording import LogSignals, Recording
 
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
@@ -27,7 +24,7 @@ WALL_TIME = "solve_time"  # differs from run to run: kept out of the samples
 
 
 @dataclass(kw_only=True)
-class Run:
+class Run(SignalTable):
     """What a simulation produced.
 
     `signals` maps "block.port" to the samples of every signal but wall times, and accelerations and
@@ -46,13 +43,10 @@ class Run:
     integrator, s; `unresolved` has a sentence for each result that it does not resolve, and
     `half_step` what `verify_step` found. `replacements` are the arguments of `simulate` that made
     the loop or its blocks in place of the scenario's; None: the run is not one of `simulate`.
-    `entries` tells the name, unit and frame of each column of the `signals`, by their names.
     """
 
     scenario: Scenario
     diagram: Diagram
-    time: NDArray
-    signals: Mapping[str, NDArray]
     steps: Mapping[str, NDArray]
     solve_times: NDArray
     wall_time: float
@@ -62,7 +56,6 @@ class Run:
     unresolved: tuple[str, ...] = ()
     half_step: dict[str, Any] | None = None
     replacements: dict[str, Any] | None = field(default_factory=dict)
-    entries: Mapping[str, tuple[Entry, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """One line: the scenario, how long it flew, with how many samples and why it ended."""
@@ -138,83 +131,6 @@ class Run:
 
         return load_run(folder, trust=trust)
 
-    def signal(self, port: str) -> NDArray:
-        """The signal of that port name, or of "block.port": (samples, size).
-
-        Raises:
-            UnknownSignalError: there is none.
-        """
-        return self.signals[self.name_of(port)]
-
-    def name_of(self, port: str) -> str:
-        """The name "block.port" of the signal of that port name, or of that name itself.
-
-        Raises:
-            UnknownSignalError: there is none.
-        """
-        for name in self.signals:
-            if port in (name, name.partition(".")[2]):
-                return name
-        close = difflib.get_close_matches(str(port), list(self.signals), n=3, cutoff=0.4)
-        raise UnknownSignalError(
-            f"signal = {port}: give a port of the run, "
-            f"such as {' or '.join(close or list(self.signals)[:3])}"
-        )
-
-    def columns(self, signals: Sequence[str] = ()) -> dict[str, NDArray]:
-        """The numbers (samples,) of signals, by names with their units: "tensions.1 [N]".
-
-        The first is "time [s]". See `mechanics.signal_layouts` for the names.
-
-        Args:
-            signals: the ports' names, or "block.port", or the first parts of entries' names, such
-                as "carrier_state.positions" and "load_state.velocity.x"; none: all.
-
-        Raises:
-            UnknownSignalError: there is no such signal.
-        """
-        found = {"time [s]": self.time}
-        for name, chosen in map(self._chosen, signals or self.signals):
-            values = self.signals[name]
-            found |= {entry.label: values[:, column] for column, entry in chosen}
-        return found
-
-    def _chosen(self, signal: str) -> tuple[str, list[tuple[int, Entry]]]:
-        """The name of a signal, and those of its columns that are asked for."""
-        for name, values in self.signals.items():
-            port = name.partition(".")[2]
-            entries = self.entries.get(name) or numbered_entries(port, values.shape[1])
-            every = list(enumerate(entries))
-            if signal in (name, port):
-                return name, every
-            part = [item for item in every if f"{item[1].name}.".startswith(f"{signal}.")]
-            if part:
-                return name, part
-        return self.name_of(signal), []
-
-    def to_pandas(self, signals: Sequence[str] = ()) -> "pandas.DataFrame":
-        """The signals as a data frame of pandas, with units in the columns' names.
-
-        The index is the time in s. Its `attrs` have the "units" and "frames" of the columns.
-
-        Args:
-            signals: as of `columns`.
-
-        Raises:
-            UnknownSignalError: there is no such signal.
-            ScenarioError: pandas is not installed.
-        """
-        require_installed("to_pandas", pandas="pandas")
-        import pandas
-
-        columns = self.columns(signals)
-        index = pandas.Index(columns.pop("time [s]"), name="time [s]")
-        frame = pandas.DataFrame(columns, index=index)
-        every = [entry for name in self.signals for entry in self.entries.get(name, ())]
-        frame.attrs["units"] = {e.label: e.unit for e in every if e.label in columns}
-        frame.attrs["frames"] = {e.label: e.frame for e in every if e.label in columns}
-        return frame
-
 
 def _longest(times: NDArray) -> float:
     """The longest step (s) between times (steps,), without their rounding."""
@@ -227,12 +143,6 @@ def solve_times_of(steps: Mapping[str, NDArray]) -> NDArray:
         return np.zeros(0)
     counts = Diagnostics.view(steps["diagnostics"]).updates
     return steps[WALL_TIME][np.flatnonzero(np.diff(counts, prepend=0.0)), 0]
-
-
-class UnknownSignalError(ScenarioError, KeyError):
-    """A run has no signal of that name."""
-
-    __str__ = Exception.__str__  # a KeyError's is in quotation marks
 
 
 class StepAction(Enum):

@@ -7,6 +7,7 @@ wall time, step and ending.
 """
 
 import json
+import os
 import warnings
 import zipfile
 from collections.abc import Iterable, Mapping
@@ -20,6 +21,7 @@ from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.signal_layouts import Entry
 from drake_nonstop.scenario.loading import parse_scenario
 from drake_nonstop.simulation.run import Run, solve_times_of
+from drake_nonstop.simulation.signal_table import SignalTable
 from drake_nonstop.validation import (
     ScenarioError,
     ScenarioWarning,
@@ -31,6 +33,7 @@ from drake_nonstop.validation import (
 SCENARIO, SIGNALS, STEPS = "scenario.yaml", "signals.npz", "steps.npz"
 
 _TIME, _ENTRIES, _RUN = "time", "entries", "run"
+_COLUMNS = ("signal", "column", *Entry._fields)  # of the entries
 # Of a `Run`, as they are.
 _FIELDS = ("wall_time", "is_steered", "stopped", "step", "unresolved", "half_step")
 _OWN_BLOCKS = "has_own_blocks"
@@ -50,24 +53,44 @@ def write_steps(path: Path, run: Run) -> None:
     _write(path, [(_RUN, text)], ((name, run.steps[name]) for name in run.steps))
 
 
+def load_signals(folder: Path | str) -> SignalTable:
+    """The signals of the run whose results are in a folder, without its scenario and its blocks.
+
+    Raises:
+        ScenarioError: there are none, or they cannot be read.
+    """
+    path = _path(folder) / SIGNALS
+    remedy = "there is no such file; give the folder of a run"
+    require(path.is_file(), "run", path, remedy)
+    signals = _read(path)
+    time, rows = signals.pop(_TIME, None), signals.pop(_ENTRIES, None)
+    if time is None or not _is_numeric(time, 1):
+        raise _damaged(path, _TIME)
+    for name, values in signals.items():
+        if not _is_numeric(values, 2, len(time)):
+            raise _damaged(path, name)
+    if rows is None or rows.dtype.names != _COLUMNS:
+        raise _damaged(path, _ENTRIES)
+    entries = _entries(rows)
+    for name, own in entries.items():
+        if name not in signals or len(own) != signals[name].shape[1]:
+            raise _damaged(path, f"{_ENTRIES} of {name}")
+    return SignalTable(time=time, signals=signals, entries=entries)
+
+
 def load_run(folder: Path | str, *, trust: bool = False) -> Run:
     """The run whose results are in a folder; see `Run.load`."""
-    folder = Path(folder)
+    folder = _path(folder)
     remedy = "give the folder of a run, with its scenario.yaml, signals.npz and steps.npz"
     for name in (SCENARIO, SIGNALS, STEPS):
         require((folder / name).is_file(), "run", folder / name, f"there is no such file; {remedy}")
     scenario = parse_scenario(read_text(folder / SCENARIO, "run", remedy), "run", trust=trust)
-    signals, steps = (_read(folder / name) for name in (SIGNALS, STEPS))
-    try:
-        time, table = signals.pop(_TIME), signals.pop(_ENTRIES)
-        facts = json.loads(str(steps.pop(_RUN)))
-        known: dict[str, Any] = {name: facts[name] for name in _FIELDS}
-        has_own_blocks = facts[_OWN_BLOCKS]
-    except (KeyError, ValueError) as error:
-        raise ScenarioError(
-            f"run = {folder}: its files lack {one_line(error)}; fly the scenario again, "
-            f"`drake-nonstop run {folder / SCENARIO}`"
-        ) from None
+    table = load_signals(folder)
+    steps = _read(folder / STEPS)
+    facts = _facts(folder / STEPS, steps)
+    known = {name: facts[name] for name in _FIELDS}
+    has_own_blocks = facts[_OWN_BLOCKS]
+    _check_steps(folder, steps, len(scenario.system.attachments))
     if has_own_blocks:
         text = f"run = {folder}: blocks that its scenario does not name were in the loop; its "
         warnings.warn(f"{text}diagram is that of the scenario", ScenarioWarning, stacklevel=3)
@@ -78,14 +101,57 @@ def load_run(folder: Path | str, *, trust: bool = False) -> Run:
     return Run(
         scenario=scenario,
         diagram=diagram,
-        time=time,
-        signals=signals,
         steps=steps,
         solve_times=solve_times_of(steps),
         replacements=None if has_own_blocks else {},
-        entries=_entries(table),
+        **vars(table),
         **known,
     )
+
+
+def _path(folder: Any) -> Path:
+    require(isinstance(folder, (str, os.PathLike)), "run", folder, "give the path of its folder")
+    return Path(folder)
+
+
+def _is_numeric(values: NDArray, dimensions: int, count: int | None = None) -> bool:
+    """Whether it is of floats, of so many dimensions, and has as many rows as are asked for."""
+    is_shaped = values.ndim == dimensions and count in (None, len(values))
+    return is_shaped and values.dtype.kind == "f"
+
+
+def _damaged(path: Path, part: str) -> ScenarioError:
+    remedy = "fly the scenario again, by `drake-nonstop run` with the folder's scenario.yaml"
+    return ScenarioError(f"run = {path}: its part {part} is missing or damaged; {remedy}")
+
+
+def _facts(path: Path, steps: dict[str, NDArray]) -> dict[str, Any]:
+    """What `_RUN` tells, which is taken out of the steps."""
+    try:
+        facts: dict[str, Any] = json.loads(str(steps.pop(_RUN)))
+        is_whole = {*_FIELDS, _OWN_BLOCKS} <= facts.keys() and isinstance(facts["unresolved"], list)
+    except (KeyError, ValueError, AttributeError):
+        is_whole = False
+    if not is_whole:
+        raise _damaged(path, _RUN)
+    return facts
+
+
+def _check_steps(folder: Path, steps: Mapping[str, NDArray], n: int) -> None:
+    """Raises ScenarioError where the steps are not those of a loop of n carriers."""
+    path = folder / STEPS
+    time = steps.get(_TIME)
+    if time is None or not _is_numeric(time, 1):
+        raise _damaged(path, _TIME)
+    for name in ("carrier_state", "tensions"):
+        if name not in steps:
+            raise _damaged(path, name)
+    for name, values in steps.items():
+        if not _is_numeric(values, 1 if name == _TIME else 2, len(time)):
+            raise _damaged(path, name)
+    carriers = steps["carrier_state"].shape[1] // 6
+    remedy = f"its steps are those of {carriers} carriers; put the files of one run into the folder"
+    require(carriers == n, f"run = {folder / SCENARIO}: system.attachments", n, remedy)
 
 
 def _write(
@@ -116,10 +182,11 @@ def _entry_table(run: Run) -> NDArray:
         for name in run.signals
         for column, entry in enumerate(run.entries.get(name, ()))
     ]
-    names = ("signal", "column", *Entry._fields)
     columns = [np.array(column) for column in zip(*rows, strict=True)]
-    table = np.empty(len(rows), dtype=[(n, c.dtype) for n, c in zip(names, columns, strict=True)])
-    for name, column in zip(names, columns, strict=True):
+    table = np.empty(
+        len(rows), dtype=[(n, c.dtype) for n, c in zip(_COLUMNS, columns, strict=True)]
+    )
+    for name, column in zip(_COLUMNS, columns, strict=True):
         table[name] = column
     return table
 

@@ -59,6 +59,25 @@ def require_writable(
     require(free > room, "--out", folder, f"{needed}; or a shorter simulation_duration")
 
 
+def require_writable_file(file: Path) -> None:
+    """Makes the folder of a file where there is none.
+
+    Raises:
+        ScenarioError: the file cannot be written, or something that is no file is in its place.
+    """
+    remedy = "a folder or a device is in its place; give another file"
+    require(file.name != "" and not _is_kept(file), "--out", file, remedy)
+    require_writable(file.parent, [file.name])
+
+
+def _is_kept(path: Path) -> bool:
+    """Whether something is there that no file may replace: neither a regular file nor a link."""
+    with contextlib.suppress(OSError, ValueError):
+        mode = path.lstat().st_mode
+        return not (stat.S_ISREG(mode) or stat.S_ISLNK(mode))
+    return False
+
+
 def as_path(folder: Path | str) -> Path:
     """The folder as a Path; raises ScenarioError for what names none."""
     require(isinstance(folder, (str, os.PathLike)), "folder", folder, "give a path")
@@ -76,8 +95,8 @@ def _require_replaceable(folder: Path, item: Path) -> None:
             require(parent.is_dir(), "--out", folder, f"its file {parent.name} {remedy}")
             with tempfile.TemporaryFile(dir=parent):
                 pass
-    is_folder = os.path.isdir(path) and not os.path.islink(path)
-    require(not is_folder, "--out", folder, f"its folder {item} {remedy}")
+    kind = "folder" if os.path.isdir(path) else "device or pipe"
+    require(not _is_kept(path), "--out", folder, f"its {kind} {item} {remedy}")
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ from pydrake.systems.framework import Diagram
 from drake_nonstop.simulation.metrics import compute_metrics, metrics_table
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.visualization.drawing import draw_diagram
+from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import make_figure
 
 _FIGURE = "carrier_speeds"
@@ -18,7 +19,7 @@ _MOST_ROWS = 8
 
 
 def run_html(run: Run) -> str:
-    """A run's table of metrics beside the figure of its carriers' speeds."""
+    """A run's table of metrics, the figure of its carriers' speeds, and its replay."""
     if len(run.time) == 0:
         return _preformatted(repr(run))
     table = metrics_table(compute_metrics(run))
@@ -28,6 +29,8 @@ def run_html(run: Run) -> str:
     return (
         f"{_preformatted(repr(run))}{_preformatted(table)}"
         f'<img alt="Carrier speeds" src="data:image/png;base64,{picture}"/>'
+        f'<iframe title="Replay" loading="lazy" srcdoc="{html.escape(record_replay(run))}" '
+        'style="width: 100%; height: 28em; border: 0"></iframe>'
     )
 
 

@@ -5,29 +5,34 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.signal_table import SignalTable, UnknownSignalError
 from drake_nonstop.validation import require
 from drake_nonstop.visualization.decimation import extreme_samples
 from drake_nonstop.visualization.figure_style import COLOURS, LINE_STYLES, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
 _WIDTH, _HEIGHT = 8.0, 2.2  # inch, of a panel
 _MOST_PANELS = 20
 
 
-def make_signal_figure(runs: Mapping[str, Run], signals: Sequence[str]) -> Figure:
-    """A panel for each quantity of the signals, a colour for each entry, a line style for each run.
+def make_signal_figure(runs: Mapping[str, SignalTable], signals: Sequence[str]) -> Figure:
+    """A panel for each quantity of the signals.
+
+    Each entry has a colour and each run a line style; where there are more runs than line styles
+    each line has a colour and style that no other one has.
 
     Args:
         runs: by what they are called in the legend.
-        signals: as of `Run.columns`.
+        signals: as of `SignalTable.columns`.
 
     Raises:
-        ScenarioError: a run has no such signal, or there are more than 20 panels.
+        ScenarioError: a run has no such signal, there are more than 20 panels, or more lines of
+            more than three runs in a panel than can be told apart, 36.
     """
-    columns = {label: run.columns(signals) for label, run in runs.items()}
+    columns = {label: _columns(label, run, signals) for label, run in runs.items()}
     panels: dict[str, list[str]] = {}
     for found in columns.values():
         for name in list(found)[1:]:
@@ -36,6 +41,11 @@ def make_signal_figure(runs: Mapping[str, Run], signals: Sequence[str]) -> Figur
                 entries.append(name)
     remedy = f"give fewer signals, with at most {_MOST_PANELS} quantities in all"
     require(len(panels) <= _MOST_PANELS, "--signal", list(signals), remedy)
+    are_few = len(runs) <= len(LINE_STYLES)
+    most = max(map(len, panels.values())) * len(runs)
+    kinds = len(COLOURS) * len(LINE_STYLES)
+    remedy = f"at most {kinds} in a panel can be told apart: give fewer runs, or single entries"
+    require(are_few or most <= kinds, "--signal", f"{most} lines of {len(runs)} runs", remedy)
     figure = new_figure((_WIDTH, _HEIGHT * len(panels) + 0.5))
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, (quantity, names) in zip(rows, panels.items(), strict=True):
@@ -47,11 +57,14 @@ def make_signal_figure(runs: Mapping[str, Run], signals: Sequence[str]) -> Figur
                 shown = extreme_samples(found[name])
                 entry = name.partition(" [")[0].removeprefix(quantity.partition(" [")[0])
                 text = " ".join(filter(None, (entry.lstrip("."), label if len(runs) > 1 else "")))
+                colour, style = k, number
+                if not are_few:
+                    style, colour = divmod(number * len(names) + k, len(COLOURS))
                 axes.plot(
                     time[shown],
                     found[name][shown],
-                    color=COLOURS[k % len(COLOURS)],
-                    linestyle=LINE_STYLES[number % len(LINE_STYLES)],
+                    color=COLOURS[colour % len(COLOURS)],
+                    linestyle=LINE_STYLES[style % len(LINE_STYLES)],
                     linewidth=1.0,
                     label=text or None,
                 )
@@ -67,6 +80,13 @@ def make_signal_figure(runs: Mapping[str, Run], signals: Sequence[str]) -> Figur
             )
     rows[-1].set_xlabel("time [s]")
     return figure
+
+
+def _columns(label: str, run: SignalTable, signals: Sequence[str]) -> dict[str, NDArray]:
+    try:
+        return run.columns(signals)
+    except UnknownSignalError as error:
+        raise UnknownSignalError(f"{error} (of {label})") from None
 
 
 def _quantity(name: str) -> str:

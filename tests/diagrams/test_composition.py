@@ -11,7 +11,9 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from drake_nonstop import (
     ConstantParametersConfig,
+    Layout,
     PaperPhase,
+    Part,
     SampleAndHold,
     ScenarioError,
     ScenarioWarning,
@@ -409,3 +411,24 @@ def test_a_plant_is_fused_only_if_extra_blocks_that_it_reads_are_sampled(
 def test_the_hold_is_one_of_the_blocks():
     assert type(make_blocks(scenario(0.01))["sample_and_hold"]) is SampleAndHold
     assert "sample_and_hold" not in make_blocks(scenario(0.0))
+
+
+@pytest.mark.parametrize(
+    ("layouts", "said"),
+    [
+        ({"fuel": Layout(Part("", "3", "kg"))}, r"fuel\] = 3 entries: give a Layout of 1"),
+        ({"fuell": Layout(Part("", "1", "kg"))}, r"signal_layouts = fuell: give the name"),
+        ({"fuel": "kg"}, r"signal_layouts\[fuel\] = kg: give a Layout"),
+        (["fuel"], r"gauge.signal_layouts = \['fuel'\]: give a mapping"),
+    ],
+)
+def test_layouts_that_do_not_fit_the_ports_are_refused(layouts, said):
+    class Gauge(LeafSystem):
+        signal_layouts = layouts
+
+        def __init__(self, model):
+            super().__init__()
+            self.DeclareVectorOutputPort("fuel", 1, lambda context, output: None)
+
+    with pytest.raises(ScenarioError, match=said):
+        make_nonstop(load_scenario("quintic"), extra={"gauge": Gauge})

@@ -74,7 +74,21 @@ def test_sizes_that_do_not_fit_have_no_entries():
     assert mixed.entries("own", 0) is None
 
 
-@pytest.mark.parametrize("parts", [(), (Part("a", "2"),), (Part("a", ""),), ("a",)])
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (),
+        (Part("a", "2"),),
+        (Part("a", ""),),
+        ("a",),
+        (Part("", "1", None),),
+        (Part("a", "1", 7),),
+        (Part("a, b", "1"),),
+        (Part("a", "1", "[m]"),),
+        (Part("a\n", "1"),),
+        (Part("", "1", "kg"), Part("", "1", "kg")),
+    ],
+)
 def test_what_is_no_layout_is_refused(parts):
     with pytest.raises(ScenarioError, match=r"layout = .*give"):
         Layout(*parts)

@@ -51,18 +51,18 @@ def test_a_comment_on_several_fields_stands_in_lines_of_its_own():
 
 def test_new_writes_a_file_that_runs_and_replaces_none(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["new", "mine.yaml", "--from", "three_carriers"]) == 0
+    assert main(["new", "mine", "--from", "three_carriers"]) == 0
     (name,) = yaml.compose((tmp_path / "mine.yaml").read_text()).value[0][:1]
     assert name.value == "mine"
     brief = ["--quiet", "--no-figures", "--no-replay", "--set", "simulation_duration=0.05"]
     assert main(["run", "mine.yaml", *brief]) == 0
     before = (tmp_path / "mine.yaml").read_bytes()
-    assert main(["new", "mine.yaml"]) == 2
+    assert main(["new", "mine"]) == 2
     assert "it exists; give another name" in capsys.readouterr().err
     assert (tmp_path / "mine.yaml").read_bytes() == before
 
 
-@pytest.mark.parametrize("name", ["mine.txt", "mine", "no_folder/mine.yaml", "a b.yaml", ".yaml"])
+@pytest.mark.parametrize("name", ["mine.txt", "no_folder/mine.yaml", "a b.yaml", ".yaml"])
 def test_a_name_that_cannot_be_used_is_refused_and_nothing_written(
     tmp_path, monkeypatch, capsys, name
 ):

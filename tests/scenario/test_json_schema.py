@@ -15,6 +15,19 @@ from drake_nonstop.scenario.loading import load_scenario, scenario_names
 FOLDER = Path(drake_nonstop.diagrams.__file__).parent / "scenarios"
 
 
+OWN_BLOCK = """
+from dataclasses import dataclass
+from drake_nonstop import AccumulatedPhase
+
+@dataclass(kw_only=True)
+class SlowerConfig:
+    slowness: float = 2.0
+
+class Slower(AccumulatedPhase):
+    pass
+"""
+
+
 class Untagged(yaml.SafeLoader):
     """Reads tagged mappings as plain ones, as an editor does."""
 
@@ -54,6 +67,8 @@ def test_scenarios_with_every_field_keep_it(faults, name):
         "a: {sistem: {}}",
         "a: {phase: !ShapedPhase {bandwith: 3}}",
         "a: {control_period: fast}",
+        "a: {simulator_config: {max_step_siz: 0.01}}",
+        "a: {simulator_config: {max_step_size: small}}",
         "a: {system: {attachments: [[1, 2, three]]}}",
         "a: {}\nb: {}",
     ],
@@ -73,6 +88,23 @@ def test_fields_have_units_and_blocks():
     assert phase["bandwidth"]["description"] == "ShapedPhase: rad/s, of each of three equal poles"
     assert "!ShapedPhase, !AccumulatedPhase" in fields["phase"]["description"]
     assert "!ShapedPhase mapping" in custom_tags()
+
+
+def test_blocks_of_ones_own_keep_it_where_their_scenario_is_given(tmp_path, monkeypatch, capsys):
+    jsonschema = pytest.importorskip("jsonschema")
+    (tmp_path / "schema_blocks.py").write_text(OWN_BLOCK)
+    (tmp_path / "own.yaml").write_text("own: {phase: !schema_blocks.Slower {slowness: 3.0}}")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    text = "own: {phase: {slowness: 3.0}}"
+    plain_schema = jsonschema.Draft7Validator(scenario_schema())
+    assert list(plain_schema.iter_errors(yaml.safe_load(text)))
+    assert main(["schema", "own.yaml", "--trust"]) == 0
+    own = jsonschema.Draft7Validator(json.loads(capsys.readouterr().out))
+    assert not list(own.iter_errors(yaml.safe_load(text)))
+    assert list(own.iter_errors(yaml.safe_load("own: {phase: {slownes: 3.0}}")))
+    assert main(["schema", "own.yaml", "--trust", "--tags"]) == 0
+    assert "!schema_blocks.Slower mapping" in json.loads(capsys.readouterr().out)
 
 
 def test_the_command_writes_it(tmp_path, capsys):

@@ -10,8 +10,9 @@ from drake_nonstop import load_scenario
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
-from drake_nonstop.simulation.run import StepCheck, UnknownSignalError
+from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.simulation.signal_table import UnknownSignalError
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.visualization.canvas import ROOT
 from drake_nonstop.visualization.meshcat_server import start_meshcat

@@ -17,7 +17,7 @@ from drake_nonstop import (
     write_results,
 )
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
-from drake_nonstop.simulation.run import UnknownSignalError
+from drake_nonstop.simulation.signal_table import UnknownSignalError
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.visualization.replay import record_replay
 
@@ -129,5 +129,52 @@ def test_what_is_no_run_is_refused(stored, tmp_path):
     with pytest.raises(ScenarioError, match=r"steps.npz: it cannot be read"):
         Run.load(tmp_path)
     np.savez(tmp_path / "steps.npz", time=[0.0])
-    with pytest.raises(ScenarioError, match=r"its files lack .*fly the scenario again"):
+    with pytest.raises(ScenarioError, match=r"steps.npz: its part run is missing .*fly"):
+        Run.load(tmp_path)
+    with pytest.raises(ScenarioError, match=r"run = 7: give the path"):
+        Run.load(7)
+
+
+def _without(name):
+    return lambda arrays: arrays.pop(name)
+
+
+def _with(name, change):
+    return lambda arrays: arrays.update({name: change(arrays[name])})
+
+
+def _facts(**changes):
+    return _with("run", lambda text: np.array(json.dumps(json.loads(str(text)) | changes)))
+
+
+@pytest.mark.parametrize(
+    ("file", "damage", "part"),
+    [
+        ("signals.npz", _without("time"), "time"),
+        ("signals.npz", _without("entries"), "entries"),
+        ("signals.npz", _with("entries", lambda rows: rows[:-1]), "entries of"),
+        ("signals.npz", _with("entries", lambda rows: np.arange(3.0)), "entries"),
+        ("signals.npz", _with("time", lambda time: time[:-2]), r"\w+\.\w+"),
+        ("signals.npz", _with("load_plant.load_state", np.ravel), "load_plant.load_state"),
+        ("signals.npz", _with("cables.tensions", lambda v: v.astype(str)), "cables.tensions"),
+        ("signals.npz", _without("cables.tensions"), "entries of cables.tensions"),
+        ("steps.npz", _without("run"), "run"),
+        ("steps.npz", _without("carrier_state"), "carrier_state"),
+        ("steps.npz", _with("time", lambda time: time[1:]), r"\w+"),
+        ("steps.npz", _with("carrier_state", lambda v: v[:, :18]), "system.attachments"),
+        ("steps.npz", _facts(unresolved=None), "run"),
+        ("steps.npz", _with("run", lambda text: np.array("7")), "run"),
+    ],
+)
+def test_a_damaged_part_is_named(file, damage, part, stored, tmp_path):
+    _, folder = stored
+    for name in ("scenario.yaml", "signals.npz", "steps.npz"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    with np.load(tmp_path / file) as archive:
+        arrays = dict(archive)
+    damage(arrays)
+    np.savez(tmp_path / file, **arrays)
+    with pytest.raises(
+        ScenarioError, match=rf"(signals|steps|scenario)\.\w+: (its part )?({part})"
+    ):
         Run.load(tmp_path)

@@ -1,5 +1,8 @@
 """Runs in the files of other tools, read back by readers that are not ours."""
 
+import os
+import stat
+
 import numpy as np
 import pytest
 from pydrake.common.eigen_geometry import Quaternion
@@ -38,15 +41,21 @@ def test_parquet_has_units_and_frames(run, tmp_path):
     assert field.metadata == {b"unit": b"m", b"frame": b"W"}
     position = LoadState.view(run.signal("load_state")).position
     np.testing.assert_array_equal(table["load_state.position.x [m]"], position[:, 0])
-    assert table.schema.metadata[b"scenario"] == b"three_carriers"
 
 
 def test_a_bag_reads_back_without_ros_and_with_equal_values(run, tmp_path):
-    reader = pytest.importorskip("mcap_ros2.reader")
+    """By rosbags, which has a reader, a decoder and definitions of messages of its own."""
+    pytest.importorskip("mcap_ros2")
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
     write_mcap(run, tmp_path / "run.mcap")
-    found = {}
-    for message in reader.read_ros2_messages(tmp_path / "run.mcap"):
-        found.setdefault(message.channel.topic, []).append(message)
+    types = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    found, log_times = {}, {}
+    with rosbag2.Reader(tmp_path / "run.mcap") as bag:
+        for connection, log_time, data in bag.messages():
+            message = types.deserialize_cdr(data, connection.msgtype)
+            found.setdefault(connection.topic, []).append(message)
+            log_times.setdefault(connection.topic, []).append(log_time)
     count = len(run.time)
     n = 3
     numbers = range(1, n + 1)
@@ -63,11 +72,11 @@ def test_a_bag_reads_back_without_ros_and_with_equal_values(run, tmp_path):
     wrench = Wrench.view(run.signal("wrench"))
     carriers = CarrierStates.view(run.signal("carrier_state"))
     forces = run.signal("cable_forces").reshape(count, n, 3)
-    for i in (0, 7, count - 1):
-        odometry = found["/load/odometry"][i].ros_msg
+    for i in range(count):
+        odometry = found["/load/odometry"][i]
         stamp = odometry.header.stamp
         assert stamp.sec + 1e-9 * stamp.nanosec == pytest.approx(run.time[i], abs=1e-9)
-        assert found["/load/odometry"][i].log_time_ns == round(1e9 * run.time[i])
+        assert log_times["/load/odometry"][i] == round(1e9 * run.time[i])
         assert (odometry.header.frame_id, odometry.child_frame_id) == ("world", "load")
         pose, twist = odometry.pose.pose, odometry.twist.twist
         assert vector(pose.position) == state.position[i].tolist()
@@ -78,10 +87,10 @@ def test_a_bag_reads_back_without_ros_and_with_equal_values(run, tmp_path):
         np.testing.assert_allclose(
             R_WL @ vector(twist.angular), state.angular_velocity[i], atol=1e-12
         )
-        asked = found["/load/wrench"][i].ros_msg.wrench
+        asked = found["/load/wrench"][i].wrench
         assert vector(asked.force) == wrench.force[i].tolist()
         assert vector(asked.torque) == wrench.torque[i].tolist()
-        for k, pose in enumerate(found["/carriers"][i].ros_msg.poses):
+        for k, pose in enumerate(found["/carriers"][i].poses):
             assert vector(pose.position) == carriers.positions[i, k].tolist()
             q = pose.orientation
             R_WC = RotationMatrix(Quaternion([q.w, q.x, q.y, q.z])).matrix()
@@ -89,9 +98,9 @@ def test_a_bag_reads_back_without_ros_and_with_equal_values(run, tmp_path):
             forward = velocity / np.linalg.norm(velocity)
             np.testing.assert_allclose(R_WC[:, 0], forward, atol=1e-12)
             assert abs(R_WC[2, 1]) < 1e-12  # y is level
-            own = found[f"/carriers/{k + 1}/odometry"][i].ros_msg.twist.twist.linear
+            own = found[f"/carriers/{k + 1}/odometry"][i].twist.twist.linear
             np.testing.assert_allclose(vector(own), [np.linalg.norm(velocity), 0, 0], atol=1e-12)
-            force = found[f"/cables/{k + 1}/force"][i].ros_msg.wrench.force
+            force = found[f"/cables/{k + 1}/force"][i].wrench.force
             assert vector(force) == forces[i, k].tolist()
 
 
@@ -116,6 +125,32 @@ def test_the_command_writes_them_beside_the_run(run, tmp_path, capsys):
     assert "give the folder of a run" in capsys.readouterr().err
     assert main([*arguments[:4], "--signal", "tension"]) == 2
     assert "signal = tension: give a port of the run, such as" in capsys.readouterr().err
+
+
+def test_nothing_but_a_file_of_that_kind_is_replaced(run, tmp_path, capsys):
+    folder = tmp_path / "run"
+    write_data(run, folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    (tmp_path / "folder.csv").mkdir()
+    os.mkfifo(tmp_path / "pipe.csv")
+    for out, said in [
+        (folder / "signals.npz", "signals.npz: give a name that ends in .csv"),
+        (tmp_path / "folder.csv", "folder.csv: a folder or a device is in its place"),
+        (tmp_path / "pipe.csv", "pipe.csv: a folder or a device is in its place"),
+    ]:
+        assert main(["export", str(folder), "--to", "csv", "--out", str(out)]) == 2
+        assert said in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert stat.S_ISFIFO((tmp_path / "pipe.csv").lstat().st_mode)
+
+
+def test_tables_need_neither_the_scenario_nor_its_blocks(run, tmp_path):
+    folder = tmp_path / "run"
+    write_data(run, folder)
+    (folder / "scenario.yaml").write_text("own: {phase: !no_such_module.Phase {}}")
+    assert main(["export", str(folder), "--to", "csv", "--signal", "tensions"]) == 0
+    columns = np.genfromtxt(folder / "signals.csv", delimiter=",", skip_header=1)
+    np.testing.assert_array_equal(columns[:, 1:], run.signal("tensions"))
 
 
 @pytest.mark.parametrize("write", [write_parquet, write_mcap, write_rerun])

@@ -1,20 +1,23 @@
 """How notebooks show runs, sweeps and loops."""
 
+import html
 import re
 
 import pytest
 
-from drake_nonstop import SweepSpec, load_scenario, make_nonstop, simulate, sweep
+from drake_nonstop import SweepSpec, load_scenario, make_nonstop, record_replay, simulate, sweep
 from drake_nonstop.studies.run_all import SerialExecutor
 
 BRIEF = ["simulation_duration=0.2"]
 
 
-def test_a_run_shows_its_metrics_and_a_figure():
-    shown = simulate(load_scenario("quintic", BRIEF))._repr_html_()
+def test_a_run_shows_its_metrics_a_figure_and_its_replay():
+    run = simulate(load_scenario("quintic", BRIEF))
+    shown = run._repr_html_()
     assert "&lt;Run of quintic: 0.2 s, 29 signals&gt;" in shown
     assert "carrier speed" in shown
     assert re.search(r'src="data:image/png;base64,[A-Za-z0-9+/]{5000,}', shown)
+    assert html.unescape(re.search(r'srcdoc="([^"]*)"', shown)[1]) == record_replay(run)
 
 
 def test_a_loop_shows_its_drawing():

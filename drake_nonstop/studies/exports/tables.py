@@ -5,37 +5,37 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.signal_table import SignalTable
 from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.validation import require_installed
 
 
-def write_csv(run: Run, path: Path, signals: Sequence[str] = ()) -> None:
+def write_csv(table: SignalTable, path: Path, signals: Sequence[str] = ()) -> None:
     """Writes a row per sample; the first line has the columns' names with their units.
 
     Args:
-        run: what to write.
+        table: what to write, such as a Run.
         path: of the file.
-        signals: as of `Run.columns`.
+        signals: as of `SignalTable.columns`.
 
     Raises:
         ScenarioError: there is no such signal, or the file cannot be written.
     """
-    columns = run.columns(signals)
-    table = np.column_stack(list(columns.values()))
+    columns = table.columns(signals)
+    rows = np.column_stack(list(columns.values()))
     header = ",".join(columns)
     with replacing_file(path) as file:
         file.write(f"{header}\n".encode())
-        np.savetxt(file, table, fmt="%.17g", delimiter=",")
+        np.savetxt(file, rows, fmt="%.17g", delimiter=",")
 
 
-def write_parquet(run: Run, path: Path, signals: Sequence[str] = ()) -> None:
+def write_parquet(table: SignalTable, path: Path, signals: Sequence[str] = ()) -> None:
     """Writes a row per sample; each column's metadata has its `unit` and `frame`.
 
     Args:
-        run: what to write.
+        table: what to write, such as a Run.
         path: of the file.
-        signals: as of `Run.columns`.
+        signals: as of `SignalTable.columns`.
 
     Raises:
         ScenarioError: there is no such signal, PyArrow is not installed, or the file cannot be
@@ -45,15 +45,14 @@ def write_parquet(run: Run, path: Path, signals: Sequence[str] = ()) -> None:
     import pyarrow
     from pyarrow import parquet
 
-    columns = run.columns(signals)
-    about = {entry.label: entry for entries in run.entries.values() for entry in entries}
+    columns = table.columns(signals)
+    about = {entry.label: entry for entries in table.entries.values() for entry in entries}
     fields = []
     for label in columns:
         entry = about.get(label)
         unit, frame = ("s", "") if entry is None else (entry.unit, entry.frame)
         about_it = {"unit": unit, "frame": frame}
         fields.append(pyarrow.field(label, pyarrow.float64(), metadata=about_it))
-    metadata = {"scenario": run.scenario.name}
-    table = pyarrow.table(list(columns.values()), schema=pyarrow.schema(fields, metadata=metadata))
+    columns_of = pyarrow.table(list(columns.values()), schema=pyarrow.schema(fields))
     with replacing_file(path) as file:
-        parquet.write_table(table, file)
+        parquet.write_table(columns_of, file)
