@@ -6,7 +6,9 @@ notebooks and in the drawing.
 
 import html
 import inspect
+import os
 import re
+import tempfile
 import typing
 from html.parser import HTMLParser
 from pathlib import Path
@@ -23,6 +25,17 @@ from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.visualization.drawing import draw_diagram
+
+
+_ipython_folder = tempfile.TemporaryDirectory(prefix="drake-nonstop-docs-")
+
+
+def on_startup(command: str, dirty: bool) -> None:
+    """Has the notebooks' kernels print errors alone, and not that their ports are local ones."""
+    profile = Path(_ipython_folder.name) / "profile_default"
+    profile.mkdir()
+    (profile / "ipython_kernel_config.py").write_text('get_config().IPKernelApp.log_level = "ERROR"')
+    os.environ["IPYTHONDIR"] = _ipython_folder.name
 
 
 def on_files(files: Any, config: Any) -> Any:

@@ -18,7 +18,7 @@ TESTS = Path(__file__).parents[1]
 @pytest.mark.parametrize(
     ("classes", "count"),
     [
-        (["yaml", "overrides", "python"], 60),
+        (["yaml", "overrides", "python"], 40),
         (["files", "command_line", "blocks"], 9),
         (["signals", "kills"], 2),
     ],

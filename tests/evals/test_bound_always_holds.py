@@ -46,7 +46,7 @@ def variation(seed: int) -> Scenario:
     return scenario
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(15))
 def test_bound_holds_on_variations(seed):
     assert_no_carrier_is_ever_below_its_bound(variation(seed))
 
@@ -71,15 +71,23 @@ def assert_a_higher_bound_holds(scenario: Scenario, control_period: float) -> No
     assert_no_carrier_is_ever_below_its_bound(scenario)
 
 
-@pytest.mark.parametrize(("knots", "control_period"), [(0.2, 0.01), (0.4, 0.01), (0.4, 0.004)])
-@pytest.mark.parametrize("name", ["line", "quintic", "three_carriers"])
+@pytest.mark.parametrize(
+    ("name", "knots", "control_period"),
+    [
+        ("line", 0.2, 0.01),
+        ("line", 0.4, 0.004),
+        ("quintic", 0.4, 0.01),
+        ("three_carriers", 0.2, 0.01),
+        ("three_carriers", 0.4, 0.004),
+    ],
+)
 def test_a_higher_bound_holds_with_any_time_between_plans(name, knots, control_period):
     scenario = load_scenario(name)
     scenario.optimization_layer.knot_spacing = knots
     assert_a_higher_bound_holds(scenario, control_period)
 
 
-@pytest.mark.parametrize(("rate", "control_period"), [(50, 0.01), (100, 0.01), (250, 0.004)])
+@pytest.mark.parametrize(("rate", "control_period"), [(50, 0.01), (250, 0.004)])
 def test_a_higher_bound_holds_at_any_rate_one_sample_ahead(rate, control_period):
     scenario = one_sample_ahead(load_scenario("quintic"), period=1 / rate)
     assert_a_higher_bound_holds(scenario, control_period)

@@ -1,4 +1,4 @@
-"""500 drawn scenarios, valid and invalid: a sound run, or one clear sentence."""
+"""250 drawn scenarios, valid and invalid: a sound run, or one clear sentence."""
 
 import math
 from collections import Counter
@@ -77,7 +77,7 @@ SETTINGS = st.one_of(
 
 
 @settings(
-    max_examples=400,
+    max_examples=250,
     deadline=None,
     derandomize=True,
     phases=[Phase.explicit, Phase.generate],
@@ -128,5 +128,5 @@ def draw_and_run(name, optimized, drawn, duration):
 def test_nothing_but_a_clear_error_or_a_sound_run():
     counts.clear()
     draw_and_run()
-    assert counts["sound"] > 80
-    assert counts["invalid"] > 100
+    assert counts["sound"] > 50
+    assert counts["invalid"] > 60

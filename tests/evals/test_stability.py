@@ -27,11 +27,12 @@ def growth_per_turn(resting, turns):
     runs = []
     for size in (0.0, 1e-8):
         context = equilibrium.Clone()
-        for name, seed in (("load_plant", 1), ("carrier_dynamics", 2)):
-            own = nonstop.GetMutableSubsystemContext(nonstop.GetSubsystemByName(name), context)
-            state = own.get_continuous_state_vector().CopyToVector()
+        plant = nonstop.GetSubsystemByName("plant")
+        own = nonstop.GetMutableSubsystemContext(plant, context)
+        for seed, name in enumerate(("load_state", "carrier_state")):
+            state = plant.states(own)[name]
             noise = np.random.default_rng(seed).standard_normal(len(state))
-            own.SetContinuousState(state + size * noise)
+            plant.set_states(own, **{name: state + size * noise})
         simulator = Simulator(nonstop, context)
         ApplySimulatorConfig(config, simulator)
         states = []
@@ -83,7 +84,7 @@ def test_prediction_and_simulation_agree(name, setting, is_stable):
     scenario = changed(scenario, [setting])
     predicted = linearize(scenario)
     assert predicted.is_stable == is_stable
-    simulated = growth_per_turn(scenario, 3)
+    simulated = growth_per_turn(changed(scenario, ["fused_plant=true"]), 3)
     assert (simulated < 1) == is_stable
 
 
