@@ -4,10 +4,12 @@ At the end all links of the built pages are checked, also those that MkDocs does
 notebooks and in the drawing.
 """
 
+import atexit
 import html
 import inspect
 import os
 import re
+import shutil
 import tempfile
 import typing
 from html.parser import HTMLParser
@@ -27,15 +29,14 @@ from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.visualization.drawing import draw_diagram
 
 
-_ipython_folder = tempfile.TemporaryDirectory(prefix="drake-nonstop-docs-")
-
-
 def on_startup(command: str, dirty: bool) -> None:
     """Has the notebooks' kernels print errors alone, and not that their ports are local ones."""
-    profile = Path(_ipython_folder.name) / "profile_default"
-    profile.mkdir()
-    (profile / "ipython_kernel_config.py").write_text('get_config().IPKernelApp.log_level = "ERROR"')
-    os.environ["IPYTHONDIR"] = _ipython_folder.name
+    folder = tempfile.mkdtemp(prefix="drake-nonstop-docs-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    settings = Path(folder) / "profile_default" / "ipython_kernel_config.py"
+    settings.parent.mkdir()
+    settings.write_text('get_config().IPKernelApp.log_level = "ERROR"')
+    os.environ["IPYTHONDIR"] = folder
 
 
 def on_files(files: Any, config: Any) -> Any:
