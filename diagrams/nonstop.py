@@ -10,11 +10,12 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
   load_plant <── cables <── carrier_dynamics <────────────────────────┘
 """
 
+import contextlib
 import copy
 import math
 import sys
 import warnings
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import is_dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -76,7 +77,9 @@ from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig
 from drake_nonstop.optimization.speed_margin import SpeedMargin, with_margin
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
+from drake_nonstop.systems.diagnosis import raising_block
 from drake_nonstop.systems.energy import LoopDiagram
+from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import (
     ScenarioError,
     ScenarioWarning,
@@ -379,7 +382,8 @@ def make_nonstop(
     if not (at_equilibrium and is_whole):
         return diagram
     context = diagram.CreateDefaultContext()
-    set_equilibrium(diagram, context)
+    with _naming_the_block():
+        set_equilibrium(diagram, context)
     if not plant_states(diagram).declare_defaults(context):
         return diagram
     states = plant_states(diagram).states(context)
@@ -772,7 +776,8 @@ def _connected(
     builder = DiagramBuilder()
     wiring.connect_by_name(builder, blocks, inputs=outside)
     diagram = LoopDiagram()
-    builder.BuildInto(diagram)
+    with _naming_the_block():  # Drake asks the blocks which outputs feed through
+        builder.BuildInto(diagram)
     diagram.set_name(LOOP)
     diagram.speed_margin = parts.margin
     diagram.watched_models = {
@@ -802,6 +807,18 @@ def _made(field: str, make: Any, model: Model, besides: str) -> System:
         isinstance(block, System), field, block, "return a LeafSystem or Diagram from the function"
     )
     return block
+
+
+@contextlib.contextmanager
+def _naming_the_block() -> Iterator[None]:
+    """Has an error of a block of the user's own tell the block and the line, in one sentence."""
+    try:
+        yield
+    except (ScenarioError, NotFiniteError):
+        raise
+    except Exception as error:  # whatever a block may raise
+        blamed = raising_block(error) or "a block: "
+        raise ScenarioError(f"{blamed}{one_line(error)}; correct the block") from error
 
 
 def _check_others(name: str, block: System, made: set[str], sizes: wiring.Sizes) -> None:

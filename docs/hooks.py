@@ -54,6 +54,17 @@ def on_files(files: Any, config: Any) -> Any:
     return files
 
 
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
+    """Shows the equations' indices as such: p_i, u_{i-1}, G_0."""
+    if page.file.src_uri != "theory.md":
+        return markdown
+    parts = re.split(r"(```.*?```|`[^`]*`|\[[^]]*\]\([^)]*\))", markdown, flags=re.DOTALL)
+    for k in range(0, len(parts), 2):
+        parts[k] = re.sub(r"_(?:\{([^}]*)\}|(\w+))", r"<sub>\1\2</sub>", parts[k])
+        parts[k] = re.sub(r"\^(?:\{([^}]*)\}|(\w+|∨))", r"<sup>\1\2</sup>", parts[k])
+    return "".join(parts)
+
+
 def on_post_page(output: str, page: Any, config: Any) -> str:
     """Has notebooks' links to other pages lead to what is built of these."""
     if page.file.src_uri.endswith(".ipynb"):
@@ -125,6 +136,10 @@ def figure_page() -> str:
     ]
     return "\n".join(
         [
+            "---",
+            "hide: [toc]",
+            "---",
+            "",
             "# The figure, box by box",
             "",
             "The control figure, drawn from the diagram that is built. Each box is a Drake system",

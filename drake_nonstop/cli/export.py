@@ -36,7 +36,7 @@ def add_to(commands: Commands) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="of a table: this one, or with more of these those, such as carrier_state (all)",
+        help="a signal of a table, such as carrier_state; may be given again (all)",
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="(in RUN, such as signals.csv)")
     add_trust(parser)

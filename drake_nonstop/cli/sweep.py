@@ -62,6 +62,8 @@ def _sweep(options: argparse.Namespace) -> int:
     for line in _errors(done):
         print(line)
     print(", ".join(f"{count} {ending}" for ending, count in sorted(done.endings.items())))
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in done.outcomes.items())
+    print(f"outcomes: {outcomes or 'none'}")
     print(f"results: {done.table}")
     return 0 if done.endings.keys() <= {COMPLETED, DIVERGED} else FAILED
 

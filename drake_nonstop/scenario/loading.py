@@ -7,6 +7,7 @@ the import path of a block of the user's own (`own_blocks`). With `based_on: NAM
 out are those of another scenario.
 """
 
+import difflib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -94,12 +95,10 @@ def _path(name_or_file: str | Path, field: str, folder: Path | None = None) -> P
     if path.suffix in (".yaml", ".yml"):
         return path if folder is None else folder / path
     names = scenario_names()
-    require(
-        str(name_or_file) in names,
-        field,
-        name_or_file,
-        f"give a .yaml file or one of {', '.join(names)}",
-    )
+    close = difflib.get_close_matches(str(name_or_file), names, n=1)
+    hint = f"; did you mean {close[0]}?" if close else ""
+    remedy = f"give a .yaml file or one of {', '.join(names)}{hint}"
+    require(str(name_or_file) in names, field, name_or_file, remedy)
     return SCENARIOS / f"{name_or_file}.yaml"
 
 

@@ -61,7 +61,8 @@ class SignalTable:
             UnknownSignalError: there is no such signal.
         """
         found = {"time [s]": self.time}
-        for name, chosen in map(self._chosen, signals or self.signals):
+        chosen_signals = [signals] if isinstance(signals, str) else signals
+        for name, chosen in map(self._chosen, chosen_signals or self.signals):
             values = self.signals[name]
             found |= {entry.label: values[:, column] for column, entry in chosen}
         return found
@@ -74,7 +75,8 @@ class SignalTable:
             every = list(enumerate(entries))
             if signal in (name, port):
                 return name, every
-            part = [item for item in every if f"{item[1].name}.".startswith(f"{signal}.")]
+            of_port = signal.removeprefix(f"{name.partition('.')[0]}.")
+            part = [item for item in every if f"{item[1].name}.".startswith(f"{of_port}.")]
             if part:
                 return name, part
         return self.name_of(signal), []

@@ -84,6 +84,12 @@ class TaskCheck:
         if self.formation.is_stable:
             growth = math.exp(self.formation.growth)
             change = "does not grow" if growth <= 1 else f"grows {growth:.3g} times at most"
+            if math.isnan(self.formation.sampled_growth):
+                return (
+                    f"a small deviation of the load {change} on the way, with carriers that are "
+                    "where they should be and controllers that are continuous; a block that is "
+                    "not the package's may make the loop unstable, see `drake-nonstop stability`"
+                )
             return f"the formation is stable: a small deviation {change} on the way"
         helps = "; or ".join(self.formation_remedies)
         how = f"{worst.rate:.2g} 1/s{_without(worst)}"

@@ -53,7 +53,7 @@ SweepInterrupted = StudyInterrupted  # what `sweep` raises
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """A completed sweep: its table, and how many runs had each ending.
+    """A completed sweep: its table, and how many runs had each ending and outcome.
 
     `errors` counts the runs that did not complete by their endings and messages; there are no
     more than 1000 of them.
@@ -62,6 +62,7 @@ class Sweep:
     table: Path
     endings: dict[str, int]
     errors: dict[tuple[str, str], int] = field(default_factory=dict)
+    outcomes: dict[str, int] = field(default_factory=dict)  # of those that have metrics
 
 
 def sweep(
@@ -225,6 +226,7 @@ def _write_tables(folder: Path, spec: SweepSpec, journal: Journal) -> Sweep:
     """Writes both tables, with a row per result."""
     endings: Counter[str] = Counter()
     errors: Counter[tuple[str, str]] = Counter()
+    outcomes: Counter[str] = Counter()
 
     def row(number: int) -> Row:
         planned, result = spec.run(number), journal.result(number)
@@ -239,6 +241,8 @@ def _write_tables(folder: Path, spec: SweepSpec, journal: Journal) -> Sweep:
     def counted_row(number: int) -> Row:
         counted = row(number)
         endings[counted["ending"]] += 1
+        if "outcome" in counted:
+            outcomes[counted["outcome"]] += 1
         error = counted["ending"], counted["error"]
         if counted["ending"] != COMPLETED and (error in errors or len(errors) < _MAX_MESSAGES):
             errors[error] += 1
@@ -249,7 +253,12 @@ def _write_tables(folder: Path, spec: SweepSpec, journal: Journal) -> Sweep:
 
     _write_table(folder / WALL_TIMES, len(spec), wall_times, _types(len(spec), wall_times))
     _write_table(folder / TABLE, len(spec), row, _types(len(spec), counted_row))
-    return Sweep(table=folder / TABLE, endings=dict(endings), errors=dict(errors.most_common()))
+    return Sweep(
+        table=folder / TABLE,
+        endings=dict(endings),
+        errors=dict(errors.most_common()),
+        outcomes=dict(outcomes.most_common()),
+    )
 
 
 def _types(total: int, row: Callable[[int], Row]) -> dict[str, type]:

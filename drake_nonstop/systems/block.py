@@ -26,8 +26,9 @@ import weakref
 from dataclasses import is_dataclass
 from typing import Any, ClassVar
 
+import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.symbolic import Expression
+from pydrake.symbolic import Expression, uninterpreted_function
 from pydrake.systems.framework import (
     Context,
     ContinuousState,
@@ -35,6 +36,7 @@ from pydrake.systems.framework import (
     LeafSystem,
     LeafSystem_,
     OutputPort,
+    PortDataType,
     System,
     SystemScalarConverter,
 )
@@ -132,7 +134,15 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
         return self.get_name()
 
     def DeclareVectorOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
-        """As LeafSystem's."""
+        """As LeafSystem's.
+
+        Where a function cannot compute with an Expression, its output in that scalar type is an
+        unknown function of all inputs and states: Drake then takes all of them to feed through.
+        """
+        if self.scalar is Expression:
+            owner = weakref.ref(self)
+            arguments = tuple(_or_unknown(a, owner) if callable(a) else a for a in arguments)
+            named = {k: _or_unknown(a, owner) if callable(a) else a for k, a in named.items()}
         return super().DeclareVectorOutputPort(*map(weakly, arguments), **named)
 
     def DeclareAbstractOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
@@ -257,6 +267,36 @@ def weakly(callback: Any) -> Any:
         return function(owner(), *arguments)
 
     return call
+
+
+def _or_unknown(calc: Any, owner: Any) -> Any:
+    """What computes an output of Expressions, also where `calc` cannot."""
+    calc = weakly(calc)
+
+    def call(context: Any, output: Any) -> None:
+        try:
+            calc(context, output)
+        except ScenarioError:
+            raise
+        except Exception:  # such as the TypeError of math.sqrt; with numbers it is told
+            known = _known_to(owner(), context)
+            unknown = uninterpreted_function("unknown", known)
+            output.SetFromVector(np.full(output.size(), unknown))
+
+    return call
+
+
+def _known_to(block: Any, context: Any) -> list[Expression]:
+    """The time, the states and the inputs of a block of Expressions."""
+    vectors = [np.array([context.get_time()])]
+    vectors.append(context.get_continuous_state_vector().CopyToVector())
+    for k in range(context.num_discrete_state_groups()):
+        vectors.append(context.get_discrete_state(k).CopyToVector())
+    for k in range(block.num_input_ports()):
+        port = block.get_input_port(k)
+        if port.get_data_type() == PortDataType.kVectorValued and port.HasValue(context):
+            vectors.append(port.Eval(context))
+    return [*np.concatenate([vector.ravel() for vector in vectors])]
 
 
 def release(diagram: Diagram) -> None:

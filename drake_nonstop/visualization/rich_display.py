@@ -41,11 +41,12 @@ def diagram_html(diagram: Diagram) -> str:
 
 
 def sweep_html(done: Any) -> str:
-    """How many runs of a sweep had each ending, its errors, and where its table is."""
+    """How many runs of a sweep had each ending and outcome, its errors, and where its table is."""
     endings = ", ".join(f"{count} {ending}" for ending, count in done.endings.items())
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in done.outcomes.items())
     errors = sorted(done.errors.items(), key=lambda item: -item[1])[:_MOST_ROWS]
     lines = [endings, *(f"{count} x {ending}: {text}" for (ending, text), count in errors)]
-    return _preformatted("\n".join([*lines, f"table: {Path(done.table)}"]))
+    return _preformatted("\n".join([*lines, f"outcomes: {outcomes}", f"table: {Path(done.table)}"]))
 
 
 def _preformatted(text: str) -> str:

@@ -61,7 +61,7 @@ def _draw_carrier_paths_from_above(run: Run) -> Figure:
 def _draw_carrier_paths_zoomed(run: Run) -> Figure:
     speeds = carrier_speeds(run.signal("carrier_state")).min(axis=1)
     slowest = run.time[np.argmin(speeds)]
-    turn = 2 * np.pi / run.signal("parameters")[np.argmin(speeds), 0]
+    turn = 2 * np.pi / max(abs(run.signal("parameters")[np.argmin(speeds), 0]), 1e-9)
     shown = np.flatnonzero(np.abs(run.time - slowest) <= turn)
     figure, axes = _single()
     _draw_from_above(run, axes, shown)

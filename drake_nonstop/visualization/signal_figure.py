@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -29,10 +30,13 @@ def make_signal_figure(runs: Mapping[str, SignalTable], signals: Sequence[str]) 
         signals: as of `SignalTable.columns`.
 
     Raises:
-        ScenarioError: a run has no such signal, there are more than 20 panels, or more lines of
+        ScenarioError: no run has such a signal, there are more than 20 panels, or more lines of
             more than three runs in a panel than can be told apart, 36.
     """
-    columns = {label: _columns(label, run, signals) for label, run in runs.items()}
+    columns = {label: _columns(run, signals) for label, run in runs.items()}
+    for signal in signals:
+        if not any(len(_columns(run, [signal])) > 1 for run in runs.values()):
+            next(iter(runs.values())).columns([signal])  # which refuses it, and names others
     panels: dict[str, list[str]] = {}
     for found in columns.values():
         for name in list(found)[1:]:
@@ -82,11 +86,13 @@ def make_signal_figure(runs: Mapping[str, SignalTable], signals: Sequence[str]) 
     return figure
 
 
-def _columns(label: str, run: SignalTable, signals: Sequence[str]) -> dict[str, NDArray]:
-    try:
-        return run.columns(signals)
-    except UnknownSignalError as error:
-        raise UnknownSignalError(f"{error} (of {label})") from None
+def _columns(run: SignalTable, signals: Sequence[str]) -> dict[str, NDArray]:
+    """The time and the columns of those signals that a run has."""
+    found = {"time [s]": run.time}
+    for signal in signals:
+        with contextlib.suppress(UnknownSignalError):
+            found |= run.columns([signal])
+    return found
 
 
 def _quantity(name: str) -> str:

@@ -54,10 +54,14 @@ def test_all_of_many_runs_can_be_told_apart_and_too_many_are_refused(runs):
         make_signal_figure({str(k): run for k in range(10)}, ["tensions"])
 
 
-def test_the_run_without_a_signal_is_named(runs):
+def test_a_signal_is_drawn_of_the_runs_that_have_it(runs):
     clocked = simulate(load_scenario("quintic", ["simulation_duration=0.1"]), extra={"c": Clock})
-    with pytest.raises(ScenarioError, match=r"signal = hours: give .* \(of other\)"):
-        make_signal_figure({"own": clocked, "other": runs[1]["quintic"]}, ["hours"])
+    both = {"own": clocked, "other": runs[1]["quintic"]}
+    for name in ("hours", "c.hours"):
+        figure = make_signal_figure(both, [name, "cables.tensions.2"])
+        assert [len(axes.lines) for axes in figure.axes] == [1, 2]
+    with pytest.raises(ScenarioError, match="signal = hour: give a port"):
+        make_signal_figure(both, ["hour"])
 
 
 def test_the_command_writes_the_picture_and_refuses_what_it_cannot_draw(runs, tmp_path, capsys):

@@ -1,6 +1,7 @@
 """What aircraft need along a plan, against the resting orbit and against flights."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -85,3 +86,7 @@ def test_a_check_is_not_sound_where_the_way_cannot_be_flown():
     margin = dataclasses.replace(found.flight.margins[0], value=0.95)
     beyond = found.flight._replace(margins=(margin, *found.flight.margins[1:]))
     assert not dataclasses.replace(found, flight=beyond).is_sound
+    unknown = found.formation._replace(sampled_growth=math.nan)  # with a block of one's own
+    _, of_formation, _ = dataclasses.replace(found, formation=unknown).verdicts
+    assert "the formation is stable" not in of_formation
+    assert "may make the loop unstable" in of_formation

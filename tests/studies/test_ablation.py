@@ -211,7 +211,7 @@ class TestTables:
         assert cells["cannot (unbuildable)"][1:4] == ["–", "–", "–"]
         order = [line.split(": ")[0] for line in lines if re.match(r"\d\. ", line)]
         assert order == ["1. a|b", "2. much better", "3. worse"]
-        assert "No effect on it: same." in lines
+        assert "No effect on the time below the bound: same." in lines
         assert lines[-2:] == ["- crash (diverged): it diverged", "- cannot (unbuildable): no"]
 
     def test_what_runs_are_warned_about_is_said(self):

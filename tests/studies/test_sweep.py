@@ -394,7 +394,7 @@ class TestCommand:
         monkeypatch.chdir(tmp_path)
         spec = self.spec(tmp_path, "grid: {system.load_mass: [1.0, -1.0]}")
         assert main(["sweep", "line", spec, "--serial", "--set", *SHORT]) == FAILED
-        assert "1 completed, 1 unbuildable\nresults: out/sweep/line_mine/" in (
+        assert "1 completed, 1 unbuildable\noutcomes: 1 ok\nresults: out/sweep/line_mine/" in (
             capsys.readouterr().out
         )
         assert len(rows(tmp_path / "out" / "sweep" / "line_mine")) == 2

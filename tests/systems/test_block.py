@@ -3,12 +3,13 @@
 import dataclasses
 import gc
 import itertools
+import math
 import weakref
 
 import pytest
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
-from pydrake.systems.framework import BasicVector, Diagram, LeafSystem, LeafSystem_
+from pydrake.systems.framework import BasicVector, Diagram, DiagramBuilder, LeafSystem, LeafSystem_
 
 from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
 from drake_nonstop.scenario.loading import load_scenario
@@ -164,6 +165,39 @@ def test_release_frees_the_rest_beside_a_block_of_the_users():
     gc.collect()
     assert reference() is None
     assert [type(r()) for r in blocks if r() is not None] in ([PlainWind], [])
+
+
+class Root(LeafBlock):
+    """What Python's own square root makes, which takes no Expression."""
+
+    def __init__(self):
+        super().__init__()
+        self.DeclareVectorInputPort("square", 1)
+        self.DeclareVectorInputPort("other", 1)
+        self.DeclareVectorOutputPort("root", 1, self.calc)
+
+    def calc(self, context, output):
+        output.SetFromVector([math.sqrt(self.GetInputPort("square").Eval(context)[0])])
+
+
+def test_a_function_that_takes_floats_only_feeds_everything_through():
+    block = Root()
+    assert block.HasDirectFeedthrough(0, 0)
+    assert block.HasDirectFeedthrough(1, 0)
+    builder = DiagramBuilder()
+    builder.AddSystem(block)
+    builder.ExportInput(block.get_input_port(0))
+    builder.ExportInput(block.get_input_port(1))
+    builder.ExportOutput(block.get_output_port())
+    builder.Build()
+    symbolic = block.ToSymbolic()
+    context = symbolic.CreateDefaultContext()
+    for k, name in enumerate("xy"):
+        symbolic.get_input_port(k).FixValue(context, [Expression(Variable(name))])
+    (unknown,) = symbolic.get_output_port().Eval(context)
+    assert {v.get_name() for v in unknown.GetVariables()} == {"x", "y"}
+    with pytest.raises(RuntimeError):
+        unknown.Evaluate(dict.fromkeys(unknown.GetVariables(), 1.0))
 
 
 def test_weakly():

@@ -99,7 +99,7 @@ def as_markdown(rows: Sequence[Row]) -> str:
         lines += ["", "By their effect on the time below the bound:", ""]
         lines += [f"{k}. {row.variant}: {text}" for k, (row, text) in enumerate(effects, 1)]
     if unaffected:
-        lines += ["", f"No effect on it: {', '.join(unaffected)}."]
+        lines += ["", f"No effect on the time below the bound: {', '.join(unaffected)}."]
     problems = problems_of(rows)
     if problems:
         lines += ["", *(f"- {problem}" for problem in problems)]
@@ -155,14 +155,17 @@ def _cells(row: Row, base: Row) -> list[str]:
 
 
 def effects_on_bound(rows: Sequence[Row]) -> tuple[list[tuple[Row, str]], list[str]]:
-    """The variants that change the time below the bound, with figures; the others' names."""
+    """The variants that change the time below the bound, with figures; the others' names.
+
+    There are no others where no time is below the bound in the first row.
+    """
     effects, unaffected = [], []
     for row in ordered(rows, TIME_BELOW_BOUND)[1:]:
         change = change_of(row, rows[0], TIME_BELOW_BOUND)
         if change:
             by = _shown_change(TIME_BELOW_BOUND, row, rows[0])
             effects.append((row, f"{by} s (slowest carrier {shown(SLOWEST_SPEED, row)} m/s)"))
-        elif change is not None:
+        elif change is not None and TIME_BELOW_BOUND.value(rows[0].metrics) > 0:
             unaffected.append(row.variant)
     return effects, unaffected
 
