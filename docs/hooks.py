@@ -60,9 +60,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         return markdown
     parts = re.split(r"(```.*?```|`[^`]*`|\[[^]]*\]\([^)]*\))", markdown, flags=re.DOTALL)
     for k in range(0, len(parts), 2):
-        parts[k] = re.sub(r"_(?:\{([^}]*)\}|(\w+))", r"<sub>\1\2</sub>", parts[k])
-        parts[k] = re.sub(r"\^(?:\{([^}]*)\}|(\w+|∨))", r"<sup>\1\2</sup>", parts[k])
-    return "".join(parts)
+        parts[k] = re.sub(r"_(?:\{([^}]*)\}|([0-9A-Za-zα-ω]+))", r"<sub>\1\2</sub>", parts[k])
+        parts[k] = re.sub(r"\^(?:\{([^}]*)\}|([0-9A-Za-zα-ω]+|∨))", r"<sup>\1\2</sup>", parts[k])
+    head, *rest = "".join(parts).partition("\n\n")
+    return f'{head}\n\n<div class="equations" markdown>\n{"".join(rest)}\n</div>\n'
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
