@@ -817,7 +817,9 @@ def _naming_the_block() -> Iterator[None]:
     except (ScenarioError, NotFiniteError):
         raise
     except Exception as error:  # whatever a block may raise
-        blamed = raising_block(error) or "a block: "
+        blamed = raising_block(error)
+        if not blamed:
+            raise  # Drake's own, such as that of an algebraic loop
         raise ScenarioError(f"{blamed}{one_line(error)}; correct the block") from error
 
 
