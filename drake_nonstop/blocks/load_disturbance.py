@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.mechanics.coloured_noise import (
@@ -14,6 +15,8 @@ from drake_nonstop.mechanics.coloured_noise import (
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
+from drake_nonstop.systems.diagram_trace import At
+from drake_nonstop.systems.tracing import constants
 from drake_nonstop.validation import (
     StrictFields,
     require_array,
@@ -50,6 +53,9 @@ class NoDisturbance(LeafBlock):
         self.DeclareVectorOutputPort(
             "disturbance_wrench", WRENCH_SIZE, self._calc, {self.nothing_ticket()}
         )
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        return constants(np.zeros(self.GetOutputPort(port).size()))
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(np.zeros(WRENCH_SIZE))

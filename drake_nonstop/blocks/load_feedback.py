@@ -19,6 +19,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, LeafBlock, number
+from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.traced_block import stacking
 from drake_nonstop.validation import (
     StrictFields,
@@ -86,6 +87,9 @@ class DesiredStateFeedback(LeafBlock):
         self.DeclareVectorOutputPort(
             "measured_load_state", LOAD_STATE_SIZE, self._calc, {self.all_input_ports_ticket()}
         )
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        return at.input("reference")[:LOAD_STATE_SIZE]
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._reference.Eval(context)[:LOAD_STATE_SIZE])

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -46,6 +47,7 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
@@ -345,6 +347,12 @@ class ConstantParameters(LeafBlock):
         """Raises ScenarioError where a parameter that is set would have none in this context."""
         if name == "speed_bound":
             require_no_command(self._command, context, value)
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        values = self.parameters.view(at.parameters)
+        if port == "parameters":
+            return np.concatenate([values["frequency"], values["amplitude"]])
+        return at.input_or(COMMAND, values["speed_bound"])
 
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())

@@ -1,10 +1,12 @@
 """Box "phase" of the internal forces, in the paper a part of their trajectories."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -19,6 +21,7 @@ from drake_nonstop.mechanics.shaping import Smoothing
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, PLANNED_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock, LeafBlock
+from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.linear_block import LinearBlock
 from drake_nonstop.validation import StrictFields, require_positive
 
@@ -87,6 +90,15 @@ class _SteppedPhase(InnerBlock):
         # updates at the same instant, reads the stepped phase.
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._step)
 
+    updates_first = True
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        return at.state(1)
+
+    def traced_update(self, at: At) -> list[NDArray]:
+        angle, slope = at.state(1)
+        return [np.array([angle + self._period * at.input("parameters")[0], slope])]
+
     def _step(self, context: Context, state: State) -> None:
         angle, slope = context.get_discrete_state_vector().CopyToVector()
         frequency, _ = self._parameters.Eval(context)
@@ -137,6 +149,13 @@ class PaperPhase(LeafBlock):
         if self._sample_time is not None:
             return self._sample_time.Eval(context)[0]
         return context.get_time()
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        frequency, amplitude = at.input("parameters")
+        (time,) = at.time if self._sample_time is None else at.input("sample_time")
+        if port == "phase":
+            return np.array([frequency * time, time])
+        return np.array([frequency * time, frequency, amplitude, *[0.0 * time] * 5])
 
     def _calc_phase(self, context: Context, output: BasicVector) -> None:
         time = self._time(context)
@@ -252,9 +271,15 @@ class _Shape(InnerBlock):
 
     def _motion(self, context: Context) -> tuple[Any, list[Any], list[Any]]:
         """θ, and of each of ξ and A the stages and the first one's rate."""
-        angle, *stages, started = self._state(context)
-        frequency, amplitude = self._parameters.Eval(context).tolist()
-        if self.scalar is not float or started != 1:
+        return self._motion_of(self._state(context), self._parameters.Eval(context).tolist())
+
+    def _motion_of(
+        self, state: Iterable[Any], parameters: Iterable[Any]
+    ) -> tuple[Any, list[Any], list[Any]]:
+        """Likewise of the state and the parameters, numbers of any type."""
+        angle, *stages, started = state
+        frequency, amplitude = parameters
+        if not isinstance(started, float) or started != 1:
             rest = 1 - started
             starts = [frequency] * 3 + [amplitude] * 3
             pairs = zip(stages, starts, strict=True)
@@ -275,11 +300,14 @@ class _Shape(InnerBlock):
         if self._plan.HasValue(context):
             output.SetFromVector(self._plan.Eval(context))
             return
-        angle, xi, size = self._motion(context)
+        output.SetFromVector(self._planned(*self._motion(context)))
+
+    def _planned(self, angle: Any, xi: list[Any], size: list[Any]) -> list[Any]:
+        """θ, ξ, A and their rates."""
         first, second, _ = self._frequency.rates(*xi)
         size_first, size_second, size_third = self._amplitude.rates(*size)
         rates = [first, size_first, second, size_second, size_third]
-        output.SetFromVector([angle, xi[2], size[2], *rates])
+        return [angle, xi[2], size[2], *rates]
 
 
 class _SampledShape(_Shape):
@@ -291,17 +319,35 @@ class _SampledShape(_Shape):
         # Unrestricted for the same reason as the step of an accumulated phase.
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._step)
 
+    updates_first = True
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        if at.has_input("plan"):
+            plan = at.input("plan")
+            return plan if port == "planned" else np.array([plan[0], 0.0 * plan[0]])
+        if port == "phase":
+            return np.array([at.state(1)[0], 0.0 * at.state(1)[0]])
+        return np.array(self._planned(*self._motion_of(at.state(1), at.input("parameters"))))
+
+    def traced_update(self, at: At) -> list[NDArray]:
+        if at.has_input("plan"):
+            return [at.state(1)]
+        return [np.array(self._stepped(*self._motion_of(at.state(1), at.input("parameters"))))]
+
     def _state(self, context: Context) -> list[Any]:
         return context.get_discrete_state_vector().CopyToVector().tolist()
 
     def _step(self, context: Context, state: State) -> EventStatus:
         if self._plan.HasValue(context):
             return EventStatus.DidNothing()
-        angle, xi, size = self._motion(context)
+        state.get_mutable_discrete_state().set_value(self._stepped(*self._motion(context)))
+        return EventStatus.Succeeded()
+
+    def _stepped(self, angle: Any, xi: list[Any], size: list[Any]) -> list[Any]:
+        """The state a sample later."""
         *xi, turn = self._frequency.after(*xi)
         *size, _ = self._amplitude.after(*size)
-        state.get_mutable_discrete_state().set_value([angle + turn, *xi, *size, 1.0])
-        return EventStatus.Succeeded()
+        return [angle + turn, *xi, *size, 1.0]
 
 
 class _ContinuousShape(_Shape):

@@ -16,6 +16,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.diagram_trace import At
 
 _POSES = ("measured_load_state", "reference")  # begin with a quaternion
 _HIGHER_RATES = "reference_higher_rates"
@@ -88,6 +89,18 @@ class SampleAndHold(LeafBlock):
         period = model.control_period
         self.DeclareInitializationUnrestrictedUpdateEvent(self._sample)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._sample)
+
+    updates_first = True  # before others' updates at the same instant
+    updates_at_start = True
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        names = [self.get_output_port(k).get_name() for k in range(self.num_output_ports())]
+        return at.state(1 + names.index(port))
+
+    def traced_update(self, at: At) -> list[NDArray]:
+        names = [port.get_name() for port in self._inputs]
+        held = [at.input_or(name, at.state(1 + k)) for k, name in enumerate(names)]
+        return [*held, at.time]
 
     def _sample(self, context: Context, state: State) -> None:
         held = state.get_mutable_discrete_state()

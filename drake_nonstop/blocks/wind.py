@@ -21,6 +21,8 @@ from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierS
 from drake_nonstop.mechanics.wind import LOWEST_HEIGHT, power_law, risen_share
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
+from drake_nonstop.systems.diagram_trace import At
+from drake_nonstop.systems.tracing import after, constants
 from drake_nonstop.validation import (
     StrictFields,
     is_number,
@@ -65,6 +67,9 @@ class StillAir(LeafBlock):
         super().__init__()
         for name, size in (("wind", 3 * model.n), ("load_wind", 3), ("wind_estimate", 3)):
             self.DeclareVectorOutputPort(name, size, self._calc, {self.nothing_ticket()})
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        return constants(np.zeros(self.GetOutputPort(port).size()))
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(np.zeros(output.size()))
@@ -114,13 +119,21 @@ class _MeanWind(LeafBlock):
 
     def _mean(self, context: Context) -> NDArray:
         """The velocity (3,) at the context's time, m/s, in W."""
+        if self._rises_at_once:
+            return self._velocity if number(context.get_time()) >= self._start else np.zeros(3)
+        return self._share(np.array([context.get_time()])) * self._velocity
+
+    @property
+    def _rises_at_once(self) -> bool:
+        return not self._is_constant and self._rise_time == 0
+
+    def _share(self, time: NDArray) -> Any:
+        """What share of the mean wind there is at a time (1,), of numbers or symbols."""
         if self._is_constant:
-            return self._velocity
-        if self._rise_time > 0:
-            time = np.array([context.get_time()])
-            share = risen_share(time, start=self._start, rise_time=self._rise_time)
-            return share * self._velocity
-        return self._velocity if number(context.get_time()) >= self._start else np.zeros(3)
+            return 1.0
+        if self._rises_at_once:
+            return after(time, self._start)
+        return risen_share(time, start=self._start, rise_time=self._rise_time)
 
 
 def _checked_velocity(name: str, value: Any) -> NDArray:
@@ -239,6 +252,21 @@ class _Profile(_MeanWind):
         """The mean wind (3,) at the load."""
         load = LoadState.view(self._load_state.Eval(context))
         return self._profile(context, load.position[None])[0]
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        if port == "wind_estimate" and self.believed is not None:
+            return constants(self.believed)
+        share = self._share(at.time)
+        if port == "wind":
+            positions = CarrierStates.view(at.input("carrier_state")).positions
+        else:
+            positions = LoadState.view(at.input("load_state")).position[None]
+        mean = share * self.mean_at(positions).ravel()
+        return mean + self._gusts(port, at.time)
+
+    def _gusts(self, port: str, time: Any) -> Any:
+        """The gusts on top of what a port shows, at a time of any type."""
+        return 0.0
 
     def _calc_wind(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._at_carriers(context))
@@ -385,12 +413,18 @@ class GustyWind(_Profile):
         self._deviations = np.tile(config.gust * shares, model.n)
         self._load_waves, self.load_deviations = waves(0), config.load_gust * shares
 
+    def _gusts(self, port: str, time: Any) -> Any:
+        if port == "wind":
+            return coloured_noise(time, self._waves, self._deviations)
+        if port == "load_wind":
+            return coloured_noise(time, self._load_waves, self.load_deviations)
+        return 0.0
+
     def _calc_wind(self, context: Context, output: BasicVector) -> None:
-        gusts = coloured_noise(context.get_time(), self._waves, self._deviations)
-        output.SetFromVector(self._at_carriers(context) + gusts)
+        output.SetFromVector(self._at_carriers(context) + self._gusts("wind", context.get_time()))
 
     def _calc_load_wind(self, context: Context, output: BasicVector) -> None:
-        gust = coloured_noise(context.get_time(), self._load_waves, self.load_deviations)
+        gust = self._gusts("load_wind", context.get_time())
         output.SetFromVector(self._at_load(context) + gust)
 
 

@@ -23,6 +23,7 @@ from pydrake.systems.primitives import (
 )
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
+from drake_nonstop.systems.diagram_trace import ADJUSTED, At
 from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
 from drake_nonstop.systems.traced_block import stacking
 from drake_nonstop.systems.tracing import TracedFunction
@@ -106,7 +107,7 @@ class AdjustableLinear:
             "default", MatrixGain(matrix) if is_dense else LinearBlock(matrix, inputs)
         )
         adjusted = builder.AddNamedSystem(
-            "adjusted", _Adjusted(function, inputs, size, parameters, key)
+            ADJUSTED, _Adjusted(function, inputs, size, parameters, key)
         )
         switch = builder.AddNamedSystem("switch", PortSwitch(size))
         for source in (default.get_output_port(), adjusted.GetOutputPort("results")):
@@ -139,6 +140,7 @@ class _Adjusted(InnerBlock):
         self._function = parameters.as_argument(function, len(inputs))
         self._sizes, self._key = [*inputs.values(), len(parameters)], key
         self._evaluate: TracedFunction | None = None
+        self._names = [*inputs]
         self._inputs = [self.DeclareVectorInputPort(*port) for port in inputs.items()]
         declare_parameters(self, parameters)
         self.DeclareVectorOutputPort(
@@ -153,6 +155,11 @@ class _Adjusted(InnerBlock):
             self._calc_choice,
             {self.all_parameters_ticket()},
         )
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        """As of `systems.diagram_trace`."""
+        values = [at.input(name) for name in self._names]
+        return np.ravel(self._function(*values, at.parameters))
 
     def _calc_results(self, context: Context, output: BasicVector) -> None:
         values = [port.Eval(context) for port in self._inputs]

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import (
@@ -23,8 +24,9 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import Integrator, Selector, SelectorParams
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock, weakly
+from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
-from drake_nonstop.systems.tracing import ArrayFunction, LateFunction, Trace
+from drake_nonstop.systems.tracing import ArrayFunction, LateFunction, Trace, object_array
 
 _STATE = "(state)"  # no name of a port
 _NUMBERS = "(parameters)"  # likewise
@@ -209,6 +211,7 @@ class _Part(NamedTuple):
     # Takes the scalar type and the name of the block, and returns what evaluates the part: a
     # `TracedFunction` or what stands in for one.
     make: Callable[[type, Callable[[], str]], Any]
+    function: Callable[[], casadi.Function]  # of the inputs, stacked, and the time
     optional: Mapping[str, int] = {}  # inputs besides, which may be left unconnected
 
 
@@ -224,6 +227,7 @@ def _part_of(trace: Trace, group: _Group, names: list[str], time: int) -> _Part:
         time in group.reads,
         {names[i]: trace.output_sizes[i] for i in group.makes},
         make,
+        lambda: trace.part(group.reads, group.makes),
     )
 
 
@@ -247,7 +251,10 @@ def _late_part(
             lambda: Trace(function, sizes, key=late.key).compiled(*whole, name=name)
         )
 
-    return _Part(numbers, False, dict(late.outputs), make, dict(late.optional))
+    def traced() -> casadi.Function:
+        return Trace(function, sizes, key=late.key).part(*whole)
+
+    return _Part(numbers, False, dict(late.outputs), make, traced, dict(late.optional))
 
 
 class _Traced(InnerBlock):
@@ -265,6 +272,7 @@ class _Traced(InnerBlock):
 
     def __init__(self, parts: Sequence[_Part], sizes: Sequence[int], parameters: NumericParameters):
         super().__init__()
+        self._parts = parts
         self._ports: list[InputPort | None] = []  # of the parts
         self._optional: list[InputPort] = []  # of the one part that has any
         for k, part in enumerate(parts):
@@ -294,6 +302,18 @@ class _Traced(InnerBlock):
             sources = {self.all_parameters_ticket()}
             size = len(parameters)
             self.DeclareVectorOutputPort("parameters", size, self._calc_parameters, sources)
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        """The results of a part, or the parameters."""
+        if port == "parameters":
+            return at.parameters
+        k = int(port.removeprefix("results_"))
+        part = self._parts[k]
+        read = [at.input(f"inputs_{k}")] if part.reads else []
+        read += [at.input_or(name, np.zeros(size)) for name, size in part.optional.items()]
+        read += [at.time] if part.reads_time else []
+        results, _ = part.function()(casadi.vertcat(*np.concatenate(read)))
+        return object_array(results)
 
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_numeric_parameter(0).CopyToVector())

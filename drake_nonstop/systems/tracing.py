@@ -87,7 +87,7 @@ class TracedFunction:
     def traced(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs, each flat, for symbolic inputs: as a part of another trace."""
         outputs = self._function(casadi.vertcat(*np.concatenate(inputs)))
-        return tuple(_object_array(output) for output in outputs[: self._count])
+        return tuple(object_array(output) for output in outputs[: self._count])
 
     def expressions(self, *inputs: casadi.MX) -> tuple[casadi.MX, ...]:
         """The outputs as expressions of CasADi's, for its solvers."""
@@ -179,6 +179,10 @@ class Trace:
         """
         function = self._expressions.part(tuple(reads), tuple(makes))
         return TracedFunction(function, [function.size1_in(0)], name=name)
+
+    def part(self, reads: Sequence[int], makes: Sequence[int]) -> casadi.Function:
+        """The function of the inputs `reads`, stacked, to the outputs `makes` and their size."""
+        return self._expressions.part(tuple(reads), tuple(makes))
 
     def on_arrays(
         self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
@@ -282,7 +286,7 @@ def _expressions(
 ) -> tuple[list[casadi.SX], list[casadi.SX]]:
     """A symbol for each input, and the outputs, each dense and flat."""
     symbols = [casadi.SX.sym(f"input_{i}", size) for i, size in enumerate(input_sizes)]
-    outputs = function(*map(_object_array, symbols))
+    outputs = function(*map(object_array, symbols))
     if not isinstance(outputs, tuple):
         outputs = (outputs,)
     return symbols, [casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs]
@@ -320,9 +324,19 @@ def _traced(
     return _cached(make, list(input_sizes), jacobian_of, key)
 
 
-def _object_array(symbol: casadi.SX) -> NDArray:
+def object_array(symbol: casadi.SX) -> NDArray:
     """A flat NumPy object array of the symbol's scalar entries."""
     return np.fromiter(map(_entry, symbol.elements()), dtype=object, count=symbol.numel())
+
+
+def constants(values: NDArray) -> NDArray:
+    """Numbers as entries of a trace."""
+    return object_array(casadi.SX(casadi.DM(values)))
+
+
+def after(time: NDArray, start: float) -> NDArray:
+    """1 where a time (1,) of symbols is not before a start, else 0."""
+    return object_array(time[0] >= start)
 
 
 def _entry(symbol: casadi.SX) -> casadi.SX:

@@ -1,0 +1,156 @@
+"""Traced functions as C, compiled once and kept in the user's cache folder.
+
+An entry is named after the C text, the compiler and its options. It is loaded only where it is
+this user's own, nobody else may write to it, and its checksum is right; else it is built again.
+Without a compiler, or without a folder to write to, CasADi's virtual machine evaluates instead,
+which is told in one line.
+"""
+
+import contextlib
+import fcntl
+import functools
+import hashlib
+import os
+import platform
+import shutil
+import stat
+import subprocess
+import tempfile
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import casadi
+
+from drake_nonstop.validation import ScenarioWarning
+
+COMPILER = "CC"  # the variable of the environment that names another compiler
+CACHE = "DRAKE_NONSTOP_CACHE"  # likewise, another folder
+_COMPILERS = "cc", "gcc", "clang"
+_OPTIONS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
+_TIME_LIMIT = 600.0  # s, of a compilation
+
+
+class CompilationError(RuntimeError):
+    """Nothing was compiled; the message tells why, in a few words."""
+
+
+def compiled(function: casadi.Function) -> casadi.Function:
+    """The function as compiled C, or as it is where that cannot be.
+
+    A ScenarioWarning tells why it cannot, once for each reason.
+    """
+    try:
+        return casadi.external(function.name(), str(_library(function)))
+    except CompilationError as error:
+        _tell(str(error))
+    return function
+
+
+def compiler() -> str | None:
+    """The path of the C compiler that is used; None: there is none."""
+    names = [os.environ[COMPILER]] if os.environ.get(COMPILER) else _COMPILERS
+    return next(filter(None, map(shutil.which, names)), None)
+
+
+def cache_folder() -> Path:
+    """Where compiled functions are kept: $DRAKE_NONSTOP_CACHE, or in the user's cache folder."""
+    if os.environ.get(CACHE):
+        return Path(os.environ[CACHE])
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "drake_nonstop"
+
+
+@functools.cache
+def _tell(reason: str) -> None:
+    text = f"compiled loop: {reason}; CasADi's virtual machine evaluates it instead"
+    warnings.warn(text, ScenarioWarning, stacklevel=4)
+
+
+def _library(function: casadi.Function) -> Path:
+    """The shared library of a function, which is built where there is none that can be used."""
+    own_compiler = compiler()
+    if own_compiler is None:
+        raise CompilationError("there is no C compiler (cc, gcc or clang)")
+    text = _c_text(function)
+    parts = (text, own_compiler, _version(own_compiler), *_OPTIONS, platform.machine())
+    key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        library = folder / f"{key}.so"
+        with _locked(folder / f"{key}.lock"):
+            if not _is_sound(library):
+                _build(own_compiler, text, library)
+    except OSError as error:
+        reason = f"{folder} cannot be written ({error.strerror or error})"
+        raise CompilationError(reason) from None
+    return library
+
+
+def _c_text(function: casadi.Function) -> str:
+    generator = casadi.CodeGenerator("loop", {"with_header": False})
+    generator.add(function)
+    text: str = generator.dump()
+    return text
+
+
+@functools.cache
+def _version(path: str) -> str:
+    try:
+        return subprocess.run([path, "--version"], capture_output=True, text=True).stdout
+    except OSError as error:
+        raise CompilationError(f"{path} cannot be run ({error.strerror})") from None
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Others that build the same wait; file systems without locks let both build."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        with contextlib.suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _checksum(library: Path) -> Path:
+    return library.with_suffix(".sha256")
+
+
+def _is_sound(library: Path) -> bool:
+    """Whether a library is this user's own, and as it was built."""
+    try:
+        for path in (library, _checksum(library)):
+            status = path.lstat()
+            is_own = stat.S_ISREG(status.st_mode) and status.st_uid == os.getuid()
+            if not is_own or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                return False
+        return _checksum(library).read_text() == hashlib.sha256(library.read_bytes()).hexdigest()
+    except (OSError, ValueError):
+        return False
+
+
+def _build(own_compiler: str, text: str, library: Path) -> None:
+    """Compiles C to a library, which is put in its place when it is complete."""
+    with tempfile.TemporaryDirectory(prefix=".new-", dir=library.parent) as scratch:
+        source, made = Path(scratch) / "loop.c", Path(scratch) / "loop.so"
+        source.write_text(text)
+        call = [own_compiler, *_OPTIONS, str(source), "-o", str(made), "-lm"]
+        try:
+            done = subprocess.run(call, capture_output=True, text=True, timeout=_TIME_LIMIT)
+        except subprocess.TimeoutExpired:
+            raise CompilationError(f"{own_compiler} took more than {_TIME_LIMIT:g} s") from None
+        if done.returncode != 0 or not made.is_file():
+            told = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
+            raise CompilationError(f"{own_compiler} failed ({told[:200]})")
+        made.chmod(0o600)
+        checksum = Path(scratch) / "checksum"
+        checksum.write_text(hashlib.sha256(made.read_bytes()).hexdigest())
+        checksum.chmod(0o600)
+        for path in (library, _checksum(library)):
+            with contextlib.suppress(IsADirectoryError):
+                path.unlink(missing_ok=True)
+        os.replace(made, library)
+        os.replace(checksum, _checksum(library))

@@ -1,0 +1,245 @@
+"""A diagram in symbols: what its ports show, how its states move, and what its samples change.
+
+Every leaf system of the diagram is one of these:
+
+- a `LeafBlock` with the method `traced_output(port, at)`, and for its states `traced_rates(at)` and
+  `traced_update(at)`, which take an `At` and compute with NumPy on arrays of symbols;
+- one of Drake's systems that are linear and have no state: their matrix is found at unit vectors;
+- Drake's Integrator, or the switch of an `AdjustableLinear`.
+
+What is none of them stands outside: `At` asks for the values of its ports.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import (
+    Context,
+    Diagram,
+    InputPortIndex,
+    OutputPortIndex,
+    System,
+)
+from pydrake.systems.primitives import (
+    Adder,
+    Demultiplexer,
+    Gain,
+    Integrator,
+    MatrixGain,
+    Multiplexer,
+    PassThrough,
+    PortSwitch,
+    Selector,
+)
+
+from drake_nonstop.systems.tracing import object_array
+
+ADJUSTED = "adjusted"  # the input of a switch that reads the parameters of the context
+_LINEAR = Selector, Gain, MatrixGain, Adder, Multiplexer, Demultiplexer, PassThrough
+
+Place = tuple[System, int]  # a port, by its system and its number
+Outside = Callable[[System, int], NDArray]  # gives what a port outside shows
+
+
+def leaves(system: System) -> Iterator[System]:
+    """The systems in a system that are no diagrams, itself if it is none."""
+    if not isinstance(system, Diagram):
+        yield system
+        return
+    for part in system.GetSystems():
+        yield from leaves(part)
+
+
+def is_traceable(system: System) -> bool:
+    """Whether all of a system can be traced."""
+    return all(
+        isinstance(leaf, (Integrator, *_LINEAR))
+        or _has_trace(leaf)
+        or (isinstance(leaf, PortSwitch) and leaf.HasInputPort(ADJUSTED))
+        for leaf in leaves(system)
+    )
+
+
+def _has_trace(leaf: System) -> bool:
+    """Whether a leaf has methods for a trace, and no class below theirs computes other values."""
+    kind = type(leaf)
+    is_of_package = kind.__module__.split(".")[0] == __name__.split(".")[0]
+    return hasattr(leaf, "traced_output") and (is_of_package or "traced_output" in vars(kind))
+
+
+class Wires:
+    """Where each input of a diagram's systems comes from, however deep they are."""
+
+    def __init__(self, diagram: Diagram):
+        self._root = diagram
+        self.matrices: dict[Place, dict[str, casadi.DM]] = {}  # of linear leaves, found so far
+        self._sources: dict[Place, Place] = {}
+        self._parents: dict[System, Diagram] = {}
+        self._outer: dict[Place, Place] = {}  # of an input that its diagram exports
+        self._add(diagram)
+
+    def _add(self, diagram: Diagram) -> None:
+        for (reader, index), (maker, output) in diagram.connection_map().items():
+            self._sources[reader, int(index)] = (maker, int(output))
+        for k in range(diagram.num_input_ports()):
+            for reader, index in diagram.GetInputPortLocators(InputPortIndex(k)):
+                self._outer[reader, int(index)] = (diagram, k)
+        for part in diagram.GetSystems():
+            self._parents[part] = diagram
+            if isinstance(part, Diagram):
+                self._add(part)
+
+    def source(self, reader: System, index: int) -> Place | None:
+        """The output port that an input is connected to, of a leaf or of a diagram."""
+        place = (reader, index)
+        while place not in self._sources:
+            if place not in self._outer:
+                return None
+            place = self._outer[place]
+        return self._sources[place]
+
+    def block_of(self, system: System) -> System:
+        """The diagram's own subsystem that a system is in."""
+        while self._parents[system] is not self._root:
+            system = self._parents[system]
+        return system
+
+
+class Instant:
+    """A diagram at one instant: all values in symbols, each found once.
+
+    Args:
+        wires: of the diagram.
+        context: of the diagram: which sizes and parameters there are.
+        states: of each leaf with a state its continuous state, then its discrete groups.
+        parameters: the first numeric parameter of each leaf that has one.
+        time: in s.
+        outside: what ports of systems that cannot be traced show.
+        is_outside: which systems these are, of the diagram's own.
+    """
+
+    def __init__(
+        self,
+        wires: Wires,
+        context: Context,
+        states: dict[System, list[NDArray]],
+        parameters: dict[System, NDArray],
+        time: Any,
+        outside: Outside,
+        is_outside: Callable[[System], bool],
+    ):
+        self.wires, self.context, self.time = wires, context, time
+        self.states, self.parameters = states, parameters
+        self._outside, self._is_outside = outside, is_outside
+        self._known: dict[Place, NDArray] = {}
+
+    def output(self, system: System, index: int) -> NDArray:
+        """What an output port shows, flat."""
+        if self._is_outside(self.wires.block_of(system)):
+            return self._outside(*self._outermost(system, index))
+        while isinstance(system, Diagram):
+            system, index = system.get_output_port_locator(OutputPortIndex(int(index)))
+        place = (system, int(index))
+        if place not in self._known:
+            self._known[place] = _output(system, int(index), At(self, system))
+        return self._known[place]
+
+    def _outermost(self, system: System, index: int) -> Place:
+        """The same port as one of the diagram's own subsystem."""
+        block = self.wires.block_of(system)
+        if system is block:
+            return system, int(index)
+        raise ValueError(f"system = {system.GetSystemPathname()}: it is inside what stands outside")
+
+    def input(self, system: System, index: int) -> NDArray | None:
+        """What an input port reads, flat; None: it is not connected."""
+        source = self.wires.source(system, index)
+        return None if source is None else self.output(*source)
+
+
+class At:
+    """A leaf system at an `Instant`, for its methods."""
+
+    def __init__(self, instant: Instant, leaf: System):
+        self._instant, self._leaf = instant, leaf
+
+    def input(self, name: str) -> NDArray:
+        """What an input port reads, which has to be connected."""
+        values = self._instant.input(self._leaf, self._index(name))
+        assert values is not None, f"{self._leaf.GetSystemPathname()}.{name} is not connected"
+        return values
+
+    def input_or(self, name: str, other: NDArray) -> NDArray:
+        """What an input port reads, or something else where it is not connected."""
+        values = self._instant.input(self._leaf, self._index(name))
+        return other if values is None else values
+
+    def has_input(self, name: str) -> bool:
+        """Whether an input port is connected."""
+        return self._instant.wires.source(self._leaf, self._index(name)) is not None
+
+    @property
+    def time(self) -> NDArray:
+        """In s, (1,)."""
+        return self._instant.time
+
+    @property
+    def parameters(self) -> NDArray:
+        """The first numeric parameter."""
+        return self._instant.parameters[self._leaf]
+
+    def state(self, group: int) -> NDArray:
+        """The continuous state (0), or a discrete group (from 1 on)."""
+        return self._instant.states[self._leaf][group]
+
+    def matrices(self, index: int) -> dict[str, casadi.DM]:
+        """Of a linear leaf, from each input that an output reads, by the names of the inputs."""
+        known = self._instant.wires.matrices
+        if (self._leaf, index) not in known:
+            known[self._leaf, index] = _matrices(self._leaf, index)
+        return known[self._leaf, index]
+
+    def _index(self, name: str) -> int:
+        return int(self._leaf.GetInputPort(name).get_index())
+
+
+def _output(leaf: Any, index: int, at: At) -> NDArray:
+    if hasattr(leaf, "traced_output"):
+        return leaf.traced_output(leaf.get_output_port(index).get_name(), at)
+    if isinstance(leaf, Integrator):
+        return at.state(0)
+    if isinstance(leaf, PortSwitch):
+        return at.input(ADJUSTED)
+    total = casadi.SX.zeros(leaf.get_output_port(index).size())
+    for name, matrix in at.matrices(index).items():
+        total += matrix @ casadi.vertcat(*at.input(name))
+    return object_array(casadi.densify(total))
+
+
+def _matrices(leaf: System, index: int) -> dict[str, casadi.DM]:
+    """Those of a linear system without a state, from each input that an output reads; sparse."""
+    context = leaf.CreateDefaultContext()
+    ports = [leaf.get_input_port(k) for k in range(leaf.num_input_ports())]
+    fixed = [port.FixValue(context, np.zeros(port.size())) for port in ports]
+    output = leaf.get_output_port(index)
+    found = {}
+    for port, value in zip(ports, fixed, strict=True):
+        columns = []
+        for k in range(port.size()):
+            value.GetMutableData().get_mutable_value().SetAtIndex(k, 1.0)
+            columns.append(output.Eval(context).copy())
+            value.GetMutableData().get_mutable_value().SetAtIndex(k, 0.0)
+        if np.any(columns):
+            found[port.get_name()] = casadi.sparsify(casadi.DM(np.array(columns).T))
+    return found
+
+
+def rates(leaf: Any, instant: Instant) -> NDArray:
+    """The rates of a leaf's continuous state."""
+    at = At(instant, leaf)
+    if isinstance(leaf, Integrator):
+        return at.input(leaf.get_input_port().get_name())
+    return leaf.traced_rates(at)

@@ -1,0 +1,219 @@
+"""The traced loop shows what its diagram shows, to rounding."""
+
+import numpy as np
+import pytest
+from drawn_tasks import aircraft_task, carriers_task
+from pydrake.systems.framework import LeafSystem
+
+from drake_nonstop import (
+    ConstantParameters,
+    ScenarioError,
+    StepCheck,
+    load_scenario,
+    make_nonstop,
+    scenario_names,
+    set_equilibrium,
+    set_parameter,
+    simulate,
+)
+from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.simulation.step_size import stable_config
+from drake_nonstop.systems.tracing import NotFiniteError
+
+DURATION = 0.24  # s, a multiple of all control periods
+UNTRACED = {"aircraft_co_rotating_rising_wind"}  # its trajectory reads the rates of ξ
+
+
+def traced(scenario, **options):
+    diagram = make_nonstop(scenario)
+    context = diagram.CreateDefaultContext()
+    config = stable_config(scenario.simulator_config, diagram, context)
+    shown = min(0.01, scenario.control_period)
+    loop = CompiledLoop(diagram, config, scenario.control_period, signal_period=shown, **options)
+    return loop, context
+
+
+def assert_equal(scenario, loop, context):
+    scenario = changed(scenario, [f"simulation_duration={DURATION}"])
+    times, signals = loop.run(context, DURATION)
+    run = simulate(scenario, check_step=StepCheck.NOTHING)
+    every = round(run.time[1] / times[1])
+    np.testing.assert_allclose(times[::every], run.time, atol=1e-12)
+    compared = 0
+    for name, expected in run.signals.items():
+        shown = signals[name.partition(".")[2]][::every]
+        np.testing.assert_allclose(shown, expected, atol=1e-9 * (1 + np.abs(expected).max()))
+        compared += 1
+    assert compared >= 20
+
+
+@pytest.mark.parametrize("name", sorted({*scenario_names()} - UNTRACED))
+def test_shipped_scenarios_are_the_same(name):
+    scenario = load_scenario(name)
+    assert_equal(scenario, *traced(scenario, compiles=False))
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["load_trajectory=Circle", "optimization_layer=NonstopOptimizer"],
+        ["load_trajectory=SteadyTurn", "optimization_layer=ConstantParameters"],
+        ["load_feedback=DesiredStateFeedback", "cables=IndividualCables"],
+        ["wrench_controller=GeometricPd", "carrier_controller=TunedCarrierPid"],
+        ["phase=AccumulatedPhase", "internal_force=InternalForceTrajectory"],
+        ["phase=PaperPhase", "carrier_trajectory=InextensibleCarrierTrajectory"],
+        ["carrier_trajectory=MeasuredCarrierTrajectory", "carrier_controller=CarrierPid"],
+        ["carrier_dynamics=LoadedCarrierDynamics", "carrier_controller=LoadedCarrierPid"],
+        ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredAttitudeFeedback"],
+        ["carrier_controller.integral_gain=5", "carrier_trajectory.hold=velocity"],
+        ["load_disturbance=!DisturbanceForce {force: [1, 0, 0], start_time: 0.05}"],
+        ["wind=!SteadyWind {velocity: [1, 0, 0], start_time: 0.1}", "system.load_drag=0.1"],
+        ["wind=!WindProfile {velocity: [1, 0, 0], exponent: 0.2, ground_height: -3}"],
+        ["wind=!GustyWind {velocity: [1, 0, 0], rise_time: 0.1}", "system.load_drag=0.1"],
+        ["control_period=0.005"],
+        ["control_period=0.02", "simulator_config.max_step_size=0.004"],
+        ["pattern=Carousel", "simulated.load_mass=1.1"],
+    ],
+    ids=lambda overrides: overrides[0],
+)
+def test_other_blocks_are_the_same(overrides):
+    scenario = load_scenario("quintic", overrides)
+    assert_equal(scenario, *traced(scenario, compiles=False))
+
+
+def test_parameters_are_inputs_of_one_trace():
+    """Values of a context count, as they do in the diagram, without another trace."""
+    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    loop, context = traced(scenario, compiles=False)
+    values = {
+        "carrier_controller.position_gain": 800.0,
+        "carrier_controller.velocity_gain": 8.0,
+        "wrench_controller.position_gain": 6.0,
+        "optimization_layer.amplitude": 1.1,
+        "optimization_layer.frequency": 2.1,
+    }
+    for path, value in values.items():
+        set_parameter(loop.diagram, context, path, value)
+    set_equilibrium(loop.diagram, context)
+    other = changed(scenario, [f"{path}={value}" for path, value in values.items()])
+    assert_equal(other, loop, context)
+
+
+@pytest.mark.parametrize("seed", range(4100, 4106))
+@pytest.mark.parametrize("task", [carriers_task, aircraft_task], ids=["carriers", "aircraft"])
+def test_drawn_loops_are_the_same(task, seed):
+    scenario = task(seed)
+    assert_equal(scenario, *traced(scenario, compiles=False))
+
+
+def test_a_run_depends_on_nothing_that_ran_before():
+    loop, context = traced(load_scenario("line"), compiles=False)
+    first, second = (loop.run(context, DURATION)[1] for _ in range(2))
+    for name, values in first.items():
+        if name != "solve_time":  # measured with a clock
+            np.testing.assert_array_equal(second[name], values)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["control_period=0"], "control_period = 0: it goes from sample to sample"),
+        (["load_plant=MultibodyLoadPlant"], "load_plant = MultibodyLoadPlant: it has no equations"),
+        (["load_feedback=!NoisyFeedback {delay: 0.02}"], "load_feedback = NoisyFeedback"),
+        (["simulator_config.use_error_control=true"], "without error control"),
+    ],
+)
+def test_what_cannot_be_traced_is_named(overrides, said):
+    scenario = load_scenario("quintic", overrides)
+    diagram = make_nonstop(scenario)
+    reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
+    assert said in reason
+    with pytest.raises(ScenarioError, match="simulate its diagram"):
+        CompiledLoop(diagram, scenario.simulator_config, scenario.control_period)
+
+
+class Faster(ConstantParameters):
+    """Makes other values than the block that it inherits a trace from."""
+
+    def _calc_parameters(self, context, output):
+        output.SetFromVector([2.4, 1.2])
+
+
+class Drifting(LeafSystem):
+    """Changes between samples, though no input feeds through to it."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorInputPort("reference", 22)
+        self.DeclareVectorOutputPort("parameters", 2, self.calc, {self.time_ticket()})
+
+    def calc(self, context, output):
+        output.SetFromVector([2.0 + 0.1 * context.get_time(), 1.2])
+
+
+class Drift(LeafSystem):
+    """Has a state that no time alone tells."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareContinuousState(6)
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.all_state_ticket()})
+
+    def calc(self, context, output):
+        output.SetFromVector(context.get_continuous_state_vector().CopyToVector())
+
+    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
+        derivatives.SetFromVector(np.full(6, 0.1))
+
+
+def test_a_block_below_one_with_a_trace_makes_its_own_values():
+    scenario = load_scenario("quintic")
+    diagram = make_nonstop(scenario, optimization_layer=lambda model: Faster(model))
+    loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
+    _, signals = loop.run(diagram.CreateDefaultContext(), 0.02)
+    np.testing.assert_array_equal(signals["parameters"], [[2.4, 1.2]] * 3)
+
+
+@pytest.mark.parametrize(
+    ("box", "block"), [("optimization_layer", Drifting), ("load_disturbance", Drift)]
+)
+def test_a_block_of_ones_own_that_a_trace_would_get_wrong_is_named(box, block):
+    scenario = load_scenario("quintic")
+    diagram = make_nonstop(scenario, **{box: block})
+    reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
+    assert reason == f"{box} = {block.__name__}: it has no equations to be traced"
+
+
+def test_a_loop_with_inputs_is_named():
+    scenario = load_scenario("quintic")
+    diagram = make_nonstop(scenario, inputs=["speed_bound_command"])
+    reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
+    assert reason.startswith("inputs = speed_bound_command")
+
+
+@pytest.mark.parametrize("duration", [0.015, -0.01, np.nan])
+def test_a_duration_has_to_be_a_multiple_of_the_sample(duration):
+    loop, context = traced(load_scenario("quintic"), compiles=False)
+    with pytest.raises(ScenarioError, match=r"duration = .*give a multiple"):
+        loop.run(context, duration)
+
+
+def test_a_period_of_signals_has_to_fit():
+    scenario = load_scenario("quintic")
+    diagram, config = make_nonstop(scenario), scenario.simulator_config
+    for period in (0.003, 0.02, -0.01):
+        with pytest.raises(ScenarioError, match=f"signal_period = {period}: give a whole part"):
+            CompiledLoop(diagram, config, 0.01, signal_period=period, compiles=False)
+
+
+def test_a_value_that_is_not_finite_is_no_result():
+    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    loop, context = traced(scenario, compiles=False)
+    plant = loop.diagram.GetSubsystemByName("load_plant")
+    own = plant.GetMyMutableContextFromRoot(context)
+    state = own.get_continuous_state_vector().CopyToVector()
+    state[4] = np.nan
+    own.SetContinuousState(state)
+    with pytest.raises(NotFiniteError):
+        loop.run(context, DURATION)

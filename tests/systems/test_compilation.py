@@ -1,0 +1,124 @@
+"""Functions as compiled C: the same values, and an entry of the cache is loaded if it is sound."""
+
+import os
+import subprocess
+import sys
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+
+import casadi
+import numpy as np
+import pytest
+
+from drake_nonstop.systems import compilation
+from drake_nonstop.systems.compilation import compiled, compiler
+from drake_nonstop.validation import ScenarioWarning
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """A cache folder of its own, and warnings that have not been told yet."""
+    monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "cache"))
+    compilation._tell.cache_clear()
+    return tmp_path / "cache"
+
+
+def function(factor=2.0):
+    x = casadi.SX.sym("x", 2)
+    return casadi.Function("f", [x], [casadi.vertcat(factor * casadi.sin(x[0]), x[1] ** 2)])
+
+
+def values(compiled_function):
+    return np.array(compiled_function([0.3, -1.5])).ravel()
+
+
+def library(folder):
+    (found,) = folder.glob("*.so")
+    return found
+
+
+@needs_compiler
+def test_values_are_those_of_the_virtual_machine_and_the_entry_is_used_again(folder):
+    made = compiled(function())
+    assert made.class_name() == "External"
+    np.testing.assert_allclose(values(made), values(function()), rtol=1e-15)
+    before = library(folder).stat().st_mtime_ns
+    compiled(function())
+    assert library(folder).stat().st_mtime_ns == before
+    assert values(compiled(function(3.0)))[0] == pytest.approx(3 * np.sin(0.3), rel=1e-15)
+    assert len([*folder.glob("*.so")]) == 2
+
+
+@needs_compiler
+@pytest.mark.parametrize("damage", ["bytes", "mode", "checksum", "folder", "link"])
+def test_an_entry_that_is_not_sound_is_built_again(folder, damage, tmp_path):
+    text = "import sys; sys.path[:0] = sys.argv[1:]; import test_compilation as t; "
+    text += "print(t.values(t.compiled(t.function())).tolist())"
+    call = [sys.executable, "-c", text, os.path.dirname(__file__)]
+    # In a process of its own: this one would keep the library that it has loaded.
+    expected = subprocess.run(call, capture_output=True, text=True, check=True).stdout
+    entry = library(folder)
+    sound = entry.read_bytes()
+    if damage == "bytes":
+        entry.write_bytes(b"no library" + sound[10:])
+    elif damage == "mode":
+        entry.chmod(0o666)
+    elif damage == "checksum":
+        entry.with_suffix(".sha256").unlink()
+    else:
+        entry.unlink()
+        entry.mkdir() if damage == "folder" else entry.symlink_to(tmp_path / "elsewhere")
+    done = subprocess.run(call, capture_output=True, text=True, check=True)
+    assert done.stdout == expected
+    if damage == "folder":
+        assert "virtual machine" in done.stderr  # what stands there is not removed
+        return
+    assert not entry.is_symlink()
+    assert entry.read_bytes() == sound
+    assert entry.stat().st_mode & 0o777 == 0o600
+
+
+@needs_compiler
+def test_two_at_once_build_it_once_and_both_load_it(folder):
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(compiled, [function(), function()])
+    np.testing.assert_array_equal(values(first), values(second))
+    assert len([*folder.glob("*.so")]) == 1
+    assert not [*folder.glob(".new-*")]
+
+
+def test_without_a_compiler_one_line_tells_it_once(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.warns(ScenarioWarning, match="there is no C compiler") as told:
+        made = compiled(function())
+    assert len(told) == 1
+    assert "\n" not in str(told[0].message)
+    assert made.class_name() == "SXFunction"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        np.testing.assert_array_equal(values(compiled(function())), values(function()))
+
+
+def test_a_compiler_that_fails_is_told(monkeypatch, tmp_path, folder):
+    failing = tmp_path / "failing"
+    failing.write_text("#!/bin/sh\n[ $1 = --version ] && exit 0\necho out of memory >&2\nexit 1\n")
+    failing.chmod(0o755)
+    monkeypatch.setenv("CC", str(failing))
+    with pytest.warns(ScenarioWarning, match=r"failing failed \(out of memory\)"):
+        made = compiled(function())
+    assert made.class_name() == "SXFunction"
+    assert not [*folder.glob("*.so")]
+    assert not [*folder.glob(".new-*")]
+
+
+def test_a_cache_that_cannot_be_written_is_told(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "file" / "cache"))
+    if compiler() is None:
+        pytest.skip("there is no C compiler")
+    with pytest.warns(ScenarioWarning, match="cannot be written"):
+        made = compiled(function())
+    np.testing.assert_array_equal(values(made), values(function()))
+    assert (tmp_path / "file").read_text() == "mine"
