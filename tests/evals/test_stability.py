@@ -20,6 +20,7 @@ def growth_per_turn(resting, turns):
     equilibrium; the linearization has no part in it.
     """
     period = 2 * np.pi / resting.optimization_layer.frequency
+    resting = changed(resting, ["fused_plant=true"])
     nonstop = make_nonstop(resting)
     equilibrium = nonstop.CreateDefaultContext()
     set_equilibrium(nonstop, equilibrium)
@@ -84,7 +85,7 @@ def test_prediction_and_simulation_agree(name, setting, is_stable):
     scenario = changed(scenario, [setting])
     predicted = linearize(scenario)
     assert predicted.is_stable == is_stable
-    simulated = growth_per_turn(changed(scenario, ["fused_plant=true"]), 3)
+    simulated = growth_per_turn(scenario, 3)
     assert (simulated < 1) == is_stable
 
 
