@@ -181,7 +181,7 @@ def blocks_page() -> str:
                 "",
                 _escaped(choice.summary),
             ]
-            for label, ports in (("Reads", choice.inputs), ("makes", choice.outputs)):
+            for label, ports in (("Reads", choice.inputs), ("Makes", choice.outputs)):
                 if ports:
                     texts = (f"`{p.name}` ({p.size})" for p in ports)
                     lines += ["", f"{label} {', '.join(texts)}."]
@@ -230,7 +230,7 @@ def signals_page() -> str:
         "`carrier_state.positions.2.x`, for n carriers and m coordinates of the internal force.",
         "All units are SI. W is the world, L the load. Quaternions are w, x, y, z. A block of your",
         "own may declare the layouts of its ports as `signal_layouts`, see",
-        "`drake_nonstop/mechanics/signal_layouts.py`.",
+        "[Use runs in other tools](howto_data.md#signals-of-your-own).",
     ]
     for signal, layout in sorted(SIGNALS.items()):
         lines += ["", f"## `{signal}` {{: #{signal} }}", ""]
@@ -239,7 +239,7 @@ def signals_page() -> str:
         if layout is None:
             lines.append(f"{made}. No vector: a `ReferencePreview`, which tells the motion ahead.")
             continue
-        lines += [f"{made}; {layout.size} entries.", "", "| part | size | unit | frame | |"]
+        lines += [f"{made}; {layout.size} entries.", "", "| part | size | unit | frame | meaning |"]
         lines += ["| --- | --- | --- | --- | --- |"]
         lines += [
             f"| {part.name} | {part.size} | {part.unit} | {part.frame} | {_cell(part.meaning)} |"
