@@ -117,6 +117,8 @@ class FixedWingController(DiagramBlock):
         ScenarioError: the system has no aircraft, or a parameter is out of its range.
     """
 
+    is_sampled = True
+
     def __init__(self, model: Model, config: FixedWingControllerConfig | None = None):
         super().__init__()
         config = config or FixedWingControllerConfig()
