@@ -1,5 +1,5 @@
 # make demo: environment, install, one run. make check: lint and types.
-# make test: all tests. make quick: without whole runs, processes and browsers; within a minute.
+# make test: all tests. make quick: without whole runs, processes and browsers.
 # make adversary: 2000 bad and extreme inputs, signals and kills; COUNT=200 SEED=1 for others.
 # make docs: the documentation, in site/; EXECUTE_NOTEBOOKS=false: notebooks without outputs.
 # make pictures: those of the README; needs Chromium (on Debian: apt-get install chromium).
