@@ -189,7 +189,6 @@ class CompiledLoop:
         self._parameters = dict(
             zip(self._with_parameters, np.split(values, np.cumsum(numbers)[:-1]), strict=False)
         )
-        self._root = root
         arguments = [state, parameters, time]
         self._at_start = self._make_updates(arguments, is_start=True)
         self._at_sample = self._make_updates(arguments, is_start=False)
@@ -199,7 +198,6 @@ class CompiledLoop:
     def _instant(self, states: Mapping[System, list[NDArray]], time: Any, outside: Any) -> Instant:
         return Instant(
             self._wires,
-            self._root,
             dict(states),
             self._parameters,
             time,

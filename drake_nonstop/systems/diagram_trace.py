@@ -17,7 +17,6 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import (
-    Context,
     Diagram,
     InputPortIndex,
     OutputPortIndex,
@@ -113,7 +112,6 @@ class Instant:
 
     Args:
         wires: of the diagram.
-        context: of the diagram: which sizes and parameters there are.
         states: of each leaf with a state its continuous state, then its discrete groups.
         parameters: the first numeric parameter of each leaf that has one.
         time: in s.
@@ -124,14 +122,13 @@ class Instant:
     def __init__(
         self,
         wires: Wires,
-        context: Context,
         states: dict[System, list[NDArray]],
         parameters: dict[System, NDArray],
         time: Any,
         outside: Outside,
         is_outside: Callable[[System], bool],
     ):
-        self.wires, self.context, self.time = wires, context, time
+        self.wires, self.time = wires, time
         self.states, self.parameters = states, parameters
         self._outside, self._is_outside = outside, is_outside
         self._known: dict[Place, NDArray] = {}
