@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -33,10 +32,7 @@ def make_signal_figure(runs: Mapping[str, SignalTable], signals: Sequence[str]) 
         ScenarioError: no run has such a signal, there are more than 20 panels, or more lines of
             more than three runs in a panel than can be told apart, 36.
     """
-    columns = {label: _columns(run, signals) for label, run in runs.items()}
-    for signal in signals:
-        if not any(len(_columns(run, [signal])) > 1 for run in runs.values()):
-            next(iter(runs.values())).columns([signal])  # which refuses it, and names others
+    columns = _columns(runs, signals)
     panels: dict[str, list[str]] = {}
     for found in columns.values():
         for name in list(found)[1:]:
@@ -86,12 +82,24 @@ def make_signal_figure(runs: Mapping[str, SignalTable], signals: Sequence[str]) 
     return figure
 
 
-def _columns(run: SignalTable, signals: Sequence[str]) -> dict[str, NDArray]:
-    """The time and the columns of those signals that a run has."""
-    found = {"time [s]": run.time}
+def _columns(
+    runs: Mapping[str, SignalTable], signals: Sequence[str]
+) -> dict[str, dict[str, NDArray]]:
+    """Of each run the time and the columns of those signals that it has.
+
+    Raises:
+        UnknownSignalError: no run has one of the signals.
+    """
+    found = {label: {"time [s]": run.time} for label, run in runs.items()}
     for signal in signals:
-        with contextlib.suppress(UnknownSignalError):
-            found |= run.columns([signal])
+        refusals = []
+        for label, run in runs.items():
+            try:
+                found[label] |= run.columns([signal])
+            except UnknownSignalError as error:
+                refusals.append(error)
+        if refusals and len(refusals) == len(runs):
+            raise refusals[0]
     return found
 
 
