@@ -50,8 +50,6 @@ class Box:
         place: where the drawing has it.
         is_simulated: its block takes the model that is simulated, not the one that the
             controllers believe in.
-        is_fused: a fused plant takes its place.
-        feeds_fused_plant: a fused plant needs a block here whose attribute `is_sampled` is true.
         is_linearized: the stability analysis perturbs its states; not those that nothing drives,
             nor those that are sampled anew.
         swap_keeps_defaults: a swap by a block's name keeps parameters that both blocks have also
@@ -66,8 +64,6 @@ class Box:
     optional: tuple[str, ...] = ()
     recorded_where_read: tuple[str, ...] = ()
     is_simulated: bool = False
-    is_fused: bool = False
-    feeds_fused_plant: bool = False
     is_linearized: bool = True
     swap_keeps_defaults: bool = True
     config_fields: dict[str, str] = field(default_factory=dict)

@@ -12,7 +12,7 @@ stepped by a Simulator of its own, between the two functions.
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -20,9 +20,9 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, PortDataType, System
+from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortDataType, System
 
-from drake_nonstop.systems.compilation import compiled
+from drake_nonstop.systems.compilation import cache_folder, compiled, compiler
 from drake_nonstop.systems.diagram_trace import (
     At,
     Instant,
@@ -30,6 +30,7 @@ from drake_nonstop.systems.diagram_trace import (
     is_traceable,
     leaves,
     rates,
+    trace_content,
 )
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError, object_array
 from drake_nonstop.validation import ScenarioError, require
@@ -42,7 +43,7 @@ _STRETCH = 1.01  # of the longest step: a last one that is as much longer is one
 class Reading(NamedTuple):
     """A port of a block outside, and when it is read."""
 
-    block: System
+    block: int  # its number in the diagram
     port: int
     offset: float  # s, after the sample
 
@@ -51,6 +52,7 @@ class Reading(NamedTuple):
 class _Symbols:
     """The symbols of a function for what stands outside, in the order in which it is read."""
 
+    numbers: Mapping[System, int]  # of the diagram's blocks
     readings: list[Reading] = field(default_factory=list)
     symbols: list[casadi.SX] = field(default_factory=list)
 
@@ -58,7 +60,7 @@ class _Symbols:
         """Gives the values of ports at an instant."""
 
         def give(block: System, port: int) -> NDArray:
-            reading = Reading(block, port, offset)
+            reading = Reading(self.numbers[block], port, offset)
             if reading not in self.readings:
                 size = block.get_output_port(port).size()
                 self.readings.append(reading)
@@ -90,6 +92,11 @@ def reason_against(diagram: Diagram, config: SimulatorConfig, control_period: fl
             is_known = _is_held(block, wires)
         if not is_known:
             return f"{block.get_name()} = {type(block).__name__}: it has no equations to be traced"
+        for k in range(block.num_input_ports()):
+            source, port = wires.source(block, k), block.get_input_port(k)
+            is_vector = port.get_data_type() == PortDataType.kVectorValued
+            if source is not None and not is_vector and source[0].num_input_ports() > 0:
+                return f"{block.get_name()} reads {port.get_name()}, which is no vector of numbers"
     return ""
 
 
@@ -113,6 +120,28 @@ def _is_held(block: System, wires: Wires) -> bool:
     return not is_fed and block.CreateDefaultContext().num_continuous_states() == 0
 
 
+class _Traced(NamedTuple):
+    """Results in symbols, of arguments and of what stands outside."""
+
+    results: list[casadi.SX]
+    arguments: list[casadi.SX]
+    symbols: _Symbols
+
+
+class _Functions(NamedTuple):
+    """What a loop is traced to."""
+
+    at_start: "_Function"
+    at_sample: "_Function"
+    shown: "_Function"
+    after_sample: "_Function"
+    whole: "_Function | None"  # at a sample and after it, where no block stands between them
+
+
+_functions: dict[Any, _Functions] = {}  # of the last loops
+_MOST_FUNCTIONS = 32
+
+
 class CompiledLoop:
     """A loop that is stepped from sample to sample.
 
@@ -122,12 +151,19 @@ class CompiledLoop:
         control_period: s.
         signal_period: s, between the instants at which signals are shown, at which a step of the
             integrator ends, too; a whole part of the control period, or None: every sample.
+        signals: those that are shown at these instants, names of the diagram's vector-valued
+            output ports; None: all of them.
+        step_signals: those that are shown at the end of every step of the integrator.
         compiles: whether the functions are compiled as C, see `systems.compilation`; if not,
             CasADi's virtual machine evaluates them, which takes some six times as long.
 
     Attributes:
         diagram: as given.
-        signals: the names of the diagram's vector-valued output ports with their sizes, in order.
+        control_period: as given.
+        signals: the names of the signals with their sizes, in order.
+        step_signals: likewise.
+        step_ends: (steps,), s, where the integrator's steps end after a sample.
+        shown_per_sample: the number of the signals' instants in a sample.
 
     Raises:
         ScenarioError: the loop cannot be traced, see `reason_against`, or the signals' period is no
@@ -141,59 +177,113 @@ class CompiledLoop:
         control_period: float,
         *,
         signal_period: float | None = None,
+        signals: Collection[str] | None = None,
+        step_signals: Collection[str] = (),
         compiles: bool = True,
     ):
         reason = reason_against(diagram, config, control_period)
         if reason:
             raise ScenarioError(f"{reason}; simulate its diagram, or change that")
-        self.diagram, self._period = diagram, control_period
-        self._compiles = compiles
+        self.diagram, self.control_period = diagram, control_period
         shown = control_period / (signal_period or control_period)
-        self._shown_per_sample = round(shown)
-        is_whole = self._shown_per_sample > 0 and math.isclose(shown, self._shown_per_sample)
+        self.shown_per_sample = round(shown)
+        is_whole = self.shown_per_sample > 0 and math.isclose(shown, self.shown_per_sample)
         remedy = f"give a whole part of the control period, {control_period:g} s"
         require(is_whole, "signal_period", signal_period, remedy)
-        between = control_period / self._shown_per_sample  # a step ends at each signal
+        between = control_period / self.shown_per_sample  # a step ends at each signal
         self._steps = _steps_to(between, config.max_step_size)
+        self.step_ends = np.cumsum([*self._steps] * self.shown_per_sample)
         blocks = diagram.GetSystems()
         self._outside = {block for block in blocks if not is_traceable(block)}
         self._held = [b for b in blocks if b in self._outside and b.num_input_ports() > 0]
         ports = [diagram.get_output_port(k) for k in range(diagram.num_output_ports())]
-        self._ports = [p for p in ports if p.get_data_type() == PortDataType.kVectorValued]
-        self.signals = {port.get_name(): port.size() for port in self._ports}
-        self._trace()
+        vectors = [p for p in ports if p.get_data_type() == PortDataType.kVectorValued]
+        sizes = {port.get_name(): port.size() for port in vectors}
+        self.signals = {name: sizes[name] for name in (sizes if signals is None else signals)}
+        self.step_signals = {name: sizes[name] for name in step_signals}
+        self._compiles = compiles
+        self._prepare()
 
-    def _trace(self) -> None:
+    def _prepare(self) -> None:
         root = self.diagram.CreateDefaultContext()
         self._wires = Wires(self.diagram)
+        self._numbers = {block: k for k, block in enumerate(self.diagram.GetSystems())}
         self._leaves = [
             leaf
             for block in self.diagram.GetSystems()
             if block not in self._outside
             for leaf in leaves(block)
         ]
-        self._state_sizes = {leaf: _state_sizes(leaf, root) for leaf in self._leaves}
+        self._state_sizes = {
+            leaf: _state_sizes(self.diagram.GetSubsystemContext(leaf, root))
+            for leaf in self._leaves
+        }
+        ends = np.cumsum([0, *map(sum, self._state_sizes.values())])
+        self._places = {  # of the discrete states, in the loop's
+            leaf: slice(start + sizes[0], end)
+            for (leaf, sizes), (start, end) in zip(
+                self._state_sizes.items(), itertools.pairwise(ends), strict=True
+            )
+        }
+        self._attempting = [leaf for leaf in self._leaves if hasattr(leaf, "traced_attempt")]
         self._with_parameters = [
             leaf
             for leaf in self._leaves
-            if leaf.GetMyContextFromRoot(root).num_numeric_parameter_groups() > 0
+            if self.diagram.GetSubsystemContext(leaf, root).num_numeric_parameter_groups() > 0
         ]
-        groups = [size for sizes in self._state_sizes.values() for size in sizes]
-        numbers = [
-            leaf.GetMyContextFromRoot(root).get_numeric_parameter(0).size()
+        self._read = [
+            (block, k)
+            for block in [*self._held, *self._attempting]
+            for k in range(block.num_input_ports())
+            if block.get_input_port(k).get_data_type() == PortDataType.kVectorValued
+            and self._wires.source(block, k) is not None
+        ]
+        sizes = [
+            len(_parameters_of(leaf, self.diagram.GetSubsystemContext(leaf, root)))
             for leaf in self._with_parameters
         ]
-        state, parameters = casadi.SX.sym("x", sum(groups)), casadi.SX.sym("p", sum(numbers))
+        key = self._key(sizes)
+        functions = _functions.pop(key, None) or self._traced(sizes)
+        if key is not None:
+            _functions[key] = functions
+            if len(_functions) > _MOST_FUNCTIONS:
+                _functions.pop(next(iter(_functions)))
+        self._functions = functions
+
+    def _key(self, parameter_sizes: list[int]) -> Any:
+        """What the functions depend on, which can be hashed; None: it is not known."""
+        content = trace_content(self.diagram, self._wires, self._outside.__contains__)
+        if content is None:
+            return None
+        ports = []
+        for name in (*self.signals, *self.step_signals):
+            port = self.diagram.GetOutputPort(name).get_index()
+            system, index = self.diagram.get_output_port_locator(port)
+            ports.append((self._numbers[system], int(index)))
+        states = tuple(map(tuple, self._state_sizes.values()))
+        periods = self.control_period, self.shown_per_sample, *self._steps
+        build = self._compiles and (compiler(), str(cache_folder()))
+        return content, tuple(ports), len(self.signals), states, *parameter_sizes, periods, build
+
+    def _traced(self, parameter_sizes: list[int]) -> "_Functions":
+        groups = [size for sizes in self._state_sizes.values() for size in sizes]
+        state = casadi.SX.sym("x", sum(groups))
+        parameters = casadi.SX.sym("p", sum(parameter_sizes))
         time = casadi.SX.sym("t", 1)
-        values = object_array(parameters)
-        self._parameters = dict(
-            zip(self._with_parameters, np.split(values, np.cumsum(numbers)[:-1]), strict=False)
-        )
+        values = np.split(object_array(parameters), np.cumsum(parameter_sizes)[:-1])
+        self._parameters = dict(zip(self._with_parameters, values, strict=False))
         arguments = [state, parameters, time]
-        self._at_start = self._make_updates(arguments, is_start=True)
-        self._at_sample = self._make_updates(arguments, is_start=False)
-        self._shown = self._make_shown(arguments)
-        self._after_sample = self._make_steps(arguments)
+        updates = self._make_updates(arguments, is_start=False)
+        steps = self._make_steps(arguments)
+        whole = None if self._held else self._make_whole(arguments, updates, steps)
+        compiles = self._compiles and whole is None  # else they are evaluated now and then
+        return _Functions(
+            _Function(*self._make_updates(arguments, is_start=True)),
+            _Function(*updates, compiles),
+            _Function(*self._make_shown(arguments)),
+            _Function(*steps, compiles),
+            whole and _Function(*whole, self._compiles),
+        )
 
     def _instant(self, states: Mapping[System, list[NDArray]], time: Any, outside: Any) -> Instant:
         return Instant(
@@ -214,10 +304,27 @@ class CompiledLoop:
             start = ends[-1]
         return found
 
-    def _make_updates(self, arguments: list[casadi.SX], *, is_start: bool) -> "_Function":
+    def _make_whole(self, arguments: list[casadi.SX], updates: _Traced, steps: _Traced) -> _Traced:
+        """The state and all signals at the next sample, and whether the blocks that ask keep."""
+        state, parameters, time = arguments
+        symbols = _Symbols(self._numbers)
+        blocks = self.diagram.GetSystems()
+
+        def results_of(traced: _Traced, state: casadi.SX) -> list[casadi.SX]:
+            outside = [
+                symbols.at(r.offset)(blocks[r.block], r.port) for r in traced.symbols.readings
+            ]
+            old = casadi.vertcat(*arguments, *traced.symbols.symbols)
+            new = casadi.vertcat(state, parameters, time, *itertools.chain(*outside))
+            return casadi.Function("part", [old], traced.results)(new)
+
+        after, _, keeps = results_of(updates, state)
+        return _Traced([*results_of(steps, after), keeps], arguments, symbols)
+
+    def _make_updates(self, arguments: list[casadi.SX], *, is_start: bool) -> _Traced:
         """The state after a sample's updates, and what the blocks that are held read."""
         state, _, time = arguments
-        symbols = _Symbols()
+        symbols = _Symbols(self._numbers)
         states = self._states(object_array(state))
         instant = self._instant(states, object_array(time), symbols.at(0.0))
         updating = [leaf for leaf in self._leaves if hasattr(leaf, "traced_update")]
@@ -232,39 +339,39 @@ class CompiledLoop:
         for leaf in updating:
             if not getattr(leaf, "updates_first", False):
                 last[leaf] = _updated(leaf, instant, after)
-        read = []
-        self._read: list[tuple[System, int]] = []
-        for block in self._held:
-            for k in range(block.num_input_ports()):
-                if block.get_input_port(k).get_data_type() != PortDataType.kVectorValued:
-                    continue
-                found = instant.input(block, k)
-                if found is not None:
-                    self._read.append((block, k))
-                    read.append(found)
-        compiles = self._compiles and not is_start
-        return _Function([_stacked(last), _joined(read)], arguments, symbols, compiles)
+        keeps: list[Any] = []
+        for leaf in self._attempting if not is_start else ():
+            values, kept = leaf.traced_attempt(At(instant, leaf))
+            last[leaf] = [last[leaf][0], *values]
+            keeps.append(kept)
+        found = (instant.input(*place) for place in self._read)
+        read = [values for values in found if values is not None]
+        results = [_stacked(last), _joined(read), _joined([np.array(keeps)])]
+        return _Traced(results, arguments, symbols)
 
-    def _make_shown(self, arguments: list[casadi.SX]) -> "_Function":
+    def _make_shown(self, arguments: list[casadi.SX]) -> _Traced:
         """All signals at an instant, as the states are."""
         state, _, time = arguments
-        symbols = _Symbols()
+        symbols = _Symbols(self._numbers)
         instant = self._instant(
             self._states(object_array(state)), object_array(time), symbols.at(0.0)
         )
-        return _Function([_joined(self._signals_at(instant))], arguments, symbols)  # once a run
+        results = [_joined(self._at(instant, s)) for s in (self.signals, self.step_signals)]
+        return _Traced(results, arguments, symbols)
 
-    def _signals_at(self, instant: Instant) -> list[NDArray]:
+    def _at(self, instant: Instant, signals: Iterable[str]) -> list[NDArray]:
+        """What signals show at an instant."""
         found = []
-        for port in self._ports:
-            system, index = self.diagram.get_output_port_locator(port.get_index())
+        for name in signals:
+            port = self.diagram.GetOutputPort(name).get_index()
+            system, index = self.diagram.get_output_port_locator(port)
             found.append(instant.output(system, int(index)))
         return found
 
-    def _make_steps(self, arguments: list[casadi.SX]) -> "_Function":
+    def _make_steps(self, arguments: list[casadi.SX]) -> _Traced:
         """The state and all signals at the next sample, before its updates."""
         state, _, time = arguments
-        symbols = _Symbols()
+        symbols = _Symbols(self._numbers)
         states = self._states(object_array(state))
         moving = [leaf for leaf, sizes in self._state_sizes.items() if sizes[0] > 0]
         start = object_array(time)
@@ -281,22 +388,38 @@ class CompiledLoop:
             return total
 
         now = {leaf: states[leaf][0] for leaf in moving}
-        end, signals = states, []
-        for k in range(self._shown_per_sample):
-            begin = k * self._period / self._shown_per_sample
-            for step in self._steps:
+        signals, step_signals = [], []
+        for k in range(self.shown_per_sample):
+            begin = k * self.control_period / self.shown_per_sample
+            for number, step in enumerate(self._steps, start=1):
                 first = rate(now, begin)
                 second = rate(moved([(step / 2, first)]), begin + step / 2)
                 third = rate(moved([(-step, first), (2 * step, second)]), begin + step)
                 weights = (step / 6, first), (2 * step / 3, second), (step / 6, third)
                 now = moved(weights)
                 begin += step
-            end = states | {leaf: [now[leaf], *states[leaf][1:]] for leaf in moving}
-            # To the bit at the next sample, where what stands outside is read again.
-            offset = (k + 1) * self._period / self._shown_per_sample
-            instant = self._instant(end, start + offset, symbols.at(offset))
-            signals += self._signals_at(instant)
-        return _Function([_stacked(end), _joined(signals)], arguments, symbols, self._compiles)
+                is_shown = number == len(self._steps)
+                if is_shown:  # to the bit at the next sample, where what stands outside is read
+                    begin = (k + 1) * self.control_period / self.shown_per_sample
+                end = states | {leaf: [now[leaf], *states[leaf][1:]] for leaf in moving}
+                instant = self._instant(end, start + begin, symbols.at(begin))
+                step_signals += self._at(instant, self.step_signals)
+                signals += self._at(instant, self.signals if is_shown else ())
+        results = [_stacked(end), _joined(signals), _joined(step_signals)]
+        return _Traced(results, arguments, symbols)
+
+    def fly(self, context: Context, largest: float = LARGEST) -> "CompiledFlight":
+        """A flight from a context of the diagram, at t = 0, which stays as it is.
+
+        Args:
+            context: of the diagram.
+            largest: a value beyond it, in SI units, raises NotFiniteError.
+
+        Raises:
+            ScenarioError: the context is at another time.
+        """
+        require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
+        return CompiledFlight(self, context, largest)
 
     def run(self, context: Context, duration: float) -> tuple[NDArray, dict[str, NDArray]]:
         """The times (instants,), s, and the signals (instants, size) by their names.
@@ -311,53 +434,64 @@ class CompiledLoop:
             ScenarioError: the duration is no such multiple, or the context is at another time.
             NotFiniteError: a value is not finite, or is too large.
         """
-        samples = round(duration / self._period) if math.isfinite(duration) else -1
-        is_multiple = samples >= 0 and abs(samples * self._period - duration) < _ROUNDING
-        remedy = f"give a multiple of the control period, {self._period:g} s"
+        samples = round(duration / self.control_period) if math.isfinite(duration) else -1
+        is_multiple = samples >= 0 and abs(samples * self.control_period - duration) < _ROUNDING
+        remedy = f"give a multiple of the control period, {self.control_period:g} s"
         require(is_multiple, "duration", duration, remedy)
-        require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
-        flight = _Flight(self, context)
-        size, per_sample = sum(self.signals.values()), self._shown_per_sample
-        shown = np.empty((samples * per_sample + 1, size))
-        shown[0] = flight.start()
-        for k in range(samples):
-            first = 1 + k * per_sample
-            shown[first : first + per_sample] = flight.advance().reshape(per_sample, size)
+        flight = self.fly(context)
+        shown = [flight.start()[0][None]]
+        shown += [flight.advance()[0] for _ in range(samples)]
+        rows = np.concatenate(shown)
         ends = np.cumsum([*self.signals.values()])[:-1]
-        times = self._period / per_sample * np.arange(len(shown))
-        return times, dict(zip(self.signals, np.split(shown, ends, axis=1), strict=True))
+        times = self.control_period / self.shown_per_sample * np.arange(len(rows))
+        return times, dict(zip(self.signals, np.split(rows, ends, axis=1), strict=True))
 
 
-class _Flight:
-    """A run of a `CompiledLoop`."""
+class CompiledFlight:
+    """A flight of a `CompiledLoop`, which is advanced from sample to sample.
 
-    def __init__(self, loop: CompiledLoop, context: Context):
-        self._loop = loop
-        own = context.Clone()
+    Attributes:
+        samples: the number of those that it has flown.
+    """
+
+    def __init__(self, loop: CompiledLoop, context: Context, largest: float):
+        self._loop, self._largest = loop, largest
+        *parts, whole = loop._functions
+        evaluations = map(_Evaluation, parts)  # with memory of its own
+        self._at_start, self._at_sample, self._shown, self._after_sample = evaluations
+        self._whole = None if whole is None else _Evaluation(whole)
+        own = loop.diagram.CreateDefaultContext()
+        own.SetTimeStateAndParametersFrom(context)
         self._sources = {
-            block: _Source(block, block.GetMyContextFromRoot(own))
+            block: _Source(block, loop.diagram.GetSubsystemContext(block, own))
             for block in loop._outside
             if block not in loop._held
         }
         self._state = np.concatenate(
-            [_state_of(leaf.GetMyContextFromRoot(own)) for leaf in loop._leaves] or [np.zeros(0)]
+            [_state_of(loop.diagram.GetSubsystemContext(leaf, own)) for leaf in loop._leaves]
+            or [np.zeros(0)]
         )
         self._parameters = np.concatenate(
             [
-                leaf.GetMyContextFromRoot(own).get_numeric_parameter(0).CopyToVector()
+                _parameters_of(leaf, loop.diagram.GetSubsystemContext(leaf, own))
                 for leaf in loop._with_parameters
             ]
             or [np.zeros(0)]
         )
-        self._samples = 0
+        self._blocks = loop.diagram.GetSystems()
+        self.samples = 0
         self._simulators = {}
         self._fixed: dict[tuple[System, int], Any] = {}
-        for block in loop._held:
+        self._asked: dict[System, Context] = {}
+        for block in (*loop._held, *loop._attempting):
             context = block.CreateDefaultContext()
-            context.SetTimeStateAndParametersFrom(block.GetMyContextFromRoot(own))
+            context.SetTimeStateAndParametersFrom(loop.diagram.GetSubsystemContext(block, own))
             for k in range(block.num_input_ports()):
                 self._fix(block, context, k)
-            self._simulators[block] = Simulator(block, context)
+            if block in loop._held:
+                self._simulators[block] = Simulator(block, context)
+            else:
+                self._asked[block] = context
 
     def _fix(self, block: System, context: Context, k: int) -> None:
         """Gives a held block's input a value: of an abstract one that of its source."""
@@ -369,41 +503,94 @@ class _Flight:
         if source is None:
             return
         maker, index = source
-        if maker not in self._sources:
-            raise ScenarioError(f"{block.get_name()}.{port.get_name()}: it reads no trajectory")
         port.FixValue(context, self._sources[maker].value(index, 0.0))
 
-    def start(self) -> NDArray:
-        """All signals after the initialization."""
-        self._state, read = self._call(self._loop._at_start)
+    def start(self) -> tuple[NDArray, NDArray]:
+        """The loop's `signals` (size,) and `step_signals` (size,) after the initialization."""
+        self._state, read, _ = self._call(self._at_start)
         self._give(read)
         for simulator in self._simulators.values():
             simulator.Initialize()
-        (signals,) = self._call(self._loop._shown)
-        return signals
+        for leaf, context in self._asked.items():
+            Simulator(leaf, context).Initialize()
+            self._state[self._loop._places[leaf]] = _discrete_of(context.get_discrete_state())
+        signals, step_signals = self._call(self._shown)
+        return signals, step_signals
 
-    def advance(self) -> NDArray:
-        """All signals at the next sample, before its updates."""
-        if self._samples > 0:
-            self._state, read = self._call(self._loop._at_sample)
-            if self._simulators:
-                time = self._time()
-                for simulator in self._simulators.values():
-                    simulator.AdvanceTo(time)
+    def advance(self) -> tuple[NDArray, NDArray]:
+        """Goes on to the next sample, before its updates.
+
+        Returns:
+            The `signals` (instants, size), and the `step_signals` (steps, size), since the last
+            sample, with those at its end.
+
+        Raises:
+            NotFiniteError: a value is not finite, or is too large.
+        """
+        shown, steps = self._loop.shown_per_sample, len(self._loop.step_ends)
+        if self._whole is not None and self.samples > 0:
+            state, signals, step_signals, keeps = self._call(self._whole)
+            if keeps.all():
+                self._state = state
+                self.samples += 1
+                return signals.reshape(shown, -1), step_signals.reshape(steps, -1)
+        if self.samples > 0:
+            before = self._state
+            self._state, read, keeps = self._call(self._at_sample)
+            for simulator in self._simulators.values():
+                simulator.AdvanceTo(self.time)
+            if self._simulators or not np.all(keeps):
                 self._give(read)
-                for simulator in self._simulators.values():
-                    simulator.AdvancePendingEvents()
-        self._state, signals = self._call(self._loop._after_sample)
-        self._samples += 1
-        return signals
+            for simulator in self._simulators.values():
+                simulator.AdvancePendingEvents()
+            for leaf, kept in zip(self._asked, keeps, strict=True):
+                if not kept:
+                    self._ask(leaf, before)
+        self._state, signals, step_signals = self._call(self._after_sample)
+        self.samples += 1
+        return signals.reshape(shown, -1), step_signals.reshape(steps, -1)
+
+    def _ask(self, leaf: System, state: NDArray) -> None:
+        """Has a leaf make its update itself, from its state before the sample."""
+        context = self._asked[leaf]
+        context.SetTime(self.time)
+        place, sizes = self._loop._places[leaf], self._loop._state_sizes[leaf][1:]
+        for group, values in enumerate(np.split(state[place], np.cumsum(sizes)[:-1])):
+            context.SetDiscreteState(group, values)
+        updated = leaf.EvalUniquePeriodicDiscreteUpdate(context)
+        self._state[place] = _discrete_of(updated)
+
+    @property
+    def time(self) -> float:
+        """That of the last sample, s."""
+        return self._time()
+
+    def write_state(self, context: Context) -> None:
+        """Sets the states of a context of the loop's diagram to those of the last sample.
+
+        Its time stays.
+        """
+        start = 0
+        for leaf, sizes in self._loop._state_sizes.items():
+            own = self._loop.diagram.GetMutableSubsystemContext(leaf, context)
+            continuous, *discrete = np.split(
+                self._state[start : start + sum(sizes)], np.cumsum(sizes)[:-1]
+            )
+            if len(continuous):
+                own.SetContinuousState(continuous)
+            for group, values in enumerate(discrete):
+                own.SetDiscreteState(group, values)
+            start += sum(sizes)
+        for block, simulator in self._simulators.items():
+            own = self._loop.diagram.GetMutableSubsystemContext(block, context)
+            own.SetStateAndParametersFrom(simulator.get_context())
 
     def _time(self, ahead: int = 0) -> float:
-        """That of the sample, s, to the bit as Drake has it of events that begin with a period.
+        """That of the last sample, or of one after it, s.
 
-        Args:
-            ahead: so many samples later.
+        To the bit as Drake has it of events that begin with a period.
         """
-        period, number = self._loop._period, self._samples + ahead
+        period, number = self._loop.control_period, self.samples + ahead
         return period + (number - 1) * period if number > 0 else 0.0
 
     def _give(self, read: NDArray) -> None:
@@ -414,15 +601,19 @@ class _Flight:
             values.SetFromVector(read[start:end])
             start = end
 
-    def _call(self, function: "_Function") -> list[NDArray]:
+    def _call(self, function: "_Evaluation") -> list[NDArray]:
         time = self._time()
         outside = [self._value(reading, time) for reading in function.readings]
-        return function(self._state, self._parameters, np.array([time]), outside)
+        *results, norm = function(self._state, self._parameters, np.array([time]), outside)
+        if not norm[0] < self._largest**2:
+            raise NotFiniteError("the loop")
+        return results
 
     def _value(self, reading: Reading, time: float) -> NDArray:
-        block, port, offset = reading
+        number, port, offset = reading
+        block = self._blocks[number]
         if block in self._sources:
-            is_next = offset == self._loop._period
+            is_next = offset == self._loop.control_period
             return self._sources[block].value(port, self._time(1) if is_next else time + offset)
         return block.get_output_port(port).Eval(self._simulators[block].get_context())
 
@@ -449,7 +640,10 @@ class _Source:
 
 
 class _Function:
-    """A traced function of the state, the parameters, the time and what stands outside."""
+    """A traced function of the state, the parameters, the time and what stands outside.
+
+    The last of its results is the sum of the others' squares.
+    """
 
     def __init__(
         self,
@@ -462,13 +656,20 @@ class _Function:
         outside = casadi.vertcat(*symbols.symbols) if symbols.symbols else casadi.SX.sym("none", 1)
         stacked = casadi.vertcat(*arguments, outside)
         norm = casadi.sumsqr(casadi.vertcat(*results))
-        results = casadi.cse([*results, norm])
-        function = casadi.Function("loop", [stacked], results)
-        self._function = compiled(function) if compiles else function
-        *results, norm = results
+        function = casadi.Function("loop", [stacked], casadi.cse([*results, norm]))
+        self.function = compiled(function) if compiles else function
+
+
+class _Evaluation:
+    """Evaluates a function, in memory of its own."""
+
+    def __init__(self, function: _Function):
+        self.readings = function.readings
+        self._function = function.function  # the buffer borrows it and the arrays
         self._buffer, self._evaluate = self._function.buffer()
-        self._input = np.zeros(stacked.numel())
-        self._outputs = [np.zeros(result.numel()) for result in (*results, norm)]
+        self._input = np.zeros(self._function.size1_in(0))
+        sizes = [self._function.size1_out(k) for k in range(self._function.n_out())]
+        self._outputs = list(map(np.zeros, sizes))
         self._buffer.set_arg(0, self._input.data)
         for k, output in enumerate(self._outputs):
             self._buffer.set_res(k, output.data)
@@ -479,15 +680,11 @@ class _Function:
         last = outside or [np.zeros(1)]
         np.concatenate([state, parameters, time, *last], out=self._input)
         self._evaluate()
-        *results, norm = self._outputs
-        if not norm[0] < LARGEST**2:
-            raise NotFiniteError("the loop")
-        return [result.copy() for result in results]
+        return [output.copy() for output in self._outputs]
 
 
-def _state_sizes(leaf: System, root: Context) -> list[int]:
+def _state_sizes(context: Context) -> list[int]:
     """The sizes of the continuous state, and of the discrete groups."""
-    context = leaf.GetMyContextFromRoot(root)
     groups = range(context.num_discrete_state_groups())
     sizes = [context.get_discrete_state(k).size() for k in groups]
     return [context.num_continuous_states(), *sizes]
@@ -497,6 +694,18 @@ def _state_of(context: Context) -> NDArray:
     groups = range(context.num_discrete_state_groups())
     discrete = [context.get_discrete_state(k).CopyToVector() for k in groups]
     return np.concatenate([context.get_continuous_state_vector().CopyToVector(), *discrete])
+
+
+def _discrete_of(values: DiscreteValues) -> NDArray:
+    groups = range(values.num_groups())
+    return np.concatenate([values.get_vector(k).CopyToVector() for k in groups])
+
+
+def _parameters_of(leaf: Any, context: Context) -> NDArray:
+    """What a leaf's trace takes of the parameters in a context of its own."""
+    if hasattr(leaf, "trace_parameters"):
+        return leaf.trace_parameters(context)
+    return context.get_numeric_parameter(0).CopyToVector()
 
 
 def _updated(leaf: Any, instant: Instant, states: Mapping[System, list[NDArray]]) -> list[NDArray]:

@@ -54,7 +54,6 @@ from drake_nonstop.diagrams.box import (
     kept_parameters,
 )
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
-from drake_nonstop.diagrams.fusing import fuse
 from drake_nonstop.diagrams.margin_of_loop import computed_margin
 from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.mechanics import signal_layouts
@@ -117,7 +116,6 @@ BOXES: dict[str, Box] = {
         },
         optional=("tracking_error",),
         place=Place(2, 2, 1, Kind.WRENCH),
-        feeds_fused_plant=True,
     ),
     "optimization_layer": Box(
         variants=optimization_layer.VARIANTS,
@@ -132,7 +130,6 @@ BOXES: dict[str, Box] = {
         optional=("diagnostics", "plan", "solve_time", "speed_bound", "missed_limits"),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
-        feeds_fused_plant=True,
     ),
     "phase": Box(
         variants=phase.VARIANTS,
@@ -143,7 +140,6 @@ BOXES: dict[str, Box] = {
         optional=("planned",),
         recorded_where_read=("planned",),
         place=Place(4, 0, 1, Kind.TRAJECTORY),
-        feeds_fused_plant=True,
         is_linearized=False,  # nothing drives it: its multiplier is 1 in any loop
     ),
     "internal_force": Box(
@@ -155,7 +151,6 @@ BOXES: dict[str, Box] = {
         optional=("internal_force_higher_rates",),
         recorded_where_read=("internal_force_higher_rates",),
         place=Place(3, 1, -1, Kind.TRAJECTORY),
-        feeds_fused_plant=True,
     ),
     "force_distribution": Box(
         variants=force_distribution.VARIANTS,
@@ -164,7 +159,6 @@ BOXES: dict[str, Box] = {
             "desired_cable_force_rates": Layout(Part("", "3n", "N/s", "W")),
         },
         place=Place(3, 2, 1, Kind.INNER_LOOP),
-        feeds_fused_plant=True,
     ),
     "carrier_trajectory": Box(
         variants=carrier_trajectory.VARIANTS,
@@ -176,7 +170,6 @@ BOXES: dict[str, Box] = {
         optional=("carrier_reference_acceleration", "carrier_reference_jerk"),
         recorded_where_read=("carrier_reference_acceleration", "carrier_reference_jerk"),
         place=Place(4, 2, 1, Kind.INNER_LOOP),
-        feeds_fused_plant=True,
     ),
     "carrier_controller": Box(
         variants=carrier_controller.VARIANTS,
@@ -187,7 +180,6 @@ BOXES: dict[str, Box] = {
         },
         optional=("carrier_forces", "aircraft_command", "command_saturation"),
         place=Place(4, 3, -1, Kind.PLANT),
-        is_fused=True,
     ),
     "carrier_dynamics": Box(
         variants=carrier_dynamics.VARIANTS,
@@ -199,7 +191,6 @@ BOXES: dict[str, Box] = {
         optional=("aircraft_state", "carrier_acceleration"),
         place=Place(3, 3, -1, Kind.PLANT),
         is_simulated=True,
-        is_fused=True,
     ),
     "cables": Box(
         variants=cables.VARIANTS,
@@ -209,13 +200,11 @@ BOXES: dict[str, Box] = {
         },
         place=Place(2, 3, -1, Kind.PLANT),
         is_simulated=True,
-        is_fused=True,
     ),
     "load_disturbance": Box(
         variants=load_disturbance.VARIANTS,
         signals={"disturbance_wrench": signal_layouts.WRENCH},
         place=Place(0, 4, 1, Kind.ADDITION),
-        feeds_fused_plant=True,
     ),
     "wind": Box(
         variants=wind.VARIANTS,
@@ -225,23 +214,19 @@ BOXES: dict[str, Box] = {
             "wind_estimate": Layout(Part("", "3", "m/s", "W")),
         },
         place=Place(1, 4, 1, Kind.ADDITION),
-        feeds_fused_plant=True,
     ),
     "load_plant": Box(
         variants=load_plant.VARIANTS,
         signals={"load_state": signal_layouts.LOAD_STATE},
         place=Place(0, 3, -1, Kind.PLANT),
         is_simulated=True,
-        is_fused=True,
     ),
 }
 
 # The layouts of all signals of the figure, by their names; None: one is no vector.
 SIGNALS = {name: layout for box in BOXES.values() for name, layout in box.signals.items()}
 
-# Subsystems that no scenario chooses: the hold in front of sampled controllers, and the fused
-# plant in place of its boxes.
-SAMPLE_AND_HOLD, FUSED_PLANT = "sample_and_hold", "plant"
+SAMPLE_AND_HOLD = "sample_and_hold"  # no scenario chooses it: in front of sampled controllers
 LAYER = "optimization_layer"
 # What commands carriers; the controller makes one. The blocks that make it and read it.
 COMMANDS = {
@@ -251,7 +236,6 @@ COMMANDS = {
 EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
 PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
     SAMPLE_AND_HOLD: Place(1, 2, 1, Kind.ADDITION),
-    FUSED_PLANT: Place(2, 3, -1, Kind.PLANT),
 }
 # The figure's wires, to be read. They follow from the names of the ports, and building
 # the default blocks checks this list against what was built. Where the scenario has a
@@ -313,7 +297,6 @@ class LoopConfig(Protocol):
     pattern: PatternConfig
     simulation_duration: float
     control_period: float
-    fused_plant: bool
     reference_governor: ReferenceGovernorConfig | None
     optimization_layer: Any  # a config
     simulator_config: SimulatorConfig
@@ -340,9 +323,7 @@ def make_nonstop(
 ) -> Diagram:
     """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
 
-    Every signal is exported under its name: `diagram.GetOutputPort("load_state")`. With
-    `fused_plant` one subsystem, `plant`, takes the place of the boxes that are `is_fused`; where
-    that is not possible a ScenarioWarning tells why, and the separate blocks are built.
+    Every signal is exported under its name: `diagram.GetOutputPort("load_state")`.
     `CalcKineticEnergy` and `CalcPotentialEnergy` of the diagram sum those of its blocks, see
     `LoopDiagram`.
 
@@ -408,8 +389,8 @@ def make_blocks(
 ) -> dict[str, System]:
     """The blocks of a scenario's loop by the names of their boxes, for `connect_by_name`.
 
-    With a control period the `sample_and_hold` of the controllers' inputs is among them, and with
-    `fused_plant` the `plant`, as in `make_nonstop`. `set_equilibrium` sets a context of their
+    With a control period the `sample_and_hold` of the controllers' inputs is among them.
+    `set_equilibrium` sets a context of their
     diagram.
 
     Args:
@@ -667,16 +648,13 @@ def _check_preview(blocks: Mapping[str, System]) -> None:
 
 
 def _completed(scenario: LoopConfig, parts: _Parts) -> dict[str, System]:
-    """The blocks, which may be fused, with the hold in front of sampled ones."""
+    """The blocks, with the hold in front of sampled ones."""
     believed, blocks, *_ = parts
     _warn_of_unread_wind(blocks)
     _warn_of_unshaped_parameters(blocks)
     _warn_of_unread_plan(blocks)
     _warn_of_unflown_aircraft(scenario, blocks)
     _warn_of_unlimited_aircraft(blocks)
-    if scenario.fused_plant:
-        config = scenario.simulator_config
-        blocks = fuse(blocks, BOXES, FUSED_PLANT, scenario.control_period, config)
     if scenario.control_period > 0:
         # A constant estimate needs no hold, which would cost time at each sample.
         holds_wind = not getattr(blocks.get("wind"), "is_sampled", False)
@@ -887,9 +865,9 @@ def _checked_extra(extra: Mapping[str, Any] | None) -> Mapping[str, Any]:
     remedy = 'give a mapping from names to blocks, such as {"estimator": Estimator}'
     require(extra is None or isinstance(extra, Mapping), "extra", extra, remedy)
     for name in extra or {}:
-        taken = name in BOXES or name in (SAMPLE_AND_HOLD, FUSED_PLANT)
+        taken = name in BOXES or name == SAMPLE_AND_HOLD
         remedy = f"it is a box of the figure; give it as {name}=..., or its block another name"
-        if name in (SAMPLE_AND_HOLD, FUSED_PLANT):
+        if name == SAMPLE_AND_HOLD:
             remedy = "the loop has a block of that name; give another one"
         require(not taken, "extra", name, remedy)
         remedy = "name each block by a text without colons and dots"

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.framework import Context, Context_, Diagram, System
 
-from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.equilibrium import LOOP_SIGNALS
 from drake_nonstop.model.aircraft import AircraftParameters, values_of
 from drake_nonstop.model.block_parameters import AUTO, BlockParameters
@@ -277,13 +276,6 @@ class _Loop:
 
     def _require_following(self, holder: _Holder, name: str, path: str, value: Any) -> None:
         block = type(holder.block).__name__
-        require(
-            not isinstance(holder.block, FusedPlant),
-            path,
-            value,
-            f"the fused plant keeps what {holder.box} was built with; {_BUILD}, or with "
-            "fused_plant = false",
-        )
         is_kept = holder.group is None or name in holder.parameters.rules.fixed
         require(
             not is_kept,
@@ -451,11 +443,6 @@ def _holders(loop: Diagram) -> Iterator[_Holder]:
             if isinstance(found, BlockParameters):
                 place = group if len(found) > 0 else None
                 yield _Holder(block.get_name(), block, found, place)
-        if isinstance(block, FusedPlant):
-            for box, kept in block.kept_parameters.items():
-                for parameters in kept:
-                    if isinstance(parameters, BlockParameters):
-                        yield _Holder(box, block, parameters, None)
         first += block.num_numeric_parameter_groups()
 
 

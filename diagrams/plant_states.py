@@ -30,7 +30,6 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram
 from pydrake.systems.primitives import AffineSystem, Integrator
 
-from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
 from drake_nonstop.systems.tracing import NotFiniteError
@@ -46,7 +45,7 @@ _TOLERANCE = 1e-6  # of what a port shows, in SI units or relative to larger val
 
 
 class PlantStates:
-    """Access to the plant's states in a loop of separate blocks, which exports its signals."""
+    """Access to the plant's states in a loop, which exports its signals."""
 
     def __init__(self, nonstop: Diagram):
         self._nonstop = nonstop
@@ -245,76 +244,8 @@ class PlantStates:
         return others
 
 
-class _FusedPlantStates:
-    """The same for a loop with a `FusedPlant`."""
-
-    def __init__(self, nonstop: Diagram, block: FusedPlant):
-        self._nonstop, self._block = nonstop, block
-
-    def _context(self, context: Context) -> Context:
-        return self._nonstop.GetMutableSubsystemContext(self._block, context)
-
-    def set_states(self, context: Context, **states: NDArray) -> None:
-        """As of `PlantStates`."""
-        self._block.set_states(self._context(context), **states)
-
-    try_to_set = set_states
-
-    def trim(self, context: Context, **states: NDArray) -> None:
-        """Does nothing: there are no further states."""
-
-    def take_over(self, context: Context, settled: Context) -> None:
-        """As of `PlantStates`."""
-        self.set_states(context, **self._block.states(self._context(settled)))
-
-    def load_acceleration(self, context: Context) -> NDArray:
-        """As of `PlantStates`."""
-        rate = LoadState.view(self._block.rates(self._context(context))[LOAD])
-        return np.concatenate([rate.angular_velocity, rate.velocity])
-
-    def acceleration_source(self, context: Context) -> str:
-        """As of `PlantStates`."""
-        return ""
-
-    def is_continuous(self, context: Context) -> bool:
-        """Whether the states are continuous in separate blocks."""
-        return True
-
-    def state(self, context: Context) -> NDArray:
-        """All states that are continuous in separate blocks."""
-        return np.concatenate([*self._block.states(self._context(context)).values()])
-
-    def set_state(self, context: Context, values: NDArray) -> None:
-        """Sets all states that are continuous in separate blocks."""
-        own = self._context(context)
-        names, parts = zip(*self._block.states(own).items(), strict=True)
-        ends = np.cumsum([len(part) for part in parts])
-        self._block.set_states(own, **dict(zip(names, np.split(values, ends[:-1]), strict=True)))
-
-    def rate(self, context: Context) -> NDArray:
-        """The rate of all states that are continuous in separate blocks."""
-        return np.concatenate([*self._block.rates(self._context(context)).values()])
-
-    def states(self, context: Context) -> dict[str, NDArray]:
-        """As of `PlantStates`."""
-        states = self._block.states(self._context(context))
-        return {signal: states[signal] for signal in _SETTERS if signal in states}
-
-    def declare_defaults(self, context: Context) -> list[str]:
-        """As of `PlantStates`, but nothing can be declared once the block is built."""
-        default = self.states(self._nonstop.CreateDefaultContext())
-        is_declared = all(
-            np.all(_agree(signal, default[signal], value))
-            for signal, value in self.states(context).items()
-        )
-        return [] if is_declared else [f"{self._block.get_name()}: starts from another state"]
-
-
-def plant_states(nonstop: Diagram) -> PlantStates | _FusedPlantStates:
-    """Access to the plant's states, whether its blocks are fused or not."""
-    for block in nonstop.GetSystems():
-        if isinstance(block, FusedPlant):
-            return _FusedPlantStates(nonstop, block)
+def plant_states(nonstop: Diagram) -> PlantStates:
+    """Access to the plant's states of a loop."""
     return PlantStates(nonstop)
 
 

@@ -7,7 +7,6 @@ and judged. `drake_nonstop` has them all.
 import sys
 from typing import TYPE_CHECKING, Any
 
-from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.reference_governor import ReferenceGovernor, ReferenceGovernorConfig
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
@@ -64,7 +63,7 @@ from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.energy import LoopDiagram, kinetic_energy, potential_energy
 from drake_nonstop.systems.point_forces import PointForces
-from drake_nonstop.systems.traced_block import Equations, TracedBlock
+from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.wiring import connect_by_name
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.version import __version__
@@ -99,8 +98,6 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "ReferenceGovernorConfig",
     "ReferencePreview",
     "continued_reference",
-    "Equations",
-    "FusedPlant",
     "Outcome",
     "SampleAndHold",
     "PointForces",

@@ -15,7 +15,6 @@ SLOW = (
     "benchmarks/",
     "blocks/test_carrier_dynamics.py::test_with_the_cables_reaction",
     "blocks/test_cables.py::test_a_cable_that_goes_slack",
-    "blocks/test_fused_plant.py",
     "cli/",
     "diagrams/test_compiled_loop.py::test_shipped_scenarios",
     "diagrams/test_compiled_loop.py::test_other_blocks",

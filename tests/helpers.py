@@ -132,6 +132,11 @@ def output(block: LeafSystem, context: Context, name: str) -> NDArray:
     return block.GetOutputPort(name).Eval(context).copy()
 
 
+def ends_run(block: System, context: Context) -> bool:
+    """Whether a block ends a run by what its port shows."""
+    return block.ends_run(context, output(block, context, block.ending_signal))
+
+
 def vector_outputs(block: System) -> list[str]:
     """The names of the output ports, but for abstract ones."""
     return [name for name, size in output_sizes(block).items() if size is not None]

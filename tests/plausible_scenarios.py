@@ -114,7 +114,7 @@ def draw(seed: int) -> tuple[str, list[str]]:
         "simulated.load_mass": round(load_mass * uniform(0.9, 1.1), 4),
         "phase": "!PaperPhase {}",
         "load_plant": "!MultibodyLoadPlant {}",
-        "fused_plant": "true",
+        "engine": "compiled",
         "wrench_controller": "!TunedWrenchController {}",
         "simulator_config.integration_scheme": choice(
             "runge_kutta2", "bogacki_shampine3", "explicit_euler", "implicit_euler", "radau3"
@@ -123,7 +123,7 @@ def draw(seed: int) -> tuple[str, list[str]]:
         "simulated.cable_damping": 0.0,
     }
     for path, value in further.items():
-        if chance({"fused_plant": 0.25}.get(path, 0.06)):
+        if chance({"engine": 0.25}.get(path, 0.06)):
             settings[path] = value
     if settings.get("system.cable_damping", 0.0) > 1e3:  # what no explicit scheme can fly
         settings.pop("simulator_config.integration_scheme", None)
@@ -221,7 +221,7 @@ def fly(seed: int, *, is_judged_if_said: bool = True, draw=draw) -> Flight:
         flight.said += [
             str(w.message)
             for w in caught
-            if issubclass(w.category, ScenarioWarning) and "fused_plant" not in str(w.message)
+            if issubclass(w.category, ScenarioWarning) and "engine = " not in str(w.message)
         ]
         flight.said += run.unresolved
         flight.seconds = time.perf_counter() - start

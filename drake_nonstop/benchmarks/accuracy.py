@@ -18,7 +18,7 @@ _REFERENCE_STEP = 0.0005  # s; a run with half of it shows the error of the refe
 
 # The overrides of each run that is compared, besides the scenario as it is.
 OVERRIDES: tuple[tuple[str, ...], ...] = (
-    ("fused_plant=true",),
+    ("engine=compiled",),
     (_STEP.format(0.0025),),
     (_STEP.format(0.001),),
     ("simulator_config.use_error_control=true",),
@@ -57,7 +57,7 @@ def benchmark_accuracy(
         RunStopped: the reference stops before its end.
     """
     fine = [
-        "fused_plant=false",
+        "engine=diagram",
         "simulator_config.integration_scheme=runge_kutta3",
         "simulator_config.use_error_control=false",
     ]
@@ -85,7 +85,6 @@ def benchmark_accuracy(
                 continue
             row["wall_s"].append(run.wall_time)
             row |= _errors(run, reference) | {"steps": len(run.steps["time"]) - 1}
-            row["is_fused"] = run.diagram.HasSubsystemNamed("plant")
             wall = statistics.median(row["wall_s"])
             row["real_time_factor"] = scenario.simulation_duration / wall
     progress("running", 1.0)
@@ -118,8 +117,6 @@ def table(results: dict[str, Any]) -> str:
         if "stopped" in row:
             lines.append(f"{'-':>16}{'-':>12}{'-':>10}{'-':>8}  {overrides}: {row['stopped']}")
             continue
-        if "fused_plant=true" in row["overrides"] and not row["is_fused"]:
-            overrides += " (cannot be fused: separate blocks)"
         lines.append(
             f"{row['real_time_factor']:16.1f}{1e3 * row['load_error_m']:12.5f}"
             f"{row['speed_error']:10.4%}{row['steps']:8}  {overrides}"

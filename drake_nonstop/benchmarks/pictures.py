@@ -88,7 +88,7 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
 def _patterns() -> dict[str, Run]:
     """The real-scale scenarios' patterns above a resting load, for a turn."""
     duration = f"simulation_duration={_TURN}"
-    overrides = [duration, "load_trajectory.start_time=30", "fused_plant=true"]
+    overrides = [duration, "load_trajectory.start_time=30", "engine=compiled"]
     return {
         title: simulate(load_scenario(name, overrides))
         for name, title in (

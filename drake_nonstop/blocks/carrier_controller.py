@@ -18,7 +18,7 @@ from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.linear_block import AdjustableLinear
-from drake_nonstop.systems.traced_block import Equations, TracedBlock, splitting
+from drake_nonstop.systems.traced_block import TracedBlock, splitting
 from drake_nonstop.validation import StrictFields, require_non_negative, require_positive
 
 _BOX = "carrier_controller"
@@ -29,8 +29,7 @@ class _PositionPid(DiagramBlock):
     """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), for every carrier.
 
     The integrals are the state, where their gain is not zero. Drake's own systems evaluate the
-    law while the gains are those that it was built with, in half the time of a callback;
-    `equations` are the same, for a fused plant.
+    law while the gains are those that it was built with, in half the time of a callback.
 
     Args:
         model: the number of carriers.
@@ -60,7 +59,6 @@ class _PositionPid(DiagramBlock):
         )
         pid = _pid(builder, size, law, has_integral, parameters)
         reference_input, negated_state_input = map(error.get_input_port, range(2))
-        self.equations = _equations(size, pid.function, [*pid.inputs])
         builder.Connect(minus.get_output_port(), negated_state_input)
         for port in pid.inputs["error"]:
             builder.Connect(error.get_output_port(), port)
@@ -142,23 +140,6 @@ def _pid(
         parameters=parameters,
         key=("pid", *inputs.items(), law.gains.__qualname__),
     )
-
-
-def _equations(size: int, pid: Callable, reads: list[str]) -> Equations:
-    """Those of `_PositionPid`, whose `size` is 3n, of the function `pid` and what it reads."""
-    inputs = {"carrier_reference": 2 * size, "carrier_state": 2 * size}
-    inputs |= {_ACCELERATION: size} if _ACCELERATION in reads else {}
-    has_integral = "integral" in reads
-
-    def function(*values: NDArray) -> tuple[NDArray, ...]:
-        integral, others = ([values[0]], values[1:]) if has_integral else ([], values)
-        reference, state, *acceleration = others
-        error = reference - state
-        rate = [np.split(error, 2)[0]] if has_integral else []
-        return (*rate, pid(error, *integral, *acceleration))
-
-    initial_state = np.zeros(size if has_integral else 0)
-    return Equations(function, inputs, {"carrier_forces": size}, initial_state)
 
 
 def _check(model: Model, config: Any) -> None:

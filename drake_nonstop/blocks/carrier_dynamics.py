@@ -22,7 +22,6 @@ from drake_nonstop.mechanics.aircraft import (
 from drake_nonstop.mechanics.carrier import (
     carriers_kinetic_energy,
     carriers_potential_energy,
-    double_integrator_rate,
     loaded_carrier_rate,
 )
 from drake_nonstop.model.block_parameters import (
@@ -36,7 +35,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, DiagramBlock
 from drake_nonstop.systems.linear_block import AdjustableLinear
 from drake_nonstop.systems.parameters import parameters_in
-from drake_nonstop.systems.traced_block import Equations, TracedBlock, stacking
+from drake_nonstop.systems.traced_block import TracedBlock, stacking
 from drake_nonstop.validation import StrictFields, is_number, require
 
 
@@ -62,7 +61,7 @@ class CarrierDynamics(DiagramBlock):
 
     def __init__(self, model: Model, config: CarrierDynamicsConfig | None = None):
         super().__init__()
-        size, mass = 3 * model.n, model.system.carrier_mass
+        size = 3 * model.n
         builder = DiagramBuilder()
         accelerations = AdjustableLinear(
             builder,
@@ -82,13 +81,6 @@ class CarrierDynamics(DiagramBlock):
         builder.ConnectInput("carrier_forces", second)
         builder.ExportOutput(state.get_output_port(), "carrier_state")
         builder.BuildInto(self)
-        self.equations = Equations(
-            lambda state, forces: double_integrator_rate(state, forces, mass=mass),
-            {"carrier_forces": size},
-            {},
-            model.initial_carrier_state,
-            "carrier_state",
-        )
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
@@ -273,6 +265,8 @@ class FixedWingDynamics(DiagramBlock):
         ScenarioError: the system has no aircraft.
     """
 
+    ending_signal = "aircraft_state"
+
     def __init__(self, model: Model, config: FixedWingDynamicsConfig | None = None):
         super().__init__()
         aircraft = required_aircraft(model, "carrier_dynamics", "FixedWingDynamics")
@@ -326,12 +320,15 @@ class FixedWingDynamics(DiagramBlock):
         states = trimmed_states(self._aircraft_in(context), state, acceleration, pull, wind)
         context.SetContinuousState(states)
 
-    def ends_run(self, context: Context) -> bool:
-        """Whether an aircraft is stalled, and a run ends there."""
-        if not self._stops_at_stall:
-            return False
-        shown = self.GetOutputPort("aircraft_state").Eval(context)
-        return bool(np.any(is_stalled(self._aircraft_in(context), shown)))
+    def ends_run(self, context: Context, shown: NDArray) -> bool:
+        """Whether an aircraft is stalled, and a run ends there.
+
+        Args:
+            context: the block's own, whose parameters it goes by.
+            shown: the `aircraft_state`.
+        """
+        aircraft = self._aircraft_in(context)
+        return self._stops_at_stall and bool(np.any(is_stalled(aircraft, shown)))
 
     def _aircraft_in(self, context: Context) -> Aircraft:
         return aircraft_of(self._aircraft, parameters_in(self, context))

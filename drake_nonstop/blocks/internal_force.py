@@ -60,8 +60,12 @@ class InternalForceTrajectory(TracedBlock):
             inputs=inputs,
             outputs={"internal_force": 2 * model.m},
             late=LateOutputs(
-                higher_rates, tuple(inputs), {"internal_force_higher_rates": 2 * model.m}
+                higher_rates,
+                tuple(inputs),
+                {"internal_force_higher_rates": 2 * model.m},
+                key=("internal force's rates", phases, orders),
             ),
+            key=("internal force", phases, orders),
         )
 
 
@@ -102,6 +106,7 @@ class PlannedInternalForce(TracedBlock):
             rates,
             inputs={"planned": PLANNED_SIZE},
             outputs=dict.fromkeys(("internal_force", "internal_force_higher_rates"), 2 * model.m),
+            key=("planned internal force", phases, orders),
         )
 
 

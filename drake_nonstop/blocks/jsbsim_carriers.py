@@ -105,6 +105,7 @@ class JsbsimCarriers(DiagramBlock):
     """
 
     has_state_outside = True
+    ending_signal = "aircraft_state"
 
     def __init__(self, model: Model, config: JsbsimCarriersConfig | None = None):
         super().__init__()
@@ -155,12 +156,9 @@ class JsbsimCarriers(DiagramBlock):
         flights = self.GetMutableSubsystemContext(self._flights, context)
         flights.SetDiscreteState(np.zeros(flights.num_total_states()))
 
-    def ends_run(self, context: Context) -> bool:
-        """Whether an aircraft is stalled, and a run ends there."""
-        if not self._stops_at_stall:
-            return False
-        shown = self.GetOutputPort("aircraft_state").Eval(context)
-        return bool(np.any(is_stalled(self._aircraft, shown)))
+    def ends_run(self, context: Context, shown: NDArray) -> bool:
+        """Whether an aircraft is stalled by the `aircraft_state`, and a run ends there."""
+        return self._stops_at_stall and bool(np.any(is_stalled(self._aircraft, shown)))
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m Σ ‖v_i‖², J, without rotation; the context is the block's own."""

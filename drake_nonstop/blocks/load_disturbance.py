@@ -54,6 +54,8 @@ class NoDisturbance(LeafBlock):
             "disturbance_wrench", WRENCH_SIZE, self._calc, {self.nothing_ticket()}
         )
 
+    trace_key = ()
+
     def traced_output(self, port: str, at: At) -> NDArray:
         return constants(np.zeros(self.GetOutputPort(port).size()))
 
@@ -104,7 +106,7 @@ class DisturbanceForce(LeafBlock):
         ScenarioError: a field is out of range.
     """
 
-    is_sampled = True  # a fused plant holds it over a period
+    is_sampled = True
 
     def __init__(self, model: Model, config: DisturbanceForceConfig | None = None):
         super().__init__()

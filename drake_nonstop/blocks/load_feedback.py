@@ -88,6 +88,8 @@ class DesiredStateFeedback(LeafBlock):
             "measured_load_state", LOAD_STATE_SIZE, self._calc, {self.all_input_ports_ticket()}
         )
 
+    trace_key = ()
+
     def traced_output(self, port: str, at: At) -> NDArray:
         return at.input("reference")[:LOAD_STATE_SIZE]
 

@@ -1,9 +1,11 @@
 """Box "Optimization Layer" of the figure."""
 
+import pickle
 import time
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import (
@@ -33,6 +35,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
     MISSED_LIMITS_SIZE,
+    Diagnostics,
     Outcome,
     count_missed,
     count_update,
@@ -45,6 +48,7 @@ from drake_nonstop.optimization.problem_config import (
     check_problem,
     with_stated_bound,
 )
+from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.diagram_trace import At
@@ -60,6 +64,21 @@ class NonstopOptimizerConfig(NonstopProblemConfig):
 
     What `min_separation` and the solvers cost is said in docs/layers_in_detail.md.
     """
+
+
+class _TraceNumbers(NamedTuple):
+    """What the trace of a `NonstopOptimizer` takes of its parameters."""
+
+    enabled: NDArray  # (1,), 1 or 0
+    bound: NDArray  # (1,), m/s, ε
+    aim: NDArray  # (1,), m/s, ε as it is tightened
+    unit: NDArray  # (1,), m/s, of the margins
+    beliefs: NDArray  # a flat `Beliefs`
+
+    @classmethod
+    def view(cls, values: NDArray) -> "_TraceNumbers":
+        """The parts of a flat vector."""
+        return cls._make([*(values[k : k + 1] for k in range(4)), values[4:]])
 
 
 class NonstopOptimizer(SpeedBoundLayer):
@@ -200,6 +219,71 @@ class NonstopOptimizer(SpeedBoundLayer):
         self.DeclarePeriodicDiscreteUpdateEvent(
             self._sample_period, self._sample_period, self._update_at_sample
         )
+
+    @property
+    def trace_key(self) -> Any:
+        """What of the config the check of an update depends on."""
+        timing = self._period, self._sample_period, self._samples_per_update
+        return pickle.dumps((self.solver.trace_key, timing))
+
+    def trace_parameters(self, context: Context) -> NDArray:
+        """What `traced_attempt` takes of the parameters, as a flat `_TraceNumbers`."""
+        numbers = self._numbers_in(context)
+        bound = numbers.speed_bound
+        aim = self.solver.aim(bound)
+        first = [float(self.is_enabled(context)), bound, aim, aim if bound else 1.0]
+        return np.concatenate([first, numbers.beliefs])
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        if port == "speed_bound":
+            return at.input_or(COMMAND, at.parameters[1:2])
+        ports = ["parameters", "diagnostics", "solve_time"]
+        return at.state(1 + ports.index(port) if port in ports else 7)
+
+    def traced_attempt(self, at: At) -> tuple[list[NDArray], Any]:
+        """The states after a sample that keeps the parameters, and whether it does, 1 or 0."""
+        known = _TraceNumbers.view(at.parameters)
+        states = [at.state(k) for k in range(1, 8 if self._missed is not None else 7)]
+        previous, diagnostics, _, last_wrench_rate, bound_in_force, is_changing = states[:6]
+        wrench_rate = at.input("wrench_rate")
+        updates = Diagnostics(*diagnostics).updates
+        data = UpdateData(
+            previous=previous,
+            phase=at.input("phase"),
+            load_state=at.input("measured_load_state"),
+            reference=at.input("reference"),
+            wrench=at.input("wrench"),
+            wrench_rate=wrench_rate,
+            wrench_second_rate=(wrench_rate - last_wrench_rate) / self._period,
+            speed_bound=known.aim,
+            speed_unit=known.unit,
+            orbit_turn=np.zeros(1),
+            anchor_weight=np.zeros(1),
+            wind=np.zeros(WIND_SIZE) if self._wind is None else at.input_or(_WIND, np.zeros(3)),
+            beliefs=known.beliefs,
+        )
+        keeps, slowest_speed = self.solver.traced_kept(data, updates)
+        conditions = [
+            known.enabled[0] == 1,
+            known.bound[0] == bound_in_force[0],
+            is_changing[0] == 0,
+            updates > 0,
+            0.0 if at.has_input(COMMAND) else 1.0,
+        ]
+        for condition in conditions:
+            keeps = casadi.logic_and(keeps, condition)
+        number = casadi.fmod(
+            casadi.floor(at.time[0] / self._sample_period + 0.5), self._samples_per_update
+        )
+        is_update = number == 0
+        counted = diagnostics.copy()
+        count_update(counted, Outcome.KEPT, slowest_speed - known.bound[0])
+        after = [previous, counted, np.zeros(1), wrench_rate, *states[4:]]
+        chosen = [
+            np.array([casadi.if_else(is_update, a, b) for a, b in zip(new, old, strict=True)])
+            for new, old in zip(after, states, strict=True)
+        ]
+        return chosen, casadi.logic_or(keeps, casadi.logic_not(is_update))
 
     def begin_anew(self, context: Context) -> None:
         """Lets what has not been updated begin with the parameters of the context, its own."""
@@ -347,6 +431,8 @@ class ConstantParameters(LeafBlock):
         """Raises ScenarioError where a parameter that is set would have none in this context."""
         if name == "speed_bound":
             require_no_command(self._command, context, value)
+
+    trace_key = ()
 
     def traced_output(self, port: str, at: At) -> NDArray:
         values = self.parameters.view(at.parameters)

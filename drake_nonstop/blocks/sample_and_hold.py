@@ -60,6 +60,9 @@ class SampleAndHold(LeafBlock):
         initial_values: the signals that are held before the first sample, by their names; those
             that are not given are a load at rest at the origin.
         holds_wind: whether `wind_estimate` is held, too, for a wind that is not constant.
+
+    Attributes:
+        period: s, between samples.
     """
 
     optional_inputs = (_HIGHER_RATES,)
@@ -86,10 +89,11 @@ class SampleAndHold(LeafBlock):
             self.DeclareStateOutputPort(f"held_{name}", self.DeclareDiscreteState(initial))
         self._optional = [*signals].index(_HIGHER_RATES)
         self.DeclareStateOutputPort("sample_time", self.DeclareDiscreteState(1))
-        period = model.control_period
+        self.period = period = model.control_period
         self.DeclareInitializationUnrestrictedUpdateEvent(self._sample)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._sample)
 
+    trace_key = ()
     updates_first = True  # before others' updates at the same instant
     updates_at_start = True
 

@@ -68,6 +68,8 @@ class StillAir(LeafBlock):
         for name, size in (("wind", 3 * model.n), ("load_wind", 3), ("wind_estimate", 3)):
             self.DeclareVectorOutputPort(name, size, self._calc, {self.nothing_ticket()})
 
+    trace_key = ()
+
     def traced_output(self, port: str, at: At) -> NDArray:
         return constants(np.zeros(self.GetOutputPort(port).size()))
 

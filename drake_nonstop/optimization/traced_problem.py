@@ -167,10 +167,11 @@ class TracedProblem:
             name=self.name,
             largest=1e100,
             jacobian_of=jacobian_of,
-            key=(function.__name__, *self._geometry(), self.config),
+            key=(function.__name__, *self.geometry, self.config),
         )
 
-    def _geometry(self) -> tuple:
+    @property
+    def geometry(self) -> tuple:
         """What the traces depend on of the model, which does not change."""
         pattern, model = self.model.pattern, self.model
         return (

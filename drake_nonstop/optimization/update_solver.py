@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,16 +16,28 @@ from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.flight_search import nearest_within_limits
 from drake_nonstop.optimization.grid_search import cheapest_on_grid, least_infeasible_on_grid
 from drake_nonstop.optimization.local_solver import LocalSolver
+from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig, tightened_bound
 from drake_nonstop.optimization.traced_problem import TracedProblem
-from drake_nonstop.optimization.update_data import UpdateData
+from drake_nonstop.optimization.update_data import Beliefs, UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
 from drake_nonstop.systems.tracing import TracedFunction
 
 _NOT_GIVEN = np.zeros(0)
 _STILL_AIR = np.zeros(3)
 _COST_TOLERANCE = 1e-4  # relative; what the global search finds has to be cheaper by more
+_AT_ANCHOR = 1e-6  # relative, of ξ and A
+_IN_DOUBT = 1e-9  # of a margin: so far from feasibility a trace leaves the decision to numbers
 _REST_TOLERANCE = 1e-3  # m/s, rad/s, m/s², rad/s²; a reference that moves less is at rest
+# Fields of the config that the data of an update bring.
+_OF_DATA: dict[str, Any] = {
+    "speed_bound": 0.0,
+    "speed_margin": 0.0,
+    "frequency": 0.0,
+    "amplitude": 0.0,
+    "frequency_bounds": [],
+    "amplitude_bounds": [],
+}
 
 
 class Answer(NamedTuple):
@@ -96,7 +110,7 @@ class UpdateSolver:
         # A reference that moves switches the anchor off.
         if config.anchor_weight > 0 and _is_moving(reference):
             anchor_weight = self._no_anchor
-        bound = np.array([tightened_bound(config, speed_bound)])
+        bound = np.array([self.aim(speed_bound)])
         return UpdateData(
             previous=previous,
             phase=phase,
@@ -112,6 +126,15 @@ class UpdateSolver:
             wind=wind,
             beliefs=_NOT_GIVEN if beliefs is None else beliefs,
         )
+
+    @property
+    def trace_key(self) -> Any:
+        """What `traced_kept` depends on besides the data; it can be pickled."""
+        return self._traced.geometry, replace(self._config, **_OF_DATA)
+
+    def aim(self, speed_bound: float) -> float:
+        """The speed (m/s) that is aimed at for an ε in m/s: as it is tightened."""
+        return tightened_bound(self._config, speed_bound)
 
     def problem(self, data: UpdateData) -> UpdateProblem:
         """The problem of one update."""
@@ -146,11 +169,41 @@ class UpdateSolver:
             return _answer(problem, parameters, Outcome.RELAXED)
         return _answer(problem, previous, Outcome.HELD)
 
+    def traced_kept(self, data: UpdateData, updates: Any) -> tuple[Any, Any]:
+        """Whether the previous parameters are kept, 1 or 0, and then their slowest speed (m/s).
+
+        In symbols. It is 0, too, where rounding might decide, and where a constraint is not traced.
+
+        Args:
+            data: in symbols; of `orbit_turn` and `anchor_weight` any values.
+            updates: how many there were before.
+        """
+        config = self._config
+        if self._traced.separation.min_separation > 0:
+            return 0.0, 0.0
+        number = casadi.fmod(updates, config.orbit_updates)
+        turn = sum(angle * (number == k) for k, (angle,) in enumerate(self._orbit_turns))
+        data = data._replace(orbit_turn=np.array([turn]), anchor_weight=np.zeros(1))
+        (margins,) = self._traced.margins.traced(data.previous, np.concatenate(data))
+        worst = casadi.mmin(casadi.vertcat(*margins))
+        slowest = casadi.mmin(casadi.vertcat(*margins[: self._traced.constraints.speed_count]))
+        bound, unit = data.speed_bound[0], data.speed_unit[0]
+        slowest_speed = casadi.sqrt(casadi.fmax(0.0, slowest * unit * unit + bound * bound))
+        keeps = worst >= -FEASIBILITY_TOLERANCE + _IN_DOUBT
+        if config.anchor_weight > 0:
+            rates = casadi.vertcat(*_rates(data.reference))
+            is_moving = casadi.mmax(casadi.fabs(rates)) > _REST_TOLERANCE
+            nominal = casadi.vertcat(*Beliefs.view(data.beliefs).nominal)
+            change = casadi.fabs(casadi.vertcat(*data.previous) - nominal)
+            excess = casadi.mmax(change - _AT_ANCHOR * casadi.fabs(nominal))
+            keeps = casadi.logic_and(keeps, casadi.logic_or(is_moving, excess <= 0))
+        return keeps, slowest_speed
+
     def _is_anchor_active(self, problem: UpdateProblem) -> bool:
         """Whether the anchor asks for something else than the previous parameters."""
         has_anchor = self._config.anchor_weight > 0 and problem.data.anchor_weight[0] > 0
         return has_anchor and not np.allclose(
-            problem.previous, problem.beliefs.nominal, rtol=1e-6, atol=0
+            problem.previous, problem.beliefs.nominal, rtol=_AT_ANCHOR, atol=0
         )
 
     def _best(self, problem: UpdateProblem) -> NDArray:
@@ -203,8 +256,13 @@ class UpdateSolver:
 
 def _is_moving(reference: NDArray) -> bool:
     """Whether the load's reference (22,) has a velocity or an acceleration."""
+    return bool(np.abs(_rates(reference)).max() > _REST_TOLERANCE)
+
+
+def _rates(reference: NDArray) -> NDArray:
+    """The velocities and accelerations (12,) of the load's reference (22,)."""
     motion = LoadReference.view(reference)
-    rates = np.concatenate(
+    return np.concatenate(
         [
             motion.angular_velocity,
             motion.velocity,
@@ -212,7 +270,6 @@ def _is_moving(reference: NDArray) -> bool:
             motion.acceleration,
         ]
     )
-    return bool(np.abs(rates).max() > _REST_TOLERANCE)
 
 
 def _answer(problem: UpdateProblem, parameters: NDArray, outcome: Outcome) -> Answer:

@@ -42,10 +42,14 @@ from drake_nonstop.validation import (
 
 PATTERN = "pattern"  # the field that is chosen like a box's block, and belongs to several
 
+# What steps a loop from instant to instant.
+DIAGRAM, COMPILED = ENGINES = "diagram", "compiled"
+
 # What earlier versions had as fields of a scenario, and what has taken their place.
 _FORMER_FIELDS = {
     "duration": "duration is called simulation_duration now",
     "simulator": "simulator is called simulator_config now",
+    "fused_plant": "give engine: compiled instead, which has the whole loop in one traced function",
     "safe_carrier_distance": "give limits.carrier_distance instead, a share of the reach: of the "
     "farthest attachment's distance from the load's centre plus a cable's length",
     "safe_cable_distance": "give limits.cable_distance instead, a share of the distance between "
@@ -90,7 +94,7 @@ class _Common(StrictFields):
     random_seed: int = 0  # of the numbers that are drawn where fields hold distributions
     simulation_duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
-    fused_plant: bool = False  # load, cables, carriers and their controller in one fast block
+    engine: str = DIAGRAM  # diagram: Drake's Simulator steps it; compiled: one traced function
     # Slows the load's trajectory down where no ξ and A keep the speed bound with it; none: never.
     reference_governor: ReferenceGovernorConfig | None = None
     # What the run is held against: beyond which figures it is not ok, or not plausible.
@@ -268,6 +272,7 @@ def check(scenario: Scenario) -> None:
     is_seed = 0 <= seed <= _LARGEST_SEED
     require(is_seed, f"{scenario.name}.random_seed", seed, f"give 0 to {_LARGEST_SEED}")
     check_limits(scenario.limits)
+    require(scenario.engine in ENGINES, "engine", scenario.engine, f"give {' or '.join(ENGINES)}")
     config = scenario.simulator_config
     require_positive(
         "simulator_config", max_step_size=config.max_step_size, accuracy=config.accuracy

@@ -1,6 +1,5 @@
 """A scenario to a Simulator of Drake's, which is ready to run."""
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -47,12 +46,9 @@ def make_simulator(
     scenario, _ = sample(scenario, generator)
     nonstop = make_nonstop(scenario, **replacements)
     config = with_chosen_step(scenario, nonstop, nonstop.CreateDefaultContext()).config
-    if scenario.fused_plant and config is not scenario.simulator_config:  # its own steps
-        shorter = dataclasses.replace(scenario, simulator_config=config)
-        nonstop = make_nonstop(shorter, **replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
-    builder.AddNamedSystem("sample_instants", SampleInstants())
+    builder.AddNamedSystem("sample_instants", SampleInstants(scenario.control_period))
     for name in output_names(nonstop):
         builder.ExportOutput(nonstop.GetOutputPort(name), name)
     diagram = builder.Build()

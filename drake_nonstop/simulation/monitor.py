@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from fractions import Fraction
 
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
@@ -13,20 +14,38 @@ from drake_nonstop.systems.block import LeafBlock
 _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
 _REPORT_PERIOD = 0.1  # s of wall time, between two calls of `progress`
 _AT_SAMPLE = 1e-6  # of the period, from an instant to what counts as there
+_MOST_INSTANTS = 100  # in the time after which samples and signals are at one instant again
+
+
+def other_instants(control_period: float) -> tuple[float, list[float]]:
+    """The signals' instants that are no samples of the controllers: period and offsets, s.
+
+    Where both are at one instant an event of each would be a rounding apart: of such events
+    Drake's Simulator loses one now and then, and steps between them have no length.
+
+    Args:
+        control_period: s; 0: the controllers have no samples.
+    """
+    ratio = SIGNAL_PERIOD / control_period if control_period > 0 else 0.0
+    common = Fraction(ratio).limit_denominator(_MOST_INSTANTS)
+    if ratio == 0 or abs(ratio - common) > _AT_SAMPLE * ratio:
+        return SIGNAL_PERIOD, [SIGNAL_PERIOD]
+    instants = range(1, common.denominator)
+    return common.denominator * SIGNAL_PERIOD, [k * SIGNAL_PERIOD for k in instants]
 
 
 class SampleInstants(LeafBlock):
     """Has the integrator's steps end at the instants of the signals' samples.
 
-    A log's own period does not: it starts at 0 and the controllers' at their first sample, so
-    that a rounding apart every tenth step or so had no length.
+    Args:
+        control_period: s, of the controllers, at whose samples steps end anyway; 0: none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, control_period: float) -> None:
         super().__init__()
-        self.DeclarePeriodicPublishEvent(
-            period_sec=SIGNAL_PERIOD, offset_sec=SIGNAL_PERIOD, publish=lambda context: None
-        )
+        period, offsets = other_instants(control_period)
+        for offset in offsets:
+            self.DeclarePeriodicPublishEvent(period, offset, lambda context: None)
 
 
 class Monitor:
@@ -38,7 +57,7 @@ class Monitor:
         nonstop: Diagram,
         interruption: Interruption,
         *,
-        sample: Callable[[], None],
+        sample: Callable[[float], None],
         progress: Callable[[float], None] | None,
         after_step: Callable[[Simulator, Diagram], StepAction] | None,
         is_over: Callable[[], bool] | None = None,
@@ -53,27 +72,33 @@ class Monitor:
         self._is_over = is_over
         self.has_ended = False  # by a block's own decision
         self._last_report = 0.0
+        self.time = 0.0  # s, of the last step
         self.waited = 0.0  # s of wall time
 
     def __call__(self, root_context: Context) -> EventStatus:
         """What Drake calls after every step."""
-        if root_context.get_time() > (self._samples - _AT_SAMPLE) * SIGNAL_PERIOD:
-            self._sample()
-            self._samples += 1
-        if self._interruption.number:
-            return EventStatus.ReachedTermination(self._nonstop, "interrupted")
-        now = time.perf_counter()
-        if self._progress is not None and now - self._last_report > _REPORT_PERIOD:
-            self._last_report = now
-            self._progress(root_context.get_time())
-        if self._after_step is not None and self._ends():
+        if self.ends(root_context.get_time()):
             return EventStatus.ReachedTermination(self._nonstop, "ended")
         if self._is_over is not None and self._is_over():
             self.has_ended = True
             return EventStatus.ReachedTermination(self._nonstop, "over")
         return EventStatus.DidNothing()
 
-    def _ends(self) -> bool:
+    def ends(self, time_: float) -> bool:
+        """Takes note of a step that ends at a time in s; whether the run is to end there."""
+        self.time = time_
+        if time_ > (self._samples - _AT_SAMPLE) * SIGNAL_PERIOD:
+            self._sample(time_)
+            self._samples = int(time_ / SIGNAL_PERIOD + _AT_SAMPLE) + 1
+        if self._interruption.number:
+            return True
+        now = time.perf_counter()
+        if self._progress is not None and now - self._last_report > _REPORT_PERIOD:
+            self._last_report = now
+            self._progress(time_)
+        return self._after_step is not None and self._is_ended()
+
+    def _is_ended(self) -> bool:
         then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
         if then is StepAction.WAIT:
             start = time.perf_counter()

@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary, finalize
@@ -28,7 +28,7 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
-from drake_nonstop.blocks.fused_plant import FusedPlant
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
 from drake_nonstop.mechanics.signal_layouts import Entry, Layout, numbered_entries
 from drake_nonstop.mechanics.signals import (
@@ -37,6 +37,7 @@ from drake_nonstop.mechanics.signals import (
     PARAMETERS_SIZE,
 )
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.monitor import other_instants
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
 from drake_nonstop.systems.block import LOOP, LeafBlock
 from drake_nonstop.systems.wiring import (
@@ -74,7 +75,8 @@ RUN_SIGNALS = {
     "parameters": PARAMETERS_SIZE,
 }
 
-_AT_INSTANT = 1e-6 * SIGNAL_PERIOD  # s, from a sample's time to what counts as its instant
+_AT_SAMPLE = 1e-6  # of the period, from a sample's time to what counts as its instant
+_AT_INSTANT = _AT_SAMPLE * SIGNAL_PERIOD  # s, from a sample's time to what counts as its instant
 _DOUBLE = 8  # bytes
 _PREFIX = "drake-nonstop-run-"  # of the temporary folders' names
 _LEAST_AGE = 60.0  # s, of an abandoned folder: a younger one may be about to be locked
@@ -151,7 +153,7 @@ class LogSignals:
         self.nonstop = nonstop
         self._steps = _Log(builder, stepped, TriggerType.kPerStep)
         sizes = {name: port.size() for name, port in sampled.items()}
-        self._samples = builder.AddSystem(_SampledLog(sizes, SIGNAL_PERIOD))
+        self._samples = builder.AddSystem(_SampledLog(sizes, _control_period(nonstop)))
         builder.Connect(_multiplexed(builder, sampled), self._samples.get_input_port())
         self._signal_names = _signal_names(nonstop, sampled)
         self.entries = _entries(nonstop, sampled, self._signal_names)
@@ -235,13 +237,17 @@ class _Rows:
 
 
 class _SampledLog(LeafBlock):
-    """A log of some ports at the start and at every multiple of a period, which each context has.
+    """A log of some ports at the start and at the signals' instants, which each context has.
 
-    Unlike Drake's own periodic log it has the controllers' instants, to the last bit: steps
-    between two that differ by a rounding would have no length.
+    Those among them at which the controllers sample are theirs to the last bit, see
+    `other_instants`.
+
+    Args:
+        sizes: of the ports, by their names.
+        control_period: s, of the controllers; 0: they have no samples.
     """
 
-    def __init__(self, sizes: Mapping[str, int], period: float):
+    def __init__(self, sizes: Mapping[str, int], control_period: float):
         super().__init__()
         self._sizes = sizes
         self._values = self.DeclareVectorInputPort("values", sum(sizes.values()))
@@ -253,7 +259,17 @@ class _SampledLog(LeafBlock):
             prerequisites_of_calc={self.nothing_ticket()},
         ).cache_index()
         self.DeclareInitializationPublishEvent(self._publish)
-        self.DeclarePeriodicPublishEvent(period, period, self._publish)
+        period, offsets = other_instants(control_period)
+        for offset in offsets:
+            self.DeclarePeriodicPublishEvent(period, offset, self._publish)
+        if (period, offsets) != (SIGNAL_PERIOD, [SIGNAL_PERIOD]):
+            self.DeclarePeriodicPublishEvent(control_period, control_period, self._publish_instant)
+
+    def _publish_instant(self, context: Context) -> None:
+        """At a sample of the controllers, which may be none of the signals' instants."""
+        samples = context.get_time() / SIGNAL_PERIOD
+        if abs(samples - round(samples)) < _AT_SAMPLE:
+            self._publish(context)
 
     def _publish(self, context: Context) -> None:
         self._of(context).add(context.get_time(), self._values.Eval(context))
@@ -266,6 +282,12 @@ class _SampledLog(LeafBlock):
     def columns(self, context: Context) -> dict[str, NDArray]:
         """The rows, by the ports' names, in a context of the whole diagram."""
         return _columns(self._sizes, self._of(self.GetMyContextFromRoot(context)))
+
+
+def _control_period(nonstop: Diagram) -> float:
+    """That of the controllers in a loop, s; 0 where none is known."""
+    holds = (s for s in nested(nonstop, RUN_SIGNALS)[-1].GetSystems() if type(s) is SampleAndHold)
+    return next((hold.period for hold in holds), 0.0)
 
 
 def _multiplexed(builder: DiagramBuilder, ports: Mapping[str, OutputPort]) -> OutputPort:
@@ -336,11 +358,16 @@ class Recording:
     Args:
         builder: has the diagram already; the logs are added to it.
         nonstop: the diagram, as `make_nonstop` builds it.
+
+    Attributes:
+        sampled: the names of the diagram's ports that are recorded at 100 Hz.
+        stepped: likewise, at every step.
     """
 
     def __init__(self, builder: DiagramBuilder, nonstop: Diagram):
         sampled, stepped = _recorded_ports(nonstop)
         self.nonstop = nonstop
+        self.sampled, self.stepped = [*sampled], [*stepped]
         self._steps = _Log(builder, stepped, TriggerType.kPerStep)
         self._samples = _Log(builder, sampled, TriggerType.kForced)
         self._signal_names = _signal_names(nonstop, sampled)
@@ -361,6 +388,42 @@ class Recording:
             RecordingError: the temporary folder cannot take them.
         """
         self._samples.publish()
+        self._store_many()
+
+    def add(
+        self,
+        times: Sequence[float] | NDArray,
+        samples: NDArray,
+        step_times: Sequence[float] | NDArray,
+        steps: NDArray,
+    ) -> None:
+        """Adds rows that no Simulator publishes: those of `sampled`, and those of `stepped`.
+
+        Rows that are no sample, where the control period is shorter than the signals', are left
+        out.
+
+        Args:
+            times: (k,), s, of the samples.
+            samples: (k, size).
+            step_times: (j,), s, of the steps.
+            steps: (j, size).
+
+        Raises:
+            RecordingError: the temporary folder cannot take them.
+        """
+        for instant, row in zip(times, samples, strict=True):
+            if instant > (self._samples.rows - _AT_SAMPLE) * SIGNAL_PERIOD:
+                self._samples.add(instant, row)
+        for instant, row in zip(step_times, steps, strict=True):
+            self._steps.add(instant, row)
+        self._store_many()
+
+    def drop_last_step(self) -> None:
+        """Drops the last row of `stepped`, which a Simulator that goes on publishes again."""
+        self._steps.drop_last()
+
+    def _store_many(self) -> None:
+        """Moves the signals to files where they are many."""
         if self._samples.memory + self._steps.memory > MEMORY_LIMIT:
             try:
                 self._store()
@@ -424,6 +487,16 @@ class _Log:
 
     def publish(self) -> None:
         self._sink.ForcedPublish(self._context)
+
+    def add(self, time: float, row: NDArray) -> None:
+        self._log.AddData(time, row)
+
+    def drop_last(self) -> None:
+        times, rows = self._log.sample_times().copy(), self._log.data().T.copy()
+        self._log.Clear()
+        for instant, row in zip(times[:-1], rows[:-1], strict=True):
+            self.add(instant, row)
+        self._stored -= len(times) == 0  # it is in the files, which are cut there
 
     @property
     def memory(self) -> int:
@@ -514,8 +587,7 @@ def expected_size(nonstop: Diagram, scenario: Scenario) -> float:
         nonstop: the scenario's diagram, as `make_nonstop` builds it.
         scenario: what is to be run.
     """
-    is_fused = any(isinstance(block, FusedPlant) for block in nonstop.GetSystems())
-    step = scenario.control_period if is_fused else scenario.simulator_config.max_step_size
+    step = scenario.simulator_config.max_step_size
     sampled, stepped = _recorded_ports(nonstop)
     return scenario.simulation_duration * (
         _row_size(sampled) / SIGNAL_PERIOD + _row_size(stepped) / min(step, SIGNAL_PERIOD)

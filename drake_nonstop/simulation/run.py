@@ -29,12 +29,11 @@ class Run(SignalTable):
 
     `signals` maps "block.port" to the samples of every signal but wall times, and accelerations and
     jerks of carriers that no block reads, (samples, size), at the instants `time` (samples,),
-    100 Hz; `steps` maps the names of a few ports
-    to their values at every step, (steps, size), and "time" to the steps' times (steps,), from
-    t = 0 on: the integrator's steps, or the controllers' samples where the plant is fused. A
-    value at an instant is that before the controllers' update at that instant. `solve_times`
-    (updates,) are the wall times of the optimization layer's updates, `wall_time` that of the
-    whole simulation but for pauses, in s; NaN: unknown.
+    100 Hz; `steps` maps the names of a few ports to their values at every step of the integrator,
+    (steps, size), and "time" to the steps' times (steps,), from t = 0 on. A value at an instant is
+    that before the controllers' update at that instant. `solve_times` (updates,) are the wall times
+    of the optimization layer's updates, `wall_time` that of the whole simulation but for pauses, in
+    s; NaN: unknown.
     Beyond 32 MB, some 100 s of flight, `signals` and `steps` are in temporary files, which are
     removed with the run: each array is mapped to memory when it is asked for, and cannot be
     written to.

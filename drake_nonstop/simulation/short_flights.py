@@ -14,7 +14,6 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.simulation.moved_metrics import SHARE, SPEED_GRAIN, TENSION_GRAIN
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
@@ -84,28 +83,22 @@ class ShortFlights:
         nonstop: the loop.
         context: a context of it, whose parameters and inputs from outside are taken over.
         config: the integrator's scheme, and the step that the flights' `parts` refer to.
-        control_period: the controllers' sample time in s.
     """
 
-    def __init__(
-        self, nonstop: Diagram, context: Context, config: SimulatorConfig, control_period: float
-    ):
+    def __init__(self, nonstop: Diagram, context: Context, config: SimulatorConfig):
         self._nonstop, self._config = nonstop, config
         self.context = nonstop.CreateDefaultContext()
         self.context.SetTimeStateAndParametersFrom(context)
         nonstop.FixInputPortsFrom(nonstop, context, self.context)
         self._simulator = Simulator(nonstop, self.context)
-        self._fused = [b for b in nonstop.GetSystems() if isinstance(b, FusedPlant)]
-        # Between samples a fused plant's outputs are those of shorter steps.
-        self._spacing = max(SIGNAL_PERIOD, control_period) if self._fused else SIGNAL_PERIOD
         self._ports = [
             nonstop.GetOutputPort(name) for name in ("tensions", "carrier_state", "load_state")
         ]
 
     def fly(self, start: SavedState, duration: float, parts: int = 1) -> Flight:
         """A flight from the state on, at about 100 instants a second, with steps / `parts`."""
-        first = round(start.time / self._spacing) + 1
-        count = max(1, round(duration / self._spacing))
+        first = round(start.time / SIGNAL_PERIOD) + 1
+        count = max(1, round(duration / SIGNAL_PERIOD))
         config = copy.deepcopy(self._config)
         if config.use_error_control:
             config.accuracy /= parts**3
@@ -115,9 +108,9 @@ class ShortFlights:
         start.restore(self.context)
         self._simulator.Initialize(InitializeParams(suppress_initialization_events=True))
         rows = []
-        time = self._spacing * np.arange(first, first + count)
+        time = SIGNAL_PERIOD * np.arange(first, first + count)
         for instant in time:
-            self._advance(instant, parts if self._fused else 1)
+            self._simulator.AdvanceTo(instant)
             rows.append([port.Eval(self.context).copy() for port in self._ports])
         tensions, carriers, load = (np.array(column) for column in zip(*rows, strict=True))
         return Flight(
@@ -126,14 +119,6 @@ class ShortFlights:
             speeds=np.linalg.norm(CarrierStates.view(carriers).velocities, axis=2),
             load_velocity=load[:, -3:],
         )
-
-    def _advance(self, instant: float, parts: int) -> None:
-        begin = self.context.get_time()
-        for part in range(1, parts):
-            self._simulator.AdvanceTo(begin + part / parts * (instant - begin))
-            for block in self._fused:
-                block.settle(self._nonstop.GetMutableSubsystemContext(block, self.context))
-        self._simulator.AdvanceTo(instant)
 
 
 def difference(flight: Flight, finer: Flight) -> float:

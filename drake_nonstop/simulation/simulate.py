@@ -10,17 +10,18 @@ from typing import Any
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
+    InitializeParams,
     Simulator,
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
-from drake_nonstop.blocks.fused_plant import FusedPlant
 from drake_nonstop.diagrams.equilibrium import block_named, set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.aircraft_margins import margins_of_loop
+from drake_nonstop.simulation.compiled_flight import CompiledRun, compiled_loop_of
 from drake_nonstop.simulation.formation import growth_complaint
 from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
@@ -156,16 +157,10 @@ def _simulate(
     )
     check_scene(scenario.scene)
     nonstop = _loop(make_loop, scenario, replacements)
-    chosen = None
-    if any(isinstance(block, FusedPlant) for block in nonstop.GetSystems()):
-        chosen = with_chosen_step(scenario, nonstop, _at_equilibrium(nonstop))
-        if chosen.config is not scenario.simulator_config:  # the steps are the block's own
-            shorter = dataclasses.replace(scenario, simulator_config=chosen.config)
-            nonstop = _loop(make_loop, shorter, replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
     recording = Recording(builder, nonstop)
-    builder.AddNamedSystem("sample_instants", SampleInstants())
+    builder.AddNamedSystem("sample_instants", SampleInstants(scenario.control_period))
     visualizers = [viewer(builder, nonstop, scenario) for viewer in viewers]
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
@@ -173,7 +168,7 @@ def _simulate(
     start = time.perf_counter()
 
     def interrupted() -> str:
-        return f"the run was interrupted at t = {context.get_time():.4f} s"
+        return f"the run was interrupted at t = {monitor.time:.4f} s"
 
     def finished(stopped: str = "") -> Run:
         interruption.patience = ALL  # nothing may come between a run and who keeps it
@@ -189,9 +184,14 @@ def _simulate(
 
     saved = SavedStates()
 
-    def sample() -> None:
-        recording.take_sample()
-        if context.get_time() >= saved.next_time:
+    flown: CompiledRun | None = None
+
+    def sample(now: float) -> None:
+        if flown is None:
+            recording.take_sample()
+        if now >= saved.next_time:
+            if flown is not None:
+                flown.write_state()
             saved.save(nonstop_context)
 
     monitor = Monitor(
@@ -211,18 +211,31 @@ def _simulate(
         if not is_second:  # it has been said
             _warn_of_margins(scenario, nonstop, nonstop_context)
             _warn_of_growth(scenario, nonstop, nonstop_context)
-        chosen = chosen or with_chosen_step(scenario, nonstop, nonstop_context)
+        chosen = with_chosen_step(scenario, nonstop, nonstop_context)
         if after_step is None:  # which may end a run of any duration
             require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
         ApplySimulatorConfig(chosen.config, simulator)
+        given = {"viewers": viewers, "after_step": after_step}
+        steering = [name for name, value in given.items() if value]
+        loop = compiled_loop_of(scenario, nonstop, recording, chosen.config, steering)
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
             if not is_second:
                 interruption.collect = lambda: finished(interrupted())
-            simulator.Initialize()
-            if not monitor.has_ended:
-                simulator.AdvanceTo(scenario.simulation_duration)
+            is_begun = False
+            if loop is not None:
+                flown = CompiledRun(loop, recording, context, _ending(nonstop))
+                is_begun = flown.fly(scenario.simulation_duration, monitor)
+                flown = None
+            is_over = monitor.has_ended or interruption.number > 0
+            is_over |= context.get_time() >= scenario.simulation_duration
+            if not (is_begun and is_over):
+                if is_begun:
+                    recording.drop_last_step()
+                simulator.Initialize(InitializeParams(suppress_initialization_events=is_begun))
+                if not monitor.has_ended:
+                    simulator.AdvanceTo(scenario.simulation_duration)
             for visualizer in visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
     except KeyboardInterrupt:
@@ -410,19 +423,23 @@ def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> N
             warnings.warn(message, ScenarioWarning, stacklevel=4)
 
 
-def _end(nonstop: Diagram, context: Context) -> Callable[[], bool] | None:
-    """Whether a block ends the run, of those that may; None: there are none.
+def _ending(nonstop: Diagram) -> list[Any]:
+    """The blocks of the loop that may end the run, with a method `ends_run(context, shown)`.
 
-    Such a block has a method `ends_run(context)`, which gets the block's own context.
+    It gets the block's own context, and what the port shows that `ending_signal` names.
     """
     loop = nested(nonstop, RUN_SIGNALS)[-1]
-    blocks: list[Any] = [block for block in loop.GetSystems() if hasattr(block, "ends_run")]
+    return [block for block in loop.GetSystems() if hasattr(block, "ends_run")]
+
+
+def _end(nonstop: Diagram, context: Context) -> Callable[[], bool] | None:
+    """Whether a block ends the run, of those that may; None: there are none."""
+    blocks = _ending(nonstop)
     if not blocks:
         return None
-    return lambda: any(block.ends_run(block.GetMyContextFromRoot(context)) for block in blocks)
 
+    def ends(block: Any) -> bool:
+        own = block.GetMyContextFromRoot(context)
+        return bool(block.ends_run(own, block.GetOutputPort(block.ending_signal).Eval(own)))
 
-def _at_equilibrium(nonstop: Diagram) -> Context:
-    context = nonstop.CreateDefaultContext()
-    set_equilibrium(nonstop, context)
-    return context
+    return lambda: any(map(ends, blocks))

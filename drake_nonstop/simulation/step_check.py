@@ -77,7 +77,7 @@ def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
         return False  # nothing can be flown again from a state on the way
     config = with_step(run.scenario.simulator_config, run.step)
     period = run.scenario.control_period
-    flights = ShortFlights(run.diagram, context, config, period)
+    flights = ShortFlights(run.diagram, context, config)
     time = max(_FLIGHT, 2 * period)
     hardest = (
         np.argmin(np.min(flown.tensions, axis=1)),

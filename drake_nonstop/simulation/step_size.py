@@ -151,7 +151,7 @@ def _resolving(
     time, curvature = _most_demanding(nonstop, context, duration)
     if curvature * control_period**2 / 2 < _SMALL_JUMP * length:
         return config
-    flights = ShortFlights(nonstop, context, config, control_period)
+    flights = ShortFlights(nonstop, context, config)
     try:
         flights.context.SetTime(time)
         on_reference(nonstop, flights.context)

@@ -91,7 +91,6 @@ def at_rest(scenario: Scenario) -> Scenario:
         feedback = dataclasses.replace(feedback, **dict.fromkeys(_NOISES, 0.0), seed=0)
     return dataclasses.replace(
         scenario,
-        fused_plant=False,
         load_trajectory=RestToRestConfig(
             **_parameters(scenario.load_trajectory, "start_position", "start_roll_pitch_yaw")
         ),

@@ -21,6 +21,7 @@ Pydrake bound by nanobind does without the first two.
 
 import copy
 import functools
+import pickle
 import types
 import weakref
 from dataclasses import is_dataclass
@@ -90,6 +91,9 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
         is_sampled: as of `DiagramBlock`.
         has_state_outside: as of `DiagramBlock`.
         scalar: the type of its numbers: float, AutoDiffXd or Expression.
+        trace_key: what the methods for a trace (`systems/diagram_trace.py`) depend on besides the
+            class, its ports, states and parameters: two blocks with equal ones have one trace. It
+            can be hashed; None: it is not known.
     """
 
     is_sampled = False
@@ -107,6 +111,14 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
     def __init__(self) -> None:
         """Makes the block; a box's takes a `model` and a `config` (None: the default values)."""
         super().__init__(_CONVERTER)
+
+    @property
+    def trace_key(self) -> Any:
+        """The arguments that the block was made with."""
+        try:
+            return pickle.dumps(self._arguments)
+        except Exception:  # whatever an argument that cannot be pickled may raise
+            return None
 
     # Drake's own give a block by itself a shell, whose ports have other names.
     def ToAutoDiffXd(self) -> Any:  # noqa: N802

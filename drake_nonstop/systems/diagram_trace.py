@@ -65,8 +65,83 @@ def is_traceable(system: System) -> bool:
 def _has_trace(leaf: System) -> bool:
     """Whether a leaf has methods for a trace, and no class below theirs computes other values."""
     kind = type(leaf)
-    is_of_package = kind.__module__.split(".")[0] == __name__.split(".")[0]
-    return hasattr(leaf, "traced_output") and (is_of_package or "traced_output" in vars(kind))
+    is_own = _is_of_package(kind) or "traced_output" in vars(kind)
+    return hasattr(leaf, "traced_output") and is_own
+
+
+def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], bool]) -> Any:
+    """What a diagram's trace depends on: diagrams of equal content have one trace.
+
+    It can be hashed. None: it is not known, see `LeafBlock.trace_key`.
+
+    Args:
+        diagram: what is traced.
+        wires: of the diagram.
+        outside: which of the diagram's own systems stand outside.
+    """
+    systems = [part for own in diagram.GetSystems() for part in _parts(own, outside)]
+    numbers = {system: k for k, system in enumerate(systems)}
+    unread = {  # what a switch takes in place of its adjusted input
+        part
+        for system in systems
+        if isinstance(system, PortSwitch)
+        for k in range(system.num_input_ports())
+        if system.get_input_port(k).get_name() != ADJUSTED
+        and (source := wires.source(system, k)) is not None
+        for part in leaves(source[0])
+    }
+    found = []
+    for system in systems:
+        inputs, outputs = range(system.num_input_ports()), range(system.num_output_ports())
+        sources = [wires.source(system, k) for k in inputs]
+        read = [None if s is None else (numbers[s[0]], s[1]) for s in sources]
+        ports = [_port(system.get_input_port(k)) for k in inputs]
+        ports += [_port(system.get_output_port(k)) for k in outputs]
+        content = () if system in unread else _content(system, wires, outside)
+        if content is None:
+            return None
+        if isinstance(system, Diagram) and not outside(system):
+            locators = [system.get_output_port_locator(OutputPortIndex(k)) for k in outputs]
+            content = [(numbers[part], int(index)) for part, index in locators]
+        found.append((tuple(read), tuple(ports), tuple(content)))
+    return tuple(found)
+
+
+def _parts(system: System, outside: Callable[[System], bool]) -> Iterator[System]:
+    """A system, and all those in it, but of those outside."""
+    yield system
+    if isinstance(system, Diagram) and not outside(system):
+        for part in system.GetSystems():
+            yield from _parts(part, lambda _: False)
+
+
+def _port(port: Any) -> tuple[str, int]:
+    return port.get_name(), port.size()
+
+
+def _content(system: Any, wires: "Wires", outside: Callable[[System], bool]) -> Any:
+    """What a leaf's part of a trace depends on, besides its ports; None: it is not known."""
+    kind = type(system)
+    if isinstance(system, Diagram) or outside(system):
+        return ()
+    if isinstance(system, _LINEAR):
+        outputs = range(system.num_output_ports())
+        matrices = [wires.matrices_of(system, k).items() for k in outputs]
+        return [tuple((name, *_numbers(matrix)) for name, matrix in own) for own in matrices]
+    if not hasattr(system, "trace_key"):
+        return (kind,)
+    is_own = _is_of_package(kind) or "trace_key" in vars(kind)
+    key = system.trace_key if is_own else None
+    return None if key is None else (kind, key)
+
+
+def _numbers(matrix: casadi.DM) -> tuple[Any, ...]:
+    """All that a matrix is."""
+    return matrix.shape, tuple(matrix.colind()), tuple(matrix.row()), tuple(matrix.nonzeros())
+
+
+def _is_of_package(kind: type) -> bool:
+    return kind.__module__.split(".")[0] == __name__.split(".")[0]
 
 
 class Wires:
@@ -74,7 +149,7 @@ class Wires:
 
     def __init__(self, diagram: Diagram):
         self._root = diagram
-        self.matrices: dict[Place, dict[str, casadi.DM]] = {}  # of linear leaves, found so far
+        self._matrices: dict[Place, dict[str, casadi.DM]] = {}  # of linear leaves, found so far
         self._sources: dict[Place, Place] = {}
         self._parents: dict[System, Diagram] = {}
         self._outer: dict[Place, Place] = {}  # of an input that its diagram exports
@@ -99,6 +174,12 @@ class Wires:
                 return None
             place = self._outer[place]
         return self._sources[place]
+
+    def matrices_of(self, leaf: System, index: int) -> dict[str, casadi.DM]:
+        """Of an output of a linear leaf, from each input that it reads, by the inputs' names."""
+        if (leaf, index) not in self._matrices:
+            self._matrices[leaf, index] = _matrices(leaf, index)
+        return self._matrices[leaf, index]
 
     def block_of(self, system: System) -> System:
         """The diagram's own subsystem that a system is in."""
@@ -194,10 +275,7 @@ class At:
 
     def matrices(self, index: int) -> dict[str, casadi.DM]:
         """Of a linear leaf, from each input that an output reads, by the names of the inputs."""
-        known = self._instant.wires.matrices
-        if (self._leaf, index) not in known:
-            known[self._leaf, index] = _matrices(self._leaf, index)
-        return known[self._leaf, index]
+        return self._instant.wires.matrices_of(self._leaf, index)
 
     def _index(self, name: str) -> int:
         return int(self._leaf.GetInputPort(name).get_index())

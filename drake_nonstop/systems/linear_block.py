@@ -6,6 +6,7 @@ large one the entries that are not zero only, so that the costs grow with the nu
 not with its square.
 """
 
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -155,6 +156,11 @@ class _Adjusted(InnerBlock):
             self._calc_choice,
             {self.all_parameters_ticket()},
         )
+
+    @property
+    def trace_key(self) -> Any:
+        """The key of its function."""
+        return None if self._key is None else pickle.dumps((self._key, self._sizes))
 
     def traced_output(self, port: str, at: At) -> NDArray:
         """As of `systems.diagram_trace`."""

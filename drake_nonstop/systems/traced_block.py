@@ -5,9 +5,9 @@ as the traced function. Drake's systems, in C++, therefore stack the inputs to o
 outputs and hold the state, and Python is called once, for the function.
 """
 
+import pickle
 import weakref
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import casadi
@@ -21,7 +21,7 @@ from pydrake.systems.framework import (
     OutputPort,
     System,
 )
-from pydrake.systems.primitives import Integrator, Selector, SelectorParams
+from pydrake.systems.primitives import Selector, SelectorParams
 
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock, weakly
 from drake_nonstop.systems.diagram_trace import At
@@ -31,24 +31,6 @@ from drake_nonstop.systems.tracing import ArrayFunction, LateFunction, Trace, ob
 _STATE = "(state)"  # no name of a port
 _NUMBERS = "(parameters)"  # likewise
 _INNER = {_STATE, _NUMBERS}  # inputs of the function that are no ports of the block
-
-
-@dataclass(frozen=True)
-class Equations:
-    """What a block computes, as a part of a larger trace.
-
-    `function` takes one flat array for the state, where there is one, and one per entry of
-    `inputs`; it returns the rate of the state, where there is one, and one array per entry of
-    `outputs`. `inputs` and `outputs` are sizes by the names of ports. The state begins at
-    `initial_state`, which is empty where there is none, and `state_port` shows it, if any
-    port does.
-    """
-
-    function: Callable
-    inputs: Mapping[str, int]
-    outputs: Mapping[str, int]
-    initial_state: NDArray = field(default_factory=lambda: np.zeros(0))
-    state_port: str = ""
 
 
 class LateOutputs(NamedTuple):
@@ -74,9 +56,6 @@ class TracedBlock(DiagramBlock):
     the same inputs are made by calls of their own into Python. On AutoDiffXd and Expression the
     function itself is evaluated, on object arrays.
 
-    `equations` can be a part of a larger trace; they are None where the state is not continuous
-    or the time is read.
-
     Args:
         function: takes one flat array for the state, where there is one, and one per entry of
             `inputs`; returns what goes into the state, where there is one, and one flat array
@@ -88,7 +67,7 @@ class TracedBlock(DiagramBlock):
         state_port: the name of the output port that shows the state; none: no port does.
         reads_time: `function` takes the time (1,) in s after all others.
         parameters: what `function` takes by name, as arrays, numbers as (1,), besides: a numeric
-            parameter of the context. `equations` have the default values.
+            parameter of the context.
         key: as of `TracedFunction`; the parameters' values are no part of it.
         is_one_call: all outputs are made by one call into Python, and each depends on what any of
             them reads.
@@ -118,11 +97,6 @@ class TracedBlock(DiagramBlock):
         initial = np.zeros(0)
         if state is not None:
             initial = state.get_output_port().Eval(state.CreateDefaultContext()).copy()
-        self.equations: Equations | None = None
-        if not reads_time and (state is None or isinstance(state, Integrator)):
-            self.equations = Equations(
-                parameters.filled_in(function), dict(inputs), dict(made), initial, state_port
-            )
         if state is not None:
             own = {_STATE: len(initial)}
             read, made = own | read, own | made
@@ -212,6 +186,7 @@ class _Part(NamedTuple):
     # `TracedFunction` or what stands in for one.
     make: Callable[[type, Callable[[], str]], Any]
     function: Callable[[], casadi.Function]  # of the inputs, stacked, and the time
+    key: Any  # equal for parts of one function; None: there is no other
     optional: Mapping[str, int] = {}  # inputs besides, which may be left unconnected
 
 
@@ -228,6 +203,7 @@ def _part_of(trace: Trace, group: _Group, names: list[str], time: int) -> _Part:
         {names[i]: trace.output_sizes[i] for i in group.makes},
         make,
         lambda: trace.part(group.reads, group.makes),
+        (trace.identity, *map(tuple, group)),
     )
 
 
@@ -254,7 +230,8 @@ def _late_part(
     def traced() -> casadi.Function:
         return Trace(function, sizes, key=late.key).part(*whole)
 
-    return _Part(numbers, False, dict(late.outputs), make, traced, dict(late.optional))
+    key = None if late.key is None else pickle.dumps((late.key, sizes))
+    return _Part(numbers, False, dict(late.outputs), make, traced, key, dict(late.optional))
 
 
 class _Traced(InnerBlock):
@@ -302,6 +279,12 @@ class _Traced(InnerBlock):
             sources = {self.all_parameters_ticket()}
             size = len(parameters)
             self.DeclareVectorOutputPort("parameters", size, self._calc_parameters, sources)
+
+    @property
+    def trace_key(self) -> Any:
+        """The functions of the parts."""
+        keys = tuple(part.key for part in self._parts)
+        return None if None in keys else keys
 
     def traced_output(self, port: str, at: At) -> NDArray:
         """The results of a part, or the parameters."""

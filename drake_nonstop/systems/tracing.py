@@ -170,6 +170,11 @@ class Trace:
         self.output_sizes = self._expressions.output_sizes
         self.dependence = self._expressions.dependence
 
+    @property
+    def identity(self) -> object:
+        """The same for traces of one function with one key; it can be hashed."""
+        return self._expressions
+
     def compiled(
         self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
     ) -> TracedFunction:

@@ -169,7 +169,7 @@ def _arguments(rng: np.random.Generator) -> list[str]:
             ["--set", "optimization_layer.speed_bound=0.7"],
             ["--quiet"],
             ["--set", "phase=PaperPhase"],
-            ["--set", "fused_plant=true"],
+            ["--set", "engine=compiled"],
             ["--help"],
             [_text(rng)],
         ]

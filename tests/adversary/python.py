@@ -133,10 +133,8 @@ _CALLS = (
     "LinearPatternConfig(matrix={}).make(np.array(SystemParameters().attachments))",
     "SpreadCarouselConfig().make({})",
     "TracedBlock({})",
-    "Equations({})",
     "SampleAndHold({})",
     "LoadTrajectory({})",
-    "FusedPlant({})",
     "NonstopVisualizer({}, Scenario())",
     "show_in({})",
     "next(iter(run_live({}, {})))",
@@ -184,7 +182,7 @@ _CALLS = (
 # What takes an object of the package in its first place.
 _OF_OBJECTS = (
     *("set_equilibrium(", "compute_metrics(", "record_replay(", "draw_diagram(", "verify_step("),
-    *("Model(", "TracedBlock(", "Equations(", "SampleAndHold(", "LoadTrajectory(", "FusedPlant("),
+    *("Model(", "TracedBlock(", "SampleAndHold(", "LoadTrajectory("),
     *("NonstopVisualizer(", "show_in(", "next(iter(run_live(", "RunProgress(", "TaskProgress("),
     *("HamiltonianCycleConfig().make(", "SpreadCarouselConfig().make(", "NonstopGeometry("),
 )

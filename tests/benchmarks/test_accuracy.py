@@ -16,17 +16,17 @@ LONG = ("simulator_config.integration_scheme=runge_kutta2", "simulator_config.ma
 
 @pytest.fixture(scope="module")
 def results():
-    overrides = [("fused_plant=true",), ("simulator_config.max_step_size=0.001",), LONG]
+    overrides = [("engine=compiled",), ("simulator_config.max_step_size=0.001",), LONG]
     return benchmark_accuracy(load_scenario("line", BRIEF), overrides=overrides, repeats=2)
 
 
 def test_shorter_steps_are_nearer_to_the_truth(results):
-    default, fused, short, _ = results["runs"]
+    default, compiled, short, _ = results["runs"]
     for error in ("load_error_m", "speed_error"):
         assert default[error] > 20 * short[error] > 0
         assert short[error] > results["reference"][error] > 0
-        assert fused[error] == pytest.approx(default[error], rel=1e-3)
-    assert [row.get("steps") for row in results["runs"][:3]] == [80, 40, 400]
+        assert compiled[error] == pytest.approx(default[error], rel=1e-3)
+    assert [row.get("steps") for row in results["runs"][:3]] == [80, 80, 400]
 
 
 def test_errors_are_the_largest_of_any_sample_and_carrier(results):

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 from aircraft_loops import controller, flying
-from helpers import fix, model, output
+from helpers import ends_run, fix, model, output
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop import (
@@ -93,7 +93,7 @@ def test_energies_of_the_aircraft():
 @pytest.mark.parametrize("cause", ["lift", "speed", "gust"])
 def test_a_stall_ends_a_run(cause):
     block, context = flown()
-    assert not block.ends_run(context)
+    assert not ends_run(block, context)
     states = context.get_continuous_state_vector().CopyToVector()
     if cause == "lift":
         states[18 + 1] = 1.4
@@ -103,9 +103,9 @@ def test_a_stall_ends_a_run(cause):
         states[18:21] = 1.2
         fix(block, context, wind=np.array([0, 0, 0, 0, 0, 0.7, 0, 0, 0]))
     context.SetContinuousState(states)
-    assert block.ends_run(context)
-    other, _ = flown(config=FixedWingDynamicsConfig(stops_at_stall=False))
-    assert not other.ends_run(context)
+    assert ends_run(block, context)
+    other, its_context = flown(config=FixedWingDynamicsConfig(stops_at_stall=False))
+    assert not other.ends_run(its_context, output(block, context, "aircraft_state"))
 
 
 def test_without_aircraft_it_is_refused():

@@ -1,6 +1,5 @@
 """The wind, what it does to the load, and what the controllers believe of it."""
 
-import re
 import warnings
 
 import numpy as np
@@ -185,28 +184,6 @@ def test_controllers_that_know_the_wind_hold_the_load_where_it_should_be():
     drift = start_offset(windy % ", believed: [0, 0, 0]")
     assert drift[0] > 0.01
     assert np.abs(drift[1:]).max() < 0.2 * drift[0]
-
-
-def test_a_steady_wind_is_fused_and_a_gusty_one_is_not():
-    settings = [CONSTANT, "simulation_duration=0.3", "fused_plant=true"]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", ScenarioWarning)
-        steady = load_scenario("quintic", [*settings, "wind=!SteadyWind {velocity: [1, 2, 0]}"])
-        fused = simulate(steady)
-    separate = simulate(
-        load_scenario("quintic", [*settings[:2], "fused_plant=false"]), wind=steady.wind
-    )
-    for name in ("load_plant.load_state", "carrier_dynamics.carrier_state"):
-        signal = name.partition(".")[2]
-        a, b = (
-            next(v for k, v in run.signals.items() if k.endswith(f".{signal}"))
-            for run in (fused, separate)
-        )
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-10)
-    for block in ("WindProfile", "GustyWind", "!SteadyWind {rise_time: 1}"):
-        name = re.sub(r"\W.*", "", block.removeprefix("!"))
-        with pytest.warns(ScenarioWarning, match=f"wind = {name} may change between samples"):
-            make_nonstop(load_scenario("quintic", [*settings, f"wind={block}"]))
 
 
 def test_sampled_controllers_hold_an_estimate_that_changes():

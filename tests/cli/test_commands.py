@@ -328,7 +328,7 @@ def test_warnings_are_errors_output_and_quiet_silences_them(tmp_path, capsys):
         "optimization_layer=ConstantParameters",
         "limits.speed=0.1",
     ]
-    settings += ["fused_plant=true", "load_plant=MultibodyLoadPlant"]
+    settings += ["engine=compiled", "load_plant=MultibodyLoadPlant"]
     arguments = ["run", "line", "--out", str(tmp_path), *BRIEF[1:]]
     assert main([*arguments, "--set", *settings]) == 0
     shown = capsys.readouterr()

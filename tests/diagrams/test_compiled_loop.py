@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from drawn_tasks import aircraft_task, carriers_task
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import (
@@ -16,11 +17,13 @@ from drake_nonstop import (
     set_parameter,
     simulate,
 )
+from drake_nonstop.diagrams import compiled_loop
 from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.tracing import NotFiniteError
 
+NONSTOP = "optimization_layer=NonstopOptimizer"
 DURATION = 0.24  # s, a multiple of all control periods
 UNTRACED = {"aircraft_co_rotating_rising_wind"}  # its trajectory reads the rates of ξ
 
@@ -58,6 +61,11 @@ def test_shipped_scenarios_are_the_same(name):
     "overrides",
     [
         ["load_trajectory=Circle", "optimization_layer=NonstopOptimizer"],
+        ["optimization_layer=!NonstopOptimizer {speed_bound: 0.6, anchor_weight: 0.5}"],
+        ["optimization_layer=!NonstopOptimizer {speed_bound: 1.5}"],
+        ["optimization_layer=!NonstopOptimizer {period: 0.03, orbit_points: 1, max_tension: 9}"],
+        ["optimization_layer=!NonstopOptimizer {min_separation: 0.2, solver: ipopt}"],
+        ["optimization_layer=!NonstopOptimizer {speed_bound: 0, load_motion: measured}"],
         ["load_trajectory=SteadyTurn", "optimization_layer=ConstantParameters"],
         ["load_feedback=DesiredStateFeedback", "cables=IndividualCables"],
         ["wrench_controller=GeometricPd", "carrier_controller=TunedCarrierPid"],
@@ -105,6 +113,95 @@ def test_parameters_are_inputs_of_one_trace():
 def test_drawn_loops_are_the_same(task, seed):
     scenario = task(seed)
     assert_equal(scenario, *traced(scenario, compiles=False))
+
+
+@pytest.mark.parametrize("is_enabled", [True, False])
+def test_a_layer_keeps_its_parameters_by_its_context(is_enabled):
+    """Another ε, or a layer that is switched off, from the start on."""
+    scenario = load_scenario("quintic", [NONSTOP])
+    loop, context = traced(scenario, compiles=False)
+    diagram = make_nonstop(scenario)
+    simulator = Simulator(diagram)
+    for own, root in ((loop.diagram, context), (diagram, simulator.get_mutable_context())):
+        layer = own.GetSubsystemByName("optimization_layer")
+        layer.set_speed_bound(layer.GetMyMutableContextFromRoot(root), 0.62)
+        layer.set_enabled(layer.GetMyMutableContextFromRoot(root), is_enabled)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    _, signals = loop.run(context, DURATION)
+    simulator.AdvanceTo(DURATION)
+    for name in ("diagnostics", "parameters", "load_state", "speed_bound"):
+        shown = diagram.GetOutputPort(name).Eval(simulator.get_context())
+        np.testing.assert_allclose(signals[name][-1], shown, rtol=1e-9, atol=1e-9)
+    updates = signals["diagnostics"][-1, 1]
+    assert updates == 24 if is_enabled else updates == 0
+
+
+OTHER_NUMBERS = [
+    "simulated.load_mass=1.07",
+    "simulated.load_drag=0.2",
+    "load_trajectory.start_time=0.05",
+    "random_seed=3",
+]
+SAME_TRACES = [
+    *((carriers_task(seed), OTHER_NUMBERS) for seed in range(4100, 4104)),
+    *((aircraft_task(seed), OTHER_NUMBERS) for seed in range(4100, 4102)),
+    (
+        load_scenario("quintic", [NONSTOP]),
+        [
+            *OTHER_NUMBERS,
+            "system.load_mass=1.2",
+            "system.cable_length=1.1",
+            "wrench_controller.position_gain=11",
+            "carrier_controller.velocity_gain=9",
+            "optimization_layer.speed_bound=0.45",
+            "optimization_layer.frequency=2.1",
+            "optimization_layer.amplitude_bounds=[0.3, 2]",
+        ],
+    ),
+    (
+        load_scenario("quintic", ["optimization_layer=ConstantParameters"]),
+        ["optimization_layer.frequency=2.2", "load_disturbance=!DisturbanceForce {gust_force: 1}"],
+    ),
+]
+OTHER_TRACES = [
+    "simulated.attachments=[[0.4, 0, 0], [0, 0.5, 0], [-0.5, 0, 0], [0, -0.5, 0]]",
+    "carrier_trajectory.hold=velocity",
+    "carrier_controller.integral_gain=1",
+    "simulator_config.max_step_size=0.0025",
+    "pattern=Carousel",
+    f"{NONSTOP.replace('=', '=!')} {{max_tension: 9}}",
+    "wrench_controller=PaperWrenchController",
+]
+
+
+def functions_of(scenario, monkeypatch):
+    """The key of a loop's functions, and these as bytes."""
+    known = {}
+    monkeypatch.setattr(compiled_loop, "_functions", known)
+    traced(scenario, compiles=False)
+    ((key, functions),) = known.items()
+    return key, [function.function.serialize() for function in functions]
+
+
+@pytest.mark.parametrize(("scenario", "overrides"), SAME_TRACES)
+def test_loops_of_other_numbers_share_a_trace_that_is_theirs(scenario, overrides, monkeypatch):
+    """What the key of a shared trace leaves out are inputs: anew it would be the same one."""
+    source = [o for o in overrides if o.startswith("load_disturbance=")]
+    one = functions_of(
+        changed(scenario, ["load_disturbance=DisturbanceForce"] * len(source)), monkeypatch
+    )
+    other = functions_of(changed(scenario, overrides), monkeypatch)
+    assert one[0] == other[0]
+    assert one[1] == other[1]
+
+
+@pytest.mark.parametrize("override", OTHER_TRACES)
+def test_loops_of_another_kind_have_another_trace(override, monkeypatch):
+    scenario = load_scenario("quintic", [NONSTOP])
+    one = functions_of(scenario, monkeypatch)
+    other = functions_of(changed(scenario, [override]), monkeypatch)
+    assert one[0] != other[0]
+    assert one[1] != other[1]
 
 
 def test_a_run_depends_on_nothing_that_ran_before():

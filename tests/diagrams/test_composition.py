@@ -16,8 +16,6 @@ from drake_nonstop import (
     Part,
     SampleAndHold,
     ScenarioError,
-    ScenarioWarning,
-    TracedBlock,
     connect_by_name,
     load_scenario,
     make_blocks,
@@ -217,7 +215,10 @@ LOST = with_ports({"wind_speed": 3}, {})
     ("arguments", "said"),
     [
         ({"extra": {"phase": PaperPhase}}, "extra = phase: it is a box of the figure; give it as "),
-        ({"extra": {"plant": PaperPhase}}, "extra = plant: the loop has a block of that name"),
+        (
+            {"extra": {"sample_and_hold": PaperPhase}},
+            "extra = sample_and_hold: the loop has a block of that name",
+        ),
         ({"extra": {"a.b": PaperPhase}}, "extra = a.b: name each block by a text without"),
         ({"extra": {3: PaperPhase}}, "extra = 3: name each block by a text without"),
         ({"extra": [PaperPhase]}, "extra = .*: give a mapping from names to blocks"),
@@ -362,50 +363,6 @@ def test_an_optional_input_may_stay_open():
     builder = DiagramBuilder()
     connect_by_name(builder, {"block": block})
     assert builder.Build().num_input_ports() == 0
-
-
-class Gust(LeafSystem):
-    """A disturbance that changes at any time, or is said not to."""
-
-    def __init__(self, signal, size, is_sampled):
-        super().__init__()
-        self.is_sampled = is_sampled
-        self.DeclareVectorOutputPort(
-            signal, size, lambda c, o: o.SetFromVector(np.zeros(size)), {self.time_ticket()}
-        )
-
-
-def pushed(model):
-    """A controller with equations to be traced, which reads an extra block's signal."""
-    n = model.n
-    return TracedBlock(
-        lambda reference, state, push: 100 * (reference - state)[: 3 * n] + push,
-        inputs={"carrier_reference": 6 * n, "carrier_state": 6 * n, "push": 3 * n},
-        outputs={"carrier_forces": 3 * n},
-    )
-
-
-@pytest.mark.parametrize("is_sampled", [False, True])
-@pytest.mark.parametrize(
-    ("replacements", "signal", "size"),
-    [
-        ({"load_disturbance": None}, "disturbance_wrench", 6),
-        ({"carrier_controller": pushed}, "push", 12),
-    ],
-)
-def test_a_plant_is_fused_only_if_extra_blocks_that_it_reads_are_sampled(
-    replacements, signal, size, is_sampled
-):
-    fused = load_scenario("line", ["optimization_layer=ConstantParameters", "fused_plant=true"])
-    extra = {"gust": lambda model: Gust(signal, size, is_sampled)}
-    if is_sampled:
-        nonstop = make_nonstop(fused, extra=extra, **replacements)
-        assert nonstop.HasSubsystemNamed("plant")
-        return
-    said = "gust = Gust may change between samples; the separate blocks are used instead"
-    with pytest.warns(ScenarioWarning, match=said):
-        nonstop = make_nonstop(fused, extra=extra, **replacements)
-    assert nonstop.HasSubsystemNamed("load_plant")
 
 
 def test_the_hold_is_one_of_the_blocks():

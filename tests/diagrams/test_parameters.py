@@ -368,14 +368,6 @@ def test_a_bound_that_is_commanded_is_not_set(layer):
     set_parameter(loop, context, "optimization_layer.frequency", 2.1)
 
 
-def test_a_fused_plant_keeps_what_it_was_built_with():
-    loop, context = quintic("fused_plant=true")
-    for path in ("system.load_mass", "carrier_controller.position_gain"):
-        with pytest.raises(ScenarioError, match=r"fused plant keeps what \w+ was built with"):
-            set_parameter(loop, context, path, 1.2)
-    set_parameter(loop, context, "wrench_controller.position_gain", 4.0)
-
-
 @pytest.mark.parametrize("reads", [True, False])
 def test_a_users_block_that_has_read_a_number_of_its_model_keeps_it(reads):
     class Push(LeafSystem):

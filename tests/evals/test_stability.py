@@ -6,6 +6,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
@@ -20,7 +21,6 @@ def growth_per_turn(resting, turns):
     equilibrium; the linearization has no part in it.
     """
     period = 2 * np.pi / resting.optimization_layer.frequency
-    resting = changed(resting, ["fused_plant=true"])
     nonstop = make_nonstop(resting)
     equilibrium = nonstop.CreateDefaultContext()
     set_equilibrium(nonstop, equilibrium)
@@ -28,12 +28,10 @@ def growth_per_turn(resting, turns):
     runs = []
     for size in (0.0, 1e-8):
         context = equilibrium.Clone()
-        plant = nonstop.GetSubsystemByName("plant")
-        own = nonstop.GetMutableSubsystemContext(plant, context)
         for seed, name in enumerate(("load_state", "carrier_state")):
-            state = plant.states(own)[name]
+            state = nonstop.GetOutputPort(name).Eval(context).copy()
             noise = np.random.default_rng(seed).standard_normal(len(state))
-            plant.set_states(own, **{name: state + size * noise})
+            plant_states(nonstop).set_states(context, **{name: state + size * noise})
         simulator = Simulator(nonstop, context)
         ApplySimulatorConfig(config, simulator)
         states = []

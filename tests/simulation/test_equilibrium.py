@@ -5,6 +5,7 @@ import pytest
 
 from drake_nonstop.mechanics.signals import LoadReference, LoadState
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.schema import ENGINES
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
@@ -54,7 +55,7 @@ def test_a_load_that_is_too_heavy_is_told_by_its_mass_with_a_remedy_that_works(m
     simulate(short("simulated.load_mass=1.3"))
 
 
-@pytest.mark.parametrize("fused", ["true", "false"])
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
     ("override", "block"),
     [
@@ -67,6 +68,6 @@ def test_a_load_that_is_too_heavy_is_told_by_its_mass_with_a_remedy_that_works(m
         ("load_disturbance=!DisturbanceForce {force: [0, 1e9, 0]}", "load_disturbance"),
     ],
 )
-def test_a_value_that_is_not_finite_at_the_start_names_its_block(override, block, fused):
+def test_a_value_that_is_not_finite_at_the_start_names_its_block(override, block, engine):
     with pytest.raises(ScenarioError, match=f"start = ({block}): it makes a value"):
-        simulate(short(override, f"fused_plant={fused}"))
+        simulate(short(override, f"engine={engine}"))

@@ -66,7 +66,7 @@ def test_monte_carlo_gives_what_a_sweep_gives_to_the_bit(scenario, tmp_path):
     "overrides",
     [
         ("control_period=0", "optimization_layer=ConstantParameters", f"{_STEP}=0.0023"),
-        ("fused_plant=true",),
+        (),
     ],
 )
 def test_it_flies_as_simulate_does(scenario, overrides):

@@ -281,7 +281,7 @@ def test_a_run_without_room_for_its_signals_is_refused_and_the_remedy_works(dura
 
 
 def test_the_expected_size_is_that_of_the_signals():
-    for overrides in ([], ["fused_plant=true"], ["simulator_config.max_step_size=0.002"]):
+    for overrides in ([], ["engine=compiled"], ["simulator_config.max_step_size=0.002"]):
         scenario = load_scenario("quintic", ["simulation_duration=1", *overrides])
         run = simulate(scenario)
         arrays = [run.time, *run.signals.values(), *run.steps.values()]

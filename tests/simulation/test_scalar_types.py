@@ -31,7 +31,6 @@ SWAPS = [
     ],
     ["carrier_controller=!FeedforwardCarrierPid {integral_gain: 3}", "cables=IndividualCables"],
     ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
-    ["fused_plant=true"],
 ]
 swaps = pytest.mark.parametrize("overrides", SWAPS, ids=lambda s: ", ".join(s) or "default")
 
@@ -88,12 +87,6 @@ def test_rates_are_those_of_floats(overrides):
     for converted in (loop.ToAutoDiffXd(), loop.ToSymbolic()):
         copy = converted.CreateDefaultContext()
         copy.SetTimeStateAndParametersFrom(context)
-        if "fused_plant=true" in overrides:
-            with pytest.raises(
-                ScenarioError, match=r"^scalar type of plant = .*; set fused_plant = false$"
-            ):
-                converted.GetOutputPort("load_state").Eval(copy)
-            continue
         values = [number(value) for value in rate(converted, copy)]
         scale = np.max(np.abs(expected), initial=1.0)
         np.testing.assert_allclose(values, expected, rtol=0, atol=1e-11 * scale)

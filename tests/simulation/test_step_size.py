@@ -16,6 +16,7 @@ from drake_nonstop import (
     verify_step,
 )
 from drake_nonstop.diagrams.equilibrium import on_reference
+from drake_nonstop.scenario.schema import ENGINES
 from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.simulation.metrics import METRICS
 from drake_nonstop.simulation.moved_metrics import moved_metrics
@@ -94,9 +95,9 @@ def test_slow_samples_shorten_the_step():
     assert not moves or run.unresolved
 
 
-@pytest.mark.parametrize("fused", [False, True])
-def test_what_the_step_does_not_resolve_is_said(fused):
-    overrides = [TURN, "simulation_duration=7", CONSTANT, f"fused_plant={str(fused).lower()}"]
+@pytest.mark.parametrize("engine", ENGINES)
+def test_what_the_step_does_not_resolve_is_said(engine):
+    overrides = [TURN, "simulation_duration=7", CONSTANT, f"engine={engine}"]
     run = simulate(
         load_scenario("quintic", [*overrides, *IN_STEPS_TO_THE_CARRIERS]),
         optimization_layer=load_scenario("quintic", [IN_STEPS]).optimization_layer,
@@ -178,7 +179,7 @@ def test_schemes_of_low_order_are_always_verified(scheme):
     assert simulate(load_scenario("quintic", overrides)).half_step is not None
 
 
-@pytest.mark.parametrize("overrides", [(), ("fused_plant=true",), ("control_period=0",)])
+@pytest.mark.parametrize("overrides", [(), ("control_period=0",)])
 def test_a_short_flight_repeats_its_part_of_the_run(overrides):
     scenario = load_scenario(
         "quintic", ["simulation_duration=0.5", "optimization_layer.speed_bound=0.9", *overrides]
@@ -193,26 +194,12 @@ def test_a_short_flight_repeats_its_part_of_the_run(overrides):
 
     run = simulate(scenario, after_step=after_step, check_step=StepCheck.NOTHING)
     context = run.diagram.CreateDefaultContext()
-    flights = ShortFlights(run.diagram, context, scenario.simulator_config, scenario.control_period)
+    flights = ShortFlights(run.diagram, context, scenario.simulator_config)
     for _ in range(2):  # one flight leaves nothing for the next
         flown = flights.fly(states[0], 0.1)
         np.testing.assert_allclose(flown.tensions, run.signal("tensions")[21:31], atol=1e-10)
     finer = flights.fly(states[0], 0.1, 2)
     assert 0 < difference(flown, finer) < 0.1
-
-
-def test_a_fused_plant_and_separate_blocks_are_refined_alike():
-    flights = []
-    for fused in ("false", "true"):
-        scenario, nonstop, context = at_start(*SLOW_SAMPLES[:1], f"fused_plant={fused}")
-        short = ShortFlights(nonstop, context, scenario.simulator_config, scenario.control_period)
-        short.context.SetTime(2.0)
-        on_reference(nonstop, short.context)
-        start = SavedState.of(short.context)
-        flights.append([short.fly(start, 0.3, parts) for parts in (1, 2, 4)])
-    for apart, fused in zip(*flights, strict=True):
-        places = np.isclose(apart.time[:, None], fused.time).any(axis=1)
-        np.testing.assert_allclose(fused.tensions, apart.tensions[places], atol=1e-8)
 
 
 def test_what_counts_as_moved():

@@ -45,7 +45,6 @@ def flown(config, loop, start):
         [],
         [LOW],
         ["optimization_layer=NonstopOptimizer", LOW, "optimization_layer.solver=snopt"],
-        ["fused_plant=true"],
     ],
     ids=lambda overrides: ", ".join(overrides) or "default",
 )

@@ -25,7 +25,7 @@ def run():
 def test_csv_has_all_numbers_under_names_with_units(run, tmp_path):
     pandas = pytest.importorskip("pandas")
     write_csv(run, tmp_path / "run.csv")
-    frame = pandas.read_csv(tmp_path / "run.csv")
+    frame = pandas.read_csv(tmp_path / "run.csv", dtype=str).astype(float)
     columns = run.columns()
     assert list(frame.columns) == list(columns)
     for name, values in columns.items():

@@ -37,7 +37,7 @@ SWAPS = [
     ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
     ["cables=IndividualCables", "force_distribution=BoundedTensionDistribution"],
     ["optimization_layer=ConstantParameters"],
-    ["fused_plant=true"],
+    ["engine=compiled"],
     *(
         [f"optimization_layer=!NonstopOptimizer {{solver: {name}}}"]
         for name in ("search", "snopt", "ipopt", "nlopt", "grid")

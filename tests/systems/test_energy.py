@@ -233,13 +233,3 @@ def test_potential_energy_of_a_loop_at_rest_is_that_of_load_and_stretched_cables
     expected = 9.81 * height + stretched
     assert diagram.CalcPotentialEnergy(context) == pytest.approx(expected, rel=1e-9)
     assert diagram.EvalPotentialEnergy(context) == diagram.CalcPotentialEnergy(context)
-
-
-def test_energies_of_a_fused_plant_are_refused():
-    diagram = loop(SystemParameters(), control_period=0.01, fused_plant=True)
-    context = diagram.CreateDefaultContext()
-    for energy in (diagram.CalcKineticEnergy, diagram.CalcPotentialEnergy):
-        with pytest.raises(
-            ScenarioError, match=r"^fused_plant = true: .* give fused_plant = false"
-        ):
-            energy(context)

@@ -17,7 +17,6 @@ FONT_SIZES = {"name": 13, "class": 11, "wire-label": 12, "unread-label": 12}
 SCENARIOS = {
     "sampled": ("quintic", []),
     "continuous": ("quintic", ["control_period=0"]),
-    "fused": ("quintic", ["fused_plant=true"]),
     "printed_phase": ("paper_line", []),
     "open_loop": ("static_hold_open_loop", []),
     "no_optimization": ("line_without_optimization", []),

@@ -1,0 +1,167 @@
+"""The compiled engine of a run: what it can fly of it, and how that is recorded."""
+
+import itertools
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.analysis import SimulatorConfig
+from pydrake.systems.framework import Context, Diagram
+
+from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
+from drake_nonstop.scenario.schema import COMPILED, Scenario
+from drake_nonstop.simulation.monitor import Monitor
+from drake_nonstop.simulation.recording import Recording
+from drake_nonstop.simulation.run import SIGNAL_PERIOD
+from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+from drake_nonstop.validation import ScenarioWarning
+
+_ROUNDING = 1e-9  # s, of instants
+_UNUSUAL = 1e-3 * LARGEST  # a value beyond it may become one that a block of the diagram refuses
+
+
+def compiled_loop_of(
+    scenario: Scenario,
+    nonstop: Diagram,
+    recording: Recording,
+    config: SimulatorConfig,
+    steering: Sequence[str],
+) -> CompiledLoop | None:
+    """The loop as a run of `engine: compiled` flies it; None: its diagram is simulated.
+
+    Where the scenario wants it and it cannot be, a ScenarioWarning tells why.
+
+    Args:
+        scenario: of the run.
+        nonstop: its loop's diagram.
+        recording: what is to be recorded.
+        config: the integrator's step.
+        steering: the arguments of `simulate` that need the Simulator's own steps.
+    """
+    if scenario.engine != COMPILED:
+        return None
+    period = scenario.control_period
+    reason = f"{steering[0]} need the steps of Drake's Simulator" if steering else ""
+    reason = reason or reason_against(nonstop, config, period) or _reason_against_period(period)
+    if reason:
+        message = f"engine = {COMPILED}: {reason}; the diagram is simulated instead"
+        warnings.warn(message, ScenarioWarning, stacklevel=4)
+        return None
+    return CompiledLoop(
+        nonstop,
+        config,
+        period,
+        signal_period=min(SIGNAL_PERIOD, period),
+        signals=recording.sampled,
+        step_signals=recording.stepped,
+    )
+
+
+def _reason_against_period(period: float) -> str:
+    """Why signals every 10 ms do not go with a control period in s; empty where they do."""
+    ratio = max(SIGNAL_PERIOD, period) / min(SIGNAL_PERIOD, period)
+    if abs(ratio - round(ratio)) * period > _ROUNDING:
+        return (
+            f"control_period = {period:g} and the {SIGNAL_PERIOD:g} s between signals are no "
+            "multiples of each other"
+        )
+    return ""
+
+
+class CompiledRun:
+    """Flies as much of a run as a compiled loop can, from the start on.
+
+    Args:
+        loop: what is flown.
+        recording: takes the signals.
+        context: the root context at the start, with the loop's states and parameters.
+        ending: the loop's blocks that may end the run, see `simulate`.
+    """
+
+    def __init__(
+        self, loop: CompiledLoop, recording: Recording, context: Context, ending: Sequence[Any]
+    ):
+        self._loop, self._recording, self._context = loop, recording, context
+        self._start = loop.diagram.CreateDefaultContext()
+        self._start.SetTimeStateAndParametersFrom(loop.diagram.GetMyContextFromRoot(context))
+        self._flight = loop.fly(self._start, _UNUSUAL)
+        ends = np.cumsum([0, *loop.step_signals.values()])
+        places = dict(zip(loop.step_signals, itertools.pairwise(ends), strict=True))
+        self._ending = [
+            (block, block.GetMyContextFromRoot(context), slice(*places[block.ending_signal]))
+            for block in ending
+        ]
+        self._signal_ends = np.arange(1, loop.shown_per_sample + 1) / loop.shown_per_sample
+
+    def write_state(self) -> None:
+        """Sets the root context to the last sample."""
+        self._context.SetTime(self._flight.time)
+        self._flight.write_state(self._loop.diagram.GetMyMutableContextFromRoot(self._context))
+
+    def fly(self, duration: float, monitor: Monitor) -> bool:
+        """Flies for a duration, s, and sets the context to the end of that.
+
+        What is left then is less than a sample, or follows a value that is not finite, or so large
+        that it may become one: the Simulator flies that, and tells of it.
+
+        Returns:
+            Whether anything was flown and recorded.
+        """
+        period = self._loop.control_period
+        samples = int((duration + _ROUNDING) / period)
+        if samples == 0:
+            return False
+        try:
+            signals, steps = self._flight.start()
+            self._recording.add([0.0], signals[None], [0.0], steps[None])
+            monitor.has_ended = self._is_over(steps[None]) is not None
+            ends = monitor.ends(0.0) or monitor.has_ended
+            while not ends and self._flight.samples < samples:
+                ends = self._advance(monitor)
+        except NotFiniteError:
+            if not self._again():
+                return False
+        finally:
+            self._context.SetTime(self._flight.time)
+        if not monitor.has_ended:
+            self.write_state()
+        if abs(self._flight.time - duration) < _ROUNDING:
+            self._context.SetTime(duration)
+        return True
+
+    def _advance(self, monitor: Monitor) -> bool:
+        """Flies and records a sample; whether the run ends with it."""
+        begin, period = self._flight.time, self._loop.control_period
+        signals, steps = self._flight.advance()
+        times, step_times = begin + period * self._signal_ends, begin + self._loop.step_ends
+        times[-1] = step_times[-1] = self._flight.time
+        last = self._is_over(steps)
+        if last is not None:
+            is_before = times <= step_times[last] + _ROUNDING
+            self._recording.add(
+                times[is_before], signals[is_before], step_times[: last + 1], steps[: last + 1]
+            )
+            monitor.has_ended = True
+            return True
+        self._recording.add(times, signals, step_times, steps)
+        return monitor.ends(self._flight.time)
+
+    def _is_over(self, steps: NDArray) -> int | None:
+        """The first step after which a block ends the run."""
+        for block, context, place in self._ending:
+            for k, shown in enumerate(steps):
+                if block.ends_run(context, shown[place]):
+                    return k
+        return None
+
+    def _again(self) -> bool:
+        """Goes back to the last sample, by another flight; whether there is one."""
+        samples = self._flight.samples
+        self._flight = self._loop.fly(self._start, _UNUSUAL)
+        if samples > 0:
+            self._flight.start()
+            for _ in range(samples):
+                self._flight.advance()
+        return samples > 0

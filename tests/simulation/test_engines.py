@@ -1,0 +1,151 @@
+"""What `engine: compiled` flies is what the diagram flies, and so is how a run ends."""
+
+import os
+import signal
+import warnings
+
+import numpy as np
+import pytest
+
+from drake_nonstop import (
+    RunInterrupted,
+    RunStopped,
+    ScenarioError,
+    ScenarioWarning,
+    StepAction,
+    StepCheck,
+    load_scenario,
+    simulate,
+)
+from drake_nonstop.simulation import recording
+
+NONSTOP = "optimization_layer=NonstopOptimizer"
+CONSTANT = "optimization_layer=ConstantParameters"
+
+
+def flown(name, overrides, engine, **arguments):
+    """The run, whole or not, and what was said of it."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            run = simulate(load_scenario(name, [*overrides, f"engine={engine}"]), **arguments)
+        except RunStopped as stopped:
+            run = stopped.run
+    return run, [str(w.message) for w in told if issubclass(w.category, ScenarioWarning)]
+
+
+def assert_same(run, expected, tolerance=1e-9):
+    np.testing.assert_array_equal(run.time, expected.time)
+    np.testing.assert_allclose(run.steps["time"], expected.steps["time"], atol=1e-12)
+    assert {*run.signals} == {*expected.signals}
+    assert {*run.steps} == {*expected.steps}
+    measured = {"time", "solve_time"}
+    pairs = [(run.signals[name], values) for name, values in expected.signals.items()]
+    pairs += [(run.steps[k], values) for k, values in expected.steps.items() if k not in measured]
+    assert len(pairs) > 20
+    for values, others in pairs:
+        largest = np.abs(others).max(initial=0.0)
+        np.testing.assert_allclose(values, others, rtol=0, atol=tolerance * (1 + largest))
+    assert run.stopped == expected.stopped
+    assert run.step == expected.step
+    assert run.unresolved == expected.unresolved
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        ("quintic", [NONSTOP, "simulation_duration=2.5"]),
+        ("three_carriers", ["simulation_duration=1"]),
+        ("aircraft_transfer_gusty", ["simulation_duration=1.2"]),
+        ("quintic", ["simulation_duration=0.604"]),  # the rest of a sample is the Simulator's
+        ("quintic", [CONSTANT, "simulation_duration=0.004"]),
+        ("quintic", ["simulation_duration=0.9", "control_period=0.03"]),
+        ("quintic", ["simulation_duration=0.4", "control_period=0.0025"]),
+        ("quintic", ["simulation_duration=0.4", "simulator_config.max_step_size=0.003"]),
+    ],
+)
+def test_a_run_is_the_diagrams(name, overrides):
+    expected, _ = flown(name, overrides, "diagram")
+    run, told = flown(name, overrides, "compiled")
+    assert not any("engine" in message for message in told)
+    assert_same(run, expected)
+
+
+def test_a_run_that_diverges_ends_as_the_diagrams():
+    overrides = [CONSTANT, "wrench_controller.velocity_gain=400"]
+    expected, _ = flown("quintic", overrides, "diagram")
+    run, _ = flown("quintic", overrides, "compiled")
+    assert "diverged at t = 0.1" in run.stopped
+    assert_same(run, expected, tolerance=1e-6)  # rounding grows tenfold every few steps
+
+
+def test_a_stall_ends_the_run_at_the_diagrams_step():
+    overrides = ["wind=!GustyWind {velocity: [9, 0, 0], rise_time: 3}", "simulation_duration=4"]
+    expected, _ = flown("aircraft_three", overrides, "diagram", check_step=StepCheck.NOTHING)
+    run, _ = flown("aircraft_three", overrides, "compiled", check_step=StepCheck.NOTHING)
+    end, period = run.steps["time"][-1], run.scenario.control_period
+    assert 0.5 < end < 4
+    assert abs(end / period - round(end / period)) > 0.1  # between two samples
+    assert_same(run, expected)
+
+
+def test_an_interrupted_run_is_the_first_part_of_a_whole_one():
+    asked = []
+
+    def interrupt(time):
+        if time > 0 and not asked:
+            asked.append(time)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    overrides = [CONSTANT, "simulation_duration=60", "engine=compiled"]
+    with pytest.raises(RunInterrupted, match="was interrupted at t = ") as raised:
+        simulate(load_scenario("quintic", overrides), progress=interrupt)
+    run = raised.value.run
+    end = run.time[-1]
+    assert 0 < end < 60
+    assert f"t = {end:.4f} s" in run.stopped
+    whole, _ = flown("quintic", [CONSTANT, f"simulation_duration={end}"], "compiled")
+    for name, values in whole.signals.items():
+        np.testing.assert_array_equal(run.signals[name], values)
+
+
+def test_a_long_run_goes_to_files(monkeypatch):
+    overrides = [CONSTANT, "simulation_duration=1.003"]
+    expected, _ = flown("quintic", overrides, "compiled")
+    monkeypatch.setattr(recording, "MEMORY_LIMIT", 3e4)
+    run, _ = flown("quintic", overrides, "compiled")
+    assert isinstance(run.signals, recording.StoredSignals)
+    assert_same(run, expected, tolerance=0)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "arguments", "said"),
+    [
+        (["control_period=0"], {}, "control_period = 0: it goes from sample to sample"),
+        (["control_period=0.004"], {}, "control_period = 0.004 and the 0.01 s between signals"),
+        (["load_plant=MultibodyLoadPlant"], {}, "load_plant = MultibodyLoadPlant: it has no"),
+        ([], {"after_step": lambda *_: StepAction.CONTINUE}, "after_step need the steps of"),
+    ],
+)
+def test_what_cannot_be_compiled_is_said_and_the_diagram_flies(overrides, arguments, said):
+    overrides = [CONSTANT, "simulation_duration=0.2", *overrides]
+    run, told = flown("quintic", overrides, "compiled", **arguments)
+    (message,) = [message for message in told if message.startswith("engine = compiled: ")]
+    assert said in message
+    assert message.endswith("; the diagram is simulated instead")
+    expected, _ = flown("quintic", overrides, "diagram", **arguments)
+    assert_same(run, expected, tolerance=0)
+
+
+def test_another_engine_is_refused():
+    with pytest.raises(ScenarioError, match=r"engine = fast: give diagram or compiled"):
+        simulate(load_scenario("quintic", ["engine=fast"]))
+
+
+@pytest.mark.parametrize("period", [0.03, 0.06, 0.015, 0.012])
+def test_the_diagram_loses_no_sample_of_the_controllers(period):
+    """The hold's sample before each instant; of two events a rounding apart Drake loses one."""
+    run, _ = flown("quintic", [CONSTANT, f"control_period={period}"], "diagram")
+    held = run.signals["sample_and_hold.sample_time"][1:, 0]
+    samples = np.ceil(run.time[1:] / period - 1e-6) - 1
+    np.testing.assert_allclose(held, period * samples, atol=1e-9)
