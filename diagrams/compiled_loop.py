@@ -1,17 +1,22 @@
-"""A sampled loop as two traced functions from sample to sample, equal to its diagram to rounding.
+"""A sampled loop as traced functions from sample to sample, equal to its diagram to rounding.
 
 At a sample, Drake's Simulator first makes the unrestricted updates, all at once, then the discrete
 ones, and integrates to the next sample. So does the trace: `at_sample` makes both kinds of updates,
 `after_sample` takes the steps of the third-order Runge-Kutta method and shows all signals at the
 end of them, before the next updates.
 
+A block that is traced may ask to make an update itself, such as an optimization layer where its
+last answer does not do: it has `traced_attempt(at)`, which returns its states after the sample,
+and whether they hold, in place of `traced_update(at)`.
+
 Blocks that cannot be traced stand outside. One without inputs is evaluated at the instants at
-which it is read. One whose outputs change at samples only, such as an optimization layer, is
-stepped by a Simulator of its own, between the two functions.
+which it is read. One whose outputs change at samples only is stepped by a Simulator of its own,
+between the two functions. Where there is none, both are one function.
 """
 
 import itertools
 import math
+import time
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -22,7 +27,7 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortDataType, System
 
-from drake_nonstop.systems.compilation import cache_folder, compiled, compiler
+from drake_nonstop.systems.compilation import compiled
 from drake_nonstop.systems.diagram_trace import (
     At,
     Instant,
@@ -128,18 +133,34 @@ class _Traced(NamedTuple):
     symbols: _Symbols
 
 
-class _Functions(NamedTuple):
-    """What a loop is traced to."""
+@dataclass
+class _Functions:
+    """What loops of one content are traced to."""
 
     at_start: "_Function"
-    at_sample: "_Function"
     shown: "_Function"
     after_sample: "_Function"
-    whole: "_Function | None"  # at a sample and after it, where no block stands between them
+    at_sample: "_Function | None"  # where blocks are stepped between it and `after_sample`
+    whole: "_Function | None"  # where none are: both in one
+    samples: int = 0  # that loops have asked for
+
+    @property
+    def of_samples(self) -> list["_Function"]:
+        """Those that are evaluated at every sample, or nearly."""
+        parts = [self.at_sample, self.after_sample] if self.whole is None else [self.whole]
+        return [part for part in parts if part is not None]
+
+    def compile(self, samples: int | None) -> None:
+        """Takes C in place of the virtual machine, as `CompiledLoop` says."""
+        self.samples += samples or 0
+        builds = samples is None or self.samples >= _WORTH_COMPILING
+        for function in self.of_samples:
+            function.compile(builds)
 
 
 _functions: dict[Any, _Functions] = {}  # of the last loops
 _MOST_FUNCTIONS = 32
+_WORTH_COMPILING = 20_000  # samples, 2 s in the virtual machine
 
 
 class CompiledLoop:
@@ -155,7 +176,10 @@ class CompiledLoop:
             output ports; None: all of them.
         step_signals: those that are shown at the end of every step of the integrator.
         compiles: whether the functions are compiled as C, see `systems.compilation`; if not,
-            CasADi's virtual machine evaluates them, which takes some six times as long.
+            CasADi's virtual machine evaluates them, to the same numbers in ten times the time.
+        samples: how many are to be flown. Where C is in the cache it is used; else it is compiled,
+            which takes seconds, where this process has more of them to fly than it pays for.
+            None: it is compiled at once.
 
     Attributes:
         diagram: as given.
@@ -180,6 +204,7 @@ class CompiledLoop:
         signals: Collection[str] | None = None,
         step_signals: Collection[str] = (),
         compiles: bool = True,
+        samples: int | None = None,
     ):
         reason = reason_against(diagram, config, control_period)
         if reason:
@@ -203,6 +228,8 @@ class CompiledLoop:
         self.step_signals = {name: sizes[name] for name in step_signals}
         self._compiles = compiles
         self._prepare()
+        if compiles:
+            self._functions.compile(samples)
 
     def _prepare(self) -> None:
         root = self.diagram.CreateDefaultContext()
@@ -262,8 +289,7 @@ class CompiledLoop:
             ports.append((self._numbers[system], int(index)))
         states = tuple(map(tuple, self._state_sizes.values()))
         periods = self.control_period, self.shown_per_sample, *self._steps
-        build = self._compiles and (compiler(), str(cache_folder()))
-        return content, tuple(ports), len(self.signals), states, *parameter_sizes, periods, build
+        return content, tuple(ports), len(self.signals), states, *parameter_sizes, periods
 
     def _traced(self, parameter_sizes: list[int]) -> "_Functions":
         groups = [size for sizes in self._state_sizes.values() for size in sizes]
@@ -273,16 +299,16 @@ class CompiledLoop:
         values = np.split(object_array(parameters), np.cumsum(parameter_sizes)[:-1])
         self._parameters = dict(zip(self._with_parameters, values, strict=False))
         arguments = [state, parameters, time]
+        start = self._make_updates(arguments, is_start=True)
         updates = self._make_updates(arguments, is_start=False)
         steps = self._make_steps(arguments)
-        whole = None if self._held else self._make_whole(arguments, updates, steps)
-        compiles = self._compiles and whole is None  # else they are evaluated now and then
+        has_parts = bool(self._held)
         return _Functions(
-            _Function(*self._make_updates(arguments, is_start=True)),
-            _Function(*updates, compiles),
-            _Function(*self._make_shown(arguments)),
-            _Function(*steps, compiles),
-            whole and _Function(*whole, self._compiles),
+            at_start=_Function(start, is_frequent=False),
+            shown=_Function(self._make_shown(arguments), is_frequent=False),
+            after_sample=_Function(steps, is_frequent=has_parts),
+            at_sample=_Function(updates, is_frequent=True) if has_parts else None,
+            whole=None if has_parts else self._make_whole(arguments, updates, steps),
         )
 
     def _instant(self, states: Mapping[System, list[NDArray]], time: Any, outside: Any) -> Instant:
@@ -304,11 +330,15 @@ class CompiledLoop:
             start = ends[-1]
         return found
 
-    def _make_whole(self, arguments: list[casadi.SX], updates: _Traced, steps: _Traced) -> _Traced:
-        """The state and all signals at the next sample, and whether the blocks that ask keep."""
+    def _make_whole(
+        self, arguments: list[casadi.SX], updates: _Traced, steps: _Traced
+    ) -> "_Function":
+        """The state and all signals at the next sample, and what `updates` tells besides.
+
+        A further argument has the states that blocks have made themselves, and which have.
+        """
         state, parameters, time = arguments
-        symbols = _Symbols(self._numbers)
-        blocks = self.diagram.GetSystems()
+        symbols, blocks = _Symbols(self._numbers), self.diagram.GetSystems()
 
         def results_of(traced: _Traced, state: casadi.SX) -> list[casadi.SX]:
             outside = [
@@ -318,8 +348,22 @@ class CompiledLoop:
             new = casadi.vertcat(state, parameters, time, *itertools.chain(*outside))
             return casadi.Function("part", [old], traced.results)(new)
 
-        after, _, keeps = results_of(updates, state)
-        return _Traced([*results_of(steps, after), keeps], arguments, symbols)
+        answers = casadi.SX.sym("a", self._answers_size)
+        after, read, keeps = results_of(updates, state)
+        start = len(self._attempting)
+        for k, leaf in enumerate(self._attempting):
+            place = self._places[leaf]
+            end = start + place.stop - place.start
+            after[place] = casadi.if_else(answers[k], answers[start:end], after[place])
+            start = end
+        results = [*results_of(steps, after), read, keeps]
+        return _Function(_Traced(results, [*arguments, answers], symbols), is_frequent=True)
+
+    @property
+    def _answers_size(self) -> int:
+        """Of the argument of a whole sample: which blocks give their states, and these."""
+        sizes = [1 + sum(self._state_sizes[leaf][1:]) for leaf in self._attempting]
+        return sum(sizes)
 
     def _make_updates(self, arguments: list[casadi.SX], *, is_start: bool) -> _Traced:
         """The state after a sample's updates, and what the blocks that are held read."""
@@ -330,15 +374,17 @@ class CompiledLoop:
         updating = [leaf for leaf in self._leaves if hasattr(leaf, "traced_update")]
         if is_start:
             updating = [leaf for leaf in updating if getattr(leaf, "updates_at_start", False)]
+        first = {leaf for leaf in updating if getattr(leaf, "updates_first", False)}
+        if is_start:
+            first |= {leaf for leaf in updating if getattr(leaf, "starts_first", False)}
         after = dict(states)
-        for leaf in updating:
-            if getattr(leaf, "updates_first", False):
-                after[leaf] = _updated(leaf, instant, states)
+        for leaf in first:
+            after[leaf] = _updated(leaf, instant, states, is_start)
         instant = self._instant(after, object_array(time), symbols.at(0.0))
         last = dict(after)
         for leaf in updating:
-            if not getattr(leaf, "updates_first", False):
-                last[leaf] = _updated(leaf, instant, after)
+            if leaf not in first:
+                last[leaf] = _updated(leaf, instant, after, is_start)
         keeps: list[Any] = []
         for leaf in self._attempting if not is_start else ():
             values, kept = leaf.traced_attempt(At(instant, leaf))
@@ -421,6 +467,19 @@ class CompiledLoop:
         require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
         return CompiledFlight(self, context, largest)
 
+    @property
+    def is_compiled(self) -> bool:
+        """Whether it is evaluated as C, and not by CasADi's virtual machine."""
+        found = [function.compiled for function in self._functions.of_samples]
+        return self._compiles and None not in found
+
+    def seconds_of_functions(self, context: Context, samples: int) -> float:
+        """The time, s, that the traced functions alone take for so many samples."""
+        flight = self.fly(context)
+        flight.start()
+        flight.advance()
+        return flight.seconds_of_functions(samples)
+
     def run(self, context: Context, duration: float) -> tuple[NDArray, dict[str, NDArray]]:
         """The times (instants,), s, and the signals (instants, size) by their names.
 
@@ -456,10 +515,14 @@ class CompiledFlight:
 
     def __init__(self, loop: CompiledLoop, context: Context, largest: float):
         self._loop, self._largest = loop, largest
-        *parts, whole = loop._functions
-        evaluations = map(_Evaluation, parts)  # with memory of its own
-        self._at_start, self._at_sample, self._shown, self._after_sample = evaluations
-        self._whole = None if whole is None else _Evaluation(whole)
+        functions, compiles = loop._functions, loop._compiles
+        self._at_start = _Evaluation(functions.at_start, compiles)  # with memory of its own
+        self._shown = _Evaluation(functions.shown, compiles)
+        self._after_sample = _Evaluation(functions.after_sample, compiles)
+        at_sample, whole = functions.at_sample, functions.whole
+        self._at_sample = None if at_sample is None else _Evaluation(at_sample, compiles)
+        self._whole = None if whole is None else _Evaluation(whole, compiles)
+        self._no_answers = np.zeros(loop._answers_size)
         own = loop.diagram.CreateDefaultContext()
         own.SetTimeStateAndParametersFrom(context)
         self._sources = {
@@ -527,43 +590,80 @@ class CompiledFlight:
         Raises:
             NotFiniteError: a value is not finite, or is too large.
         """
-        shown, steps = self._loop.shown_per_sample, len(self._loop.step_ends)
-        if self._whole is not None and self.samples > 0:
-            state, signals, step_signals, keeps = self._call(self._whole)
-            if keeps.all():
-                self._state = state
-                self.samples += 1
-                return signals.reshape(shown, -1), step_signals.reshape(steps, -1)
-        if self.samples > 0:
-            before = self._state
-            self._state, read, keeps = self._call(self._at_sample)
-            for simulator in self._simulators.values():
-                simulator.AdvanceTo(self.time)
-            if self._simulators or not np.all(keeps):
-                self._give(read)
-            for simulator in self._simulators.values():
-                simulator.AdvancePendingEvents()
-            for leaf, kept in zip(self._asked, keeps, strict=True):
-                if not kept:
-                    self._ask(leaf, before)
-        self._state, signals, step_signals = self._call(self._after_sample)
+        if self.samples == 0:
+            self._state, signals, step_signals = self._call(self._after_sample)
+        elif self._whole is not None:
+            signals, step_signals = self._advance_whole(self._whole)
+        else:
+            signals, step_signals = self._advance_in_parts()
         self.samples += 1
+        shown, steps = self._loop.shown_per_sample, len(self._loop.step_ends)
         return signals.reshape(shown, -1), step_signals.reshape(steps, -1)
 
-    def _ask(self, leaf: System, state: NDArray) -> None:
-        """Has a leaf make its update itself, from its state before the sample."""
+    def _advance_whole(self, whole: "_Evaluation") -> tuple[NDArray, NDArray]:
+        """The signals of a sample in one call, or in a second one with what blocks answer."""
+        state, signals, step_signals, read, keeps = self._call(whole, self._no_answers)
+        if not keeps.all():
+            self._give(read)
+            answers = [
+                self._place_of(leaf, self._state) if kept else self._asked_for(leaf, self._state)
+                for leaf, kept in zip(self._asked, keeps, strict=True)
+            ]
+            given = np.concatenate([1.0 - keeps, *answers])
+            state, signals, step_signals, *_ = self._call(whole, given)
+        self._state = state
+        return signals, step_signals
+
+    def _advance_in_parts(self) -> tuple[NDArray, NDArray]:
+        """The signals of a sample, with blocks that are stepped after its updates."""
+        before = self._state
+        assert self._at_sample is not None
+        self._state, read, keeps = self._call(self._at_sample)
+        for simulator in self._simulators.values():
+            simulator.AdvanceTo(self.time)
+        self._give(read)
+        for simulator in self._simulators.values():
+            simulator.AdvancePendingEvents()
+        for leaf, kept in zip(self._asked, keeps, strict=True):
+            if not kept:
+                self._state[self._loop._places[leaf]] = self._asked_for(leaf, before)
+        self._state, signals, step_signals = self._call(self._after_sample)
+        return signals, step_signals
+
+    def _place_of(self, leaf: System, state: NDArray) -> NDArray:
+        """The discrete states of a leaf."""
+        return state[self._loop._places[leaf]]
+
+    def _asked_for(self, leaf: System, state: NDArray) -> NDArray:
+        """The states that a leaf makes by its own update, from the loop's before the sample."""
         context = self._asked[leaf]
         context.SetTime(self.time)
-        place, sizes = self._loop._places[leaf], self._loop._state_sizes[leaf][1:]
-        for group, values in enumerate(np.split(state[place], np.cumsum(sizes)[:-1])):
+        sizes = self._loop._state_sizes[leaf][1:]
+        parts = np.split(self._place_of(leaf, state), np.cumsum(sizes)[:-1])
+        for group, values in enumerate(parts):
             context.SetDiscreteState(group, values)
-        updated = leaf.EvalUniquePeriodicDiscreteUpdate(context)
-        self._state[place] = _discrete_of(updated)
+        return _discrete_of(leaf.EvalUniquePeriodicDiscreteUpdate(context))
 
     @property
     def time(self) -> float:
         """That of the last sample, s."""
         return self._time()
+
+    def seconds_of_functions(self, samples: int) -> float:
+        """As of `CompiledLoop`; the flight stays where it is."""
+        if self._whole is not None:
+            parts = [self._whole]
+            self._call(self._whole, self._no_answers)  # with the inputs of now
+        else:
+            assert self._at_sample is not None
+            parts = [self._at_sample, self._after_sample]
+            for part in parts:
+                self._call(part)
+        start = time.perf_counter()
+        for _ in range(samples):
+            for part in parts:
+                part.evaluate()
+        return time.perf_counter() - start
 
     def write_state(self, context: Context) -> None:
         """Sets the states of a context of the loop's diagram to those of the last sample.
@@ -601,10 +701,11 @@ class CompiledFlight:
             values.SetFromVector(read[start:end])
             start = end
 
-    def _call(self, function: "_Evaluation") -> list[NDArray]:
+    def _call(self, function: "_Evaluation", *answers: NDArray) -> list[NDArray]:
         time = self._time()
         outside = [self._value(reading, time) for reading in function.readings]
-        *results, norm = function(self._state, self._parameters, np.array([time]), outside)
+        own = self._state, self._parameters, np.array([time]), *answers
+        *results, norm = function([*own, *(outside or [np.zeros(1)])])
         if not norm[0] < self._largest**2:
             raise NotFiniteError("the loop")
         return results
@@ -645,28 +746,36 @@ class _Function:
     The last of its results is the sum of the others' squares.
     """
 
-    def __init__(
-        self,
-        results: list[casadi.SX],
-        arguments: list[casadi.SX],
-        symbols: _Symbols,
-        compiles: bool = False,
-    ):
+    def __init__(self, traced: _Traced, *, is_frequent: bool):
+        results, arguments, symbols = traced
         self.readings = symbols.readings
         outside = casadi.vertcat(*symbols.symbols) if symbols.symbols else casadi.SX.sym("none", 1)
         stacked = casadi.vertcat(*arguments, outside)
         norm = casadi.sumsqr(casadi.vertcat(*results))
-        function = casadi.Function("loop", [stacked], casadi.cse([*results, norm]))
-        self.function = compiled(function) if compiles else function
+        results = [*results, norm]
+        if is_frequent:  # it takes longer than an evaluation saves
+            results = casadi.cse(results)
+        self.function = casadi.Function("loop", [stacked], results)
+        self.compiled: casadi.Function | None = None  # the same, as C
+        self._is_looked_for = False  # in the cache
+
+    def compile(self, builds: bool) -> None:
+        """Takes C that is in the cache, or builds it."""
+        if self.compiled is None and (builds or not self._is_looked_for):
+            function = compiled(self.function, builds=builds)
+            self.compiled = None if function is self.function else function
+            self._is_looked_for = True
 
 
 class _Evaluation:
     """Evaluates a function, in memory of its own."""
 
-    def __init__(self, function: _Function):
+    def __init__(self, function: _Function, compiles: bool):
         self.readings = function.readings
         self._function = function.function  # the buffer borrows it and the arrays
-        self._buffer, self._evaluate = self._function.buffer()
+        if compiles and function.compiled is not None:
+            self._function = function.compiled
+        self._buffer, self.evaluate = self._function.buffer()
         self._input = np.zeros(self._function.size1_in(0))
         sizes = [self._function.size1_out(k) for k in range(self._function.n_out())]
         self._outputs = list(map(np.zeros, sizes))
@@ -674,12 +783,9 @@ class _Evaluation:
         for k, output in enumerate(self._outputs):
             self._buffer.set_res(k, output.data)
 
-    def __call__(
-        self, state: NDArray, parameters: NDArray, time: NDArray, outside: list[NDArray]
-    ) -> list[NDArray]:
-        last = outside or [np.zeros(1)]
-        np.concatenate([state, parameters, time, *last], out=self._input)
-        self._evaluate()
+    def __call__(self, inputs: list[NDArray]) -> list[NDArray]:
+        np.concatenate(inputs, out=self._input)
+        self.evaluate()
         return [output.copy() for output in self._outputs]
 
 
@@ -708,9 +814,12 @@ def _parameters_of(leaf: Any, context: Context) -> NDArray:
     return context.get_numeric_parameter(0).CopyToVector()
 
 
-def _updated(leaf: Any, instant: Instant, states: Mapping[System, list[NDArray]]) -> list[NDArray]:
+def _updated(
+    leaf: Any, instant: Instant, states: Mapping[System, list[NDArray]], is_start: bool
+) -> list[NDArray]:
     """A leaf's states after its update of the discrete ones."""
-    return [states[leaf][0], *leaf.traced_update(At(instant, leaf))]
+    start = getattr(leaf, "traced_start", leaf.traced_update) if is_start else leaf.traced_update
+    return [states[leaf][0], *start(At(instant, leaf))]
 
 
 def _joined(arrays: list[NDArray]) -> casadi.SX:

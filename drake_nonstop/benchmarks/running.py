@@ -9,8 +9,10 @@ from typing import Any
 from drake_nonstop.benchmarks.block_timers import OUTSIDE, BlockTimers, Frame
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, spread
 from drake_nonstop.benchmarks.optimizer import versions
+from drake_nonstop.scenario.schema import DIAGRAM
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import require
 
 _OPTIMIZATION_LAYER = "optimization_layer"
 STARTS = 3  # fresh interpreters; the start-up is the median's
@@ -44,9 +46,11 @@ def benchmark_run(
         simulator, `evaluations_per_step` how many traced functions the block then evaluates.
 
     Raises:
-        ScenarioError: the scenario cannot be run.
+        ScenarioError: the scenario cannot be run, or its engine is not the diagram's.
     """
     scenario = source.load()
+    remedy = "give engine=diagram, whose blocks are timed, or `bench engines`, or --against"
+    require(scenario.engine == DIAGRAM, "engine", scenario.engine, remedy)
     fresh = []
     for i in range(STARTS):
         with contextlib.closing(FreshRuns(source)) as runs:

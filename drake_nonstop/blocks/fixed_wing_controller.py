@@ -33,6 +33,7 @@ from drake_nonstop.model.block_parameters import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, LeafBlock
+from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import (
@@ -243,7 +244,10 @@ class _Observer(LeafBlock):
         self._aircraft_state = self.DeclareVectorInputPort("aircraft_state", 4 * n)
 
     def _start(self, context: Context) -> NDArray:
-        measured = AircraftState.view(self._aircraft_state.Eval(context))
+        return self._start_with(self._aircraft_state.Eval(context))
+
+    def _start_with(self, aircraft_state: NDArray) -> NDArray:
+        measured = AircraftState.view(aircraft_state)
         nothing = np.zeros(3 * len(measured.lift))
         return np.concatenate(ObserverStates(nothing, measured.lift, measured.thrust))
 
@@ -273,6 +277,17 @@ class _SampledObserver(_Observer):
         self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._add)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
 
+    updates_at_start = starts_first = True
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        return at.state(1)
+
+    def traced_start(self, at: At) -> list[NDArray]:
+        return [self._start_with(at.input("aircraft_state"))]
+
+    def traced_update(self, at: At) -> list[NDArray]:
+        return [at.state(1) + self._period * at.input("rates")]
+
     def _begin(self, context: Context, state: State) -> None:
         state.get_mutable_discrete_state().set_value(self._start(context))
 
@@ -296,6 +311,15 @@ class _Hold(LeafBlock):
             self.DeclareStateOutputPort(f"held_{name}", self.DeclareDiscreteState(size))
         self.DeclareInitializationDiscreteUpdateEvent(self._sample)
         self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._sample)
+
+    updates_at_start = True
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        names = [self.get_output_port(k).get_name() for k in range(self.num_output_ports())]
+        return at.state(1 + names.index(port))
+
+    def traced_update(self, at: At) -> list[NDArray]:
+        return [at.input(port.get_name()) for port in self._inputs]
 
     def _sample(self, context: Context, discrete_state: DiscreteValues) -> None:
         for i, port in enumerate(self._inputs):

@@ -5,6 +5,7 @@ import time as clock
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
@@ -53,7 +54,7 @@ from drake_nonstop.optimization.horizon_solver import (
     HorizonSolver,
     PlanAnswer,
 )
-from drake_nonstop.optimization.plan import DEGREE, Plan
+from drake_nonstop.optimization.plan import DEGREE, Plan, traced_plan_values
 from drake_nonstop.optimization.problem_config import (
     LimitsConfig,
     check_limits,
@@ -62,6 +63,7 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
+from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
@@ -71,6 +73,7 @@ _MOST_ITERATIONS = 100  # of any other
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
 _ANEW = 0.0  # in place of a factor of `_Effort`: constant ξ and A that are searched for
 _NO_PLAN = 0.0  # in place of a scale
+_VALUES = 4  # the place of the values of a plan among the discrete states, from 1 on
 
 
 @dataclass(kw_only=True)
@@ -228,6 +231,40 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self.DeclarePeriodicDiscreteUpdateEvent(
             self._sample_period, self._sample_period, self._update_at_sample
         )
+
+    @property
+    def trace_key(self) -> Any:
+        """What the values of a plan depend on besides the plan."""
+        return self._config.knot_spacing, self._sample_period, self._samples_per_plan
+
+    def trace_parameters(self, context: Context) -> NDArray:
+        """The speed bound (1,), m/s."""
+        return np.array([self._numbers_in(context).speed_bound])
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        if port == "speed_bound":
+            return at.input_or(COMMAND, at.parameters)
+        values = at.state(_VALUES)
+        if port == "parameters":
+            planned = PlannedParameters.view(values)
+            return np.concatenate([planned.frequency, planned.amplitude])
+        places = {"plan": _VALUES, "diagnostics": 2, "solve_time": 3, "missed_limits": _VALUES + 1}
+        return at.state(places[port])
+
+    def traced_attempt(self, at: At) -> tuple[list[NDArray], Any]:
+        """The states after a sample, and whether that has no new plan, 1 or 0."""
+        states = [at.state(k) for k in range(1, _VALUES + 1 + (self._missed is not None))]
+        vector, (time,) = states[0], at.time
+        samples = casadi.floor(time / self._sample_period + 0.5)
+        keeps = casadi.fmod(samples, self._samples_per_plan) != 0
+        states[_VALUES - 1] = traced_plan_values(
+            (vector[0], vector[1]),
+            self._config.knot_spacing,
+            vector[5:7],
+            vector[7:].reshape(2, -1),
+            time,
+        )
+        return states, keeps
 
     def begin_anew(self, context: Context) -> None:
         """Lets what has no plan begin with the parameters of the context, its own."""

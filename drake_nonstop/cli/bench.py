@@ -2,6 +2,7 @@
 
 from drake_nonstop.cli import (
     bench_accuracy,
+    bench_engines,
     bench_optimizer,
     bench_run,
     bench_scale,
@@ -14,5 +15,13 @@ def add_to(commands: Commands) -> None:
     """Adds the subcommand."""
     parser = commands.add_parser("bench", help="measure speed and quality")
     benches = parser.add_subparsers(required=True, metavar="WHAT")
-    for bench in (bench_optimizer, bench_viewer, bench_run, bench_accuracy, bench_scale):
+    benches_of = (
+        bench_optimizer,
+        bench_viewer,
+        bench_run,
+        bench_engines,
+        bench_accuracy,
+        bench_scale,
+    )
+    for bench in benches_of:
         bench.add_to(benches)

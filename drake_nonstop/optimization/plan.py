@@ -1,9 +1,12 @@
 """Plans of ξ and A over time: uniform splines of fourth degree, and the phase that they make."""
 
+import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import BsplineBasis
@@ -75,6 +78,47 @@ def _piece() -> NDArray:
 
 
 _PIECE = _piece()
+
+
+def traced_plan_values(
+    start: tuple[Any, Any], spacing: float, nominal: NDArray, coefficients: NDArray, time: Any
+) -> NDArray:
+    """As `Plan.values`, the vector (8,), in symbols.
+
+    Args:
+        start: time (s) and θ (rad) of the plan.
+        spacing: as of `Plan`, and so are the others.
+        nominal: (2,).
+        coefficients: (2, N).
+        time: s.
+    """
+    intervals = coefficients.shape[1] - DEGREE
+    place = (time - start[0]) / spacing
+    piece = casadi.fmin(casadi.fmax(casadi.floor(place), 0), intervals - 1)
+    is_over = place > intervals
+    late = casadi.if_else(is_over, place - intervals, 0.0)
+    x = casadi.if_else(place - piece < 1, place - piece, 1.0)
+    is_in = [piece == k for k in range(intervals)]
+
+    def of_piece(values: Iterable[Any]) -> Any:
+        """The value of the piece, of those of all."""
+        return sum(here * value for here, value in zip(is_in, values, strict=False))
+
+    window = [[of_piece(row[j:]) for j in range(DEGREE + 1)] for row in coefficients]
+    frequency, amplitude = np.array(window) @ _PIECE.T
+    turn = _PIECE.T @ (1 / np.arange(1, DEGREE + 2))  # of a piece, by its coefficients
+    turns_of = [coefficients[0, k : k + DEGREE + 1] @ turn for k in range(intervals)]
+    before = of_piece(itertools.accumulate(turns_of, initial=0.0))
+    rows = _powers(x) / spacing ** np.arange(4)[:, None]
+    integrals = np.array([x * power for power in rows[0]]) / np.arange(1, DEGREE + 2)
+    turns = frequency @ integrals + late * (frequency @ rows[0])
+    is_moving = casadi.logic_not(is_over)
+    xi, *xi_rates = [nominal[0] * value for value in rows @ frequency]
+    A, *A_rates = [nominal[1] * value for value in rows @ amplitude]
+    first, second, _ = [rate * is_moving for rate in xi_rates]
+    A_first, A_second, A_third = [rate * is_moving for rate in A_rates]
+    theta = start[1] + nominal[0] * spacing * (before + turns)
+    return np.array([theta, xi, A, first, A_first, second, A_second, A_third])
 
 
 @dataclass(frozen=True, eq=False)

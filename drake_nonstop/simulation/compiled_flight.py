@@ -56,6 +56,7 @@ def compiled_loop_of(
         signal_period=min(SIGNAL_PERIOD, period),
         signals=recording.sampled,
         step_signals=recording.stepped,
+        samples=int(scenario.simulation_duration / period),
     )
 
 

@@ -27,7 +27,7 @@ from drake_nonstop.validation import ScenarioWarning
 COMPILER = "CC"  # the variable of the environment that names another compiler
 CACHE = "DRAKE_NONSTOP_CACHE"  # likewise, another folder
 _COMPILERS = "cc", "gcc", "clang"
-_OPTIONS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
+_OPTIONS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off")
 _TIME_LIMIT = 600.0  # s, of a compilation
 
 
@@ -35,16 +35,22 @@ class CompilationError(RuntimeError):
     """Nothing was compiled; the message tells why, in a few words."""
 
 
-def compiled(function: casadi.Function) -> casadi.Function:
+def compiled(function: casadi.Function, *, builds: bool = True) -> casadi.Function:
     """The function as compiled C, or as it is where that cannot be.
 
-    A ScenarioWarning tells why it cannot, once for each reason.
+    Both give the same numbers, to the bit. A ScenarioWarning tells why it cannot, once for each
+    reason.
+
+    Args:
+        function: of SX expressions.
+        builds: whether it is compiled where the cache does not have it.
     """
     try:
-        return casadi.external(function.name(), str(_library(function)))
+        library = _library(function, builds)
     except CompilationError as error:
         _tell(str(error))
-    return function
+        return function
+    return function if library is None else casadi.external(function.name(), str(library))
 
 
 def compiler() -> str | None:
@@ -67,8 +73,8 @@ def _tell(reason: str) -> None:
     warnings.warn(text, ScenarioWarning, stacklevel=4)
 
 
-def _library(function: casadi.Function) -> Path:
-    """The shared library of a function, which is built where there is none that can be used."""
+def _library(function: casadi.Function, builds: bool) -> Path | None:
+    """The shared library of a function, or one that is built; None: there is none."""
     own_compiler = compiler()
     if own_compiler is None:
         raise CompilationError("there is no C compiler (cc, gcc or clang)")
@@ -76,6 +82,8 @@ def _library(function: casadi.Function) -> Path:
     parts = (text, own_compiler, _version(own_compiler), *_OPTIONS, platform.machine())
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
     folder = cache_folder()
+    if not builds and not _is_sound(folder / f"{key}.so"):
+        return None
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         library = folder / f"{key}.so"

@@ -3,7 +3,8 @@
 Every leaf system of the diagram is one of these:
 
 - a `LeafBlock` with the method `traced_output(port, at)`, and for its states `traced_rates(at)` and
-  `traced_update(at)`, which take an `At` and compute with NumPy on arrays of symbols;
+  `traced_update(at)`, which take an `At` and compute with NumPy on arrays of symbols. With
+  `trace_parameters(context)` it takes other numbers than its first numeric parameter;
 - one of Drake's systems that are linear and have no state: their matrix is found at unit vectors;
 - Drake's Integrator, or the switch of an `AdjustableLinear`.
 

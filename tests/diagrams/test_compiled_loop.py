@@ -180,7 +180,8 @@ def functions_of(scenario, monkeypatch):
     monkeypatch.setattr(compiled_loop, "_functions", known)
     traced(scenario, compiles=False)
     ((key, functions),) = known.items()
-    return key, [function.function.serialize() for function in functions]
+    parts = functions.at_start, functions.shown, functions.after_sample, *functions.of_samples
+    return key, [function.function.serialize() for function in parts]
 
 
 @pytest.mark.parametrize(("scenario", "overrides"), SAME_TRACES)

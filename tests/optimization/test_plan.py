@@ -3,7 +3,8 @@ import pytest
 from helpers import difference
 from scipy.interpolate import BSpline
 
-from drake_nonstop.optimization.plan import Plan, spline_rows
+from drake_nonstop.optimization.plan import Plan, spline_rows, traced_plan_values
+from drake_nonstop.systems.tracing import TracedFunction
 
 SPACING = 0.4
 COEFFICIENTS = np.random.default_rng(1).uniform(0.5, 1.5, (2, 12))
@@ -59,3 +60,20 @@ def test_after_its_end_a_plan_is_constant():
     assert after[1:] == pytest.approx([end.frequency, end.amplitude, 0, 0, 0, 0, 0])
     rate = difference(lambda t: PLAN.values(t).angle, PLAN.end_time + 1.0)
     assert rate == pytest.approx(end.frequency)
+
+
+def test_traced_values_are_those_of_the_plan():
+    """At knots, a rounding beside them, between them and after the end."""
+    coefficients = np.random.default_rng(3).uniform(0.8, 1.2, (2, 9))
+    plan = Plan(0.3, 0.7, 0.16, np.array([2.0, 1.1]), coefficients)
+
+    def values(numbers, time):
+        start, nominal = (numbers[0], numbers[1]), numbers[2:4]
+        return traced_plan_values(start, 0.16, nominal, numbers[4:].reshape(2, -1), time[0])
+
+    traced = TracedFunction(values, [22, 1], name=lambda: "plan")
+    numbers = np.concatenate([[0.3, 0.7], plan.nominal, coefficients.ravel()])
+    knots = 0.3 + 0.16 * np.arange(7)
+    for time in (*knots, *(knots[1:] - 1e-15), *(knots + 0.05), 3.0):
+        (found,) = traced(numbers, np.array([time]))
+        np.testing.assert_allclose(found, plan.values(time), rtol=1e-12, atol=1e-12)
