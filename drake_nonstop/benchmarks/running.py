@@ -9,7 +9,7 @@ from typing import Any
 from drake_nonstop.benchmarks.block_timers import OUTSIDE, BlockTimers, Frame
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, spread
 from drake_nonstop.benchmarks.optimizer import versions
-from drake_nonstop.scenario.schema import DIAGRAM
+from drake_nonstop.scenario.schema import COMPILED
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import require
@@ -50,7 +50,7 @@ def benchmark_run(
     """
     scenario = source.load()
     remedy = "give engine=diagram, whose blocks are timed, or `bench engines`, or --against"
-    require(scenario.engine == DIAGRAM, "engine", scenario.engine, remedy)
+    require(scenario.engine != COMPILED, "engine", scenario.engine, remedy)
     fresh = []
     for i in range(STARTS):
         with contextlib.closing(FreshRuns(source)) as runs:

@@ -42,8 +42,8 @@ from drake_nonstop.validation import (
 
 PATTERN = "pattern"  # the field that is chosen like a box's block, and belongs to several
 
-# What steps a loop from instant to instant.
-DIAGRAM, COMPILED = ENGINES = "diagram", "compiled"
+# What steps a loop from instant to instant: Drake's Simulator, or one traced function.
+AUTO, DIAGRAM, COMPILED = ENGINES = "auto", "diagram", "compiled"
 
 # What earlier versions had as fields of a scenario, and what has taken their place.
 _FORMER_FIELDS = {
@@ -94,7 +94,7 @@ class _Common(StrictFields):
     random_seed: int = 0  # of the numbers that are drawn where fields hold distributions
     simulation_duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
-    engine: str = DIAGRAM  # diagram: Drake's Simulator steps it; compiled: one traced function
+    engine: str = AUTO  # diagram, compiled, or auto: the diagram, but for studies the compiled loop
     # Slows the load's trajectory down where no ξ and A keep the speed bound with it; none: never.
     reference_governor: ReferenceGovernorConfig | None = None
     # What the run is held against: beyond which figures it is not ok, or not plausible.
@@ -272,7 +272,8 @@ def check(scenario: Scenario) -> None:
     is_seed = 0 <= seed <= _LARGEST_SEED
     require(is_seed, f"{scenario.name}.random_seed", seed, f"give 0 to {_LARGEST_SEED}")
     check_limits(scenario.limits)
-    require(scenario.engine in ENGINES, "engine", scenario.engine, f"give {' or '.join(ENGINES)}")
+    remedy = f"give {', '.join(ENGINES[:-1])} or {ENGINES[-1]}"
+    require(scenario.engine in ENGINES, "engine", scenario.engine, remedy)
     config = scenario.simulator_config
     require_positive(
         "simulator_config", max_step_size=config.max_step_size, accuracy=config.accuracy

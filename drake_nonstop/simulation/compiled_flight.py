@@ -11,13 +11,14 @@ from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
-from drake_nonstop.scenario.schema import COMPILED, Scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import Monitor
 from drake_nonstop.simulation.recording import Recording
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioWarning
 
+NOT_COMPILED = "engine = compiled"  # how the warning begins that tells why
 _ROUNDING = 1e-9  # s, of instants
 _UNUSUAL = 1e-3 * LARGEST  # a value beyond it may become one that a block of the diagram refuses
 
@@ -29,9 +30,9 @@ def compiled_loop_of(
     config: SimulatorConfig,
     steering: Sequence[str],
 ) -> CompiledLoop | None:
-    """The loop as a run of `engine: compiled` flies it; None: its diagram is simulated.
+    """The loop as a run of `engine: compiled` flies it.
 
-    Where the scenario wants it and it cannot be, a ScenarioWarning tells why.
+    None: it cannot be compiled, and its diagram is simulated; a ScenarioWarning tells why.
 
     Args:
         scenario: of the run.
@@ -40,13 +41,11 @@ def compiled_loop_of(
         config: the integrator's step.
         steering: the arguments of `simulate` that need the Simulator's own steps.
     """
-    if scenario.engine != COMPILED:
-        return None
     period = scenario.control_period
     reason = f"{steering[0]} need the steps of Drake's Simulator" if steering else ""
     reason = reason or reason_against(nonstop, config, period) or _reason_against_period(period)
     if reason:
-        message = f"engine = {COMPILED}: {reason}; the diagram is simulated instead"
+        message = f"{NOT_COMPILED}: {reason}; the diagram is simulated instead"
         warnings.warn(message, ScenarioWarning, stacklevel=4)
         return None
     return CompiledLoop(

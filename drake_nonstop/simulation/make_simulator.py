@@ -27,7 +27,7 @@ def make_simulator(
     `RandomSimulation` of pydrake.systems.analysis take as `make_simulator`. What is drawn for the
     scenario's distributions, and the equilibrium that follows, are the declared defaults of the
     loop: both functions reset the context to them. Its k-th call with a generator of seed s flies
-    what run k of a sweep with `seed: s` does, to the bit.
+    what run k of a sweep with `seed: s` does, with `engine: diagram` to the bit.
 
     The root diagram has each signal of the loop as an output port of its name.
 

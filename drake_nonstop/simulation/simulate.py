@@ -19,7 +19,7 @@ from drake_nonstop.diagrams.equilibrium import block_named, set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.scenario.scene_config import check_scene
-from drake_nonstop.scenario.schema import Scenario, check
+from drake_nonstop.scenario.schema import AUTO, COMPILED, DIAGRAM, Scenario, check
 from drake_nonstop.simulation.aircraft_margins import margins_of_loop
 from drake_nonstop.simulation.compiled_flight import CompiledRun, compiled_loop_of
 from drake_nonstop.simulation.formation import growth_complaint
@@ -68,6 +68,7 @@ def simulate(
     after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
     check_step: StepCheck = StepCheck.WHOLE,
     make_loop: LoopMaker | None = None,
+    engine: str | None = None,
     **replacements: Any,
 ) -> Run:
     """Simulates a scenario from its equilibrium and returns all signals.
@@ -92,6 +93,7 @@ def simulate(
         make_loop: makes the loop's diagram of a scenario and of the replacements without a config;
             None: `make_nonstop` does. One of the user's own exports its signals by their names,
             as `connect_by_name` does; the loop may be inside of it.
+        engine: "diagram" or "compiled", in place of the scenario's; None: that.
         replacements: blocks in place of the scenario's, and `extra` ones, see `make_nonstop`.
             Those with a config are in the run's scenario.
 
@@ -111,6 +113,7 @@ def simulate(
                 after_step,
                 check_step,
                 make_nonstop if make_loop is None else make_loop,
+                engine,
                 replacements,
             )
         except RunStopped:
@@ -132,9 +135,13 @@ def _simulate(
     after_step: Callable[[Simulator, Diagram], StepAction] | None,
     check_step: StepCheck,
     make_loop: LoopMaker,
+    engine: str | None,
     replacements: dict[str, Any],
 ) -> Run:
     check(scenario)
+    remedy = f"give {DIAGRAM} or {COMPILED}, or None"
+    require(engine in (None, DIAGRAM, COMPILED), "engine", engine, remedy)
+    engine = engine or scenario.engine
     schemes = GetIntegrationSchemes()
     require(
         scenario.simulator_config.integration_scheme in schemes,
@@ -217,7 +224,9 @@ def _simulate(
         ApplySimulatorConfig(chosen.config, simulator)
         given = {"viewers": viewers, "after_step": after_step}
         steering = [name for name, value in given.items() if value]
-        loop = compiled_loop_of(scenario, nonstop, recording, chosen.config, steering)
+        loop = None
+        if engine == COMPILED:
+            loop = compiled_loop_of(scenario, nonstop, recording, chosen.config, steering)
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
@@ -281,7 +290,7 @@ def _simulate(
         return run
     if check_step is StepCheck.PARTS or after_step is not None:
         return dataclasses.replace(run, unresolved=(doubt,))
-    return _verified(run, progress, doubt)
+    return _verified(run, progress, doubt, engine)
 
 
 def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) -> Run:
@@ -303,7 +312,12 @@ def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) ->
     return _verified(run, progress)
 
 
-def _verified(run: Run, progress: Callable[[float], None] | None, doubt: str = "") -> Run:
+def _verified(
+    run: Run,
+    progress: Callable[[float], None] | None,
+    doubt: str = "",
+    engine: str | None = None,
+) -> Run:
     """As `verify_step`; an interrupted run keeps the doubt for which it is flown again."""
     finer = with_half_the_step(run.scenario.simulator_config, run.step)
     duration = float(run.steps["time"][-1])
@@ -319,6 +333,7 @@ def _verified(run: Run, progress: Callable[[float], None] | None, doubt: str = "
                 scenario,
                 progress=progress,
                 check_step=StepCheck.NOTHING,
+                engine=None if engine == AUTO else engine,
                 **(run.replacements or {}),
             )
     except RunInterrupted:

@@ -34,7 +34,6 @@ from drake_nonstop.simulation.aircraft_margins import (
 )
 from drake_nonstop.simulation.formation import find_formation
 from drake_nonstop.simulation.run import RunStopped, StepCheck
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.simulation.task import task_of
 from drake_nonstop.studies.design_request import (
     GRAVITY,
@@ -42,7 +41,7 @@ from drake_nonstop.studies.design_request import (
     dump_request,
     read_request_text,
 )
-from drake_nonstop.studies.run_all import Progress, no_progress, run_all
+from drake_nonstop.studies.run_all import Progress, fly, no_progress, run_all
 from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import ScenarioError, message_of
 
@@ -856,7 +855,7 @@ def _is_steady(scenario: Scenario, turn: float) -> bool:
         "load_trajectory.displacement=[0.0, 0.0, 0.0]",
     ]
     try:
-        run = simulate(changed(scenario, changes), check_step=StepCheck.NOTHING)
+        run = fly(changed(scenario, changes), check_step=StepCheck.NOTHING)
     except RunStopped:
         return False
     if run.stopped:

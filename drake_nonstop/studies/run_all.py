@@ -1,16 +1,18 @@
 """Many runs that are independent of each other: in processes, each to an ending of its own."""
 
+import warnings
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import AUTO, COMPILED, Scenario
+from drake_nonstop.simulation.compiled_flight import NOT_COMPILED
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.processes import Answer, call_in_processes, deferred_signals
-from drake_nonstop.validation import ScenarioError, message_of, one_line, require
+from drake_nonstop.validation import ScenarioError, ScenarioWarning, message_of, one_line, require
 
 # How a run may end.
 COMPLETED = "completed"
@@ -146,8 +148,21 @@ class Attempt:
     error: BaseException | None = None  # of a scenario that is "unbuildable"
 
 
+def fly(scenario: Scenario, **arguments: Any) -> Run:
+    """As `simulate`, by the compiled loop where the scenario leaves the engine open.
+
+    Where that cannot be compiled its diagram is simulated without a word: the results are the same,
+    to rounding.
+    """
+    if getattr(scenario, "engine", None) != AUTO:
+        return simulate(scenario, **arguments)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", NOT_COMPILED, ScenarioWarning)
+        return simulate(scenario, engine=COMPILED, **arguments)
+
+
 def attempt(scenario: Callable[[], Scenario], **arguments: Any) -> Attempt:
-    """Simulates the scenario that a function returns, and never raises an error of the run.
+    """Flies the scenario that a function returns, and never raises an error of the run.
 
     `arguments` are those of `simulate`.
 
@@ -156,7 +171,7 @@ def attempt(scenario: Callable[[], Scenario], **arguments: Any) -> Attempt:
     """
     ending, message = COMPLETED, ""
     try:
-        run = simulate(scenario(), **arguments)
+        run = fly(scenario(), **arguments)
     except RunStopped as stopped:
         run, message = stopped.run, str(stopped)
         ending = DIVERGED if stopped.__cause__ is None else FAILED

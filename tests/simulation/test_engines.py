@@ -28,7 +28,7 @@ def flown(name, overrides, engine, **arguments):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         try:
-            run = simulate(load_scenario(name, [*overrides, f"engine={engine}"]), **arguments)
+            run = simulate(load_scenario(name, overrides), engine=engine, **arguments)
         except RunStopped as stopped:
             run = stopped.run
     return run, [str(w.message) for w in told if issubclass(w.category, ScenarioWarning)]
@@ -97,7 +97,7 @@ def test_an_interrupted_run_is_the_first_part_of_a_whole_one():
             asked.append(time)
             os.kill(os.getpid(), signal.SIGINT)
 
-    overrides = [CONSTANT, "simulation_duration=60", "engine=compiled"]
+    overrides = [CONSTANT, "simulation_duration=60", "engine=compiled"]  # the scenario's own
     with pytest.raises(RunInterrupted, match="was interrupted at t = ") as raised:
         simulate(load_scenario("quintic", overrides), progress=interrupt)
     run = raised.value.run
@@ -138,8 +138,10 @@ def test_what_cannot_be_compiled_is_said_and_the_diagram_flies(overrides, argume
 
 
 def test_another_engine_is_refused():
-    with pytest.raises(ScenarioError, match=r"engine = fast: give diagram or compiled"):
+    with pytest.raises(ScenarioError, match=r"engine = fast: give auto, diagram or compiled"):
         simulate(load_scenario("quintic", ["engine=fast"]))
+    with pytest.raises(ScenarioError, match=r"engine = fast: give diagram or compiled, or None"):
+        simulate(load_scenario("quintic"), engine="fast")
 
 
 @pytest.mark.parametrize("period", [0.03, 0.06, 0.015, 0.012])
