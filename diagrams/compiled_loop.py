@@ -468,6 +468,11 @@ class CompiledLoop:
         return CompiledFlight(self, context, largest)
 
     @property
+    def blocks_beside(self) -> list[str]:
+        """The names of the blocks that are stepped by Simulators of their own."""
+        return [block.get_name() for block in self._held]
+
+    @property
     def is_compiled(self) -> bool:
         """Whether it is evaluated as C, and not by CasADi's virtual machine."""
         found = [function.compiled for function in self._functions.of_samples]
@@ -575,6 +580,7 @@ class CompiledFlight:
         for simulator in self._simulators.values():
             simulator.Initialize()
         for leaf, context in self._asked.items():
+            self._set(leaf, context, self._state)
             Simulator(leaf, context).Initialize()
             self._state[self._loop._places[leaf]] = _discrete_of(context.get_discrete_state())
         signals, step_signals = self._call(self._shown)
@@ -637,12 +643,30 @@ class CompiledFlight:
     def _asked_for(self, leaf: System, state: NDArray) -> NDArray:
         """The states that a leaf makes by its own update, from the loop's before the sample."""
         context = self._asked[leaf]
+        self._set(leaf, context, state)
+        return _discrete_of(leaf.EvalUniquePeriodicDiscreteUpdate(context))
+
+    def _set(self, leaf: System, context: Context, state: NDArray) -> None:
+        """Sets a leaf's own context to the time of the last sample and the loop's states."""
         context.SetTime(self.time)
         sizes = self._loop._state_sizes[leaf][1:]
         parts = np.split(self._place_of(leaf, state), np.cumsum(sizes)[:-1])
         for group, values in enumerate(parts):
             context.SetDiscreteState(group, values)
-        return _discrete_of(leaf.EvalUniquePeriodicDiscreteUpdate(context))
+
+    @property
+    def state(self) -> NDArray:
+        """The states of all traced blocks at the last sample, before its updates, stacked."""
+        return self._state.copy()
+
+    def go_to(self, samples: int, state: NDArray) -> None:
+        """Goes on from another sample; that is all of a flight where no blocks are beside it.
+
+        Args:
+            samples: the number of those that were flown; 0: `start` comes next.
+            state: as of `state`.
+        """
+        self.samples, self._state = samples, np.array(state)
 
     @property
     def time(self) -> float:
@@ -665,16 +689,20 @@ class CompiledFlight:
                 part.evaluate()
         return time.perf_counter() - start
 
-    def write_state(self, context: Context) -> None:
+    def write_state(self, context: Context, state: NDArray | None = None) -> None:
         """Sets the states of a context of the loop's diagram to those of the last sample.
 
         Its time stays.
+
+        Args:
+            context: of the diagram.
+            state: that of another sample, as of `state`, where no blocks are beside the trace.
         """
-        start = 0
+        start, values_of_all = 0, self._state if state is None else state
         for leaf, sizes in self._loop._state_sizes.items():
             own = self._loop.diagram.GetMutableSubsystemContext(leaf, context)
             continuous, *discrete = np.split(
-                self._state[start : start + sum(sizes)], np.cumsum(sizes)[:-1]
+                values_of_all[start : start + sum(sizes)], np.cumsum(sizes)[:-1]
             )
             if len(continuous):
                 own.SetContinuousState(continuous)

@@ -3,6 +3,7 @@
 import itertools
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,12 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
+from drake_nonstop.diagrams.compiled_loop import CompiledFlight, CompiledLoop, reason_against
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import Monitor
 from drake_nonstop.simulation.recording import Recording
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
+from drake_nonstop.simulation.short_flights import RestorableState, SavedState
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioWarning
 
@@ -70,6 +72,20 @@ def _reason_against_period(period: float) -> str:
     return ""
 
 
+@dataclass(frozen=True)
+class _CompiledState:
+    """As `SavedState`; a context is written when it is asked for, which takes longer."""
+
+    time: float
+    state: NDArray
+    flight: CompiledFlight
+
+    def restore(self, context: Context) -> None:
+        """Sets the state of a context of the same diagram."""
+        context.SetTime(self.time)
+        self.flight.write_state(context, self.state)
+
+
 class CompiledRun:
     """Flies as much of a run as a compiled loop can, from the start on.
 
@@ -94,6 +110,13 @@ class CompiledRun:
             for block in ending
         ]
         self._signal_ends = np.arange(1, loop.shown_per_sample + 1) / loop.shown_per_sample
+
+    def saved_state(self) -> "RestorableState":
+        """The state of the last sample, for a flight of the diagram from there."""
+        if not self._loop.blocks_beside:
+            return _CompiledState(self._flight.time, self._flight.state, self._flight)
+        self.write_state()
+        return SavedState.of(self._loop.diagram.GetMyContextFromRoot(self._context))
 
     def write_state(self) -> None:
         """Sets the root context to the last sample."""

@@ -2,7 +2,7 @@
 
 import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,19 @@ from drake_nonstop.simulation.moved_metrics import SHARE, SPEED_GRAIN, TENSION_G
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 
 _LEAST_LOAD_SPEED = 2e-2  # m/s, of the load: off by that for a second it is off by much more
+
+
+class RestorableState(Protocol):
+    """A state at a time in s, that a context of the loop's diagram can be set to."""
+
+    @property
+    def time(self) -> float:
+        """In s."""
+        ...
+
+    def restore(self, context: Context) -> None:
+        """Sets time and state."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -95,7 +108,7 @@ class ShortFlights:
             nonstop.GetOutputPort(name) for name in ("tensions", "carrier_state", "load_state")
         ]
 
-    def fly(self, start: SavedState, duration: float, parts: int = 1) -> Flight:
+    def fly(self, start: RestorableState, duration: float, parts: int = 1) -> Flight:
         """A flight from the state on, at about 100 instants a second, with steps / `parts`."""
         first = round(start.time / SIGNAL_PERIOD) + 1
         count = max(1, round(duration / SIGNAL_PERIOD))

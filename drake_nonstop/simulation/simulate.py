@@ -38,6 +38,7 @@ from drake_nonstop.simulation.run import (
     StepAction,
     StepCheck,
 )
+from drake_nonstop.simulation.short_flights import SavedState
 from drake_nonstop.simulation.step_check import (
     SavedStates,
     compared,
@@ -197,9 +198,7 @@ def _simulate(
         if flown is None:
             recording.take_sample()
         if now >= saved.next_time:
-            if flown is not None:
-                flown.write_state()
-            saved.save(nonstop_context)
+            saved.save(SavedState.of(nonstop_context) if flown is None else flown.saved_state())
 
     monitor = Monitor(
         simulator,

@@ -14,7 +14,7 @@ from drake_nonstop.simulation.moved_metrics import moved_metrics
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
 from drake_nonstop.simulation.short_flights import (
     Flight,
-    SavedState,
+    RestorableState,
     ShortFlights,
     difference,
     tolerated_speeds,
@@ -37,20 +37,20 @@ class SavedStates:
     """States of the loop during a run, some time apart."""
 
     def __init__(self) -> None:
-        self.states: list[SavedState] = []
+        self.states: list[RestorableState] = []
         self._period = _SAVING_PERIOD
         self.next_time = 0.0  # s, before which there is nothing to save
 
-    def save(self, context: Context) -> None:
-        """Saves the loop's state."""
-        self.states.append(SavedState.of(context))
+    def save(self, state: RestorableState) -> None:
+        """Adds a state of the loop."""
+        self.states.append(state)
         if len(self.states) > _MOST_STATES:
             self.states = self.states[::2]
             self._period *= 2
         self.next_time = self.states[-1].time + (1 - 1e-6) * self._period
 
 
-def is_in_doubt(run: Run, states: list[SavedState], context: Context) -> bool:
+def is_in_doubt(run: Run, states: list[RestorableState], context: Context) -> bool:
     """Whether something in a run tells that half its step may change the metrics.
 
     That is a scheme of first or second order, whose errors add up; a slack cable, since an instant
@@ -133,7 +133,7 @@ def _order(config: SimulatorConfig) -> int:
     return _ORDER if config.use_error_control else _ORDERS.get(config.integration_scheme, 1)
 
 
-def _before(instant: float, states: list[SavedState]) -> int:
+def _before(instant: float, states: list[RestorableState]) -> int:
     """The last of the states up to the instant."""
     times = [state.time for state in states]
     return max(0, int(np.searchsorted(times, instant, side="right")) - 1)

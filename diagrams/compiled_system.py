@@ -1,0 +1,79 @@
+"""A compiled loop as a block of Drake's."""
+
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import Context, DiscreteValues
+
+from drake_nonstop.diagrams.compiled_loop import CompiledLoop
+from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.validation import require
+
+
+class CompiledSystem(LeafBlock):
+    """A discrete system that flies a `CompiledLoop` from sample to sample of its controllers.
+
+    It stands for the loop in a bigger diagram, and a Simulator runs it like any other. Each signal
+    of the loop is an output port of its name. From one sample to the next it shows what the
+    loop's diagram does at the first of the two, before the controllers' update. It starts from the
+    default context of the loop's diagram, at t = 0, and goes on from any of its states: contexts
+    may be copied, and set back.
+
+    .. pydrake_system::
+
+        name: CompiledSystem
+        output_ports:
+        - (the loop's signals)
+
+    Args:
+        loop: with all blocks in the trace, and signals once a sample.
+
+    Raises:
+        ScenarioError: a block of the loop is stepped beside the trace, or signals are shown more
+            often.
+    """
+
+    is_sampled = True
+
+    def __init__(self, loop: CompiledLoop):
+        super().__init__()
+        beside = ", ".join(loop.blocks_beside)
+        remedy = "it has a state of its own; use loop.run, or simulate the diagram"
+        require(not beside, "loop", beside, remedy)
+        shown = loop.shown_per_sample
+        require(shown == 1, "loop.signal_period", shown, "give signal_period=None")
+        self._loop = loop
+        self._flight = loop.fly(loop.diagram.CreateDefaultContext())
+        self._lock = threading.Lock()  # the flight is scratch memory of all contexts
+        self._state = self.DeclareDiscreteState(self._flight.state)
+        self._signals = []
+        for name, size in loop.signals.items():
+            self._signals.append(self.DeclareDiscreteState(size))
+            self.DeclareStateOutputPort(name, self._signals[-1])
+        self._ends = np.cumsum([*loop.signals.values()])[:-1]
+        period = loop.control_period
+        self.DeclareInitializationDiscreteUpdateEvent(self._begin)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._advance)
+
+    def _begin(self, context: Context, discrete_state: DiscreteValues) -> None:
+        self.require_floats("simulate the loop's diagram")
+        remedy = "start at 0"
+        require(context.get_time() == 0, "context.time", context.get_time(), remedy)
+        with self._lock:
+            self._flight.go_to(0, context.get_discrete_state(self._state).value())
+            signals, _ = self._flight.start()
+            self._show(discrete_state, signals)
+
+    def _advance(self, context: Context, discrete_state: DiscreteValues) -> None:
+        self.require_floats("simulate the loop's diagram")
+        samples = round(context.get_time() / self._loop.control_period)
+        with self._lock:
+            self._flight.go_to(samples - 1, context.get_discrete_state(self._state).value())
+            signals, _ = self._flight.advance()
+            self._show(discrete_state, signals[0])
+
+    def _show(self, discrete_state: DiscreteValues, signals: NDArray) -> None:
+        discrete_state.set_value(self._state, self._flight.state)
+        for index, values in zip(self._signals, np.split(signals, self._ends), strict=True):
+            discrete_state.set_value(index, values)

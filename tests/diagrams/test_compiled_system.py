@@ -1,0 +1,91 @@
+"""A compiled loop is a system of Drake's."""
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import InitializeParams, Simulator
+from pydrake.systems.framework import DiagramBuilder, TriggerType
+from pydrake.systems.primitives import LogVectorOutput
+
+from drake_nonstop import ScenarioError, load_scenario, make_nonstop
+from drake_nonstop.diagrams.compiled_loop import CompiledLoop
+from drake_nonstop.diagrams.compiled_system import CompiledSystem
+
+DURATION = 0.6
+NONSTOP = "optimization_layer=NonstopOptimizer"
+
+
+def loop_of(*overrides, **options):
+    scenario = load_scenario("quintic", overrides)
+    diagram = make_nonstop(scenario)
+    return CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False, **options)
+
+
+def logged(system, name):
+    """A Simulator of the system with a log of one of its signals after every step."""
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("loop", system)
+    log = LogVectorOutput(system.GetOutputPort(name), builder, {TriggerType.kPerStep}, 0.0)
+    return Simulator(builder.Build()), log
+
+
+@pytest.mark.parametrize("override", [NONSTOP, "optimization_layer=RecedingHorizonOptimizer"])
+def test_a_simulator_runs_it_as_the_loop_flies(override):
+    loop = loop_of(override)
+    system = CompiledSystem(loop)
+    simulator, log = logged(system, "load_state")
+    simulator.AdvanceTo(DURATION)
+    _, signals = loop.run(loop.diagram.CreateDefaultContext(), DURATION)
+    context = system.GetMyContextFromRoot(simulator.get_context())
+    for name, values in signals.items():
+        if name != "solve_time":
+            # At the end the update is still to come.
+            np.testing.assert_array_equal(system.GetOutputPort(name).Eval(context), values[-2])
+    shown = log.FindLog(simulator.get_context()).data().T
+    assert len(shown) == 61
+    np.testing.assert_array_equal(shown[0], signals["load_state"][0])
+    np.testing.assert_array_equal(shown[1:], signals["load_state"][:60])
+
+
+def test_a_copy_of_a_context_goes_on_from_there():
+    system = CompiledSystem(loop_of(NONSTOP))
+    simulator = Simulator(system)
+    simulator.AdvanceTo(0.3)
+    copied = simulator.get_context().Clone()
+    simulator.AdvanceTo(DURATION)
+    expected = system.GetOutputPort("carrier_state").Eval(simulator.get_context()).copy()
+    other = Simulator(system, copied)
+    other.Initialize(InitializeParams(suppress_initialization_events=True))
+    other.AdvanceTo(DURATION)
+    np.testing.assert_array_equal(system.GetOutputPort("carrier_state").Eval(copied), expected)
+
+
+def test_a_run_begins_anew_in_a_new_context():
+    system = CompiledSystem(loop_of(NONSTOP))
+    shown = []
+    for _ in range(2):
+        simulator = Simulator(system)
+        simulator.AdvanceTo(0.2)
+        shown.append(system.GetOutputPort("diagnostics").Eval(simulator.get_context()).copy())
+    np.testing.assert_array_equal(*shown)
+
+
+def test_what_has_states_of_its_own_is_named():
+    scenario = load_scenario("quintic")
+
+    class OwnLayer(type(make_nonstop(scenario).GetSubsystemByName("optimization_layer"))):
+        """Below one with a trace, which is stepped by itself."""
+
+    diagram = make_nonstop(scenario, optimization_layer=OwnLayer)
+    loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
+    with pytest.raises(ScenarioError, match=r"^loop = optimization_layer: it has a state of its"):
+        CompiledSystem(loop)
+    with pytest.raises(ScenarioError, match=r"^loop.signal_period = 2: give signal_period=None"):
+        CompiledSystem(loop_of(signal_period=0.005))
+
+
+def test_it_starts_at_zero():
+    system = CompiledSystem(loop_of(NONSTOP))
+    context = system.CreateDefaultContext()
+    context.SetTime(0.5)
+    with pytest.raises(ScenarioError, match=r"^context.time = 0.5: start at 0"):
+        Simulator(system, context).Initialize()
