@@ -1,11 +1,13 @@
 """`drake-nonstop sweep`: many runs over grids and random draws."""
 
 import argparse
+import dataclasses
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, study_folder
 from drake_nonstop.cli.exit_codes import FAILED
 from drake_nonstop.cli.run import run_into
+from drake_nonstop.scenario.schema import AUTO, COMPILED
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, SerialExecutor
 from drake_nonstop.studies.sweep import Sweep, sweep, sweep_settings
 from drake_nonstop.studies.sweep_spec import read_sweep
@@ -48,6 +50,8 @@ def _sweep(options: argparse.Namespace) -> int:
         print(f"run {planned.number}: {', '.join(labels(planned.overrides))}", flush=True)
         scenario, _ = varied(scenario, planned.overrides, trust=options.trust)
         scenario = scenario.sampled()
+        if scenario.engine == AUTO:  # as in the sweep, to the bit
+            scenario = dataclasses.replace(scenario, engine=COMPILED)
         return run_into(options.out or folder / f"run_{planned.number}", scenario)
     with TaskProgress() as progress:
         done = sweep(

@@ -14,10 +14,10 @@ from pydrake.systems.framework import Context, Diagram
 from drake_nonstop.diagrams.compiled_loop import CompiledFlight, CompiledLoop, reason_against
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import Monitor
-from drake_nonstop.simulation.recording import Recording
+from drake_nonstop.simulation.recording import Recording, RecordingError
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.simulation.short_flights import RestorableState, SavedState
-from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import ScenarioWarning
 
 NOT_COMPILED = "engine = compiled"  # how the warning begins that tells why
@@ -126,8 +126,8 @@ class CompiledRun:
     def fly(self, duration: float, monitor: Monitor) -> bool:
         """Flies for a duration, s, and sets the context to the end of that.
 
-        What is left then is less than a sample, or follows a value that is not finite, or so large
-        that it may become one: the Simulator flies that, and tells of it.
+        What is left then is less than a sample, or follows an error of a block, a value that is not
+        finite, or one so large that it may become one: the Simulator flies that, and tells of it.
 
         Returns:
             Whether anything was flown and recorded.
@@ -142,8 +142,10 @@ class CompiledRun:
             monitor.has_ended = self._is_over(steps[None]) is not None
             ends = monitor.ends(0.0) or monitor.has_ended
             while not ends and self._flight.samples < samples:
-                ends = self._advance(monitor)
-        except NotFiniteError:
+                ends = self._advance(monitor, duration)
+        except RecordingError:
+            raise
+        except Exception:  # whatever blocks may raise: the diagram raises it again, at its step
             if not self._again():
                 return False
         finally:
@@ -154,12 +156,14 @@ class CompiledRun:
             self._context.SetTime(duration)
         return True
 
-    def _advance(self, monitor: Monitor) -> bool:
+    def _advance(self, monitor: Monitor, duration: float) -> bool:
         """Flies and records a sample; whether the run ends with it."""
         begin, period = self._flight.time, self._loop.control_period
         signals, steps = self._flight.advance()
         times, step_times = begin + period * self._signal_ends, begin + self._loop.step_ends
-        times[-1] = step_times[-1] = self._flight.time
+        end = self._flight.time
+        end = duration if abs(end - duration) < _ROUNDING else end  # as of a Simulator
+        times[-1] = step_times[-1] = end
         last = self._is_over(steps)
         if last is not None:
             is_before = times <= step_times[last] + _ROUNDING
@@ -169,7 +173,7 @@ class CompiledRun:
             monitor.has_ended = True
             return True
         self._recording.add(times, signals, step_times, steps)
-        return monitor.ends(self._flight.time)
+        return monitor.ends(end)
 
     def _is_over(self, steps: NDArray) -> int | None:
         """The first step after which a block ends the run."""

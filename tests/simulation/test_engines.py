@@ -18,6 +18,7 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.simulation import recording
+from drake_nonstop.systems.block import LeafBlock
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
 CONSTANT = "optimization_layer=ConstantParameters"
@@ -151,3 +152,24 @@ def test_the_diagram_loses_no_sample_of_the_controllers(period):
     held = run.signals["sample_and_hold.sample_time"][1:, 0]
     samples = np.ceil(run.time[1:] / period - 1e-6) - 1
     np.testing.assert_allclose(held, period * samples, atol=1e-9)
+
+
+class Fails(LeafBlock):
+    """A disturbance that fails in the middle of a sample."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.time_ticket()})
+
+    def calc(self, context, output):
+        if context.get_time() > 0.051:
+            raise ValueError("it broke")
+        output.SetFromVector(np.zeros(6))
+
+
+def test_a_block_that_fails_ends_the_run_at_the_diagrams_step():
+    overrides = [CONSTANT, "simulation_duration=0.2"]
+    expected, _ = flown("quintic", overrides, "diagram", load_disturbance=Fails)
+    run, _ = flown("quintic", overrides, "compiled", load_disturbance=Fails)
+    assert "0.0525 s: load_disturbance (test_engines.py" in run.stopped
+    assert_same(run, expected)

@@ -46,7 +46,7 @@ def position_error(system, context):
 
 @pytest.fixture(scope="module")
 def scenario():
-    return load_scenario("quintic", DRAWN)
+    return load_scenario("quintic", [*DRAWN, "engine=diagram"])  # in the sweep as well
 
 
 def test_monte_carlo_gives_what_a_sweep_gives_to_the_bit(scenario, tmp_path):

@@ -49,7 +49,7 @@ def renamed(scenario, **replacements):
 
 @pytest.fixture(scope="module")
 def scenario():
-    short = ["optimization_layer=ConstantParameters", "simulation_duration=0.1"]
+    short = ["optimization_layer=ConstantParameters", "simulation_duration=0.1", "engine=diagram"]
     return load_scenario("line", short)
 
 
