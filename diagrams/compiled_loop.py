@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortDataType, System
 
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.blocks.speed_bound_layer import COMMAND
 from drake_nonstop.systems.compilation import compiled
 from drake_nonstop.systems.diagram_trace import (
     At,
@@ -38,7 +40,7 @@ from drake_nonstop.systems.diagram_trace import (
     trace_content,
 )
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError, object_array
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, require, require_known
 
 _MAX_STEPS = 20  # in a sample: all of them are in one trace
 _ROUNDING = 1e-9  # s, of a duration
@@ -77,8 +79,8 @@ class _Symbols:
 
 def reason_against(diagram: Diagram, config: SimulatorConfig, control_period: float) -> str:
     """Why a loop cannot be a `CompiledLoop`, in words; empty where it can."""
-    if control_period == 0:
-        return "control_period = 0: it goes from sample to sample"
+    if not control_period > 0:
+        return f"control_period = {control_period:g}: it goes from sample to sample"
     if config.integration_scheme != "runge_kutta3" or config.use_error_control:
         return "simulator_config: it takes the steps of runge_kutta3 without error control"
     steps = math.ceil(control_period / config.max_step_size - 1e-9)
@@ -89,7 +91,15 @@ def reason_against(diagram: Diagram, config: SimulatorConfig, control_period: fl
         return f"inputs = {', '.join(names)}: it has none from outside of the loop"
     wires = Wires(diagram)
     for block in diagram.GetSystems():
+        for k in range(block.num_input_ports()):
+            is_command = block.get_input_port(k).get_name() == COMMAND
+            if is_command and wires.source(block, k) is not None:
+                return f"{block.get_name()} reads {COMMAND}: the diagram checks its range"
         if is_traceable(block):
+            for leaf in leaves(block):
+                own = _period_of(leaf)
+                if own not in (None, control_period):
+                    return f"control_period = {control_period:g}: {block.get_name()} has {own:g}"
             continue
         if block.num_input_ports() == 0:
             is_known = block.CreateDefaultContext().is_stateless()
@@ -103,6 +113,16 @@ def reason_against(diagram: Diagram, config: SimulatorConfig, control_period: fl
             if source is not None and not is_vector and source[0].num_input_ports() > 0:
                 return f"{block.get_name()} reads {port.get_name()}, which is no vector of numbers"
     return ""
+
+
+def _period_of(leaf: Any) -> float | None:
+    """The period, s, of a leaf's own updates, as far as it is known."""
+    if isinstance(leaf, SampleAndHold):
+        return leaf.period
+    if not (hasattr(leaf, "traced_update") or hasattr(leaf, "traced_attempt")):
+        return None
+    timing = leaf.GetUniquePeriodicDiscreteUpdateAttribute()
+    return None if timing is None else timing.period_sec()
 
 
 def _steps_to(interval: float, longest: float) -> list[float]:
@@ -224,6 +244,8 @@ class CompiledLoop:
         ports = [diagram.get_output_port(k) for k in range(diagram.num_output_ports())]
         vectors = [p for p in ports if p.get_data_type() == PortDataType.kVectorValued]
         sizes = {port.get_name(): port.size() for port in vectors}
+        for name in (*(signals or ()), *step_signals):
+            require_known(name, [*sizes], "signals", name)
         self.signals = {name: sizes[name] for name in (sizes if signals is None else signals)}
         self.step_signals = {name: sizes[name] for name in step_signals}
         self._compiles = compiles
@@ -274,7 +296,7 @@ class CompiledLoop:
         if key is not None:
             _functions[key] = functions
             if len(_functions) > _MOST_FUNCTIONS:
-                _functions.pop(next(iter(_functions)))
+                _functions.pop(next(iter(_functions)), None)
         self._functions = functions
 
     def _key(self, parameter_sizes: list[int]) -> Any:
@@ -550,6 +572,7 @@ class CompiledFlight:
         self.samples = 0
         self._simulators = {}
         self._fixed: dict[tuple[System, int], Any] = {}
+        self._abstract: list[tuple[Any, tuple[System, int]]] = []  # inputs that are no vectors
         self._asked: dict[System, Context] = {}
         for block in (*loop._held, *loop._attempting):
             context = block.CreateDefaultContext()
@@ -570,8 +593,8 @@ class CompiledFlight:
         source = self._loop._wires.source(block, k)
         if source is None:
             return
-        maker, index = source
-        port.FixValue(context, self._sources[maker].value(index, 0.0))
+        value = self._sources[source[0]].value(source[1], 0.0)
+        self._abstract.append((port.FixValue(context, value), source))
 
     def start(self) -> tuple[NDArray, NDArray]:
         """The loop's `signals` (size,) and `step_signals` (size,) after the initialization."""
@@ -722,6 +745,9 @@ class CompiledFlight:
         return period + (number - 1) * period if number > 0 else 0.0
 
     def _give(self, read: NDArray) -> None:
+        """Gives blocks that are about to make an update what they read."""
+        for fixed, (maker, index) in self._abstract:
+            fixed.GetMutableData().set_value(self._sources[maker].value(index, self.time))
         start = 0
         for place in self._loop._read:
             values = self._fixed[place].GetMutableData().get_mutable_value()
@@ -785,11 +811,13 @@ class _Function:
             results = casadi.cse(results)
         self.function = casadi.Function("loop", [stacked], results)
         self.compiled: casadi.Function | None = None  # the same, as C
-        self._is_looked_for = False  # in the cache
+        self._is_looked_for = self._is_tried = False  # in the cache, to compile it
 
     def compile(self, builds: bool) -> None:
         """Takes C that is in the cache, or builds it."""
-        if self.compiled is None and (builds or not self._is_looked_for):
+        is_done = self._is_tried if builds else self._is_looked_for
+        if self.compiled is None and not is_done:
+            self._is_tried |= builds
             function = compiled(self.function, builds=builds)
             self.compiled = None if function is self.function else function
             self._is_looked_for = True

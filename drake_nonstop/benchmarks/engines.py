@@ -10,11 +10,11 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop.benchmarks.optimizer import versions
-from drake_nonstop.diagrams.compiled_loop import CompiledLoop
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
+from drake_nonstop.simulation.compiled_flight import recorded_loop
 from drake_nonstop.simulation.recording import Recording
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, StepCheck
+from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.simulate import simulate, with_chosen_step
 from drake_nonstop.systems.compilation import compiler
 from drake_nonstop.validation import ScenarioWarning
@@ -57,15 +57,7 @@ def benchmark_engines(
     builder.AddSystem(nonstop)
     recording = Recording(builder, nonstop)  # what a run has is what the loops show
     loops = {
-        name: CompiledLoop(
-            nonstop,
-            config,
-            period,
-            signal_period=min(SIGNAL_PERIOD, period),
-            signals=recording.sampled,
-            step_signals=recording.stepped,
-            compiles=name == "stepped",
-        )
+        name: recorded_loop(nonstop, recording, config, period, compiles=name == "stepped")
         for name in ("stepped", "virtual machine")
     }
     samples = int(scenario.simulation_duration / period + 1e-9)

@@ -18,10 +18,11 @@ from drake_nonstop.simulation.recording import Recording, RecordingError
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.simulation.short_flights import RestorableState, SavedState
 from drake_nonstop.systems.tracing import LARGEST
-from drake_nonstop.validation import ScenarioWarning
+from drake_nonstop.validation import ScenarioWarning, one_line
 
 NOT_COMPILED = "engine = compiled"  # how the warning begins that tells why
 _ROUNDING = 1e-9  # s, of instants
+_SAME_RATIO = 1e-13  # of periods
 _UNUSUAL = 1e-3 * LARGEST  # a value beyond it may become one that a block of the diagram refuses
 
 
@@ -47,9 +48,31 @@ def compiled_loop_of(
     reason = f"{steering[0]} need the steps of Drake's Simulator" if steering else ""
     reason = reason or reason_against(nonstop, config, period) or _reason_against_period(period)
     if reason:
-        message = f"{NOT_COMPILED}: {reason}; the diagram is simulated instead"
-        warnings.warn(message, ScenarioWarning, stacklevel=4)
+        _tell(f"{reason};")
         return None
+    samples = int(scenario.simulation_duration / period)
+    return recorded_loop(nonstop, recording, config, period, samples=samples)
+
+
+def recorded_loop(
+    nonstop: Diagram,
+    recording: Recording,
+    config: SimulatorConfig,
+    period: float,
+    **options: Any,
+) -> CompiledLoop:
+    """The compiled loop that shows what a recording takes.
+
+    Args:
+        nonstop: the loop's diagram.
+        recording: of the diagram.
+        config: the integrator's step.
+        period: of the controllers, s.
+        options: further ones of `CompiledLoop`.
+
+    Raises:
+        ScenarioError: as `CompiledLoop`.
+    """
     return CompiledLoop(
         nonstop,
         config,
@@ -57,14 +80,20 @@ def compiled_loop_of(
         signal_period=min(SIGNAL_PERIOD, period),
         signals=recording.sampled,
         step_signals=recording.stepped,
-        samples=int(scenario.simulation_duration / period),
+        **options,
     )
+
+
+def _tell(reason: str) -> None:
+    """Warns of what is not compiled."""
+    message = f"{NOT_COMPILED}: {reason} the diagram is simulated instead"
+    warnings.warn(message, ScenarioWarning, stacklevel=5)
 
 
 def _reason_against_period(period: float) -> str:
     """Why signals every 10 ms do not go with a control period in s; empty where they do."""
     ratio = max(SIGNAL_PERIOD, period) / min(SIGNAL_PERIOD, period)
-    if abs(ratio - round(ratio)) * period > _ROUNDING:
+    if abs(ratio - round(ratio)) > _SAME_RATIO * ratio:
         return (
             f"control_period = {period:g} and the {SIGNAL_PERIOD:g} s between signals are no "
             "multiples of each other"
@@ -145,8 +174,11 @@ class CompiledRun:
                 ends = self._advance(monitor, duration)
         except RecordingError:
             raise
-        except Exception:  # whatever blocks may raise: the diagram raises it again, at its step
+        except Exception as error:  # whatever blocks may raise: the diagram does again, at its step
+            _tell(f"{one_line(error)}; from t = {self._flight.time:g} s on")
             if not self._again():
+                if self._recording.has_steps:
+                    self._recording.drop_last_step()
                 return False
         finally:
             self._context.SetTime(self._flight.time)
@@ -177,15 +209,17 @@ class CompiledRun:
 
     def _is_over(self, steps: NDArray) -> int | None:
         """The first step after which a block ends the run."""
-        for block, context, place in self._ending:
-            for k, shown in enumerate(steps):
+        for k, shown in enumerate(steps):
+            for block, context, place in self._ending:
                 if block.ends_run(context, shown[place]):
                     return k
         return None
 
     def _again(self) -> bool:
-        """Goes back to the last sample, by another flight; whether there is one."""
+        """Goes back to the last sample; whether there is one."""
         samples = self._flight.samples
+        if not self._loop.blocks_beside:
+            return samples > 0  # the flight is there still
         self._flight = self._loop.fly(self._start, _UNUSUAL)
         if samples > 0:
             self._flight.start()

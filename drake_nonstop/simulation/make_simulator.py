@@ -11,6 +11,7 @@ from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.monitor import SampleInstants
+from drake_nonstop.simulation.recording import control_period_of
 from drake_nonstop.simulation.simulate import with_chosen_step
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import require
@@ -48,7 +49,7 @@ def make_simulator(
     config = with_chosen_step(scenario, nonstop, nonstop.CreateDefaultContext()).config
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
-    builder.AddNamedSystem("sample_instants", SampleInstants(scenario.control_period))
+    builder.AddNamedSystem("sample_instants", SampleInstants(control_period_of(nonstop)))
     for name in output_names(nonstop):
         builder.ExportOutput(nonstop.GetOutputPort(name), name)
     diagram = builder.Build()

@@ -153,7 +153,7 @@ class LogSignals:
         self.nonstop = nonstop
         self._steps = _Log(builder, stepped, TriggerType.kPerStep)
         sizes = {name: port.size() for name, port in sampled.items()}
-        self._samples = builder.AddSystem(_SampledLog(sizes, _control_period(nonstop)))
+        self._samples = builder.AddSystem(_SampledLog(sizes, control_period_of(nonstop)))
         builder.Connect(_multiplexed(builder, sampled), self._samples.get_input_port())
         self._signal_names = _signal_names(nonstop, sampled)
         self.entries = _entries(nonstop, sampled, self._signal_names)
@@ -284,7 +284,7 @@ class _SampledLog(LeafBlock):
         return _columns(self._sizes, self._of(self.GetMyContextFromRoot(context)))
 
 
-def _control_period(nonstop: Diagram) -> float:
+def control_period_of(nonstop: Diagram) -> float:
     """That of the controllers in a loop, s; 0 where none is known."""
     holds = (s for s in nested(nonstop, RUN_SIGNALS)[-1].GetSystems() if type(s) is SampleAndHold)
     return next((hold.period for hold in holds), 0.0)
@@ -417,6 +417,11 @@ class Recording:
         for instant, row in zip(step_times, steps, strict=True):
             self._steps.add(instant, row)
         self._store_many()
+
+    @property
+    def has_steps(self) -> bool:
+        """Whether a step has been recorded."""
+        return self._steps.rows > 0
 
     def drop_last_step(self) -> None:
         """Drops the last row of `stepped`, which a Simulator that goes on publishes again."""

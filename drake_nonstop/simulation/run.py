@@ -137,11 +137,12 @@ def _longest(times: NDArray) -> float:
 
 
 def solve_times_of(steps: Mapping[str, NDArray]) -> NDArray:
-    """The wall times (updates,) of the optimization layer's updates, s."""
+    """The wall times (updates,) of the optimization layer's updates in Python, s."""
     if "diagnostics" not in steps or WALL_TIME not in steps:
         return np.zeros(0)
     counts = Diagnostics.view(steps["diagnostics"]).updates
-    return steps[WALL_TIME][np.flatnonzero(np.diff(counts, prepend=0.0)), 0]
+    times = steps[WALL_TIME][np.flatnonzero(np.diff(counts, prepend=0.0)), 0]
+    return times[times > 0]  # it is 0 where a compiled loop found that nothing changes
 
 
 class StepAction(Enum):

@@ -29,6 +29,7 @@ from drake_nonstop.simulation.recording import (
     RUN_SIGNALS,
     Recording,
     RecordingError,
+    control_period_of,
     require_room,
 )
 from drake_nonstop.simulation.run import (
@@ -168,7 +169,7 @@ def _simulate(
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
     recording = Recording(builder, nonstop)
-    builder.AddNamedSystem("sample_instants", SampleInstants(scenario.control_period))
+    builder.AddNamedSystem("sample_instants", SampleInstants(control_period_of(nonstop)))
     visualizers = [viewer(builder, nonstop, scenario) for viewer in viewers]
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()

@@ -154,11 +154,11 @@ def fly(scenario: Scenario, **arguments: Any) -> Run:
     Where that cannot be compiled its diagram is simulated without a word: the results are the same,
     to rounding.
     """
-    if getattr(scenario, "engine", None) != AUTO:
+    if getattr(scenario, "engine", None) != AUTO or arguments.get("engine") is not None:
         return simulate(scenario, **arguments)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", NOT_COMPILED, ScenarioWarning)
-        return simulate(scenario, engine=COMPILED, **arguments)
+        return simulate(scenario, **arguments | {"engine": COMPILED})
 
 
 def attempt(scenario: Callable[[], Scenario], **arguments: Any) -> Attempt:

@@ -47,10 +47,10 @@ def compiled(function: casadi.Function, *, builds: bool = True) -> casadi.Functi
     """
     try:
         library = _library(function, builds)
+        return function if library is None else _loaded(function.name(), library)
     except CompilationError as error:
         _tell(str(error))
-        return function
-    return function if library is None else casadi.external(function.name(), str(library))
+    return function
 
 
 def compiler() -> str | None:
@@ -73,23 +73,35 @@ def _tell(reason: str) -> None:
     warnings.warn(text, ScenarioWarning, stacklevel=4)
 
 
+def _loaded(name: str, library: Path) -> casadi.Function:
+    try:
+        return casadi.external(name, str(library))
+    except RuntimeError as error:
+        told = (str(error).strip().splitlines() or ["it says nothing"])[-1]
+        raise CompilationError(f"{library} cannot be loaded ({told[:200]})") from None
+
+
 def _library(function: casadi.Function, builds: bool) -> Path | None:
     """The shared library of a function, or one that is built; None: there is none."""
     own_compiler = compiler()
     if own_compiler is None:
-        raise CompilationError("there is no C compiler (cc, gcc or clang)")
+        asked = os.environ.get(COMPILER)
+        wanted = f"{COMPILER} = {asked} is no program" if asked else "cc, gcc or clang"
+        raise CompilationError(f"there is no C compiler ({wanted})")
     text = _c_text(function)
     parts = (text, own_compiler, _version(own_compiler), *_OPTIONS, platform.machine())
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
     folder = cache_folder()
-    if not builds and not _is_sound(folder / f"{key}.so"):
+    library = folder / f"{key}.so"
+    if _is_sound(library):
+        return library
+    if not builds:
         return None
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        library = folder / f"{key}.so"
         with _locked(folder / f"{key}.lock"):
             if not _is_sound(library):
-                _build(own_compiler, text, library)
+                _build(own_compiler, function.name(), text, library)
     except OSError as error:
         reason = f"{folder} cannot be written ({error.strerror or error})"
         raise CompilationError(reason) from None
@@ -140,7 +152,7 @@ def _is_sound(library: Path) -> bool:
         return False
 
 
-def _build(own_compiler: str, text: str, library: Path) -> None:
+def _build(own_compiler: str, name: str, text: str, library: Path) -> None:
     """Compiles C to a library, which is put in its place when it is complete."""
     with tempfile.TemporaryDirectory(prefix=".new-", dir=library.parent) as scratch:
         source, made = Path(scratch) / "loop.c", Path(scratch) / "loop.so"
@@ -153,6 +165,7 @@ def _build(own_compiler: str, text: str, library: Path) -> None:
         if done.returncode != 0 or not made.is_file():
             told = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
             raise CompilationError(f"{own_compiler} failed ({told[:200]})")
+        _loaded(name, made)  # or it would not be from the cache either
         made.chmod(0o600)
         checksum = Path(scratch) / "checksum"
         checksum.write_text(hashlib.sha256(made.read_bytes()).hexdigest())

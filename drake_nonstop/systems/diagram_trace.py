@@ -127,8 +127,10 @@ def _content(system: Any, outside: Callable[[System], bool]) -> Any:
         return ()
     if isinstance(system, _LINEAR):
         return (kind, _response(system))
-    if not hasattr(system, "trace_key"):
+    if isinstance(system, (Integrator, PortSwitch)):
         return (kind,)
+    if not hasattr(system, "trace_key"):
+        return None
     is_own = _is_of_package(kind) or "trace_key" in vars(kind)
     key = system.trace_key if is_own else None
     return None if key is None else (kind, key)

@@ -21,7 +21,8 @@ from drake_nonstop.diagrams import compiled_loop
 from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
-from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.tracing import NotFiniteError, constants
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
 DURATION = 0.24  # s, a multiple of all control periods
@@ -315,3 +316,51 @@ def test_a_value_that_is_not_finite_is_no_result():
     own.SetContinuousState(state)
     with pytest.raises(NotFiniteError):
         loop.run(context, DURATION)
+
+
+class Push(LeafSystem):
+    """A constant force, with a trace that no key tells from that of another one."""
+
+    def __init__(self, force):
+        super().__init__()
+        self.force = force
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.nothing_ticket()})
+
+    def calc(self, context, output):
+        output.SetFromVector([0, 0, 0, self.force, 0, 0])
+
+    def traced_output(self, port, at):
+        return constants(np.array([0, 0, 0, self.force, 0, 0]))
+
+
+def test_a_trace_without_a_key_is_not_shared():
+    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    ends = []
+    for force in (0.0, 1.0):
+        diagram = make_nonstop(scenario, load_disturbance=lambda model, force=force: Push(force))
+        loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
+        _, signals = loop.run(diagram.CreateDefaultContext(), 0.1)
+        ends.append(signals["disturbance_wrench"][-1, 3])
+    assert ends == [0.0, 1.0]
+
+
+def test_what_a_diagram_checks_or_samples_otherwise_is_named():
+    scenario = load_scenario("quintic")
+
+    class Command(LeafBlock):
+        def __init__(self, model):
+            super().__init__()
+            self.DeclareVectorOutputPort("speed_bound_command", 1, self.calc)
+
+        def calc(self, context, output):
+            output.SetFromVector([0.4])
+
+    diagram = make_nonstop(scenario, extra={"command": Command})
+    reason = reason_against(diagram, scenario.simulator_config, 0.01)
+    assert reason == "optimization_layer reads speed_bound_command: the diagram checks its range"
+    diagram = make_nonstop(scenario)
+    for period in (0.02, -0.01):
+        with pytest.raises(ScenarioError, match=f"^control_period = {period}: "):
+            CompiledLoop(diagram, scenario.simulator_config, period)
+    with pytest.raises(ScenarioError, match=r"^signals = load_stat"):
+        CompiledLoop(diagram, scenario.simulator_config, 0.01, signals=["load_stat"])

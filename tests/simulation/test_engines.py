@@ -18,6 +18,7 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.simulation import recording
+from drake_nonstop.studies.run_all import attempt
 from drake_nonstop.systems.block import LeafBlock
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
@@ -173,3 +174,44 @@ def test_a_block_that_fails_ends_the_run_at_the_diagrams_step():
     run, _ = flown("quintic", overrides, "compiled", load_disturbance=Fails)
     assert "0.0525 s: load_disturbance (test_engines.py" in run.stopped
     assert_same(run, expected)
+
+
+class Clock(LeafBlock):
+    """Shows the time."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("now", 1, self.calc, {self.time_ticket()})
+
+    def calc(self, context, output):
+        output.SetFromVector([context.get_time()])
+
+
+@pytest.mark.parametrize("period", [0.01, 0.03, 0.015, 0.0333333, 0.003333333, 0])
+def test_each_row_has_the_signals_of_its_time(period):
+    overrides = [CONSTANT, f"control_period={period}", "simulation_duration=1.2"]
+    for engine in ("diagram", "compiled"):
+        run, _ = flown("quintic", overrides, engine, extra={"clock": Clock})
+        np.testing.assert_allclose(run.signals["clock.now"][:, 0], run.time, atol=1e-8)
+
+
+class FailsAtOnce(Fails):
+    """A disturbance that fails in the first sample."""
+
+    def calc(self, context, output):
+        if context.get_time() > 0.001:
+            raise ValueError("it broke")
+        output.SetFromVector(np.zeros(6))
+
+
+def test_a_run_that_ends_in_its_first_sample_has_each_step_once():
+    expected, _ = flown("quintic", [CONSTANT], "diagram", load_disturbance=FailsAtOnce)
+    run, _ = flown("quintic", [CONSTANT], "compiled", load_disturbance=FailsAtOnce)
+    assert_same(run, expected)
+
+
+def test_a_study_may_ask_for_an_engine():
+    scenario = load_scenario("line", [CONSTANT, "simulation_duration=0.05"])
+    found = [attempt(lambda: scenario, **given) for given in ({"engine": "diagram"}, {})]
+    assert [one.ending for one in found] == ["completed"] * 2
+    assert_same(found[1].run, found[0].run)

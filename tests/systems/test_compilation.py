@@ -113,6 +113,17 @@ def test_a_compiler_that_fails_is_told(monkeypatch, tmp_path, folder):
     assert not [*folder.glob(".new-*")]
 
 
+def test_a_compiler_that_makes_what_cannot_be_loaded_is_told(monkeypatch, tmp_path, folder):
+    other = tmp_path / "other"
+    other.write_text("#!/bin/sh\nwhile [ $# -gt 1 ]; do [ $1 = -o ] && echo no > $2; shift; done\n")
+    other.chmod(0o755)
+    monkeypatch.setenv("CC", str(other))
+    with pytest.warns(ScenarioWarning, match="cannot be loaded"):
+        made = compiled(function())
+    assert made.class_name() == "SXFunction"
+    assert not [*folder.glob("*.so")]
+
+
 def test_a_cache_that_cannot_be_written_is_told(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("mine")
     monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "file" / "cache"))
