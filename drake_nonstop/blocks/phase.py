@@ -150,6 +150,8 @@ class PaperPhase(LeafBlock):
             return self._sample_time.Eval(context)[0]
         return context.get_time()
 
+    trace_key = ()  # the ports tell whether there are samples
+
     def traced_output(self, port: str, at: At) -> NDArray:
         frequency, amplitude = at.input("parameters")
         (time,) = at.time if self._sample_time is None else at.input("sample_time")

@@ -146,6 +146,7 @@ OTHER_NUMBERS = [
 SAME_TRACES = [
     *((carriers_task(seed), OTHER_NUMBERS) for seed in range(4100, 4104)),
     *((aircraft_task(seed), OTHER_NUMBERS) for seed in range(4100, 4102)),
+    (load_scenario("paper_quintic"), [*OTHER_NUMBERS, "system.load_mass=1.1"]),
     (
         load_scenario("quintic", [NONSTOP]),
         [
