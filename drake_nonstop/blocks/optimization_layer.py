@@ -236,7 +236,7 @@ class NonstopOptimizer(SpeedBoundLayer):
 
     def traced_output(self, port: str, at: At) -> NDArray:
         if port == "speed_bound":
-            return at.input_or(COMMAND, at.parameters[1:2])
+            return _TraceNumbers.view(at.parameters).bound
         ports = ["parameters", "diagnostics", "solve_time"]
         return at.state(1 + ports.index(port) if port in ports else 7)
 
@@ -268,7 +268,6 @@ class NonstopOptimizer(SpeedBoundLayer):
             known.bound[0] == bound_in_force[0],
             is_changing[0] == 0,
             updates > 0,
-            0.0 if at.has_input(COMMAND) else 1.0,
         ]
         for condition in conditions:
             keeps = casadi.logic_and(keeps, condition)
@@ -438,7 +437,7 @@ class ConstantParameters(LeafBlock):
         values = self.parameters.view(at.parameters)
         if port == "parameters":
             return np.concatenate([values["frequency"], values["amplitude"]])
-        return at.input_or(COMMAND, values["speed_bound"])
+        return values["speed_bound"]
 
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())

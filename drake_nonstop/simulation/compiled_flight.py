@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.diagrams.compiled_loop import CompiledFlight, CompiledLoop, reason_against
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.monitor import Monitor
+from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor
 from drake_nonstop.simulation.recording import Recording, RecordingError
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.simulation.short_flights import RestorableState, SavedState
@@ -22,7 +22,6 @@ from drake_nonstop.validation import ScenarioWarning, one_line
 
 NOT_COMPILED = "engine = compiled"  # how the warning begins that tells why
 _ROUNDING = 1e-9  # s, of instants
-_SAME_RATIO = 1e-13  # of periods
 _UNUSUAL = 1e-3 * LARGEST  # a value beyond it may become one that a block of the diagram refuses
 
 
@@ -93,7 +92,7 @@ def _tell(reason: str) -> None:
 def _reason_against_period(period: float) -> str:
     """Why signals every 10 ms do not go with a control period in s; empty where they do."""
     ratio = max(SIGNAL_PERIOD, period) / min(SIGNAL_PERIOD, period)
-    if abs(ratio - round(ratio)) > _SAME_RATIO * ratio:
+    if abs(ratio - round(ratio)) > SAME_RATIO * ratio:
         return (
             f"control_period = {period:g} and the {SIGNAL_PERIOD:g} s between signals are no "
             "multiples of each other"

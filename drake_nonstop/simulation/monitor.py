@@ -13,8 +13,8 @@ from drake_nonstop.systems.block import LeafBlock
 
 _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
 _REPORT_PERIOD = 0.1  # s of wall time, between two calls of `progress`
-_AT_SAMPLE = 1e-6  # of the period, from an instant to what counts as there
-_SAME_RATIO = 1e-13  # of periods that come together again and again: no error adds up
+AT_SAMPLE = 1e-6  # of the period, from an instant to what counts as there
+SAME_RATIO = 1e-13  # of periods that come together again and again: no error adds up
 _MOST_INSTANTS = 100  # in the time after which samples and signals are at one instant again
 
 
@@ -29,7 +29,7 @@ def other_instants(control_period: float) -> tuple[float, list[float]]:
     """
     ratio = SIGNAL_PERIOD / control_period if control_period > 0 else 0.0
     common = Fraction(ratio).limit_denominator(_MOST_INSTANTS)
-    if ratio == 0 or abs(ratio - common) > _SAME_RATIO * ratio:
+    if ratio == 0 or abs(ratio - common) > SAME_RATIO * ratio:
         return SIGNAL_PERIOD, [SIGNAL_PERIOD]
     instants = range(1, common.denominator)
     return common.denominator * SIGNAL_PERIOD, [k * SIGNAL_PERIOD for k in instants]
@@ -88,9 +88,9 @@ class Monitor:
     def ends(self, time_: float) -> bool:
         """Takes note of a step that ends at a time in s; whether the run is to end there."""
         self.time = time_
-        if time_ > (self._samples - _AT_SAMPLE) * SIGNAL_PERIOD:
+        if time_ > (self._samples - AT_SAMPLE) * SIGNAL_PERIOD:
             self._sample(time_)
-            self._samples = int(time_ / SIGNAL_PERIOD + _AT_SAMPLE) + 1
+            self._samples = int(time_ / SIGNAL_PERIOD + AT_SAMPLE) + 1
         if self._interruption.number:
             return True
         now = time.perf_counter()

@@ -37,7 +37,7 @@ from drake_nonstop.mechanics.signals import (
     PARAMETERS_SIZE,
 )
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.monitor import other_instants
+from drake_nonstop.simulation.monitor import AT_SAMPLE, other_instants
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
 from drake_nonstop.systems.block import LOOP, LeafBlock
 from drake_nonstop.systems.wiring import (
@@ -75,8 +75,7 @@ RUN_SIGNALS = {
     "parameters": PARAMETERS_SIZE,
 }
 
-_AT_SAMPLE = 1e-6  # of the period, from a sample's time to what counts as its instant
-_AT_INSTANT = _AT_SAMPLE * SIGNAL_PERIOD  # s, from a sample's time to what counts as its instant
+_AT_INSTANT = AT_SAMPLE * SIGNAL_PERIOD  # s, from a sample's time to what counts as its instant
 _DOUBLE = 8  # bytes
 _PREFIX = "drake-nonstop-run-"  # of the temporary folders' names
 _LEAST_AGE = 60.0  # s, of an abandoned folder: a younger one may be about to be locked
@@ -268,7 +267,7 @@ class _SampledLog(LeafBlock):
     def _publish_instant(self, context: Context) -> None:
         """At a sample of the controllers, which may be none of the signals' instants."""
         samples = context.get_time() / SIGNAL_PERIOD
-        if abs(samples - round(samples)) < _AT_SAMPLE:
+        if abs(samples - round(samples)) < AT_SAMPLE:
             self._publish(context)
 
     def _publish(self, context: Context) -> None:
@@ -412,7 +411,7 @@ class Recording:
             RecordingError: the temporary folder cannot take them.
         """
         for instant, row in zip(times, samples, strict=True):
-            if instant > (self._samples.rows - _AT_SAMPLE) * SIGNAL_PERIOD:
+            if instant > (self._samples.rows - AT_SAMPLE) * SIGNAL_PERIOD:
                 self._samples.add(instant, row)
         for instant, row in zip(step_times, steps, strict=True):
             self._steps.add(instant, row)
