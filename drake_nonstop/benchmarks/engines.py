@@ -12,7 +12,7 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_nonstop.benchmarks.optimizer import versions
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
-from drake_nonstop.simulation.compiled_flight import recorded_loop
+from drake_nonstop.simulation.compiled_run import recorded_loop
 from drake_nonstop.simulation.recording import Recording
 from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.simulate import simulate, with_chosen_step

@@ -135,6 +135,13 @@ class DisturbanceForce(LeafBlock):
             wrench = self.wrench + np.concatenate([np.zeros(3), force])
         output.SetFromVector(wrench)
 
+    def known_over(self, port: str, times: NDArray) -> NDArray:
+        """What `disturbance_wrench` shows at times (k,) in s, (k, 6)."""
+        forces = coloured_noise(times[:, None, None], self._waves, self.gust_force)
+        wrenches = self.wrench + np.column_stack([np.zeros((len(times), 3)), forces])
+        wrenches[times < self._start_time] = 0.0
+        return wrenches
+
 
 # The blocks that the box can be, the default first.
 VARIANTS = (NoDisturbance, DisturbanceForce)

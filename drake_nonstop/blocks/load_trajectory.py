@@ -41,6 +41,7 @@ from drake_nonstop.validation import (
 
 _BOX = "load_trajectory"
 _RATES = 4  # derivatives of the coordinates
+_PORTS = "reference", "reference_higher_rates"
 
 
 class LoadTrajectory(DiagramBlock):
@@ -100,21 +101,28 @@ class LoadTrajectory(DiagramBlock):
         )
         builder.AddNamedSystem("reference", traced)
         builder.Connect(coordinates.get_output_port(), traced.get_input_port())
-        preview = builder.AddNamedSystem(
-            "preview",
-            ConstantValueSource(AbstractValue.Make(_preview(trajectory, reference, yaw_rate != 0))),
-        )
-        for name in ("reference", "reference_higher_rates"):
+        self._rows = _rows_of(trajectory, reference, yaw_rate != 0)
+        made = AbstractValue.Make(_preview(self._rows))
+        preview = builder.AddNamedSystem("preview", ConstantValueSource(made))
+        for name in _PORTS:
             builder.ExportOutput(traced.GetOutputPort(name), name)
         builder.ExportOutput(preview.get_output_port(), "reference_preview")
         builder.BuildInto(self)
 
+    def known_over(self, port: str, times: NDArray) -> NDArray:
+        """What `reference` or `reference_higher_rates` shows at times (k,) in s, (k, size)."""
+        return np.array(self._rows(_PORTS.index(port), times))
 
-def _preview(
+
+# Makes the rows of the signal of that number among `_PORTS`, at times (k,) in s.
+_Rows = Callable[[int, NDArray], list[NDArray]]
+
+
+def _rows_of(
     trajectory: PiecewisePolynomial,
     reference: Callable[..., tuple[NDArray, NDArray]],
     reads_time: bool,
-) -> ReferencePreview:
+) -> _Rows:
     """What makes the references of a trajectory, by the function that the block traces."""
     rates = [trajectory]
     for _ in range(_RATES):
@@ -135,6 +143,10 @@ def _preview(
         evaluate = traced(part).of_vector
         return [evaluate(vector).copy() for vector in vectors]
 
+    return rows
+
+
+def _preview(rows: _Rows) -> ReferencePreview:
     return ReferencePreview(
         lambda time: rows(0, np.array([time]))[0],
         references=lambda times: np.array(rows(0, times)).reshape(-1, LOAD_REFERENCE_SIZE),
@@ -720,7 +732,7 @@ class PlannedTurn(DiagramBlock):
         )
         builder.Connect(coordinates.get_output_port(), traced.GetInputPort("coordinates"))
         builder.ExportInput(traced.GetInputPort("planned"), "planned")
-        for name in ("reference", "reference_higher_rates"):
+        for name in _PORTS:
             builder.ExportOutput(traced.GetOutputPort(name), name)
         builder.BuildInto(self)
 

@@ -264,10 +264,10 @@ class _Profile(_MeanWind):
         else:
             positions = LoadState.view(at.input("load_state")).position[None]
         mean = share * self.mean_at(positions).ravel()
-        return mean + self._gusts(port, at.time)
+        return mean + self._gusts_at(port, at)
 
-    def _gusts(self, port: str, time: Any) -> Any:
-        """The gusts on top of what a port shows, at a time of any type."""
+    def _gusts_at(self, port: str, at: At) -> Any:
+        """The gusts on top of what a port shows, in a trace."""
         return 0.0
 
     def _calc_wind(self, context: Context, output: BasicVector) -> None:
@@ -416,11 +416,20 @@ class GustyWind(_Profile):
         self._load_waves, self.load_deviations = waves(0), config.load_gust * shares
 
     def _gusts(self, port: str, time: Any) -> Any:
+        """The gusts on top of what a port shows, at a time, see `coloured_noise`."""
         if port == "wind":
             return coloured_noise(time, self._waves, self._deviations)
         if port == "load_wind":
             return coloured_noise(time, self._load_waves, self.load_deviations)
-        return 0.0
+        return np.zeros(WIND_SIZE)
+
+    def _gusts_at(self, port: str, at: At) -> Any:
+        return at.known(port, self.GetOutputPort(port).size())
+
+    def known_over(self, port: str, times: NDArray) -> NDArray:
+        """The gusts on top of what a port shows, (k, size), at times (k,) in s; m/s, in W."""
+        gusts = self._gusts(port, times[:, None, None])
+        return np.broadcast_to(gusts, (len(times), self.GetOutputPort(port).size()))
 
     def _calc_wind(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._at_carriers(context) + self._gusts("wind", context.get_time()))

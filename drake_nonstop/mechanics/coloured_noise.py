@@ -37,6 +37,9 @@ def wave_frequencies(correlation_time: float, *, count: int, highest: float) -> 
 
 
 def coloured_noise(time: Any, waves: Waves, deviation: float | NDArray) -> NDArray:
-    """The noises (noises,) at a time in s, of any scalar type, with these standard deviations."""
+    """The noises (noises,) at a time in s, of any scalar type, with these standard deviations.
+
+    At times (k, 1, 1) they are (k, noises).
+    """
     sines = np.sin(waves.frequencies * time + waves.phases)
-    return deviation * np.sqrt(2 / sines.shape[1]) * sines.sum(axis=1)
+    return deviation * np.sqrt(2 / sines.shape[-1]) * sines.sum(axis=-1)

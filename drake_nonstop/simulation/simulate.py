@@ -21,7 +21,7 @@ from drake_nonstop.diagrams.plant_states import plant_states
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import AUTO, COMPILED, DIAGRAM, Scenario, check
 from drake_nonstop.simulation.aircraft_margins import margins_of_loop
-from drake_nonstop.simulation.compiled_flight import CompiledRun, compiled_loop_of
+from drake_nonstop.simulation.compiled_run import CompiledRun, compiled_loop_of
 from drake_nonstop.simulation.formation import growth_complaint
 from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from drake_nonstop.scenario.schema import AUTO, COMPILED, Scenario
-from drake_nonstop.simulation.compiled_flight import NOT_COMPILED
+from drake_nonstop.simulation.compiled_run import NOT_COMPILED
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.processes import Answer, call_in_processes, deferred_signals

@@ -7,6 +7,7 @@ which is told in one line.
 """
 
 import contextlib
+import ctypes
 import fcntl
 import functools
 import hashlib
@@ -19,6 +20,7 @@ import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import casadi
 
@@ -35,22 +37,41 @@ class CompilationError(RuntimeError):
     """Nothing was compiled; the message tells why, in a few words."""
 
 
-def compiled(function: casadi.Function, *, builds: bool = True) -> casadi.Function:
-    """The function as compiled C, or as it is where that cannot be.
+class Compiled(NamedTuple):
+    """A function as compiled C, and what its C text has besides."""
+
+    function: casadi.Function
+    library: ctypes.CDLL
+
+
+def compiled(
+    function: casadi.Function, *, besides: str = "", builds: bool = True
+) -> Compiled | None:
+    """The function as compiled C; None: it cannot be, and is to be evaluated as it is.
 
     Both give the same numbers, to the bit. A ScenarioWarning tells why it cannot, once for each
     reason.
 
     Args:
         function: of SX expressions.
+        besides: C text that follows that of the function, and may call it.
         builds: whether it is compiled where the cache does not have it.
     """
     try:
-        library = _library(function, builds)
-        return function if library is None else _loaded(function.name(), library)
+        path = _library(_c_text(function) + besides, builds)
+        return None if path is None else Compiled(_external(function.name(), path), _loaded(path))
     except CompilationError as error:
         _tell(str(error))
-    return function
+    return None
+
+
+def compiled_text(text: str) -> ctypes.CDLL | None:
+    """A C text as a library; None: it cannot be compiled, of which nothing is told."""
+    try:
+        path = _library(text, builds=True)
+        return None if path is None else _loaded(path)
+    except CompilationError:
+        return None
 
 
 def compiler() -> str | None:
@@ -73,22 +94,32 @@ def _tell(reason: str) -> None:
     warnings.warn(text, ScenarioWarning, stacklevel=4)
 
 
-def _loaded(name: str, library: Path) -> casadi.Function:
+def _loaded(library: Path) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError as error:
+        raise _not_loaded(library, error) from None
+
+
+def _external(name: str, library: Path) -> casadi.Function:
     try:
         return casadi.external(name, str(library))
     except RuntimeError as error:
-        told = (str(error).strip().splitlines() or ["it says nothing"])[-1]
-        raise CompilationError(f"{library} cannot be loaded ({told[:200]})") from None
+        raise _not_loaded(library, error) from None
 
 
-def _library(function: casadi.Function, builds: bool) -> Path | None:
-    """The shared library of a function, or one that is built; None: there is none."""
+def _not_loaded(library: Path, error: Exception) -> CompilationError:
+    told = (str(error).strip().splitlines() or ["it says nothing"])[-1]
+    return CompilationError(f"{library} cannot be loaded ({told[:200]})")
+
+
+def _library(text: str, builds: bool) -> Path | None:
+    """The shared library of a C text, or one that is built; None: there is none."""
     own_compiler = compiler()
     if own_compiler is None:
         asked = os.environ.get(COMPILER)
         wanted = f"{COMPILER} = {asked} is no program" if asked else "cc, gcc or clang"
         raise CompilationError(f"there is no C compiler ({wanted})")
-    text = _c_text(function)
     parts = (text, own_compiler, _version(own_compiler), *_OPTIONS, platform.machine())
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
     folder = cache_folder()
@@ -101,7 +132,7 @@ def _library(function: casadi.Function, builds: bool) -> Path | None:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         with _locked(folder / f"{key}.lock"):
             if not _is_sound(library):
-                _build(own_compiler, function.name(), text, library)
+                _build(own_compiler, text, library)
     except OSError as error:
         reason = f"{folder} cannot be written ({error.strerror or error})"
         raise CompilationError(reason) from None
@@ -152,10 +183,10 @@ def _is_sound(library: Path) -> bool:
         return False
 
 
-def _build(own_compiler: str, name: str, text: str, library: Path) -> None:
+def _build(own_compiler: str, text: str, library: Path) -> None:
     """Compiles C to a library, which is put in its place when it is complete."""
     with tempfile.TemporaryDirectory(prefix=".new-", dir=library.parent) as scratch:
-        source, made = Path(scratch) / "loop.c", Path(scratch) / "loop.so"
+        source, made = Path(scratch) / "text.c", Path(scratch) / "text.so"
         source.write_text(text)
         call = [own_compiler, *_OPTIONS, str(source), "-o", str(made), "-lm"]
         try:
@@ -165,7 +196,7 @@ def _build(own_compiler: str, name: str, text: str, library: Path) -> None:
         if done.returncode != 0 or not made.is_file():
             told = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
             raise CompilationError(f"{own_compiler} failed ({told[:200]})")
-        _loaded(name, made)  # or it would not be from the cache either
+        _loaded(made)  # or it would not be from the cache either
         made.chmod(0o600)
         checksum = Path(scratch) / "checksum"
         checksum.write_text(hashlib.sha256(made.read_bytes()).hexdigest())

@@ -4,7 +4,8 @@ Every leaf system of the diagram is one of these:
 
 - a `LeafBlock` with the method `traced_output(port, at)`, and for its states `traced_rates(at)` and
   `traced_update(at)`, which take an `At` and compute with NumPy on arrays of symbols. With
-  `trace_parameters(context)` it takes other numbers than its first numeric parameter;
+  `trace_parameters(context)` it takes other numbers than its first numeric parameter. What it
+  takes by `At.known` is evaluated beforehand;
 - one of Drake's systems that are linear and have no state: their matrix is found at unit vectors;
 - Drake's Integrator, or the switch of an `AdjustableLinear`.
 
@@ -37,11 +38,12 @@ from pydrake.systems.primitives import (
 
 from drake_nonstop.systems.tracing import object_array
 
+KNOWN = "known_over"  # the method of a block that knows outputs or quantities beforehand
 ADJUSTED = "adjusted"  # the input of a switch that reads the parameters of the context
 _LINEAR = Selector, Gain, MatrixGain, Adder, Multiplexer, Demultiplexer, PassThrough
 
 Place = tuple[System, int]  # a port, by its system and its number
-Outside = Callable[[System, int], NDArray]  # gives what a port outside shows
+Outside = Callable[[System, int | str, int], NDArray]  # gives an output outside, of a size
 
 
 def leaves(system: System) -> Iterator[System]:
@@ -223,13 +225,18 @@ class Instant:
     def output(self, system: System, index: int) -> NDArray:
         """What an output port shows, flat."""
         if self._is_outside(self.wires.block_of(system)):
-            return self._outside(*self._outermost(system, index))
+            block, number = self._outermost(system, index)
+            return self._outside(block, number, block.get_output_port(number).size())
         while isinstance(system, Diagram):
             system, index = system.get_output_port_locator(OutputPortIndex(int(index)))
         place = (system, int(index))
         if place not in self._known:
             self._known[place] = _output(system, int(index), At(self, system))
         return self._known[place]
+
+    def known(self, leaf: System, name: str, size: int) -> NDArray:
+        """A quantity that a leaf knows beforehand, see `At.known`."""
+        return self._outside(leaf, name, size)
 
     def _outermost(self, system: System, index: int) -> Place:
         """The same port as one of the diagram's own subsystem."""
@@ -264,6 +271,13 @@ class At:
     def has_input(self, name: str) -> bool:
         """Whether an input port is connected."""
         return self._instant.wires.source(self._leaf, self._index(name)) is not None
+
+    def known(self, name: str, size: int) -> NDArray:
+        """A quantity that is a function of the time alone, and no part of the trace.
+
+        The leaf's method `known_over(name, times)` gives its rows (k, size) at times (k,) in s.
+        """
+        return self._instant.known(self._leaf, name, size)
 
     @property
     def time(self) -> NDArray:

@@ -1,0 +1,394 @@
+"""A flight of a compiled loop, and what stands beside the trace as it goes on."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, PortDataType, System
+
+from drake_nonstop.diagrams.loop_functions import Evaluation, LoopFunctions, Reading
+from drake_nonstop.diagrams.loop_layout import LoopLayout, discrete_state_of
+from drake_nonstop.systems.diagram_trace import KNOWN
+from drake_nonstop.systems.tracing import NotFiniteError
+
+_MOST_SAMPLES = 64  # for which what stands outside is evaluated at once
+
+
+class CompiledFlight:
+    """A flight of a `CompiledLoop`, which is advanced from sample to sample.
+
+    Args:
+        layout: of the loop.
+        functions: of the loop.
+        compiles: whether they are evaluated as C, where that is there.
+        period: of the loop's samples, s.
+        instants: at which signals, and signals of steps, are shown in a sample.
+        context: of the diagram, at t = 0, which stays as it is.
+        largest: a value beyond it, in SI units, raises NotFiniteError.
+
+    Attributes:
+        samples: the number of those that it has flown.
+    """
+
+    def __init__(
+        self,
+        layout: LoopLayout,
+        functions: LoopFunctions,
+        *,
+        compiles: bool,
+        period: float,
+        instants: tuple[int, int],
+        context: Context,
+        largest: float,
+    ):
+        self._layout, self._period, self._instants = layout, period, instants
+        self._largest = largest
+        self._at_start = Evaluation(functions.at_start, compiles)  # with memory of its own
+        self._shown = Evaluation(functions.shown, compiles)
+        self._after_sample = Evaluation(functions.after_sample, compiles)
+        at_sample, whole = functions.at_sample, functions.whole
+        self._at_sample = None if at_sample is None else Evaluation(at_sample, compiles)
+        self._whole = None if whole is None else Evaluation(whole, compiles)
+        self._no_answers = np.zeros(layout.answers_size)
+        diagram = layout.diagram
+        own = diagram.CreateDefaultContext()
+        own.SetTimeStateAndParametersFrom(context)
+        self._state, self._parameters = layout.state_of(own), layout.parameters_of(own)
+        self._sources = {
+            layout.numbers[block]: _Source(block, diagram.GetSubsystemContext(block, own))
+            for block in (*layout.outside - {*layout.held}, *layout.knowing)
+        }
+        self._systems = [*layout.numbers]
+        self._outside = _Outside([] if whole is None else whole.readings, self._sources, period)
+        self.samples = 0
+        self._simulators = {}
+        self._fixed: dict[tuple[System, int], Any] = {}
+        self._abstract: list[tuple[Any, tuple[System, int]]] = []  # inputs that are no vectors
+        self._asked: dict[Any, Context] = {}
+        for block in (*layout.held, *layout.attempting):
+            block_context = block.CreateDefaultContext()
+            block_context.SetTimeStateAndParametersFrom(diagram.GetSubsystemContext(block, own))
+            for k in range(block.num_input_ports()):
+                self._fix(block, block_context, k)
+            if block in layout.held:
+                self._simulators[block] = Simulator(block, block_context)
+            else:
+                self._asked[block] = block_context
+
+    def _fix(self, block: System, context: Context, k: int) -> None:
+        """Gives a block's input a value: of an abstract one that of its source."""
+        port = block.get_input_port(k)
+        if (block, k) in self._layout.read:
+            self._fixed[block, k] = port.FixValue(context, np.zeros(port.size()))
+            return
+        source = self._layout.wires.source(block, k)
+        if source is None:
+            return
+        value = self._abstract_value(source, 0.0)
+        self._abstract.append((port.FixValue(context, value), source))
+
+    def _abstract_value(self, source: tuple[System, int], at: float) -> Any:
+        maker, index = source
+        return self._sources[self._layout.numbers[maker]].value(index, at)
+
+    def start(self) -> tuple[NDArray, NDArray]:
+        """The loop's `signals` (size,) and `step_signals` (size,) after the initialization."""
+        self._state, read, _ = self._call(self._at_start)
+        self._give(read)
+        for simulator in self._simulators.values():
+            simulator.Initialize()
+        for leaf, context in self._asked.items():
+            self._set(leaf, context, self._state)
+            Simulator(leaf, context).Initialize()
+            self._state[self._layout.places[leaf]] = discrete_state_of(context.get_discrete_state())
+        signals, step_signals = self._call(self._shown)
+        return signals, step_signals
+
+    def advance(self, samples: int = 1) -> tuple[NDArray, NDArray]:
+        """Goes on by samples, and ends before the updates of the next one.
+
+        Args:
+            samples: at most so many. It flies fewer of them where that is simpler, but one at
+                least.
+
+        Returns:
+            The `signals` (instants, size), and the `step_signals` (steps, size), since the last
+            sample, with those at its end. Of each sample that was flown, one after the other.
+
+        Raises:
+            NotFiniteError: a value is not finite, or is too large.
+        """
+        if self.samples == 0:
+            self._state, signals, step_signals = self._call(self._after_sample)
+        elif self._whole is None:
+            signals, step_signals = self._advance_in_parts()
+        else:
+            return self._advance_whole(self._whole, samples)
+        self.samples += 1
+        return self._in_rows(1, signals, step_signals)
+
+    def _in_rows(self, samples: int, *rows: NDArray) -> tuple[NDArray, NDArray]:
+        """Signals, and signals of steps, with a row for each of their instants."""
+        signals, step_signals = (
+            values.reshape(samples * instants, -1)
+            for values, instants in zip(rows, self._instants, strict=True)
+        )
+        return signals, step_signals
+
+    def _advance_whole(self, whole: Evaluation, samples: int) -> tuple[NDArray, NDArray]:
+        """Samples in one call, or one of them in a second one, with what blocks answer."""
+        times, outside = self._outside.of_samples(self.samples, samples)
+        inputs = [self._state, self._parameters, self._no_answers]
+        state, *rows = whole.fly(inputs, times, outside, self._largest)
+        flown = len(rows[0])
+        if flown == 0:
+            flown = 1
+            state, *rows = self._with_answers(whole, outside[0])
+        self._state = state
+        self.samples += flown
+        return self._in_rows(flown, *rows)
+
+    def _with_answers(self, whole: Evaluation, outside: NDArray) -> list[NDArray]:
+        """The state, and the signals, after a sample that some blocks' own updates are asked for.
+
+        Raises:
+            NotFiniteError: a value is not finite, or is too large.
+        """
+        own = self._state, self._parameters, np.array([self.time])
+        *_, read, keeps = self._evaluated(whole, *own, self._no_answers, outside)
+        self._give(read)
+        answers = [
+            self._place_of(leaf, self._state) if kept else self._asked_for(leaf, self._state)
+            for leaf, kept in zip(self._asked, keeps, strict=True)
+        ]
+        given = np.concatenate([1.0 - keeps, *answers])
+        state, signals, step_signals, *_ = self._evaluated(whole, *own, given, outside)
+        return [state, signals, step_signals]
+
+    def _advance_in_parts(self) -> tuple[NDArray, NDArray]:
+        """The signals of a sample, with blocks that are stepped after its updates."""
+        before = self._state
+        assert self._at_sample is not None
+        self._state, read, keeps = self._call(self._at_sample)
+        for simulator in self._simulators.values():
+            simulator.AdvanceTo(self.time)
+        self._give(read)
+        for simulator in self._simulators.values():
+            simulator.AdvancePendingEvents()
+        for leaf, kept in zip(self._asked, keeps, strict=True):
+            if not kept:
+                self._state[self._layout.places[leaf]] = self._asked_for(leaf, before)
+        self._state, signals, step_signals = self._call(self._after_sample)
+        return signals, step_signals
+
+    def _place_of(self, leaf: System, state: NDArray) -> NDArray:
+        """The discrete states of a leaf."""
+        return state[self._layout.places[leaf]]
+
+    def _asked_for(self, leaf: System, state: NDArray) -> NDArray:
+        """The states that a leaf makes by its own update, from the loop's before the sample."""
+        context = self._asked[leaf]
+        self._set(leaf, context, state)
+        return discrete_state_of(leaf.EvalUniquePeriodicDiscreteUpdate(context))
+
+    def _set(self, leaf: System, context: Context, state: NDArray) -> None:
+        """Sets a leaf's own context to the time of the last sample and the loop's states."""
+        context.SetTime(self.time)
+        sizes = self._layout.state_sizes[leaf][1:]
+        parts = np.split(self._place_of(leaf, state), np.cumsum(sizes)[:-1])
+        for group, values in enumerate(parts):
+            context.SetDiscreteState(group, values)
+
+    @property
+    def state(self) -> NDArray:
+        """The states of all traced blocks at the last sample, before its updates, stacked."""
+        return self._state.copy()
+
+    def go_to(self, samples: int, state: NDArray) -> None:
+        """Goes on from another sample; that is all of a flight where no blocks are beside it.
+
+        Args:
+            samples: the number of those that were flown; 0: `start` comes next.
+            state: as of `state`.
+        """
+        self.samples, self._state = samples, np.array(state)
+
+    @property
+    def time(self) -> float:
+        """That of the last sample, s."""
+        return _time_of(self.samples, self._period)
+
+    def seconds_of_functions(self, samples: int) -> float:
+        """As of `CompiledLoop`; the flight stays where it is."""
+        if self._whole is not None:
+            parts = [self._whole]
+            _, outside = self._outside.of_samples(self.samples, 1)
+            own = self._state, self._parameters, np.array([self.time])
+            self._evaluated(self._whole, *own, self._no_answers, outside[0])  # the inputs of now
+        else:
+            assert self._at_sample is not None
+            parts = [self._at_sample, self._after_sample]
+            for part in parts:
+                self._call(part)
+        start = time.perf_counter()
+        for _ in range(samples):
+            for part in parts:
+                part.evaluate()
+        return time.perf_counter() - start
+
+    def write_state(self, context: Context, state: NDArray | None = None) -> None:
+        """Sets the states of a context of the loop's diagram to those of the last sample.
+
+        Its time stays.
+
+        Args:
+            context: of the diagram.
+            state: that of another sample, as of `state`, where no blocks are beside the trace.
+        """
+        self._layout.write_state(context, self._state if state is None else state)
+        for block, simulator in self._simulators.items():
+            own = self._layout.diagram.GetMutableSubsystemContext(block, context)
+            own.SetStateAndParametersFrom(simulator.get_context())
+
+    def _give(self, read: NDArray) -> None:
+        """Gives blocks that are about to make an update what they read."""
+        for fixed, source in self._abstract:
+            fixed.GetMutableData().set_value(self._abstract_value(source, self.time))
+        start = 0
+        for place in self._layout.read:
+            values = self._fixed[place].GetMutableData().get_mutable_value()
+            end = start + values.size()
+            values.SetFromVector(read[start:end])
+            start = end
+
+    def _call(self, function: Evaluation) -> list[NDArray]:
+        now, ahead = self.time, _time_of(self.samples + 1, self._period)
+        outside = [self._value(reading, now, ahead) for reading in function.readings]
+        own = self._state, self._parameters, np.array([now])
+        return self._evaluated(function, *own, *outside)
+
+    def _evaluated(self, function: Evaluation, *inputs: NDArray) -> list[NDArray]:
+        *results, norm = function(inputs)
+        if not norm[0] < self._largest**2:
+            raise NotFiniteError("the loop")
+        return results
+
+    def _value(self, reading: Reading, now: float, ahead: float) -> NDArray:
+        number, output, offset = reading
+        if number in self._sources:
+            at = ahead if offset == self._period else now + offset
+            return self._sources[number].value(output, at)
+        block = self._systems[number]
+        return block.get_output_port(output).Eval(self._simulators[block].get_context())
+
+
+def _time_of(samples: Any, period: float) -> Any:
+    """The time of a sample, or of an array of samples, by its number, s.
+
+    To the bit as Drake has it of events that begin with a period.
+    """
+    return (period + (samples - 1) * period) * (samples > 0)
+
+
+class _Source:
+    """What is known beforehand: a block without inputs, or a traced one's functions of time.
+
+    Args:
+        block: what is evaluated.
+        context: its own; a copy is evaluated, since to set the time of a whole loop's is slow.
+    """
+
+    def __init__(self, block: Any, context: Context):
+        self._block = block
+        self._context = block.CreateDefaultContext()
+        self._context.SetTimeStateAndParametersFrom(context)
+        self._time = math.nan
+        self._known: dict[int | str, Any] = {}  # at that time
+
+    def value(self, output: int | str, at: float) -> Any:
+        """What a port shows at a time in s, or what a quantity is."""
+        if at != self._time:
+            self._context.SetTime(at)
+            self._time = at
+            self._known.clear()
+        if output not in self._known:
+            if self._is_known(output):
+                (self._known[output],) = self._rows(output, np.array([at]))
+            else:
+                self._known[output] = self._block.get_output_port(output).Eval(self._context)
+        return self._known[output]
+
+    def values(self, outputs: Sequence[int | str], times: NDArray) -> list[NDArray]:
+        """Rows of each of some outputs, at times (k,) in s."""
+        if all(map(self._is_known, outputs)):
+            return [self._rows(output, times) for output in outputs]
+        found: list[list[NDArray]] = [[] for _ in outputs]
+        for at in times.tolist():
+            for output, rows in zip(outputs, found, strict=True):
+                rows.append(self.value(output, at))
+        return [np.array(rows) for rows in found]
+
+    def _is_known(self, output: int | str) -> bool:
+        """Whether the block gives rows of an output, and not its ports alone."""
+        if not hasattr(self._block, KNOWN):
+            return False
+        is_quantity = isinstance(output, str)
+        port = None if is_quantity else self._block.get_output_port(output)
+        return port is None or port.get_data_type() == PortDataType.kVectorValued
+
+    def _rows(self, output: int | str, times: NDArray) -> NDArray:
+        if not isinstance(output, str):
+            output = self._block.get_output_port(output).get_name()
+        return self._block.known_over(output, times)
+
+
+class _Outside:
+    """What stands outside of the function of a whole sample, for many samples at once.
+
+    Args:
+        readings: the function's.
+        sources: what they read, by its number.
+        period: s, of the samples.
+    """
+
+    def __init__(self, readings: Sequence[Reading], sources: Mapping[int, _Source], period: float):
+        self._readings, self._sources, self._period = readings, sources, period
+        self._first = self._end = 0  # samples, of the rows
+        self._times = np.zeros(0)
+        self._rows = np.zeros((0, 0))
+
+    def of_samples(self, first: int, most: int) -> tuple[NDArray, NDArray]:
+        """The times (k,), s, and the rows (k, size) of samples, not more than `most`.
+
+        Args:
+            first: the number of the first one.
+            most: of the samples.
+        """
+        if not self._first <= first < self._end:
+            self._first, self._end = first, first + _MOST_SAMPLES
+            self._times = _time_of(np.arange(first, self._end), self._period)
+            self._rows = self._made()
+        chosen = slice(first - self._first, first - self._first + most)
+        return self._times[chosen], self._rows[chosen]
+
+    def _made(self) -> NDArray:
+        """Each source is evaluated once at each time."""
+        after = _time_of(np.arange(self._first + 1, self._end + 1), self._period)
+        columns: list[Any] = [None] * len(self._readings)
+        for number in dict.fromkeys(reading.system for reading in self._readings):
+            own = [k for k, reading in enumerate(self._readings) if reading.system == number]
+            at = [
+                after if offset == self._period else self._times + offset
+                for offset in (self._readings[k].offset for k in own)
+            ]
+            times, places = np.unique(np.array(at), return_inverse=True)
+            places = places.reshape(len(own), -1)
+            outputs = [*dict.fromkeys(self._readings[k].output for k in own)]
+            rows = dict(zip(outputs, self._sources[number].values(outputs, times), strict=True))
+            for k, place in zip(own, places, strict=True):
+                columns[k] = rows[self._readings[k].output][place]
+        return np.hstack([np.zeros((len(self._times), 0)), *columns])

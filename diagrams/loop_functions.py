@@ -1,0 +1,245 @@
+"""The traced functions of a loop, and how they are evaluated: as C, or in CasADi's machine."""
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import System
+
+from drake_nonstop.systems.compilation import Compiled, compiled
+from drake_nonstop.systems.tracing import object_array
+
+_WORTH_COMPILING = 20_000  # samples, 2 s in the virtual machine
+_FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
+
+
+class Reading(NamedTuple):
+    """What is read of a system outside of a trace, and when.
+
+    `output` is the number of a port, or the name of a quantity that the system knows beforehand,
+    see `systems.diagram_trace.At.known`.
+    """
+
+    system: int  # its number among all in the diagram
+    output: int | str
+    offset: float  # s, after the sample
+
+
+@dataclass
+class Symbols:
+    """The symbols of a function for what stands outside, in the order in which it is read."""
+
+    numbers: Mapping[System, int]  # of all systems
+    readings: list[Reading] = field(default_factory=list)
+    symbols: list[casadi.SX] = field(default_factory=list)
+
+    def at(self, offset: float) -> Any:
+        """Gives the values of outputs, of a given size, at an instant."""
+
+        def give(system: System, output: int | str, size: int) -> NDArray:
+            return self.of(Reading(self.numbers[system], output, offset), size)
+
+        return give
+
+    def of(self, reading: Reading, size: int) -> NDArray:
+        """The symbols of a reading."""
+        if reading not in self.readings:
+            self.readings.append(reading)
+            self.symbols.append(casadi.SX.sym("outside", size))
+        return object_array(self.symbols[self.readings.index(reading)])
+
+
+class Traced(NamedTuple):
+    """Results in symbols, of arguments and of what stands outside."""
+
+    results: list[casadi.SX]
+    arguments: list[casadi.SX]
+    symbols: Symbols
+
+
+class LoopFunction:
+    """A traced function of the state, the parameters, the time and what stands outside.
+
+    The last of its results is the sum of the others' squares.
+
+    Args:
+        traced: what it computes.
+        is_frequent: whether it is evaluated often, so that it is worth being made shorter.
+        is_whole: whether it is that of a whole sample, and evaluated sample by sample.
+    """
+
+    def __init__(self, traced: Traced, *, is_frequent: bool, is_whole: bool = False):
+        results, arguments, symbols = traced
+        self.readings = symbols.readings
+        self.reading_sizes = [symbol.numel() for symbol in symbols.symbols]
+        outside = casadi.vertcat(*symbols.symbols) if symbols.symbols else casadi.SX(0, 1)
+        self.argument_sizes = [argument.numel() for argument in arguments]
+        stacked = casadi.vertcat(*arguments, outside)
+        norm = casadi.sumsqr(casadi.vertcat(*results))
+        results = [*results, norm]
+        if is_frequent:  # it takes longer than an evaluation saves
+            results = casadi.cse(results)
+        self.function = casadi.Function("loop", [stacked], results)
+        self.compiled: Compiled | None = None  # the same, as C
+        self._besides = _FLY_SAMPLES if is_whole else ""
+        self._is_looked_for = self._is_tried = False  # in the cache, to compile it
+
+    def compile(self, builds: bool) -> None:
+        """Takes C that is in the cache, or builds it."""
+        is_done = self._is_tried if builds else self._is_looked_for
+        if self.compiled is None and not is_done:
+            self._is_tried |= builds
+            self.compiled = compiled(self.function, besides=self._besides, builds=builds)
+            self._is_looked_for = True
+
+
+@dataclass
+class LoopFunctions:
+    """What loops of one content are traced to."""
+
+    at_start: LoopFunction
+    shown: LoopFunction
+    after_sample: LoopFunction
+    at_sample: LoopFunction | None  # where blocks are stepped between it and `after_sample`
+    whole: LoopFunction | None  # where none are: both in one
+    samples: int = 0  # that loops have asked for
+
+    @property
+    def of_samples(self) -> list[LoopFunction]:
+        """Those that are evaluated at every sample, or nearly."""
+        parts = [self.at_sample, self.after_sample] if self.whole is None else [self.whole]
+        return [part for part in parts if part is not None]
+
+    def compile(self, samples: int | None) -> None:
+        """Takes C in place of the virtual machine, as `CompiledLoop` says."""
+        self.samples += samples or 0
+        builds = samples is None or self.samples >= _WORTH_COMPILING
+        for function in self.of_samples:
+            function.compile(builds)
+
+
+class Evaluation:
+    """Evaluates a function, in memory of its own.
+
+    Args:
+        function: what is evaluated.
+        compiles: whether as C, where that is there.
+    """
+
+    def __init__(self, function: LoopFunction, compiles: bool):
+        self.readings = function.readings
+        self._function = function.function  # the buffer borrows it and the arrays
+        library = None
+        if compiles and function.compiled is not None:
+            self._function, library = function.compiled
+        self._buffer, self.evaluate = self._function.buffer()
+        self._input = np.zeros(self._function.size1_in(0))
+        sizes = [self._function.size1_out(k) for k in range(self._function.n_out())]
+        self._outputs = list(map(np.zeros, sizes))
+        self._buffer.set_arg(0, self._input.data)
+        for k, output in enumerate(self._outputs):
+            self._buffer.set_res(k, output.data)
+        self._arguments = function.argument_sizes
+        self.outside_size = sum(function.reading_sizes)
+        self._fly = self._flying_in_python
+        if library is not None and hasattr(library, "fly_samples"):
+            self._fly = _FlyingInC(
+                library, self._function, self._input, self._outputs, self._arguments
+            ).fly
+
+    def __call__(self, inputs: Sequence[NDArray]) -> list[NDArray]:
+        """The results for all arguments, and for what stands outside."""
+        np.concatenate(inputs, out=self._input)
+        self.evaluate()
+        return [output.copy() for output in self._outputs]
+
+    def fly(
+        self, inputs: Sequence[NDArray], times: NDArray, outside: NDArray, largest: float
+    ) -> tuple[NDArray, NDArray, NDArray]:
+        """Evaluates the function of a whole sample again and again, each time from its own state.
+
+        It ends before a sample at which a block does not keep its states, or a result is larger
+        than `largest`, or is no number.
+
+        Args:
+            inputs: all arguments but the time.
+            times: (k,), s, of the samples.
+            outside: (k, size), what stands outside.
+            largest: in SI units.
+
+        Returns:
+            The state after the last sample, and of each the signals and the signals of steps, in
+            rows.
+        """
+        state, parameters, *answers = inputs
+        time = np.zeros(1)
+        np.concatenate([state, parameters, time, *answers, outside[0]], out=self._input)
+        _, signals, steps, *_ = self._outputs
+        rows = np.empty((len(times), len(signals))), np.empty((len(times), len(steps)))
+        flown = self._fly(times, outside, largest**2, *rows)
+        return self._input[: len(state)].copy(), rows[0][:flown], rows[1][:flown]
+
+    def _flying_in_python(
+        self, times: NDArray, outside: NDArray, limit: float, signals: NDArray, steps: NDArray
+    ) -> int:
+        """As fly_samples.c."""
+        own = self._input
+        state, own_signals, own_steps, _, keeps, norm = self._outputs
+        place, start = sum(self._arguments[:2]), sum(self._arguments)
+        for k, time in enumerate(times):
+            own[place] = time
+            own[start:] = outside[k]
+            self.evaluate()
+            if not norm[0] < limit or not keeps.all():
+                return k
+            signals[k], steps[k] = own_signals, own_steps
+            own[: len(state)] = state
+        return len(times)
+
+
+class _FlyingInC:
+    """Calls fly_samples.c, in work memory of its own.
+
+    Args:
+        library: has it.
+        function: that of a whole sample, in that library.
+        own_input: as of `Evaluation`.
+        outputs: likewise.
+        arguments: the sizes of the function's arguments, which are stacked in its input.
+    """
+
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        function: casadi.Function,
+        own_input: NDArray,
+        outputs: list[NDArray],
+        arguments: Sequence[int],
+    ):
+        self._call = library.fly_samples
+        self._call.restype = ctypes.c_longlong
+        self._call.argtypes = [ctypes.c_longlong, ctypes.c_double, *[ctypes.c_void_p] * 12]
+        state, signals, steps, _, keeps, _ = map(len, outputs)
+        start = sum(arguments)
+        sizes = [state, signals, steps, keeps, len(own_input) - start]
+        self._layout = np.array([sum(arguments[:2]), start], np.int64), np.array(sizes, np.int64)
+        self._values = own_input, np.array([output.ctypes.data for output in outputs], np.uintp)
+        self._kept_alive = function, outputs
+        self._work = (
+            np.zeros(function.sz_arg(), np.uintp),
+            np.zeros(function.sz_res(), np.uintp),
+            np.zeros(function.sz_iw(), np.int64),
+            np.zeros(function.sz_w()),
+        )
+
+    def fly(
+        self, times: NDArray, outside: NDArray, limit: float, signals: NDArray, steps: NDArray
+    ) -> int:
+        """As fly_samples.c; the arrays are contiguous, and `outside` has a row per time."""
+        given = *self._layout, times, outside, *self._values, signals, steps, *self._work
+        return int(self._call(len(times), limit, *(array.ctypes.data for array in given)))

@@ -1,0 +1,140 @@
+"""What the blocks of a loop are to its trace, and where their states are in it."""
+
+import itertools
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortDataType, System
+
+from drake_nonstop.systems.diagram_trace import KNOWN, Wires, is_traceable, leaves
+
+
+class LoopLayout:
+    """The blocks of a loop, sorted, and how their states and parameters are stacked.
+
+    Args:
+        diagram: the loop.
+
+    Attributes:
+        diagram: as given.
+        wires: of the diagram.
+        blocks: the diagram's own.
+        numbers: of all systems in it, each block followed by what is in it.
+        outside: the blocks that are not traced.
+        held: those of them that have inputs; their outputs change at samples only.
+        leaves: the leaf systems that are traced.
+        state_sizes: of each leaf: of its continuous state, and of its discrete groups.
+        places: of each leaf's discrete states, in the loop's.
+        attempting: the leaves that may ask to make an update themselves.
+        with_parameters: those with numeric parameters.
+        parameter_sizes: of what their traces take of these.
+        knowing: those that know quantities beforehand, see `systems.diagram_trace.At.known`.
+        read: the inputs that are given to blocks which make updates themselves: block and number.
+    """
+
+    def __init__(self, diagram: Diagram):
+        root = diagram.CreateDefaultContext()
+        self.diagram, self.wires = diagram, Wires(diagram)
+        self.blocks = diagram.GetSystems()
+        self.outside = {block for block in self.blocks if not is_traceable(block)}
+        self.held = [b for b in self.blocks if b in self.outside and b.num_input_ports() > 0]
+        everything = itertools.chain.from_iterable((b, *leaves(b)) for b in self.blocks)
+        self.numbers = {system: k for k, system in enumerate(dict.fromkeys(everything))}
+        self.leaves: list[Any] = [
+            leaf for block in self.blocks if block not in self.outside for leaf in leaves(block)
+        ]
+
+        def own(leaf: System) -> Context:
+            return diagram.GetSubsystemContext(leaf, root)
+
+        self.state_sizes = {leaf: _state_sizes(own(leaf)) for leaf in self.leaves}
+        ends = np.cumsum([0, *map(sum, self.state_sizes.values())])
+        self.places = {
+            leaf: slice(start + sizes[0], end)
+            for (leaf, sizes), (start, end) in zip(
+                self.state_sizes.items(), itertools.pairwise(ends), strict=True
+            )
+        }
+        self.attempting = [leaf for leaf in self.leaves if hasattr(leaf, "traced_attempt")]
+        self.with_parameters = [
+            leaf for leaf in self.leaves if own(leaf).num_numeric_parameter_groups() > 0
+        ]
+        self.parameter_sizes = [
+            len(_parameters_of(leaf, own(leaf))) for leaf in self.with_parameters
+        ]
+        self.knowing = [leaf for leaf in self.leaves if hasattr(leaf, KNOWN)]
+        self.read = [
+            (block, k)
+            for block in [*self.held, *self.attempting]
+            for k in range(block.num_input_ports())
+            if block.get_input_port(k).get_data_type() == PortDataType.kVectorValued
+            and self.wires.source(block, k) is not None
+        ]
+
+    @property
+    def answers_size(self) -> int:
+        """Of the argument of a whole sample: which blocks give their states, and these."""
+        return sum(1 + sum(self.state_sizes[leaf][1:]) for leaf in self.attempting)
+
+    def is_outside(self, block: System) -> bool:
+        """Whether a block of the diagram is not traced."""
+        return block in self.outside
+
+    def states(self, state: NDArray) -> dict[System, list[NDArray]]:
+        """The parts of a state, of numbers or symbols, by leaves and groups."""
+        found, start = {}, 0
+        for leaf, sizes in self.state_sizes.items():
+            ends = start + np.cumsum([0, *sizes])
+            found[leaf] = [state[a:b] for a, b in itertools.pairwise(ends)]
+            start = ends[-1]
+        return found
+
+    def state_of(self, context: Context) -> NDArray:
+        """The stacked state of a context of the diagram."""
+        return _stacked(_state_of(self._own(leaf, context)) for leaf in self.leaves)
+
+    def parameters_of(self, context: Context) -> NDArray:
+        """The stacked parameters of a context of the diagram."""
+        own = ((leaf, self._own(leaf, context)) for leaf in self.with_parameters)
+        return _stacked(itertools.starmap(_parameters_of, own))
+
+    def write_state(self, context: Context, state: NDArray) -> None:
+        """Sets the states of the traced blocks in a context of the diagram."""
+        for leaf, (continuous, *discrete) in self.states(state).items():
+            own = self.diagram.GetMutableSubsystemContext(leaf, context)
+            if len(continuous):
+                own.SetContinuousState(continuous)
+            for group, values in enumerate(discrete):
+                own.SetDiscreteState(group, values)
+
+    def _own(self, leaf: System, context: Context) -> Context:
+        return self.diagram.GetSubsystemContext(leaf, context)
+
+
+def discrete_state_of(values: DiscreteValues) -> NDArray:
+    """The groups of a discrete state, stacked."""
+    return _stacked(values.get_vector(k).CopyToVector() for k in range(values.num_groups()))
+
+
+def _stacked(parts: Iterable[NDArray]) -> NDArray:
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _state_sizes(context: Context) -> list[int]:
+    groups = range(context.num_discrete_state_groups())
+    sizes = [context.get_discrete_state(k).size() for k in groups]
+    return [context.num_continuous_states(), *sizes]
+
+
+def _state_of(context: Context) -> NDArray:
+    continuous = context.get_continuous_state_vector().CopyToVector()
+    return _stacked([continuous, discrete_state_of(context.get_discrete_state())])
+
+
+def _parameters_of(leaf: Any, context: Context) -> NDArray:
+    """What a leaf's trace takes of the parameters in a context of its own."""
+    if hasattr(leaf, "trace_parameters"):
+        return leaf.trace_parameters(context)
+    return context.get_numeric_parameter(0).CopyToVector()
