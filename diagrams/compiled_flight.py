@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context, PortDataType, System
 
 from drake_nonstop.diagrams.loop_functions import Evaluation, LoopFunctions, Reading
 from drake_nonstop.diagrams.loop_layout import LoopLayout, discrete_state_of
-from drake_nonstop.systems.diagram_trace import KNOWN
+from drake_nonstop.systems.diagram_trace import FOUND_SIZE, KNOWN
 from drake_nonstop.systems.tracing import NotFiniteError
 
 _MOST_SAMPLES = 64  # for which what stands outside is evaluated at once
@@ -53,7 +53,7 @@ class CompiledFlight:
         at_sample, whole = functions.at_sample, functions.whole
         self._at_sample = None if at_sample is None else Evaluation(at_sample, compiles)
         self._whole = None if whole is None else Evaluation(whole, compiles)
-        self._no_answers = np.zeros(layout.answers_size)
+        self._no_answers = np.zeros(FOUND_SIZE + layout.answers_size)
         diagram = layout.diagram
         own = diagram.CreateDefaultContext()
         own.SetTimeStateAndParametersFrom(context)
@@ -97,7 +97,7 @@ class CompiledFlight:
 
     def start(self) -> tuple[NDArray, NDArray]:
         """The loop's `signals` (size,) and `step_signals` (size,) after the initialization."""
-        self._state, read, _ = self._call(self._at_start)
+        self._state, read, *_ = self._call(self._at_start)
         self._give(read)
         for simulator in self._simulators.values():
             simulator.Initialize()
@@ -159,13 +159,13 @@ class CompiledFlight:
             NotFiniteError: a value is not finite, or is too large.
         """
         own = self._state, self._parameters, np.array([self.time])
-        *_, read, keeps = self._evaluated(whole, *own, self._no_answers, outside)
+        *_, read, holds, _ = self._evaluated(whole, *own, self._no_answers, outside)
         self._give(read)
         answers = [
-            self._place_of(leaf, self._state) if kept else self._asked_for(leaf, self._state)
-            for leaf, kept in zip(self._asked, keeps, strict=True)
+            self._place_of(leaf, self._state) if is_made else self._asked_for(leaf, self._state)
+            for leaf, is_made in zip(self._asked, holds, strict=True)
         ]
-        given = np.concatenate([1.0 - keeps, *answers])
+        given = np.concatenate([np.zeros(FOUND_SIZE), 1.0 - holds, *answers])
         state, signals, step_signals, *_ = self._evaluated(whole, *own, given, outside)
         return [state, signals, step_signals]
 
@@ -173,14 +173,14 @@ class CompiledFlight:
         """The signals of a sample, with blocks that are stepped after its updates."""
         before = self._state
         assert self._at_sample is not None
-        self._state, read, keeps = self._call(self._at_sample)
+        self._state, read, holds, _ = self._call(self._at_sample)
         for simulator in self._simulators.values():
             simulator.AdvanceTo(self.time)
         self._give(read)
         for simulator in self._simulators.values():
             simulator.AdvancePendingEvents()
-        for leaf, kept in zip(self._asked, keeps, strict=True):
-            if not kept:
+        for leaf, is_made in zip(self._asked, holds, strict=True):
+            if not is_made:
                 self._state[self._layout.places[leaf]] = self._asked_for(leaf, before)
         self._state, signals, step_signals = self._call(self._after_sample)
         return signals, step_signals
@@ -221,6 +221,10 @@ class CompiledFlight:
     def time(self) -> float:
         """That of the last sample, s."""
         return _time_of(self.samples, self._period)
+
+    def times_of(self, samples: NDArray) -> NDArray:
+        """Those of samples by their numbers (k,), s."""
+        return _time_of(samples, self._period)
 
     def seconds_of_functions(self, samples: int) -> float:
         """As of `CompiledLoop`; the flight stays where it is."""
@@ -317,7 +321,7 @@ class _Source:
             self._known.clear()
         if output not in self._known:
             if self._is_known(output):
-                (self._known[output],) = self._rows(output, np.array([at]))
+                ((self._known[output],),) = self._rows([output], np.array([at]))
             else:
                 self._known[output] = self._block.get_output_port(output).Eval(self._context)
         return self._known[output]
@@ -325,7 +329,7 @@ class _Source:
     def values(self, outputs: Sequence[int | str], times: NDArray) -> list[NDArray]:
         """Rows of each of some outputs, at times (k,) in s."""
         if all(map(self._is_known, outputs)):
-            return [self._rows(output, times) for output in outputs]
+            return self._rows(outputs, times)
         found: list[list[NDArray]] = [[] for _ in outputs]
         for at in times.tolist():
             for output, rows in zip(outputs, found, strict=True):
@@ -340,10 +344,12 @@ class _Source:
         port = None if is_quantity else self._block.get_output_port(output)
         return port is None or port.get_data_type() == PortDataType.kVectorValued
 
-    def _rows(self, output: int | str, times: NDArray) -> NDArray:
-        if not isinstance(output, str):
-            output = self._block.get_output_port(output).get_name()
-        return self._block.known_over(output, times)
+    def _rows(self, outputs: Sequence[int | str], times: NDArray) -> list[NDArray]:
+        names = [
+            output if isinstance(output, str) else self._block.get_output_port(output).get_name()
+            for output in outputs
+        ]
+        return self._block.known_over(names, times)
 
 
 class _Outside:

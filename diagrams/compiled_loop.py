@@ -6,8 +6,9 @@ ones, and integrates to the next sample. So does the trace: `at_sample` makes bo
 end of them, before the next updates.
 
 A block that is traced may ask to make an update itself, such as an optimization layer where its
-last answer does not do: it has `traced_attempt(at)`, which returns its states after the sample,
-and whether they hold, in place of `traced_update(at)`.
+last answer does not do: it has `traced_attempt(at, found)` in place of `traced_update(at)`, which
+tells the states after the sample, and whether they hold. `found` is what its `traced_search` in C
+has found, after a 1; or zeros.
 
 Blocks that cannot be traced stand outside. One without inputs is evaluated at the instants at
 which it is read. One whose outputs change at samples only is stepped by a Simulator of its own,
@@ -31,6 +32,7 @@ from drake_nonstop.diagrams.compiled_flight import CompiledFlight
 from drake_nonstop.diagrams.loop_functions import LoopFunction, LoopFunctions, Symbols, Traced
 from drake_nonstop.diagrams.loop_layout import LoopLayout
 from drake_nonstop.systems.diagram_trace import (
+    FOUND_SIZE,
     At,
     Instant,
     Wires,
@@ -217,15 +219,18 @@ class CompiledLoop:
         self._parameters = dict(zip(layout.with_parameters, values, strict=False))
         arguments = [state, parameters, time]
         start = self._make_updates(arguments, is_start=True)
-        updates = self._make_updates(arguments, is_start=False)
         steps = self._make_steps(arguments)
-        has_parts = bool(layout.held)
+        at_sample = whole = None
+        if layout.held:
+            at_sample = LoopFunction(self._make_updates(arguments), is_frequent=True)
+        else:
+            whole = self._make_whole(arguments, steps)
         return LoopFunctions(
             at_start=LoopFunction(start, is_frequent=False),
             shown=LoopFunction(self._make_shown(arguments), is_frequent=False),
-            after_sample=LoopFunction(steps, is_frequent=has_parts),
-            at_sample=LoopFunction(updates, is_frequent=True) if has_parts else None,
-            whole=None if has_parts else self._make_whole(arguments, updates, steps),
+            after_sample=LoopFunction(steps, is_frequent=whole is None),
+            at_sample=at_sample,
+            whole=whole,
         )
 
     def _instant(self, states: Mapping[System, list[NDArray]], time: Any, outside: Any) -> Instant:
@@ -238,39 +243,49 @@ class CompiledLoop:
             self._layout.is_outside,
         )
 
-    def _make_whole(
-        self, arguments: list[casadi.SX], updates: Traced, steps: Traced
-    ) -> LoopFunction:
-        """The state and all signals at the next sample, and what `updates` tells besides.
+    def _make_whole(self, arguments: list[casadi.SX], steps: Traced) -> LoopFunction:
+        """The state and all signals at the next sample, and what its updates tell besides.
 
-        A further argument has the states that blocks have made themselves, and which have.
+        A further argument has what a search has found, which blocks have made updates themselves,
+        and their states after these.
         """
-        state, parameters, time = arguments
-        symbols = Symbols(self._layout.numbers)
-
-        def results_of(traced: Traced, state: casadi.SX) -> list[casadi.SX]:
-            own = traced.symbols
-            read = zip(own.readings, own.symbols, strict=True)
-            outside = [symbols.of(reading, symbol.numel()) for reading, symbol in read]
-            old = casadi.vertcat(*arguments, *own.symbols)
-            new = casadi.vertcat(state, parameters, time, *itertools.chain(*outside))
-            return casadi.Function("part", [old], traced.results)(new)
-
+        _, parameters, time = arguments
+        found = casadi.SX.sym("f", FOUND_SIZE)
+        updates = self._make_updates([*arguments, found], found=found)
+        symbols = updates.symbols
         answers = casadi.SX.sym("a", self._layout.answers_size)
-        after, read, keeps = results_of(updates, state)
+        after, read, holds, data = updates.results
         start = len(self._layout.attempting)
         for k, leaf in enumerate(self._layout.attempting):
             place = self._layout.places[leaf]
             end = start + place.stop - place.start
             after[place] = casadi.if_else(answers[k], answers[start:end], after[place])
             start = end
-        results = [*results_of(steps, after), read, keeps]
-        traced = Traced(results, [*arguments, answers], symbols)
-        return LoopFunction(traced, is_frequent=True, is_whole=True)
+        own = steps.symbols
+        known = zip(own.readings, own.symbols, strict=True)
+        outside = [symbols.of(reading, symbol.numel()) for reading, symbol in known]
+        old = casadi.vertcat(*arguments, *own.symbols)
+        new = casadi.vertcat(after, parameters, time, *itertools.chain(*outside))
+        moved = casadi.Function("part", [old], steps.results)(new)
+        traced = Traced([*moved, read, holds, data], [*arguments, found, answers], symbols)
+        search = None
+        if len(self._layout.attempting) == 1:
+            search = getattr(self._layout.attempting[0], "traced_search", None)
+        return LoopFunction(traced, is_frequent=True, is_whole=True, search=search)
 
-    def _make_updates(self, arguments: list[casadi.SX], *, is_start: bool) -> Traced:
-        """The state after a sample's updates, and what the blocks that are held read."""
-        state, _, time = arguments
+    def _make_updates(
+        self, arguments: list[casadi.SX], *, is_start: bool = False, found: Any = None
+    ) -> Traced:
+        """The state after a sample's updates, and what blocks that may make some themselves read.
+
+        Then whether what is made in their place holds, and the data of a search.
+
+        Args:
+            arguments: of the function.
+            is_start: whether they are those of the initialization.
+            found: what a search has found; None: there is none.
+        """
+        state, _, time, *_ = arguments
         symbols = Symbols(self._layout.numbers)
         states = self._layout.states(object_array(state))
         instant = self._instant(states, object_array(time), symbols.at(0.0))
@@ -288,15 +303,20 @@ class CompiledLoop:
         for leaf in updating:
             if leaf not in first:
                 last[leaf] = _updated(leaf, instant, after, is_start)
-        keeps: list[Any] = []
-        for leaf in self._layout.attempting if not is_start else ():
-            values, kept = leaf.traced_attempt(At(instant, leaf))
-            last[leaf] = [last[leaf][0], *values]
-            keeps.append(kept)
-        found = (instant.input(*place) for place in self._layout.read)
-        read = [values for values in found if values is not None]
-        results = [_stacked(last), _joined(read), _joined([np.array(keeps)])]
-        return Traced(results, arguments, symbols)
+        found = np.zeros(FOUND_SIZE) if found is None else object_array(found)
+        attempts = {
+            leaf: leaf.traced_attempt(At(instant, leaf), found)
+            for leaf in (self._layout.attempting if not is_start else ())
+        }
+        for leaf, attempt in attempts.items():
+            last[leaf] = [last[leaf][0], *attempt.states]
+        inputs = (instant.input(*place) for place in self._layout.read)
+        read = [values for values in inputs if values is not None]
+        holds = np.array([attempt.holds for attempt in attempts.values()])
+        data = [attempt.data for attempt in attempts.values()]
+        return Traced(
+            [_stacked(last), _joined(read), _joined([holds]), _joined(data)], arguments, symbols
+        )
 
     def _make_shown(self, arguments: list[casadi.SX]) -> Traced:
         """All signals at an instant, as the states are."""

@@ -1,39 +1,52 @@
 /* Follows the C of a loop's function of a whole sample, `loop`, and evaluates it sample by sample.
 
    `loop` has one argument: its state comes first, and the results are, in this order, the state
-   after the sample, the signals, the signals of steps, what blocks read, whether each of them keeps
-   its states (1 or 0), and the sum of all squares. */
+   after the sample, the signals, the signals of steps, what blocks read, whether what is made of
+   their updates holds (1 or 0), the data of a search, and the sum of all squares. Where there is
+   no search it is defined as 0. */
 
 #include <string.h>
 
-/* Returns how many samples were flown: fewer than `samples` where a block does not keep its states,
+enum { STATE, SIGNALS, STEPS, READ, HOLDS, DATA, SQUARES, RESULTS };
+
+/* Returns how many samples were flown: fewer than `samples` where a block has to make its update,
    or the sum of squares is not below `limit`. `input` has the state after the last one of them.
 
-   places: of the time in `input`, and of what stands outside
-   sizes: of the state, of both rows of signals, of whether blocks keep, and of what stands outside
+   tolerance: of the search
+   places: of the time in `input`, of what a search has found, and of what stands outside
+   sizes: of the state, of both rows of signals, of whether updates hold, and of what stands outside
    times, outside: a row for each sample
    results: room for one of each kind; signals and steps: rows for all samples
    arg, res, iw, w: the work memory of `loop` */
 CASADI_SYMBOL_EXPORT casadi_int fly_samples(casadi_int samples, casadi_real limit,
-                                            const casadi_int *places, const casadi_int *sizes,
-                                            const casadi_real *times, const casadi_real *outside,
-                                            casadi_real *input, casadi_real *const *results,
-                                            casadi_real *signals, casadi_real *steps,
-                                            const casadi_real **arg, casadi_real **res,
-                                            casadi_int *iw, casadi_real *w) {
-  casadi_int k, j;
+                                            casadi_real tolerance, const casadi_int *places,
+                                            const casadi_int *sizes, const casadi_real *times,
+                                            const casadi_real *outside, casadi_real *input,
+                                            casadi_real *const *results, casadi_real *signals,
+                                            casadi_real *steps, const casadi_real **arg,
+                                            casadi_real **res, casadi_int *iw, casadi_real *w) {
+  casadi_real *found = input + places[1];
+  casadi_int k, j, is_made;
   for (k = 0; k < samples; k++) {
     input[places[0]] = times[k];
-    memcpy(input + places[1], outside + k * sizes[4], sizes[4] * sizeof *input);
-    arg[0] = input;
-    for (j = 0; j < 6; j++) res[j] = results[j];
-    res[1] = signals + k * sizes[1];
-    res[2] = steps + k * sizes[2];
-    loop(arg, res, iw, w, 0);
-    if (!(results[5][0] < limit)) return k; /* it may be no number */
-    for (j = 0; j < sizes[3]; j++)
-      if (results[4][j] != 1) return k;
-    memcpy(input, results[0], sizes[0] * sizeof *input);
+    memcpy(input + places[2], outside + k * sizes[4], sizes[4] * sizeof *input);
+    is_made = 0;
+    while (!is_made) {
+      arg[0] = input;
+      for (j = 0; j < RESULTS; j++) res[j] = results[j];
+      res[SIGNALS] = signals + k * sizes[1];
+      res[STEPS] = steps + k * sizes[2];
+      loop(arg, res, iw, w, 0);
+      is_made = 1;
+      for (j = 0; j < sizes[3]; j++) is_made = is_made && results[HOLDS][j] == 1;
+      if (!(results[SQUARES][0] < limit)) break; /* it may be no number */
+      if (is_made || found[0] == 1) break;
+      if (!search(results[DATA], tolerance, found + 1)) break;
+      found[0] = 1;
+    }
+    found[0] = found[1] = found[2] = 0;
+    if (!is_made || !(results[SQUARES][0] < limit)) return k;
+    memcpy(input, results[STATE], sizes[0] * sizeof *input);
   }
   return k;
 }

@@ -4,7 +4,7 @@ import ctypes
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import casadi
 import numpy as np
@@ -15,7 +15,16 @@ from drake_nonstop.systems.compilation import Compiled, compiled
 from drake_nonstop.systems.tracing import object_array
 
 _WORTH_COMPILING = 20_000  # samples, 2 s in the virtual machine
+_NO_SEARCH = "#define search(data, tolerance, x) 0\n"
 _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
+
+
+class SearchInC(Protocol):
+    """A block's search: `int search(data, tolerance, x)` in `text`, which calls `functions`."""
+
+    functions: list[casadi.Function]
+    text: str
+    tolerance: float
 
 
 class Reading(NamedTuple):
@@ -71,9 +80,17 @@ class LoopFunction:
         traced: what it computes.
         is_frequent: whether it is evaluated often, so that it is worth being made shorter.
         is_whole: whether it is that of a whole sample, and evaluated sample by sample.
+        search: of a block, for its updates.
     """
 
-    def __init__(self, traced: Traced, *, is_frequent: bool, is_whole: bool = False):
+    def __init__(
+        self,
+        traced: Traced,
+        *,
+        is_frequent: bool,
+        is_whole: bool = False,
+        search: SearchInC | None = None,
+    ):
         results, arguments, symbols = traced
         self.readings = symbols.readings
         self.reading_sizes = [symbol.numel() for symbol in symbols.symbols]
@@ -86,7 +103,11 @@ class LoopFunction:
             results = casadi.cse(results)
         self.function = casadi.Function("loop", [stacked], results)
         self.compiled: Compiled | None = None  # the same, as C
-        self._besides = _FLY_SAMPLES if is_whole else ""
+        self.tolerance = search.tolerance if search is not None else 0.0
+        self._others = [] if search is None else search.functions
+        self._besides = ""
+        if is_whole:
+            self._besides = (_NO_SEARCH if search is None else search.text) + _FLY_SAMPLES
         self._is_looked_for = self._is_tried = False  # in the cache, to compile it
 
     def compile(self, builds: bool) -> None:
@@ -94,7 +115,8 @@ class LoopFunction:
         is_done = self._is_tried if builds else self._is_looked_for
         if self.compiled is None and not is_done:
             self._is_tried |= builds
-            self.compiled = compiled(self.function, besides=self._besides, builds=builds)
+            functions = [self.function, *self._others]
+            self.compiled = compiled(functions, besides=self._besides, builds=builds)
             self._is_looked_for = True
 
 
@@ -149,7 +171,12 @@ class Evaluation:
         self._fly = self._flying_in_python
         if library is not None and hasattr(library, "fly_samples"):
             self._fly = _FlyingInC(
-                library, self._function, self._input, self._outputs, self._arguments
+                library,
+                self._function,
+                self._input,
+                self._outputs,
+                self._arguments,
+                function.tolerance,
             ).fly
 
     def __call__(self, inputs: Sequence[NDArray]) -> list[NDArray]:
@@ -163,8 +190,8 @@ class Evaluation:
     ) -> tuple[NDArray, NDArray, NDArray]:
         """Evaluates the function of a whole sample again and again, each time from its own state.
 
-        It ends before a sample at which a block does not keep its states, or a result is larger
-        than `largest`, or is no number.
+        It ends before a sample that a block has to make an update for, or at which a result is
+        larger than `largest`, or is no number.
 
         Args:
             inputs: all arguments but the time.
@@ -182,20 +209,20 @@ class Evaluation:
         _, signals, steps, *_ = self._outputs
         rows = np.empty((len(times), len(signals))), np.empty((len(times), len(steps)))
         flown = self._fly(times, outside, largest**2, *rows)
-        return self._input[: len(state)].copy(), rows[0][:flown], rows[1][:flown]
+        return self._input[: len(state)].copy(), rows[0][:flown].copy(), rows[1][:flown].copy()
 
     def _flying_in_python(
         self, times: NDArray, outside: NDArray, limit: float, signals: NDArray, steps: NDArray
     ) -> int:
         """As fly_samples.c."""
         own = self._input
-        state, own_signals, own_steps, _, keeps, norm = self._outputs
+        state, own_signals, own_steps, _, holds, _, norm = self._outputs
         place, start = sum(self._arguments[:2]), sum(self._arguments)
         for k, time in enumerate(times):
             own[place] = time
             own[start:] = outside[k]
             self.evaluate()
-            if not norm[0] < limit or not keeps.all():
+            if not norm[0] < limit or not holds.all():
                 return k
             signals[k], steps[k] = own_signals, own_steps
             own[: len(state)] = state
@@ -211,6 +238,7 @@ class _FlyingInC:
         own_input: as of `Evaluation`.
         outputs: likewise.
         arguments: the sizes of the function's arguments, which are stacked in its input.
+        tolerance: of the search.
     """
 
     def __init__(
@@ -220,14 +248,17 @@ class _FlyingInC:
         own_input: NDArray,
         outputs: list[NDArray],
         arguments: Sequence[int],
+        tolerance: float,
     ):
         self._call = library.fly_samples
         self._call.restype = ctypes.c_longlong
-        self._call.argtypes = [ctypes.c_longlong, ctypes.c_double, *[ctypes.c_void_p] * 12]
-        state, signals, steps, _, keeps, _ = map(len, outputs)
+        self._call.argtypes = [ctypes.c_longlong, *[ctypes.c_double] * 2, *[ctypes.c_void_p] * 12]
+        state, signals, steps, _, holds, _, _ = map(len, outputs)
         start = sum(arguments)
-        sizes = [state, signals, steps, keeps, len(own_input) - start]
-        self._layout = np.array([sum(arguments[:2]), start], np.int64), np.array(sizes, np.int64)
+        places = [sum(arguments[:2]), sum(arguments[:3]), start]
+        sizes = [state, signals, steps, holds, len(own_input) - start]
+        self._layout = np.array(places, np.int64), np.array(sizes, np.int64)
+        self._tolerance = tolerance
         self._values = own_input, np.array([output.ctypes.data for output in outputs], np.uintp)
         self._kept_alive = function, outputs
         self._work = (
@@ -242,4 +273,5 @@ class _FlyingInC:
     ) -> int:
         """As fly_samples.c; the arrays are contiguous, and `outside` has a row per time."""
         given = *self._layout, times, outside, *self._values, signals, steps, *self._work
-        return int(self._call(len(times), limit, *(array.ctypes.data for array in given)))
+        addresses = (array.ctypes.data for array in given)
+        return int(self._call(len(times), limit, self._tolerance, *addresses))

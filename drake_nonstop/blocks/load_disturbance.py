@@ -1,5 +1,6 @@
 """Box "load_disturbance": the wrench on the load besides cables and gravity."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -135,12 +136,12 @@ class DisturbanceForce(LeafBlock):
             wrench = self.wrench + np.concatenate([np.zeros(3), force])
         output.SetFromVector(wrench)
 
-    def known_over(self, port: str, times: NDArray) -> NDArray:
-        """What `disturbance_wrench` shows at times (k,) in s, (k, 6)."""
+    def known_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
+        """What each of the ports, `disturbance_wrench`, shows at times (k,) in s, (k, 6)."""
         forces = coloured_noise(times[:, None, None], self._waves, self.gust_force)
         wrenches = self.wrench + np.column_stack([np.zeros((len(times), 3)), forces])
         wrenches[times < self._start_time] = 0.0
-        return wrenches
+        return [wrenches for _ in ports]
 
 
 # The blocks that the box can be, the default first.

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -109,13 +109,14 @@ class LoadTrajectory(DiagramBlock):
         builder.ExportOutput(preview.get_output_port(), "reference_preview")
         builder.BuildInto(self)
 
-    def known_over(self, port: str, times: NDArray) -> NDArray:
-        """What `reference` or `reference_higher_rates` shows at times (k,) in s, (k, size)."""
-        return np.array(self._rows(_PORTS.index(port), times))
+    def known_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
+        """What vector-valued ports show at times (k,) in s, (k, size) of each."""
+        rows = dict(zip(_PORTS, self._rows(times), strict=True))
+        return [rows[port] for port in ports]
 
 
-# Makes the rows of the signal of that number among `_PORTS`, at times (k,) in s.
-_Rows = Callable[[int, NDArray], list[NDArray]]
+# Makes the rows of the signals `_PORTS` at times (k,) in s.
+_Rows = Callable[[NDArray], tuple[NDArray, NDArray]]
 
 
 def _rows_of(
@@ -131,26 +132,29 @@ def _rows_of(
     start, end = trajectory.start_time(), trajectory.end_time()
 
     @functools.cache  # most runs do not ask for any
-    def traced(part: int) -> TracedFunction:
-        return TracedFunction(lambda *v: reference(*v)[part], sizes, name=lambda: _BOX)
+    def traced() -> TracedFunction:
+        return TracedFunction(lambda *v: np.concatenate(reference(*v)), sizes, name=lambda: _BOX)
 
-    def rows(part: int, times: NDArray) -> list[NDArray]:
+    def rows(times: NDArray) -> tuple[NDArray, NDArray]:
         values = np.array([rate.vector_values(times) for rate in rates])
         values[1:, :, (times < start) | (times > end)] = 0
         vectors = values.reshape(-1, len(times)).T
         if reads_time:
             vectors = np.column_stack([vectors, times])
-        evaluate = traced(part).of_vector
-        return [evaluate(vector).copy() for vector in vectors]
+        evaluate = traced().of_vector
+        found = np.empty((len(times), LOAD_REFERENCE_SIZE + REFERENCE_HIGHER_RATES_SIZE))
+        for row, vector in zip(found, vectors, strict=True):
+            row[:] = evaluate(vector)
+        return found[:, :LOAD_REFERENCE_SIZE], found[:, LOAD_REFERENCE_SIZE:]
 
     return rows
 
 
 def _preview(rows: _Rows) -> ReferencePreview:
     return ReferencePreview(
-        lambda time: rows(0, np.array([time]))[0],
-        references=lambda times: np.array(rows(0, times)).reshape(-1, LOAD_REFERENCE_SIZE),
-        higher_rates=lambda time: rows(1, np.array([time]))[0],
+        lambda time: rows(np.array([time]))[0][0],
+        references=lambda times: rows(times)[0],
+        higher_rates=lambda time: rows(np.array([time]))[1][0],
     )
 
 

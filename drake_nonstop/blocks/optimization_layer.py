@@ -1,5 +1,6 @@
 """Box "Optimization Layer" of the figure."""
 
+import functools
 import pickle
 import time
 from dataclasses import asdict, dataclass
@@ -48,10 +49,11 @@ from drake_nonstop.optimization.problem_config import (
     check_problem,
     with_stated_bound,
 )
+from drake_nonstop.optimization.traced_search import SearchFunctions
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.diagram_trace import At
+from drake_nonstop.systems.diagram_trace import At, TracedAttempt
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
@@ -240,8 +242,13 @@ class NonstopOptimizer(SpeedBoundLayer):
         ports = ["parameters", "diagnostics", "solve_time"]
         return at.state(1 + ports.index(port) if port in ports else 7)
 
-    def traced_attempt(self, at: At) -> tuple[list[NDArray], Any]:
-        """The states after a sample that keeps the parameters, and whether it does, 1 or 0."""
+    @property
+    def traced_search(self) -> SearchFunctions | None:
+        """What finds other parameters, in C, where those before are not kept."""
+        return self.solver.traced_search
+
+    def traced_attempt(self, at: At, found: NDArray) -> TracedAttempt:
+        """The states after a sample that keeps the parameters, or changes them to what is found."""
         known = _TraceNumbers.view(at.parameters)
         states = [at.state(k) for k in range(1, 8 if self._missed is not None else 7)]
         previous, diagnostics, _, last_wrench_rate, bound_in_force, is_changing = states[:6]
@@ -262,27 +269,35 @@ class NonstopOptimizer(SpeedBoundLayer):
             wind=np.zeros(WIND_SIZE) if self._wind is None else at.input_or(_WIND, np.zeros(3)),
             beliefs=known.beliefs,
         )
-        keeps, slowest_speed = self.solver.traced_kept(data, updates)
+        answer = self.solver.traced_answer(data, updates, found)
         conditions = [
+            answer.holds,
             known.enabled[0] == 1,
             known.bound[0] == bound_in_force[0],
             is_changing[0] == 0,
             updates > 0,
         ]
-        for condition in conditions:
-            keeps = casadi.logic_and(keeps, condition)
         number = casadi.fmod(
             casadi.floor(at.time[0] / self._sample_period + 0.5), self._samples_per_update
         )
         is_update = number == 0
-        counted = diagnostics.copy()
-        count_update(counted, Outcome.KEPT, slowest_speed - known.bound[0])
-        after = [previous, counted, np.zeros(1), wrench_rate, *states[4:]]
-        chosen = [
-            np.array([casadi.if_else(is_update, a, b) for a, b in zip(new, old, strict=True)])
-            for new, old in zip(after, states, strict=True)
+        counted = [diagnostics.copy(), diagnostics.copy()]
+        for values, outcome in zip(counted, (Outcome.SOLVED, Outcome.KEPT), strict=True):
+            count_update(values, outcome, answer.slowest_speed - known.bound[0])
+        after = [
+            answer.parameters,
+            _chosen(found[0] > 0, *counted),
+            np.zeros(1),
+            wrench_rate,
+            *states[4:],
         ]
-        return chosen, casadi.logic_or(keeps, casadi.logic_not(is_update))
+        return TracedAttempt(
+            states=[_chosen(is_update, *pair) for pair in zip(after, states, strict=True)],
+            holds=casadi.logic_or(
+                functools.reduce(casadi.logic_and, conditions), casadi.logic_not(is_update)
+            ),
+            data=answer.data,
+        )
 
     def begin_anew(self, context: Context) -> None:
         """Lets what has not been updated begin with the parameters of the context, its own."""
@@ -361,6 +376,12 @@ class NonstopOptimizer(SpeedBoundLayer):
         discrete_state.set_value(self._solve_time, [solve_time])
         discrete_state.set_value(self._bound_in_force, [bound])
         discrete_state.set_value(self._is_changing, [float(is_changing)])
+
+
+def _chosen(condition: Any, values: NDArray, others: NDArray) -> NDArray:
+    """Values where a condition in symbols holds, or others."""
+    pairs = zip(values, others, strict=True)
+    return np.array([casadi.if_else(condition, value, other) for value, other in pairs])
 
 
 @dataclass(kw_only=True)

@@ -63,7 +63,7 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
-from drake_nonstop.systems.diagram_trace import At
+from drake_nonstop.systems.diagram_trace import At, TracedAttempt
 from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
@@ -251,8 +251,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         places = {"plan": _VALUES, "diagnostics": 2, "solve_time": 3, "missed_limits": _VALUES + 1}
         return at.state(places[port])
 
-    def traced_attempt(self, at: At) -> tuple[list[NDArray], Any]:
-        """The states after a sample, and whether that has no new plan, 1 or 0."""
+    def traced_attempt(self, at: At, found: NDArray) -> TracedAttempt:
+        """The states after a sample that has no new plan."""
         states = [at.state(k) for k in range(1, _VALUES + 1 + (self._missed is not None))]
         vector, (time,) = states[0], at.time
         samples = casadi.floor(time / self._sample_period + 0.5)
@@ -264,7 +264,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             vector[7:].reshape(2, -1),
             time,
         )
-        return states, keeps
+        return TracedAttempt(states, keeps)
 
     def begin_anew(self, context: Context) -> None:
         """Lets what has no plan begin with the parameters of the context, its own."""

@@ -4,6 +4,7 @@ The wind acts on the load by its drag, and on carriers that are aircraft. The ot
 box "carrier_dynamics" have no aerodynamics, and do not feel it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -426,10 +427,11 @@ class GustyWind(_Profile):
     def _gusts_at(self, port: str, at: At) -> Any:
         return at.known(port, self.GetOutputPort(port).size())
 
-    def known_over(self, port: str, times: NDArray) -> NDArray:
-        """The gusts on top of what a port shows, (k, size), at times (k,) in s; m/s, in W."""
-        gusts = self._gusts(port, times[:, None, None])
-        return np.broadcast_to(gusts, (len(times), self.GetOutputPort(port).size()))
+    def known_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
+        """The gusts on top of what ports show, (k, size), at times (k,) in s; m/s, in W."""
+        shapes = [(len(times), self.GetOutputPort(port).size()) for port in ports]
+        gusts = [self._gusts(port, times[:, None, None]) for port in ports]
+        return [np.broadcast_to(*of_port) for of_port in zip(gusts, shapes, strict=True)]
 
     def _calc_wind(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._at_carriers(context) + self._gusts("wind", context.get_time()))

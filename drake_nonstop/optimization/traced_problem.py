@@ -151,13 +151,16 @@ class TracedProblem:
 
     def bounds(self, previous: NDArray, beliefs: Beliefs) -> tuple[NDArray, NDArray]:
         """The lower and upper bounds (2,) of [ξ, A], within reach at the limits of their rates."""
-        step = self.config.period * np.array(
-            [self.config.max_frequency_rate, self.config.max_amplitude_rate]
-        )
         return (
-            np.maximum(beliefs.lower, previous - step),
-            np.minimum(beliefs.upper, previous + step),
+            np.maximum(beliefs.lower, previous - self.largest_step),
+            np.minimum(beliefs.upper, previous + self.largest_step),
         )
+
+    @property
+    def largest_step(self) -> NDArray:
+        """That of [ξ, A] (2,) in an update, rad/s and N."""
+        config = self.config
+        return config.period * np.array([config.max_frequency_rate, config.max_amplitude_rate])
 
     def _compiled(self, function: Callable, jacobian_of: int | None = None) -> TracedFunction:
         # A solver may try the far ends of the bounds, where values are huge and sound.

@@ -1,8 +1,9 @@
 """The compiled engine of a run: what it can fly of it, and how that is recorded."""
 
 import itertools
+import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -151,11 +152,16 @@ class CompiledRun:
         self._context.SetTime(self._flight.time)
         self._flight.write_state(self._loop.diagram.GetMyMutableContextFromRoot(self._context))
 
-    def fly(self, duration: float, monitor: Monitor) -> bool:
+    def fly(self, duration: float, monitor: Monitor, saves_at: Callable[[], float]) -> bool:
         """Flies for a duration, s, and sets the context to the end of that.
 
         What is left then is less than a sample, or follows an error of a block, a value that is not
         finite, or one so large that it may become one: the Simulator flies that, and tells of it.
+
+        Args:
+            duration: s.
+            monitor: of the run, which is asked after some samples, as it is after steps.
+            saves_at: tells the time, s, from which on the monitor saves the next state.
 
         Returns:
             Whether anything was flown and recorded.
@@ -170,7 +176,9 @@ class CompiledRun:
             monitor.has_ended = self._is_over(steps[None]) is not None
             ends = monitor.ends(0.0) or monitor.has_ended
             while not ends and self._flight.samples < samples:
-                ends = self._advance(monitor, duration)
+                to_save = math.ceil((saves_at() - self._flight.time) / period)
+                most = min(samples - self._flight.samples, max(1, to_save))
+                ends = self._advance(monitor, duration, most)
         except RecordingError:
             raise
         except Exception as error:  # whatever blocks may raise: the diagram does again, at its step
@@ -187,14 +195,18 @@ class CompiledRun:
             self._context.SetTime(duration)
         return True
 
-    def _advance(self, monitor: Monitor, duration: float) -> bool:
-        """Flies and records a sample; whether the run ends with it."""
-        begin, period = self._flight.time, self._loop.control_period
-        signals, steps = self._flight.advance()
-        times, step_times = begin + period * self._signal_ends, begin + self._loop.step_ends
-        end = self._flight.time
-        end = duration if abs(end - duration) < _ROUNDING else end  # as of a Simulator
-        times[-1] = step_times[-1] = end
+    def _advance(self, monitor: Monitor, duration: float, samples: int) -> bool:
+        """Flies and records samples, not more than so many; whether the run ends with them."""
+        first, period = self._flight.samples, self._loop.control_period
+        signals, steps = self._flight.advance(samples)
+        begins = self._flight.times_of(np.arange(first, self._flight.samples))[:, None]
+        ends = np.append(begins[1:, 0], self._flight.time)
+        if abs(ends[-1] - duration) < _ROUNDING:
+            ends[-1] = duration  # as of a Simulator
+        times = begins + period * self._signal_ends
+        step_times = begins + self._loop.step_ends
+        times[:, -1] = step_times[:, -1] = ends
+        times, step_times = times.ravel(), step_times.ravel()
         last = self._is_over(steps)
         if last is not None:
             is_before = times <= step_times[last] + _ROUNDING
@@ -204,11 +216,11 @@ class CompiledRun:
             monitor.has_ended = True
             return True
         self._recording.add(times, signals, step_times, steps)
-        return monitor.ends(end)
+        return monitor.ends(ends[-1])
 
     def _is_over(self, steps: NDArray) -> int | None:
         """The first step after which a block ends the run."""
-        for k, shown in enumerate(steps):
+        for k, shown in enumerate(steps if self._ending else ()):
             for block, context, place in self._ending:
                 if block.ends_run(context, shown[place]):
                     return k

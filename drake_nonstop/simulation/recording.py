@@ -410,11 +410,13 @@ class Recording:
         Raises:
             RecordingError: the temporary folder cannot take them.
         """
-        for instant, row in zip(times, samples, strict=True):
-            if instant > (self._samples.rows - AT_SAMPLE) * SIGNAL_PERIOD:
-                self._samples.add(instant, row)
-        for instant, row in zip(step_times, steps, strict=True):
-            self._steps.add(instant, row)
+        kept: list[int] = []
+        count = self._samples.rows
+        for k, instant in enumerate(times):
+            if instant > (count + len(kept) - AT_SAMPLE) * SIGNAL_PERIOD:
+                kept.append(k)
+        self._samples.add(np.asarray(times)[kept], samples[kept])
+        self._steps.add(np.asarray(step_times), steps)
         self._store_many()
 
     @property
@@ -478,6 +480,8 @@ class _Log:
         )
         self._log: VectorLog
         self._context: Context
+        self._added: list[tuple[NDArray, NDArray]] = []  # times and rows that no Simulator made
+        self._added_rows = 0
         self._stored = 0  # rows in files
         self._files: dict[str, Path] = {}
 
@@ -492,29 +496,48 @@ class _Log:
     def publish(self) -> None:
         self._sink.ForcedPublish(self._context)
 
-    def add(self, time: float, row: NDArray) -> None:
-        self._log.AddData(time, row)
+    def add(self, times: NDArray, rows: NDArray) -> None:
+        """Adds rows that come before those of a Simulator."""
+        if len(times):
+            self._added.append((times, rows))
+            self._added_rows += len(times)
 
     def drop_last(self) -> None:
-        times, rows = self._log.sample_times().copy(), self._log.data().T.copy()
-        self._log.Clear()
-        for instant, row in zip(times[:-1], rows[:-1], strict=True):
-            self.add(instant, row)
-        self._stored -= len(times) == 0  # it is in the files, which are cut there
+        """Drops the last of the rows that were added."""
+        if not self._added:
+            self._stored -= 1  # it is in the files, which are cut there
+            return
+        times, rows = self._added.pop()
+        self._added_rows -= len(times)
+        self.add(times[:-1], rows[:-1])
 
     @property
     def memory(self) -> int:
         """Bytes of signals in memory."""
-        return self._log.num_samples() * self._row_size
+        return self._rows_in_memory * self._row_size
+
+    @property
+    def _rows_in_memory(self) -> int:
+        return self._added_rows + self._log.num_samples()
 
     @property
     def rows(self) -> int:
-        return self._stored + self._log.num_samples()
+        return self._stored + self._rows_in_memory
+
+    def _columns(self) -> dict[str, NDArray]:
+        """The rows in memory, by the ports' names."""
+        logged = _columns(self.sizes, self._log)
+        if not self._added:
+            return logged
+        times, rows = (np.concatenate(parts) for parts in zip(*self._added, strict=True))
+        pieces = np.split(rows, np.cumsum([*self.sizes.values()])[:-1], axis=1)
+        added = {self.TIMES: times} | dict(zip(self.sizes, pieces, strict=True))
+        return {name: np.concatenate([added[name], values]) for name, values in logged.items()}
 
     def store(self, folder: Path) -> None:
         """Appends the rows in memory to the files in a folder, or none of them at an error."""
         folder.mkdir(exist_ok=True)
-        columns = _columns(self.sizes, self._log)
+        columns = self._columns()
         rows = len(columns[self.TIMES])
         for i, (name, values) in enumerate(columns.items()):
             self._files[name] = folder / str(i)
@@ -523,6 +546,7 @@ class _Log:
                 file.truncate(self._stored * _DOUBLE * math.prod(values.shape[1:]))
                 file.write(values.data)
         self._stored += rows
+        self._added, self._added_rows = [], 0
         self._log.Clear()
 
     def signals(
@@ -534,7 +558,7 @@ class _Log:
             names: of the ports, by the names of the signals.
             folder: what `store` was given a folder in.
         """
-        columns = _columns(self.sizes, self._log)
+        columns = self._columns()
         in_memory = {name: columns[port] for name, port in names.items()}
         if folder is None or self._stored == 0:
             return in_memory
@@ -542,7 +566,7 @@ class _Log:
             name: (self._files[port], (self._stored, *columns[port].shape[1:]))
             for name, port in names.items()
         }
-        return StoredSignals(folder, files, in_memory if self._log.num_samples() else {})
+        return StoredSignals(folder, files, in_memory if self._rows_in_memory else {})
 
 
 class _TemporaryFolder:

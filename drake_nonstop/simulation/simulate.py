@@ -235,7 +235,7 @@ def _simulate(
             is_begun = False
             if loop is not None:
                 flown = CompiledRun(loop, recording, context, _ending(nonstop))
-                is_begun = flown.fly(scenario.simulation_duration, monitor)
+                is_begun = flown.fly(scenario.simulation_duration, monitor, lambda: saved.next_time)
                 flown = None
             is_over = monitor.has_ended or interruption.number > 0
             is_over |= context.get_time() >= scenario.simulation_duration

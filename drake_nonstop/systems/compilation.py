@@ -18,7 +18,7 @@ import stat
 import subprocess
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,33 +45,25 @@ class Compiled(NamedTuple):
 
 
 def compiled(
-    function: casadi.Function, *, besides: str = "", builds: bool = True
+    functions: Sequence[casadi.Function], *, besides: str = "", builds: bool = True
 ) -> Compiled | None:
-    """The function as compiled C; None: it cannot be, and is to be evaluated as it is.
+    """The first function as compiled C; None: it cannot be, and is to be evaluated as it is.
 
     Both give the same numbers, to the bit. A ScenarioWarning tells why it cannot, once for each
     reason.
 
     Args:
-        function: of SX expressions.
-        besides: C text that follows that of the function, and may call it.
+        functions: of SX expressions; their names differ.
+        besides: C text that follows that of the functions, and may call them.
         builds: whether it is compiled where the cache does not have it.
     """
     try:
-        path = _library(_c_text(function) + besides, builds)
-        return None if path is None else Compiled(_external(function.name(), path), _loaded(path))
+        path = _library(_c_text(functions) + besides, builds)
+        if path is not None:
+            return Compiled(_external(functions[0].name(), path), _loaded(path))
     except CompilationError as error:
         _tell(str(error))
     return None
-
-
-def compiled_text(text: str) -> ctypes.CDLL | None:
-    """A C text as a library; None: it cannot be compiled, of which nothing is told."""
-    try:
-        path = _library(text, builds=True)
-        return None if path is None else _loaded(path)
-    except CompilationError:
-        return None
 
 
 def compiler() -> str | None:
@@ -139,9 +131,10 @@ def _library(text: str, builds: bool) -> Path | None:
     return library
 
 
-def _c_text(function: casadi.Function) -> str:
+def _c_text(functions: Iterable[casadi.Function]) -> str:
     generator = casadi.CodeGenerator("loop", {"with_header": False})
-    generator.add(function)
+    for function in functions:
+        generator.add(function)
     text: str = generator.dump()
     return text
 

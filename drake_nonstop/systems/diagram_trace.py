@@ -13,7 +13,7 @@ What is none of them stands outside: `At` asks for the values of its ports.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi
 import numpy as np
@@ -38,6 +38,7 @@ from pydrake.systems.primitives import (
 
 from drake_nonstop.systems.tracing import object_array
 
+FOUND_SIZE = 3  # of what a search in C finds: whether it does, and two numbers
 KNOWN = "known_over"  # the method of a block that knows outputs or quantities beforehand
 ADJUSTED = "adjusted"  # the input of a switch that reads the parameters of the context
 _LINEAR = Selector, Gain, MatrixGain, Adder, Multiplexer, Demultiplexer, PassThrough
@@ -251,6 +252,14 @@ class Instant:
         return None if source is None else self.output(*source)
 
 
+class TracedAttempt(NamedTuple):
+    """What a block's attempt at an update comes to, in symbols."""
+
+    states: list[NDArray]  # the discrete groups after it
+    holds: Any  # 1; or 0: they are wrong, and the block has to make the update itself
+    data: NDArray = np.zeros(0)  # that the search reads
+
+
 class At:
     """A leaf system at an `Instant`, for its methods."""
 
@@ -275,7 +284,7 @@ class At:
     def known(self, name: str, size: int) -> NDArray:
         """A quantity that is a function of the time alone, and no part of the trace.
 
-        The leaf's method `known_over(name, times)` gives its rows (k, size) at times (k,) in s.
+        The leaf's method `known_over(names, times)` gives rows (k, size) of each, at times (k,), s.
         """
         return self._instant.known(self._leaf, name, size)
 

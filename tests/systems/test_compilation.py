@@ -41,13 +41,13 @@ def library(folder):
 
 @needs_compiler
 def test_values_are_those_of_the_virtual_machine_and_the_entry_is_used_again(folder):
-    made = compiled(function()).function
+    made = compiled([function()]).function
     assert made.class_name() == "External"
     np.testing.assert_allclose(values(made), values(function()), rtol=1e-15)
     before = library(folder).stat().st_mtime_ns
-    compiled(function())
+    compiled([function()])
     assert library(folder).stat().st_mtime_ns == before
-    assert values(compiled(function(3.0)).function)[0] == pytest.approx(3 * np.sin(0.3), rel=1e-15)
+    assert values(compiled([function(3.0)]).function)[0] == pytest.approx(3 * np.sin(0.3), rel=1e-15)
     assert len([*folder.glob("*.so")]) == 2
 
 
@@ -55,7 +55,7 @@ def test_values_are_those_of_the_virtual_machine_and_the_entry_is_used_again(fol
 @pytest.mark.parametrize("damage", ["bytes", "mode", "checksum", "folder", "link"])
 def test_an_entry_that_is_not_sound_is_built_again(folder, damage, tmp_path):
     text = "import sys; sys.path[:0] = sys.argv[1:]; import test_compilation as t; "
-    text += "print(t.values((t.compiled(t.function()) or [t.function()])[0]).tolist())"
+    text += "print(t.values((t.compiled([t.function()]) or [t.function()])[0]).tolist())"
     call = [sys.executable, "-c", text, os.path.dirname(__file__)]
     # In a process of its own: this one would keep the library that it has loaded.
     expected = subprocess.run(call, capture_output=True, text=True, check=True).stdout
@@ -83,7 +83,7 @@ def test_an_entry_that_is_not_sound_is_built_again(folder, damage, tmp_path):
 @needs_compiler
 def test_two_at_once_build_it_once_and_both_load_it(folder):
     with ThreadPoolExecutor(2) as pool:
-        first, second = pool.map(compiled, [function(), function()])
+        first, second = pool.map(compiled, [[function()], [function()]])
     np.testing.assert_array_equal(values(first.function), values(second.function))
     assert len([*folder.glob("*.so")]) == 1
     assert not [*folder.glob(".new-*")]
@@ -92,13 +92,13 @@ def test_two_at_once_build_it_once_and_both_load_it(folder):
 def test_without_a_compiler_one_line_tells_it_once(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.warns(ScenarioWarning, match="there is no C compiler") as told:
-        made = compiled(function())
+        made = compiled([function()])
     assert len(told) == 1
     assert "\n" not in str(told[0].message)
     assert made is None
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert compiled(function()) is None
+        assert compiled([function()]) is None
 
 
 def test_a_compiler_that_fails_is_told(monkeypatch, tmp_path, folder):
@@ -107,7 +107,7 @@ def test_a_compiler_that_fails_is_told(monkeypatch, tmp_path, folder):
     failing.chmod(0o755)
     monkeypatch.setenv("CC", str(failing))
     with pytest.warns(ScenarioWarning, match=r"failing failed \(out of memory\)"):
-        made = compiled(function())
+        made = compiled([function()])
     assert made is None
     assert not [*folder.glob("*.so")]
     assert not [*folder.glob(".new-*")]
@@ -119,7 +119,7 @@ def test_a_compiler_that_makes_what_cannot_be_loaded_is_told(monkeypatch, tmp_pa
     other.chmod(0o755)
     monkeypatch.setenv("CC", str(other))
     with pytest.warns(ScenarioWarning, match="cannot be loaded"):
-        made = compiled(function())
+        made = compiled([function()])
     assert made is None
     assert not [*folder.glob("*.so")]
 
@@ -130,6 +130,6 @@ def test_a_cache_that_cannot_be_written_is_told(monkeypatch, tmp_path):
     if compiler() is None:
         pytest.skip("there is no C compiler")
     with pytest.warns(ScenarioWarning, match="cannot be written"):
-        made = compiled(function())
+        made = compiled([function()])
     assert made is None
     assert (tmp_path / "file").read_text() == "mine"
