@@ -17,7 +17,7 @@ between the two functions. Where there is none, both are one function.
 
 import itertools
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 import casadi
@@ -121,6 +121,9 @@ _functions: dict[Any, LoopFunctions] = {}  # of the last loops
 _MOST_FUNCTIONS = 32
 
 
+_Part = Callable[[casadi.SX, float, Symbols], list[casadi.SX]]  # of a state and an offset in s
+
+
 class CompiledLoop:
     """A loop that is stepped from sample to sample.
 
@@ -219,7 +222,10 @@ class CompiledLoop:
         self._parameters = dict(zip(layout.with_parameters, values, strict=False))
         arguments = [state, parameters, time]
         start = self._make_updates(arguments, is_start=True)
-        steps = self._make_steps(arguments)
+        shown = self._part(arguments, self._shown_at)
+        symbols = Symbols(layout.numbers)
+        at_once = Traced(shown(state, 0.0, symbols), arguments, symbols)
+        steps = self._make_steps(arguments, shown)
         at_sample = whole = None
         if layout.held:
             at_sample = LoopFunction(self._make_updates(arguments), is_frequent=True)
@@ -227,7 +233,7 @@ class CompiledLoop:
             whole = self._make_whole(arguments, steps)
         return LoopFunctions(
             at_start=LoopFunction(start, is_frequent=False),
-            shown=LoopFunction(self._make_shown(arguments), is_frequent=False),
+            shown=LoopFunction(at_once, is_frequent=False),
             after_sample=LoopFunction(steps, is_frequent=whole is None),
             at_sample=at_sample,
             whole=whole,
@@ -318,15 +324,36 @@ class CompiledLoop:
             [_stacked(last), _joined(read), _joined([holds]), _joined(data)], arguments, symbols
         )
 
-    def _make_shown(self, arguments: list[casadi.SX]) -> Traced:
-        """All signals at an instant, as the states are."""
-        state, _, time = arguments
-        symbols = Symbols(self._layout.numbers)
-        instant = self._instant(
-            self._layout.states(object_array(state)), object_array(time), symbols.at(0.0)
-        )
-        results = [_joined(self._at(instant, s)) for s in (self.signals, self.step_signals)]
-        return Traced(results, arguments, symbols)
+    def _part(
+        self, arguments: list[casadi.SX], make: Callable[[Instant], list[casadi.SX]]
+    ) -> _Part:
+        """What is made of an instant, traced once, of any state, offset (s) and `Symbols`."""
+        state, parameters, time = arguments
+        own = Symbols(self._layout.numbers)
+        states = self._layout.states(object_array(state))
+        results = make(self._instant(states, object_array(time), own.at(0.0)))
+        stacked = casadi.vertcat(state, parameters, time, *own.symbols)
+        function = casadi.Function("part", [stacked], results)
+
+        def part(now: casadi.SX, offset: float, symbols: Symbols) -> list[casadi.SX]:
+            read = zip(own.readings, own.symbols, strict=True)
+            outside = [symbols.of(r._replace(offset=offset), s.numel()) for r, s in read]
+            inputs = casadi.vertcat(now, parameters, time + offset, *itertools.chain(*outside))
+            return function.call([inputs])
+
+        return part
+
+    def _shown_at(self, instant: Instant) -> list[casadi.SX]:
+        """The signals, and the signals of steps, at an instant."""
+        return [_joined(self._at(instant, s)) for s in (self.signals, self.step_signals)]
+
+    def _rates_at(self, instant: Instant) -> list[casadi.SX]:
+        """The rates of the loop's state, 0 of all that is discrete."""
+        found = []
+        for leaf, (continuous, *discrete) in self._layout.state_sizes.items():
+            found += [rates(leaf, instant)] if continuous else []
+            found.append(np.zeros(sum(discrete)))
+        return [_joined(found)]
 
     def _at(self, instant: Instant, signals: Iterable[str]) -> list[NDArray]:
         """What signals show at an instant."""
@@ -337,44 +364,31 @@ class CompiledLoop:
             found.append(instant.output(system, int(index)))
         return found
 
-    def _make_steps(self, arguments: list[casadi.SX]) -> Traced:
+    def _make_steps(self, arguments: list[casadi.SX], shown: _Part) -> Traced:
         """The state and all signals at the next sample, before its updates."""
-        state, _, time = arguments
         symbols = Symbols(self._layout.numbers)
-        states = self._layout.states(object_array(state))
-        moving = [leaf for leaf, sizes in self._layout.state_sizes.items() if sizes[0] > 0]
-        start = object_array(time)
+        rates_of = self._part(arguments, self._rates_at)
 
-        def rate(now: dict[System, NDArray], offset: float) -> dict[System, NDArray]:
-            own = {leaf: [now[leaf], *states[leaf][1:]] for leaf in moving}
-            instant = self._instant(states | own, start + offset, symbols.at(offset))
-            return {leaf: rates(leaf, instant) for leaf in moving}
+        def rate(state: casadi.SX, offset: float) -> casadi.SX:
+            return rates_of(state, offset, symbols)[0]
 
-        def moved(by: Iterable[tuple[float, dict[System, NDArray]]]) -> dict[System, NDArray]:
-            total = dict(now)
-            for factor, rate in by:
-                total = {leaf: total[leaf] + factor * rate[leaf] for leaf in moving}
-            return total
-
-        now = {leaf: states[leaf][0] for leaf in moving}
+        now = arguments[0]
         signals, step_signals = [], []
         for k in range(self.shown_per_sample):
             begin = k * self.control_period / self.shown_per_sample
             for number, step in enumerate(self._steps, start=1):
                 first = rate(now, begin)
-                second = rate(moved([(step / 2, first)]), begin + step / 2)
-                third = rate(moved([(-step, first), (2 * step, second)]), begin + step)
-                weights = (step / 6, first), (2 * step / 3, second), (step / 6, third)
-                now = moved(weights)
+                second = rate(now + step / 2 * first, begin + step / 2)
+                third = rate(now - step * first + 2 * step * second, begin + step)
+                now = now + step / 6 * first + 2 * step / 3 * second + step / 6 * third
                 begin += step
                 is_shown = number == len(self._steps)
                 if is_shown:  # to the bit at the next sample, where what stands outside is read
                     begin = (k + 1) * self.control_period / self.shown_per_sample
-                end = states | {leaf: [now[leaf], *states[leaf][1:]] for leaf in moving}
-                instant = self._instant(end, start + begin, symbols.at(begin))
-                step_signals += self._at(instant, self.step_signals)
-                signals += self._at(instant, self.signals if is_shown else ())
-        results = [_stacked(end), _joined(signals), _joined(step_signals)]
+                own_signals, own_step_signals = shown(now, begin, symbols)
+                step_signals.append(own_step_signals)
+                signals += [own_signals] if is_shown else []
+        results = [now, casadi.vertcat(*signals), casadi.vertcat(*step_signals)]
         return Traced(results, arguments, symbols)
 
     def fly(self, context: Context, largest: float = LARGEST) -> CompiledFlight:

@@ -1,6 +1,7 @@
 """The equilibrium that a run starts from."""
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -38,6 +39,7 @@ LOOP_SIGNALS = {
 
 _STEP = 1e-6  # of the differences, in SI units
 _REST = 1e-6  # m/s² and rad/s², the acceleration that counts as rest
+_ENOUGH = 0.3  # of the residual before a step, where its slopes do for the next one
 _REACH = 0.5  # m and rad, of the linear model
 _DROPS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)  # m, below the reference, to start looking from
 
@@ -181,14 +183,21 @@ def copied_context(nonstop: Diagram, context: Context) -> Context:
 def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> tuple[NDArray, bool]:
     """Drives the function (6,) of an offset (6,) to zero.
 
+    The slopes are corrected by what a step shows (C. G. Broyden, A class of methods for solving
+    nonlinear simultaneous equations, Mathematics of Computation 19, 1965), and found anew where a
+    step has not made it much smaller.
+
     Returns its last value, and whether each step would have led further than the linear model
     reaches.
     """
     offset, residual, is_far = start, function(start), True
+    slopes, last = np.zeros((6, 6)), math.inf
     for _ in range(20):
-        if np.max(np.abs(residual)) < _REST / 1e3:
+        size = np.max(np.abs(residual))
+        if size < _REST / 1e3:
             break
-        slopes = _jacobian(function, offset)
+        if not size < _ENOUGH * last:
+            slopes = _jacobian(function, offset)
         try:
             step = np.linalg.solve(slopes, residual)
         except np.linalg.LinAlgError:  # what nothing turns, such as a point mass, stays as it is
@@ -197,7 +206,9 @@ def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> tuple[NDA
         while np.max(np.abs(step)) > _REACH:
             step = step / 2
         offset = offset - step
-        residual = function(offset)
+        residual, before, last = function(offset), residual, size
+        change = residual - before
+        slopes = slopes - np.outer(change + slopes @ step, step) / (step @ step)
     return residual, is_far
 
 

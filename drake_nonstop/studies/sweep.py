@@ -1,7 +1,9 @@
 """Many runs of one scenario, a row each in one table."""
 
 import contextlib
+import functools
 import gc
+import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -44,6 +46,9 @@ _ROW_GROUP = 10_000  # rows of a table that are held in memory at a time
 _MAX_MESSAGES = 1000  # that are counted
 _WALL_TIME_PATHS = {metric.path for metric in METRICS if metric.is_wall_time}
 _RESULT = {"drawn": dict, "ending": str, "error": str, "metrics": dict, "wall_times": dict}
+
+_ended_runs = itertools.count(1)  # of this process
+_RUNS_PER_COLLECTION = 10
 
 Result = dict[str, Any]  # of a run, with the fields of _RESULT
 Row = dict[str, Any]  # values by their columns
@@ -190,13 +195,18 @@ def _without_run(ending: str, error: str) -> Result:
     return {"drawn": {}, "ending": ending, "error": error, "metrics": {}, "wall_times": {}}
 
 
+@functools.lru_cache(maxsize=1)
+def _base(text: str) -> Scenario:
+    """The scenario that the runs of a sweep change: one that was trusted when it was loaded."""
+    return parse_scenario(text, trust=True)
+
+
 def _simulated(
     text: str, changes: Sequence[Change], trust: bool, make_loop: LoopMaker
 ) -> tuple[bool, Result]:
     """Whether the run has a scenario, and its result."""
-    base = parse_scenario(text, trust=True)  # a copy of one that was trusted when it was loaded
     try:
-        scenario, others = varied(base, changes, trust=trust)
+        scenario, others = varied(_base(text), changes, trust=trust)
     except ScenarioError as error:
         return False, _without_run(UNBUILDABLE, str(error))
     drawn: dict[str, Any] = {}
@@ -218,7 +228,8 @@ def _simulated(
     if tried.run is not None:
         release(tried.run.diagram)
     del tried
-    gc.collect()
+    if next(_ended_runs) % _RUNS_PER_COLLECTION == 0:
+        gc.collect()
     return True, result
 
 
