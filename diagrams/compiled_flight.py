@@ -58,10 +58,7 @@ class CompiledFlight:
         own = diagram.CreateDefaultContext()
         own.SetTimeStateAndParametersFrom(context)
         self._state, self._parameters = layout.state_of(own), layout.parameters_of(own)
-        self._sources = {
-            layout.numbers[block]: _Source(block, diagram.GetSubsystemContext(block, own))
-            for block in (*layout.outside - {*layout.held}, *layout.knowing)
-        }
+        self._sources = sources_of(layout, own)
         self._systems = [*layout.numbers]
         self._outside = _Outside([] if whole is None else whole.readings, self._sources, period)
         self.samples = 0
@@ -220,11 +217,11 @@ class CompiledFlight:
     @property
     def time(self) -> float:
         """That of the last sample, s."""
-        return _time_of(self.samples, self._period)
+        return time_of(self.samples, self._period)
 
     def times_of(self, samples: NDArray) -> NDArray:
         """Those of samples by their numbers (k,), s."""
-        return _time_of(samples, self._period)
+        return time_of(samples, self._period)
 
     def seconds_of_functions(self, samples: int) -> float:
         """As of `CompiledLoop`; the flight stays where it is."""
@@ -270,7 +267,7 @@ class CompiledFlight:
             start = end
 
     def _call(self, function: Evaluation) -> list[NDArray]:
-        now, ahead = self.time, _time_of(self.samples + 1, self._period)
+        now, ahead = self.time, time_of(self.samples + 1, self._period)
         outside = [self._value(reading, now, ahead) for reading in function.readings]
         own = self._state, self._parameters, np.array([now])
         return self._evaluated(function, *own, *outside)
@@ -290,12 +287,20 @@ class CompiledFlight:
         return block.get_output_port(output).Eval(self._simulators[block].get_context())
 
 
-def _time_of(samples: Any, period: float) -> Any:
+def time_of(samples: Any, period: float) -> Any:
     """The time of a sample, or of an array of samples, by its number, s.
 
     To the bit as Drake has it of events that begin with a period.
     """
     return (period + (samples - 1) * period) * (samples > 0)
+
+
+def sources_of(layout: LoopLayout, context: Context) -> dict[int, "_Source"]:
+    """What is known beforehand of a loop, by the numbers of its systems, in a context of it."""
+    return {
+        layout.numbers[block]: _Source(block, layout.diagram.GetSubsystemContext(block, context))
+        for block in (*layout.outside - {*layout.held}, *layout.knowing)
+    }
 
 
 class _Source:
@@ -376,14 +381,14 @@ class _Outside:
         """
         if not self._first <= first < self._end:
             self._first, self._end = first, first + _MOST_SAMPLES
-            self._times = _time_of(np.arange(first, self._end), self._period)
+            self._times = time_of(np.arange(first, self._end), self._period)
             self._rows = self._made()
         chosen = slice(first - self._first, first - self._first + most)
         return self._times[chosen], self._rows[chosen]
 
     def _made(self) -> NDArray:
         """Each source is evaluated once at each time."""
-        after = _time_of(np.arange(self._first + 1, self._end + 1), self._period)
+        after = time_of(np.arange(self._first + 1, self._end + 1), self._period)
         columns: list[Any] = [None] * len(self._readings)
         for number in dict.fromkeys(reading.system for reading in self._readings):
             own = [k for k, reading in enumerate(self._readings) if reading.system == number]

@@ -1,9 +1,6 @@
 """A sampled loop as traced functions from sample to sample, equal to its diagram to rounding.
 
-At a sample, Drake's Simulator first makes the unrestricted updates, all at once, then the discrete
-ones, and integrates to the next sample. So does the trace: `at_sample` makes both kinds of updates,
-`after_sample` takes the steps of the third-order Runge-Kutta method and shows all signals at the
-end of them, before the next updates.
+`diagrams/loop_trace.py` says what they compute.
 
 A block that is traced may ask to make an update itself, such as an optimization layer where its
 last answer does not do: it has `traced_attempt(at, found)` in place of `traced_update(at)`, which
@@ -15,12 +12,12 @@ which it is read. One whose outputs change at samples only is stepped by a Simul
 between the two functions. Where there is none, both are one function.
 """
 
-import itertools
+import functools
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection
+from functools import cached_property
 from typing import Any
 
-import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
@@ -29,19 +26,27 @@ from pydrake.systems.framework import Context, Diagram, PortDataType, System
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.speed_bound_layer import COMMAND
 from drake_nonstop.diagrams.compiled_flight import CompiledFlight
-from drake_nonstop.diagrams.loop_functions import LoopFunction, LoopFunctions, Symbols, Traced
+from drake_nonstop.diagrams.loop_derivatives import (
+    DerivativeFlight,
+    DerivativeFunctions,
+    derivative_functions,
+)
+from drake_nonstop.diagrams.loop_functions import (
+    LoopFunction,
+    LoopFunctions,
+    Recent,
+    Symbols,
+    Traced,
+)
 from drake_nonstop.diagrams.loop_layout import LoopLayout
+from drake_nonstop.diagrams.loop_trace import LoopTrace, Step
 from drake_nonstop.systems.diagram_trace import (
-    FOUND_SIZE,
-    At,
-    Instant,
     Wires,
     is_traceable,
     leaves,
-    rates,
     trace_content,
 )
-from drake_nonstop.systems.tracing import LARGEST, object_array
+from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import ScenarioError, require, require_known
 
 _MAX_STEPS = 20  # in a sample: all of them are in one trace
@@ -97,14 +102,23 @@ def _period_of(leaf: Any) -> float | None:
     return None if timing is None else timing.period_sec()
 
 
-def _steps_to(interval: float, longest: float) -> list[float]:
-    """The steps, s, that Drake's integrators take in an interval: a last one may be shorter."""
+def _schedule(period: float, shown: int, longest: float) -> list[Step]:
+    """The steps that Drake's integrators take in a sample: one ends at each signal.
+
+    Args:
+        period: of the samples, s.
+        shown: how often signals are shown in one.
+        longest: of the steps, s; the last one before a signal may be shorter.
+    """
     steps = []
-    left = interval
-    while left > _STRETCH * longest:
-        steps.append(longest)
-        left -= longest
-    return [*steps, left]
+    for k in range(shown):
+        begin, end, left = k * period / shown, (k + 1) * period / shown, period / shown
+        while left > _STRETCH * longest:
+            steps.append(Step(begin, longest, begin + longest, is_shown=False))
+            begin += longest
+            left -= longest
+        steps.append(Step(begin, left, end, is_shown=True))
+    return steps
 
 
 def _is_held(block: System, wires: Wires) -> bool:
@@ -117,11 +131,8 @@ def _is_held(block: System, wires: Wires) -> bool:
     return not is_fed and block.CreateDefaultContext().num_continuous_states() == 0
 
 
-_functions: dict[Any, LoopFunctions] = {}  # of the last loops
-_MOST_FUNCTIONS = 32
-
-
-_Part = Callable[[casadi.SX, float, Symbols], list[casadi.SX]]  # of a state and an offset in s
+_functions: Recent[LoopFunctions] = Recent()
+_derivatives: Recent[DerivativeFunctions] = Recent()
 
 
 class CompiledLoop:
@@ -176,9 +187,8 @@ class CompiledLoop:
         is_whole = self.shown_per_sample > 0 and math.isclose(shown, self.shown_per_sample)
         remedy = f"give a whole part of the control period, {control_period:g} s"
         require(is_whole, "signal_period", signal_period, remedy)
-        between = control_period / self.shown_per_sample  # a step ends at each signal
-        self._steps = _steps_to(between, config.max_step_size)
-        self.step_ends = np.cumsum([*self._steps] * self.shown_per_sample)
+        self._schedule = _schedule(control_period, self.shown_per_sample, config.max_step_size)
+        self.step_ends = np.array([step.end for step in self._schedule])
         self._layout = LoopLayout(diagram)
         ports = [diagram.get_output_port(k) for k in range(diagram.num_output_ports())]
         vectors = [p for p in ports if p.get_data_type() == PortDataType.kVectorValued]
@@ -188,20 +198,24 @@ class CompiledLoop:
         self.signals = {name: sizes[name] for name in (sizes if signals is None else signals)}
         self.step_signals = {name: sizes[name] for name in step_signals}
         self._compiles = compiles
-        key = self._key()
-        functions = _functions.pop(key, None) or self._traced()
-        if key is not None:
-            _functions[key] = functions
-            if len(_functions) > _MOST_FUNCTIONS:
-                _functions.pop(next(iter(_functions)), None)
-        self._functions = functions
         if compiles:
-            functions.compile(samples)
+            self._functions.compile(samples)
 
-    def _key(self) -> Any:
-        """What the functions depend on, which can be hashed; None: it is not known."""
+    @cached_property
+    def _functions(self) -> LoopFunctions:
+        return _functions.get(self._key(), self._traced)
+
+    @cached_property
+    def _content(self) -> Any:
+        """What the traces of an instant depend on, which can be hashed; None: it is not known."""
         layout = self._layout
         content = trace_content(self.diagram, layout.wires, layout.is_outside)
+        states = tuple(map(tuple, layout.state_sizes.values()))
+        return None if content is None else (content, states, *layout.parameter_sizes)
+
+    def _key(self) -> Any:
+        """Likewise, of those of a sample."""
+        layout, content = self._layout, self._content
         if content is None:
             return None
         ports = []
@@ -209,187 +223,26 @@ class CompiledLoop:
             port = self.diagram.GetOutputPort(name).get_index()
             system, index = self.diagram.get_output_port_locator(port)
             ports.append((layout.numbers[system], int(index)))
-        states = tuple(map(tuple, layout.state_sizes.values()))
-        periods = self.control_period, self.shown_per_sample, *self._steps
-        return content, tuple(ports), len(self.signals), states, *layout.parameter_sizes, periods
+        return content, tuple(ports), len(self.signals), tuple(self._schedule)
 
     def _traced(self) -> LoopFunctions:
-        layout = self._layout
-        state = casadi.SX.sym("x", sum(map(sum, layout.state_sizes.values())))
-        parameters = casadi.SX.sym("p", sum(layout.parameter_sizes))
-        time = casadi.SX.sym("t", 1)
-        values = np.split(object_array(parameters), np.cumsum(layout.parameter_sizes)[:-1])
-        self._parameters = dict(zip(layout.with_parameters, values, strict=False))
-        arguments = [state, parameters, time]
-        start = self._make_updates(arguments, is_start=True)
-        shown = self._part(arguments, self._shown_at)
-        symbols = Symbols(layout.numbers)
-        at_once = Traced(shown(state, 0.0, symbols), arguments, symbols)
-        steps = self._make_steps(arguments, shown)
+        trace = LoopTrace(self._layout)
+        shown = trace.shown(self.signals, self.step_signals)
+        symbols = Symbols(self._layout.numbers)
+        at_once = Traced(shown(trace.arguments[0], 0.0, symbols), trace.arguments, symbols)
+        steps = trace.steps(self._schedule, shown)
         at_sample = whole = None
-        if layout.held:
-            at_sample = LoopFunction(self._make_updates(arguments), is_frequent=True)
+        if self._layout.held:
+            at_sample = LoopFunction(trace.updates(), is_frequent=True)
         else:
-            whole = self._make_whole(arguments, steps)
+            whole = trace.whole(steps)
         return LoopFunctions(
-            at_start=LoopFunction(start, is_frequent=False),
+            at_start=LoopFunction(trace.updates(is_start=True), is_frequent=False),
             shown=LoopFunction(at_once, is_frequent=False),
             after_sample=LoopFunction(steps, is_frequent=whole is None),
             at_sample=at_sample,
             whole=whole,
         )
-
-    def _instant(self, states: Mapping[System, list[NDArray]], time: Any, outside: Any) -> Instant:
-        return Instant(
-            self._layout.wires,
-            dict(states),
-            self._parameters,
-            time,
-            outside,
-            self._layout.is_outside,
-        )
-
-    def _make_whole(self, arguments: list[casadi.SX], steps: Traced) -> LoopFunction:
-        """The state and all signals at the next sample, and what its updates tell besides.
-
-        A further argument has what a search has found, which blocks have made updates themselves,
-        and their states after these.
-        """
-        _, parameters, time = arguments
-        found = casadi.SX.sym("f", FOUND_SIZE)
-        updates = self._make_updates([*arguments, found], found=found)
-        symbols = updates.symbols
-        answers = casadi.SX.sym("a", self._layout.answers_size)
-        after, read, holds, data = updates.results
-        start = len(self._layout.attempting)
-        for k, leaf in enumerate(self._layout.attempting):
-            place = self._layout.places[leaf]
-            end = start + place.stop - place.start
-            after[place] = casadi.if_else(answers[k], answers[start:end], after[place])
-            start = end
-        own = steps.symbols
-        known = zip(own.readings, own.symbols, strict=True)
-        outside = [symbols.of(reading, symbol.numel()) for reading, symbol in known]
-        old = casadi.vertcat(*arguments, *own.symbols)
-        new = casadi.vertcat(after, parameters, time, *itertools.chain(*outside))
-        moved = casadi.Function("part", [old], steps.results)(new)
-        traced = Traced([*moved, read, holds, data], [*arguments, found, answers], symbols)
-        search = None
-        if len(self._layout.attempting) == 1:
-            search = getattr(self._layout.attempting[0], "traced_search", None)
-        return LoopFunction(traced, is_frequent=True, is_whole=True, search=search)
-
-    def _make_updates(
-        self, arguments: list[casadi.SX], *, is_start: bool = False, found: Any = None
-    ) -> Traced:
-        """The state after a sample's updates, and what blocks that may make some themselves read.
-
-        Then whether what is made in their place holds, and the data of a search.
-
-        Args:
-            arguments: of the function.
-            is_start: whether they are those of the initialization.
-            found: what a search has found; None: there is none.
-        """
-        state, _, time, *_ = arguments
-        symbols = Symbols(self._layout.numbers)
-        states = self._layout.states(object_array(state))
-        instant = self._instant(states, object_array(time), symbols.at(0.0))
-        updating = [leaf for leaf in self._layout.leaves if hasattr(leaf, "traced_update")]
-        if is_start:
-            updating = [leaf for leaf in updating if getattr(leaf, "updates_at_start", False)]
-        first = {leaf for leaf in updating if getattr(leaf, "updates_first", False)}
-        if is_start:
-            first |= {leaf for leaf in updating if getattr(leaf, "starts_first", False)}
-        after = dict(states)
-        for leaf in first:
-            after[leaf] = _updated(leaf, instant, states, is_start)
-        instant = self._instant(after, object_array(time), symbols.at(0.0))
-        last = dict(after)
-        for leaf in updating:
-            if leaf not in first:
-                last[leaf] = _updated(leaf, instant, after, is_start)
-        found = np.zeros(FOUND_SIZE) if found is None else object_array(found)
-        attempts = {
-            leaf: leaf.traced_attempt(At(instant, leaf), found)
-            for leaf in (self._layout.attempting if not is_start else ())
-        }
-        for leaf, attempt in attempts.items():
-            last[leaf] = [last[leaf][0], *attempt.states]
-        inputs = (instant.input(*place) for place in self._layout.read)
-        read = [values for values in inputs if values is not None]
-        holds = np.array([attempt.holds for attempt in attempts.values()])
-        data = [attempt.data for attempt in attempts.values()]
-        return Traced(
-            [_stacked(last), _joined(read), _joined([holds]), _joined(data)], arguments, symbols
-        )
-
-    def _part(
-        self, arguments: list[casadi.SX], make: Callable[[Instant], list[casadi.SX]]
-    ) -> _Part:
-        """What is made of an instant, traced once, of any state, offset (s) and `Symbols`."""
-        state, parameters, time = arguments
-        own = Symbols(self._layout.numbers)
-        states = self._layout.states(object_array(state))
-        results = make(self._instant(states, object_array(time), own.at(0.0)))
-        stacked = casadi.vertcat(state, parameters, time, *own.symbols)
-        function = casadi.Function("part", [stacked], results)
-
-        def part(now: casadi.SX, offset: float, symbols: Symbols) -> list[casadi.SX]:
-            read = zip(own.readings, own.symbols, strict=True)
-            outside = [symbols.of(r._replace(offset=offset), s.numel()) for r, s in read]
-            inputs = casadi.vertcat(now, parameters, time + offset, *itertools.chain(*outside))
-            return function.call([inputs])
-
-        return part
-
-    def _shown_at(self, instant: Instant) -> list[casadi.SX]:
-        """The signals, and the signals of steps, at an instant."""
-        return [_joined(self._at(instant, s)) for s in (self.signals, self.step_signals)]
-
-    def _rates_at(self, instant: Instant) -> list[casadi.SX]:
-        """The rates of the loop's state, 0 of all that is discrete."""
-        found = []
-        for leaf, (continuous, *discrete) in self._layout.state_sizes.items():
-            found += [rates(leaf, instant)] if continuous else []
-            found.append(np.zeros(sum(discrete)))
-        return [_joined(found)]
-
-    def _at(self, instant: Instant, signals: Iterable[str]) -> list[NDArray]:
-        """What signals show at an instant."""
-        found = []
-        for name in signals:
-            port = self.diagram.GetOutputPort(name).get_index()
-            system, index = self.diagram.get_output_port_locator(port)
-            found.append(instant.output(system, int(index)))
-        return found
-
-    def _make_steps(self, arguments: list[casadi.SX], shown: _Part) -> Traced:
-        """The state and all signals at the next sample, before its updates."""
-        symbols = Symbols(self._layout.numbers)
-        rates_of = self._part(arguments, self._rates_at)
-
-        def rate(state: casadi.SX, offset: float) -> casadi.SX:
-            return rates_of(state, offset, symbols)[0]
-
-        now = arguments[0]
-        signals, step_signals = [], []
-        for k in range(self.shown_per_sample):
-            begin = k * self.control_period / self.shown_per_sample
-            for number, step in enumerate(self._steps, start=1):
-                first = rate(now, begin)
-                second = rate(now + step / 2 * first, begin + step / 2)
-                third = rate(now - step * first + 2 * step * second, begin + step)
-                now = now + step / 6 * first + 2 * step / 3 * second + step / 6 * third
-                begin += step
-                is_shown = number == len(self._steps)
-                if is_shown:  # to the bit at the next sample, where what stands outside is read
-                    begin = (k + 1) * self.control_period / self.shown_per_sample
-                own_signals, own_step_signals = shown(now, begin, symbols)
-                step_signals.append(own_step_signals)
-                signals += [own_signals] if is_shown else []
-        results = [now, casadi.vertcat(*signals), casadi.vertcat(*step_signals)]
-        return Traced(results, arguments, symbols)
 
     def fly(self, context: Context, largest: float = LARGEST) -> CompiledFlight:
         """A flight from a context of the diagram, at t = 0, which stays as it is.
@@ -410,6 +263,24 @@ class CompiledLoop:
             instants=(self.shown_per_sample, len(self.step_ends)),
             context=context,
             largest=largest,
+        )
+
+    def state_of(self, context: Context) -> NDArray:
+        """The states (k,) of all blocks in a context of the diagram, as of `CompiledFlight`."""
+        return self._layout.state_of(context)
+
+    def fly_with_derivatives(self, context: Context) -> DerivativeFlight:
+        """Likewise, with the exact derivatives of the states.
+
+        Raises:
+            ScenarioError: a block of the loop searches, or stands beside the trace; or the context
+                is at another time.
+        """
+        require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
+        made = functools.partial(derivative_functions, self._layout)
+        functions = _derivatives.get(self._content, made)
+        return DerivativeFlight(
+            self._layout, functions, self.control_period, self._schedule, context
         )
 
     @property
@@ -455,20 +326,3 @@ class CompiledLoop:
         ends = np.cumsum([*self.signals.values()])[:-1]
         times = self.control_period / self.shown_per_sample * np.arange(len(rows))
         return times, dict(zip(self.signals, np.split(rows, ends, axis=1), strict=True))
-
-
-def _updated(
-    leaf: Any, instant: Instant, states: Mapping[System, list[NDArray]], is_start: bool
-) -> list[NDArray]:
-    """A leaf's states after its update of the discrete ones."""
-    start = getattr(leaf, "traced_start", leaf.traced_update) if is_start else leaf.traced_update
-    return [states[leaf][0], *start(At(instant, leaf))]
-
-
-def _joined(arrays: list[NDArray]) -> casadi.SX:
-    entries = [entry for array in arrays for entry in array]
-    return casadi.densify(casadi.vertcat(*entries)) if entries else casadi.SX(0, 1)
-
-
-def _stacked(states: Mapping[System, list[NDArray]]) -> casadi.SX:
-    return _joined([group for groups in states.values() for group in groups])

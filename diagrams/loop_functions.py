@@ -1,10 +1,10 @@
 """The traced functions of a loop, and how they are evaluated: as C, or in CasADi's machine."""
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import casadi
 import numpy as np
@@ -14,9 +14,27 @@ from pydrake.systems.framework import System
 from drake_nonstop.systems.compilation import Compiled, compiled
 from drake_nonstop.systems.tracing import object_array
 
+Made = TypeVar("Made")
+_MOST_ENTRIES = 32
 _WORTH_COMPILING = 20_000  # samples, 2 s in the virtual machine
 _NO_SEARCH = "#define search(data, tolerance, x) 0\n"
 _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
+
+
+class Recent(Generic[Made]):
+    """What was made for the last keys, and is shared by all that have one of them."""
+
+    def __init__(self) -> None:
+        self.entries: dict[Any, Made] = {}
+
+    def get(self, key: Any, make: Callable[[], Made]) -> Made:
+        """What there is for a key, or what is made; None has no entry."""
+        found = self.entries.pop(key, None) or make()
+        if key is not None:
+            self.entries[key] = found
+            if len(self.entries) > _MOST_ENTRIES:
+                self.entries.pop(next(iter(self.entries)), None)
+        return found
 
 
 class SearchInC(Protocol):

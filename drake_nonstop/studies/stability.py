@@ -2,13 +2,18 @@
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.analysis import ApplySimulatorConfig, InitializeParams, Simulator
+from pydrake.systems.analysis import (
+    ApplySimulatorConfig,
+    InitializeParams,
+    Simulator,
+    SimulatorConfig,
+)
 from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.blocks.load_disturbance import NoDisturbanceConfig
@@ -16,6 +21,7 @@ from drake_nonstop.blocks.load_feedback import MeasurementConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
+from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
 from drake_nonstop.mechanics.rotation import (
@@ -31,7 +37,7 @@ from drake_nonstop.systems.port_state import PortState, set_state_values, state_
 from drake_nonstop.validation import require
 
 _NOISES = ("position_noise", "orientation_noise", "velocity_noise", "angular_velocity_noise")
-_STEP = 1e-6  # of the differences, in SI units
+_STEP = 1e-6  # of differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized
 _ONE_THREAD = 2**17  # multiplications in a product; OpenBLAS starts threads above 2^18
 NEUTRAL = 1 + 1e-4  # above the multipliers of slow integrators, with rounding
@@ -121,7 +127,8 @@ def linearize(scenario: Scenario) -> Stability:
     The loop is simulated as it is, with its sampled controllers, delays and integrator. The map
     from one sample to the next is differentiated at some phases of a turn and interpolated
     between them; the product of these Jacobians is the map of a whole turn (own derivation).
-    The phase is left out: its multiplier is 1 in any loop.
+    The derivatives are exact where the loop can be compiled, and central differences of its
+    diagram elsewhere. The phase is left out: its multiplier is 1 in any loop.
 
     Raises:
         ScenarioError: the scenario cannot be built.
@@ -138,8 +145,8 @@ def linearize(scenario: Scenario) -> Stability:
     config = stable_config(resting.simulator_config, nonstop, context)
 
     coordinates = _Coordinates(nonstop, context)
-    simulator = Simulator(nonstop, context)
-    ApplySimulatorConfig(config, simulator)
+    maps = _ExactMaps if not reason_against(nonstop, config, sample) else _DifferencedMaps
+    sample_map = maps(coordinates, nonstop, context, config, sample)
 
     # Before each phase the loop runs from its equilibrium until the delays are filled.
     delay = getattr(scenario.load_feedback, "delay", 0.0)
@@ -147,9 +154,7 @@ def linearize(scenario: Scenario) -> Stability:
     steps = []
     for phase in 2 * math.pi * np.arange(_PHASES) / _PHASES:
         _start_orbit(nonstop, context, phase - 2 * math.pi * lead / samples)
-        simulator.Initialize()
-        simulator.AdvanceTo(lead * sample)
-        steps.append(_sample_map(coordinates, simulator, context.Clone(), sample))
+        steps.append(sample_map.after(lead))
     monodromy = _product(_interpolated(np.array(steps), samples), coordinates.size)
     multipliers, vectors = np.linalg.eig(monodromy)
     order = np.argsort(-np.abs(multipliers), kind="stable")
@@ -206,25 +211,76 @@ def _start_orbit(nonstop: Diagram, context: Context, phase: float) -> None:
     set_equilibrium(nonstop, context)
 
 
-def _sample_map(
-    coordinates: "_Coordinates", simulator: Simulator, at: Context, sample: float
-) -> NDArray:
-    """The Jacobian (k, k) of the map over a sample, at a context, by central differences."""
-    context = simulator.get_mutable_context()
+class _DifferencedMaps:
+    """The Jacobians of the map over a sample by central differences of the diagram.
 
-    def advanced(change: NDArray) -> dict[str, NDArray]:
-        context.SetTimeStateAndParametersFrom(at)
-        coordinates.move(context, change)
-        # With this instant's events, but without those of an initialization.
-        simulator.Initialize(InitializeParams(suppress_initialization_events=True))
-        simulator.AdvanceTo(at.get_time() + sample)
-        return coordinates.read(context)
+    Args:
+        coordinates: what is differentiated.
+        nonstop: the loop.
+        context: at the start of a flight, each time.
+        config: the integrator's step.
+        sample: s.
+    """
 
-    columns = [
-        coordinates.difference(advanced(step), advanced(-step)) / (2 * _STEP)
-        for step in _STEP * np.eye(coordinates.size)
-    ]
-    return np.column_stack(columns)
+    def __init__(
+        self,
+        coordinates: "_Coordinates",
+        nonstop: Diagram,
+        context: Context,
+        config: SimulatorConfig,
+        sample: float,
+    ):
+        self._coordinates, self._sample = coordinates, sample
+        self._simulator = Simulator(nonstop, context)
+        ApplySimulatorConfig(config, self._simulator)
+
+    def after(self, lead: int) -> NDArray:
+        """The Jacobian (k, k) of the sample after some others."""
+        self._simulator.Initialize()
+        self._simulator.AdvanceTo(lead * self._sample)
+        context, coordinates = self._simulator.get_mutable_context(), self._coordinates
+        at = context.Clone()
+
+        def advanced(change: NDArray) -> dict[str, NDArray]:
+            context.SetTimeStateAndParametersFrom(at)
+            coordinates.move(context, change)
+            # With this instant's events, but without those of an initialization.
+            self._simulator.Initialize(InitializeParams(suppress_initialization_events=True))
+            self._simulator.AdvanceTo(at.get_time() + self._sample)
+            return coordinates.read(context)
+
+        columns = [
+            coordinates.difference(advanced(step), advanced(-step)) / (2 * _STEP)
+            for step in _STEP * np.eye(coordinates.size)
+        ]
+        return np.column_stack(columns)
+
+
+class _ExactMaps:
+    """The same by the loop's exact derivatives; arguments as of `_DifferencedMaps`."""
+
+    def __init__(
+        self,
+        coordinates: "_Coordinates",
+        nonstop: Diagram,
+        context: Context,
+        config: SimulatorConfig,
+        sample: float,
+    ):
+        self._coordinates, self._context = coordinates, context
+        self._loop = CompiledLoop(nonstop, config, sample, signals=(), compiles=False)
+        self._places = coordinates.places_in(self._loop.state_of)
+
+    def after(self, lead: int) -> NDArray:
+        """The Jacobian (k, k) of the sample after some others."""
+        flight = self._loop.fly_with_derivatives(self._context)
+        nothing = flight.start(np.zeros((len(flight.state), 0)))
+        for _ in range(lead):
+            flight.advance(nothing)
+        before = self._coordinates.slopes(flight.state, self._places)
+        slopes = flight.advance(before)
+        after = self._coordinates.slopes(flight.state, self._places)
+        return np.linalg.lstsq(after, slopes, rcond=None)[0]
 
 
 class _Coordinates:
@@ -280,6 +336,49 @@ class _Coordinates:
                 rotated = rotate_quaternion(quaternion, by[:3])
                 values = np.concatenate([rotated, np.concatenate(others) + by[3:]])
             set_state_values(self._own(block, context), values)
+
+    def places_in(self, state_of: Callable[[Context], NDArray]) -> dict[str, NDArray]:
+        """Where the states of each block are in another order of all of the diagram's.
+
+        Args:
+            state_of: the states of a context in that order.
+        """
+        context, count = self._nonstop.CreateDefaultContext(), 0
+        numbers = {}
+        for name, (block, _) in self._blocks.items():
+            size = len(self._values(block, context))
+            numbers[name] = count + 1.0 + np.arange(size)  # each state's own
+            set_state_values(self._own(block, context), numbers[name])
+            count += size
+        found = state_of(context)
+        return {
+            name: np.array([int(np.flatnonzero(found == number)[0]) for number in own])
+            for name, own in numbers.items()
+        }
+
+    def slopes(self, state: NDArray, places: dict[str, NDArray]) -> NDArray:
+        """The derivatives (states, k) of all states by the coordinates.
+
+        Args:
+            state: all states, in another order.
+            places: of those of the blocks in it, see `places_in`.
+        """
+        slopes = np.zeros((len(state), self.size))
+        for name, (_, place) in self._blocks.items():
+            own = np.eye(place.stop - place.start)
+            if name == _LOAD and self._directions is not None:
+                own = self._directions
+            elif name == _LOAD:
+                w, x, y, z = LoadState.view(state[places[name]]).quaternion
+                turned = np.array([[-x, -y, -z], [w, z, -y], [-z, w, x], [y, -x, w]]) / 2
+                own = np.block(
+                    [
+                        [turned, np.zeros((4, len(own) - 3))],
+                        [np.zeros((len(own) - 3, 3)), own[3:, 3:]],
+                    ]
+                )
+            slopes[places[name], place] = own
+        return slopes
 
     def read(self, context: Context) -> dict[str, NDArray]:
         """The states, an array per block."""

@@ -179,7 +179,7 @@ OTHER_TRACES = [
 def functions_of(scenario, monkeypatch):
     """The key of a loop's functions, and these as bytes."""
     known = {}
-    monkeypatch.setattr(compiled_loop, "_functions", known)
+    monkeypatch.setattr(compiled_loop._functions, "entries", known)
     traced(scenario, compiles=False)
     ((key, functions),) = known.items()
     parts = functions.at_start, functions.shown, functions.after_sample, *functions.of_samples

@@ -1,0 +1,221 @@
+"""The traces of a loop: its updates at a sample, and its motion to the next one.
+
+At a sample, Drake's Simulator first makes the unrestricted updates, all at once, then the discrete
+ones, and integrates to the next sample. So do the traces: `updates` makes both kinds of updates,
+`steps` takes the steps of the third-order Runge-Kutta method and shows all signals at the end of
+them, before the next updates.
+"""
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import System
+
+from drake_nonstop.diagrams.loop_functions import LoopFunction, Symbols, Traced
+from drake_nonstop.diagrams.loop_layout import LoopLayout
+from drake_nonstop.systems.diagram_trace import FOUND_SIZE, At, Instant, rates
+from drake_nonstop.systems.tracing import object_array
+
+_Part = Callable[[casadi.SX, float, Symbols], list[casadi.SX]]  # of a state and an offset in s
+
+
+class Step(NamedTuple):
+    """A step of the integrator; times in s after a sample."""
+
+    begin: float
+    length: float
+    end: float  # where what stands outside is read, to the bit as at the next sample
+    is_shown: bool  # whether all signals are shown at its end
+
+
+class LoopTrace:
+    """What a loop is traced to, of the symbols of its state, its parameters and the time.
+
+    Args:
+        layout: of the loop.
+
+    Attributes:
+        arguments: the stacked state and parameters, and the time of the sample, s.
+    """
+
+    def __init__(self, layout: LoopLayout):
+        self._layout = layout
+        sizes = layout.parameter_sizes
+        state = casadi.SX.sym("x", sum(map(sum, layout.state_sizes.values())))
+        parameters = casadi.SX.sym("p", sum(sizes))
+        self.arguments = [state, parameters, casadi.SX.sym("t", 1)]
+        values = np.split(object_array(parameters), np.cumsum(sizes)[:-1])
+        self._parameters = dict(zip(layout.with_parameters, values, strict=False))
+
+    def _instant(self, states: Mapping[System, list[NDArray]], outside: Any) -> Instant:
+        return Instant(
+            self._layout.wires,
+            dict(states),
+            self._parameters,
+            object_array(self.arguments[2]),
+            outside,
+            self._layout.is_outside,
+        )
+
+    def updates(self, *, is_start: bool = False, found: casadi.SX | None = None) -> Traced:
+        """The state after a sample's updates, and what blocks that may make some themselves read.
+
+        Then whether what is made in their place holds, and the data of a search.
+
+        Args:
+            is_start: whether they are those of the initialization.
+            found: a further argument: what a search has found. None: there is none.
+        """
+        symbols = Symbols(self._layout.numbers)
+        states = self._layout.states(object_array(self.arguments[0]))
+        instant = self._instant(states, symbols.at(0.0))
+        updating = [leaf for leaf in self._layout.leaves if hasattr(leaf, "traced_update")]
+        if is_start:
+            updating = [leaf for leaf in updating if getattr(leaf, "updates_at_start", False)]
+        first = {leaf for leaf in updating if getattr(leaf, "updates_first", False)}
+        if is_start:
+            first |= {leaf for leaf in updating if getattr(leaf, "starts_first", False)}
+        after = dict(states)
+        for leaf in first:
+            after[leaf] = _updated(leaf, instant, states, is_start)
+        instant = self._instant(after, symbols.at(0.0))
+        last = dict(after)
+        for leaf in updating:
+            if leaf not in first:
+                last[leaf] = _updated(leaf, instant, after, is_start)
+        given = np.zeros(FOUND_SIZE) if found is None else object_array(found)
+        attempts = {
+            leaf: leaf.traced_attempt(At(instant, leaf), given)
+            for leaf in (self._layout.attempting if not is_start else ())
+        }
+        for leaf, attempt in attempts.items():
+            last[leaf] = [last[leaf][0], *attempt.states]
+        inputs = (instant.input(*place) for place in self._layout.read)
+        read = [values for values in inputs if values is not None]
+        holds = np.array([attempt.holds for attempt in attempts.values()])
+        data = [attempt.data for attempt in attempts.values()]
+        results = [_stacked(last), _joined(read), _joined([holds]), _joined(data)]
+        arguments = self.arguments if found is None else [*self.arguments, found]
+        return Traced(results, arguments, symbols)
+
+    def steps(self, schedule: Sequence[Step], shown: _Part) -> Traced:
+        """The state after a sample's steps, and all signals that are shown on the way.
+
+        Args:
+            schedule: of the sample.
+            shown: the signals, and those of every step.
+        """
+        symbols = Symbols(self._layout.numbers)
+
+        def rate(state: casadi.SX, offset: float) -> casadi.SX:
+            return self.rates(state, offset, symbols)[0]
+
+        now = self.arguments[0]
+        signals, step_signals = [], []
+        for begin, step, end, is_shown in schedule:
+            first = rate(now, begin)
+            second = rate(now + step / 2 * first, begin + step / 2)
+            third = rate(now - step * first + 2 * step * second, begin + step)
+            now = now + step / 6 * first + 2 * step / 3 * second + step / 6 * third
+            own_signals, own_step_signals = shown(now, end, symbols)
+            step_signals.append(own_step_signals)
+            signals += [own_signals] if is_shown else []
+        results = [now, casadi.vertcat(*signals), casadi.vertcat(*step_signals)]
+        return Traced(results, self.arguments, symbols)
+
+    def whole(self, steps: Traced) -> LoopFunction:
+        """The state and all signals at the next sample, and what its updates tell besides.
+
+        A further argument has what a search has found, which blocks have made updates themselves,
+        and their states after these.
+
+        Args:
+            steps: of the sample, see `steps`.
+        """
+        _, parameters, time = self.arguments
+        found = casadi.SX.sym("f", FOUND_SIZE)
+        updates = self.updates(found=found)
+        symbols = updates.symbols
+        answers = casadi.SX.sym("a", self._layout.answers_size)
+        after, read, holds, data = updates.results
+        start = len(self._layout.attempting)
+        for k, leaf in enumerate(self._layout.attempting):
+            place = self._layout.places[leaf]
+            end = start + place.stop - place.start
+            after[place] = casadi.if_else(answers[k], answers[start:end], after[place])
+            start = end
+        own = steps.symbols
+        known = zip(own.readings, own.symbols, strict=True)
+        outside = [symbols.of(reading, symbol.numel()) for reading, symbol in known]
+        old = casadi.vertcat(*self.arguments, *own.symbols)
+        new = casadi.vertcat(after, parameters, time, *itertools.chain(*outside))
+        moved = casadi.Function("part", [old], steps.results)(new)
+        traced = Traced([*moved, read, holds, data], [*self.arguments, found, answers], symbols)
+        search = None
+        if len(self._layout.attempting) == 1:
+            search = getattr(self._layout.attempting[0], "traced_search", None)
+        return LoopFunction(traced, is_frequent=True, is_whole=True, search=search)
+
+    def shown(self, *signals: Iterable[str]) -> _Part:
+        """Some lists of signals, by the names of the diagram's ports."""
+        return self._part(lambda at: [_joined(self._at(at, names)) for names in signals])
+
+    @cached_property
+    def rates(self) -> _Part:
+        """The rates of the loop's state, 0 of all that is discrete."""
+        return self._part(self._rates_at)
+
+    def _rates_at(self, instant: Instant) -> list[casadi.SX]:
+        found = []
+        for leaf, (continuous, *discrete) in self._layout.state_sizes.items():
+            found += [rates(leaf, instant)] if continuous else []
+            found.append(np.zeros(sum(discrete)))
+        return [_joined(found)]
+
+    def _part(self, make: Callable[[Instant], list[casadi.SX]]) -> _Part:
+        """What is made of an instant, traced once, of any state, offset (s) and `Symbols`."""
+        state, parameters, time = self.arguments
+        own = Symbols(self._layout.numbers)
+        states = self._layout.states(object_array(state))
+        results = make(self._instant(states, own.at(0.0)))
+        stacked = casadi.vertcat(state, parameters, time, *own.symbols)
+        function = casadi.Function("part", [stacked], results)
+
+        def part(now: casadi.SX, offset: float, symbols: Symbols) -> list[casadi.SX]:
+            read = zip(own.readings, own.symbols, strict=True)
+            outside = [symbols.of(r._replace(offset=offset), s.numel()) for r, s in read]
+            inputs = casadi.vertcat(now, parameters, time + offset, *itertools.chain(*outside))
+            return function.call([inputs])
+
+        return part
+
+    def _at(self, instant: Instant, signals: Iterable[str]) -> list[NDArray]:
+        """What signals show at an instant."""
+        found = []
+        for name in signals:
+            port = self._layout.diagram.GetOutputPort(name).get_index()
+            system, index = self._layout.diagram.get_output_port_locator(port)
+            found.append(instant.output(system, int(index)))
+        return found
+
+
+def _updated(
+    leaf: Any, instant: Instant, states: Mapping[System, list[NDArray]], is_start: bool
+) -> list[NDArray]:
+    """A leaf's states after its update of the discrete ones."""
+    start = getattr(leaf, "traced_start", leaf.traced_update) if is_start else leaf.traced_update
+    return [states[leaf][0], *start(At(instant, leaf))]
+
+
+def _joined(arrays: list[NDArray]) -> casadi.SX:
+    entries = [entry for array in arrays for entry in array]
+    return casadi.densify(casadi.vertcat(*entries)) if entries else casadi.SX(0, 1)
+
+
+def _stacked(states: Mapping[System, list[NDArray]]) -> casadi.SX:
+    return _joined([group for groups in states.values() for group in groups])
