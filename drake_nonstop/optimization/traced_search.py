@@ -30,7 +30,10 @@ def search_functions(problem: TracedProblem) -> SearchFunctions:
     data = casadi.SX.sym("d", problem.data_size)
     given = _search_problem(problem, object_array(data))
     (margins,) = problem.margins.traced(object_array(x), object_array(data))
-    worse = problem.constraints.worse_of_each_speed(margins)
+    count = problem.constraints.speed_count
+    worse = margins[:count]
+    if problem.constraints.limit_high_speeds:
+        worse = np.array([*map(casadi.fmin, worse, margins[count : 2 * count])])
     worst = casadi.mmin(casadi.vertcat(*margins))
     functions = [
         casadi.Function("search_problem", [data], casadi.cse([casadi.vertcat(*given)])),
@@ -42,7 +45,7 @@ def search_functions(problem: TracedProblem) -> SearchFunctions:
     ]
     sizes = {
         "DATA_SIZE": problem.data_size,
-        "SPEEDS": problem.constraints.speed_count,
+        "SPEEDS": count,
         "SEARCH_ARG": max(function.sz_arg() for function in functions),
         "SEARCH_RES": max(function.sz_res() for function in functions),
         "SEARCH_IW": max(1, *(function.sz_iw() for function in functions)),

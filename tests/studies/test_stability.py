@@ -3,7 +3,9 @@
 from functools import reduce
 
 import numpy as np
+import pytest
 
+from drake_nonstop import load_scenario
 from drake_nonstop.studies import stability
 
 
@@ -35,3 +37,25 @@ def test_matrices_are_interpolated_and_multiplied(rng):
     np.testing.assert_allclose(product, backwards, rtol=1e-10, atol=1e-10)
     assert sum(multiplications) == count * size**3
     assert max(multiplications) < 2**18
+
+
+CASES = [
+    ("three_carriers", [], True),
+    ("three_carriers", ["carrier_controller.velocity_gain=0.05"], None),
+    ("quintic", ["cables=IndividualCables", "simulated.load_mass=1.1"], True),
+]
+
+
+@pytest.mark.parametrize(("name", "overrides", "is_stable"), CASES)
+def test_exact_maps_are_those_of_differences(name, overrides, is_stable, monkeypatch):
+    scenario = load_scenario(name, overrides)
+    exact = stability.linearize(scenario)
+    monkeypatch.setattr(stability, "reason_against", lambda *loop: "it is not to be compiled")
+    differenced = stability.linearize(scenario)
+    assert exact.is_stable == differenced.is_stable
+    assert is_stable in (None, exact.is_stable)
+    assert exact.rate == pytest.approx(differenced.rate, rel=1e-6, abs=1e-7)
+    ours, others = (np.abs(found.multipliers) for found in (exact, differenced))
+    np.testing.assert_allclose(ours, others, rtol=1e-5, atol=1e-6)
+    for name, share in differenced.shares.items():
+        assert exact.shares[name] == pytest.approx(share, abs=1e-4)

@@ -47,7 +47,9 @@ def test_values_are_those_of_the_virtual_machine_and_the_entry_is_used_again(fol
     before = library(folder).stat().st_mtime_ns
     compiled([function()])
     assert library(folder).stat().st_mtime_ns == before
-    assert values(compiled([function(3.0)]).function)[0] == pytest.approx(3 * np.sin(0.3), rel=1e-15)
+    assert values(compiled([function(3.0)]).function)[0] == pytest.approx(
+        3 * np.sin(0.3), rel=1e-15
+    )
     assert len([*folder.glob("*.so")]) == 2
 
 

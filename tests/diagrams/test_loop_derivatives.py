@@ -1,0 +1,72 @@
+"""A loop's derivatives are those that differences of its flights show."""
+
+import numpy as np
+import pytest
+
+from drake_nonstop import CompiledLoop, ScenarioError, load_scenario, make_nonstop
+from drake_nonstop.simulation.step_size import stable_config
+
+CONSTANT = "optimization_layer=ConstantParameters"
+COLUMNS = 16  # that are compared, of some 150
+
+
+def loop_of(scenario):
+    diagram = make_nonstop(scenario)
+    context = diagram.CreateDefaultContext()
+    config = stable_config(scenario.simulator_config, diagram, context)
+    options = {"signals": (), "compiles": False}
+    return CompiledLoop(diagram, config, scenario.control_period, **options), context
+
+
+def state_after(loop, context, samples, change):
+    """Of a flight whose states and parameters are changed at the start."""
+    flight = loop.fly(context)
+    size = len(flight.state)
+    flight._state = flight._state + change[:size]
+    flight._parameters = flight._parameters + change[size:]
+    flight.start()
+    while flight.samples < samples:
+        flight.advance(samples - flight.samples)
+    return flight.state
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        ("quintic", [CONSTANT]),
+        ("quintic", [CONSTANT, "control_period=0.02", "simulated.load_mass=1.2"]),
+        ("quintic", [CONSTANT, "wind=!GustyWind {gust: 0.3}", "system.load_drag=0.1"]),
+        ("paper_line", [CONSTANT, "carrier_controller.integral_gain=1"]),
+        ("aircraft_six", [CONSTANT]),
+    ],
+)
+def test_over_a_second_they_are_those_of_central_differences(name, overrides, rng):
+    loop, context = loop_of(load_scenario(name, overrides))
+    flight = loop.fly_with_derivatives(context)
+    sizes = len(flight.state), len(flight.parameters)
+    start = np.concatenate([flight.state, flight.parameters])
+    slopes = np.eye(sizes[0], sum(sizes))
+    changes = np.eye(sizes[1], sum(sizes), k=sizes[0])
+    samples = round(1 / loop.control_period)
+    slopes = flight.start(slopes, changes)
+    while flight.samples < samples:
+        slopes = flight.advance(slopes, changes)
+    expected = state_after(loop, context, samples, np.zeros(sum(sizes)))
+    np.testing.assert_allclose(flight.state, expected, rtol=1e-9, atol=1e-9)
+    compared = 0
+    for column in rng.permutation(sum(sizes))[:COLUMNS]:
+        step = 3e-5 * max(1.0, abs(start[column]))
+        change = step * np.eye(sum(sizes))[column]
+        ends = [state_after(loop, context, samples, sign * change) for sign in (1, -1, 2, -2)]
+        # Fourth order: what is left is rounding.
+        difference = (8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12 * step)
+        largest = np.abs(difference).max()
+        np.testing.assert_allclose(slopes[:, column], difference, atol=1e-6 * (1 + largest))
+        compared += largest > 1e-3
+    assert compared >= 3
+
+
+def test_a_layer_that_searches_is_named():
+    loop, context = loop_of(load_scenario("quintic", ["optimization_layer=NonstopOptimizer"]))
+    with pytest.raises(ScenarioError, match="optimization_layer = NonstopOptimizer: its updates"):
+        loop.fly_with_derivatives(context)
