@@ -24,7 +24,6 @@ from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, PortDataType, System
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.blocks.speed_bound_layer import COMMAND
 from drake_nonstop.diagrams.compiled_flight import CompiledFlight
 from drake_nonstop.diagrams.loop_derivatives import (
     DerivativeFlight,
@@ -68,10 +67,6 @@ def reason_against(diagram: Diagram, config: SimulatorConfig, control_period: fl
         return f"inputs = {', '.join(names)}: it has none from outside of the loop"
     wires = Wires(diagram)
     for block in diagram.GetSystems():
-        for k in range(block.num_input_ports()):
-            is_command = block.get_input_port(k).get_name() == COMMAND
-            if is_command and wires.source(block, k) is not None:
-                return f"{block.get_name()} reads {COMMAND}: the diagram checks its range"
         if is_traceable(block):
             for leaf in leaves(block):
                 own = _period_of(leaf)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortDataType, System
 
-from drake_nonstop.systems.diagram_trace import KNOWN, Wires, is_traceable, leaves
+from drake_nonstop.systems.diagram_trace import Wires, is_traceable, knows_beforehand, leaves
 
 
 class LoopLayout:
@@ -64,7 +64,7 @@ class LoopLayout:
         self.parameter_sizes = [
             len(_parameters_of(leaf, own(leaf))) for leaf in self.with_parameters
         ]
-        self.knowing = [leaf for leaf in self.leaves if hasattr(leaf, KNOWN)]
+        self.knowing = [leaf for leaf in self.leaves if knows_beforehand(leaf)]
         self.read = [
             (block, k)
             for block in [*self.held, *self.attempting]

@@ -1,7 +1,10 @@
 """Box "load_feedback": the measurement of the load's state, a wire in the paper's figure."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import DiscreteAlgebraicRiccatiEquation
@@ -21,6 +24,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, LeafBlock, number
 from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.traced_block import stacking
+from drake_nonstop.systems.tracing import chosen, object_array
 from drake_nonstop.validation import (
     StrictFields,
     require,
@@ -31,6 +35,7 @@ from drake_nonstop.validation import (
 )
 
 _BOX = "load_feedback"
+_NOISE = "noise"
 
 
 @dataclass(kw_only=True)
@@ -245,6 +250,39 @@ class NoisyFeedback(LeafBlock):
         discrete_state.set_value(self._newest, [context.get_time()])
         discrete_state.set_value(self._count, [min(count + 1, self.delay_periods)])
 
+    @property
+    def trace_key(self) -> Any:
+        """What the measurement depends on besides the noise."""
+        return self.delay_periods, self.period, bool(self.deviations.any())
+
+    updates_at_start = True
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        return self._traced_measurement(at)
+
+    def traced_update(self, at: At) -> list[NDArray]:
+        if self.delay_periods == 0:
+            return []
+        samples, (count,), _ = (at.state(k) for k in (1, 2, 3))
+        samples = np.concatenate([at.input("load_state"), samples[:-LOAD_STATE_SIZE]])
+        return [samples, object_array(casadi.fmin(count + 1, self.delay_periods)), at.time]
+
+    def _traced_measurement(self, at: At) -> NDArray:
+        state = at.input("load_state")
+        if self.delay_periods > 0:
+            samples, (count,) = at.state(1).reshape(-1, LOAD_STATE_SIZE), at.state(2)
+            for k, sample in enumerate(samples):
+                state = chosen(count == k + 1, sample, state)
+        if not self.deviations.any():
+            return state
+        return _with_noise(state, at.known(_NOISE, TRACKING_ERROR_SIZE))
+
+    def known_over(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+        """The noise (k, 12) at times (k,) in s, of which there is no other quantity."""
+        numbers, places = np.unique(self._numbers_of(times), return_inverse=True)
+        noise = np.array([self._noise(number) for number in numbers.tolist()])
+        return [noise[places.ravel()] for _ in names]
+
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._measured(context))
 
@@ -260,20 +298,30 @@ class NoisyFeedback(LeafBlock):
     def _noisy(self, state: NDArray, time: float) -> NDArray:
         if not self.deviations.any():
             return state
-        number = int(np.floor(time / self.period + 1e-6))
+        return _with_noise(state, self._noise(int(self._numbers_of(time))))
+
+    def _numbers_of(self, times: Any) -> Any:
+        """Those of the samples that are held at times in s."""
+        return np.floor(times / self.period + 1e-6).astype(int)
+
+    def _noise(self, number: int) -> NDArray:
+        """A sample (12,) by its number: all of a `TrackingError` in W."""
         generator = np.random.default_rng([self._seed, number])
-        noise = TrackingError.view(  # all of it in W
-            self.deviations * generator.standard_normal(TRACKING_ERROR_SIZE)
-        )
-        quaternion, position, angular_velocity, velocity = LoadState.view(state)
-        return np.concatenate(
-            [
-                rotate_quaternion(quaternion, noise.orientation),
-                position + noise.position,
-                angular_velocity + noise.angular_velocity,
-                velocity + noise.velocity,
-            ]
-        )
+        return self.deviations * generator.standard_normal(TRACKING_ERROR_SIZE)
+
+
+def _with_noise(state: NDArray, noise: NDArray) -> NDArray:
+    """A load's state (13,) with an error (12,), all of it in W."""
+    error = TrackingError.view(noise)
+    quaternion, position, angular_velocity, velocity = LoadState.view(state)
+    return np.concatenate(
+        [
+            rotate_quaternion(quaternion, error.orientation),
+            position + error.position,
+            angular_velocity + error.angular_velocity,
+            velocity + error.velocity,
+        ]
+    )
 
 
 _DUE = 0.999  # of a period, after which the next measurement is taken
@@ -381,6 +429,32 @@ class EstimatedFeedback(NoisyFeedback):
         self._estimated_at = self.DeclareDiscreteState([-np.inf])
         self.DeclareInitializationDiscreteUpdateEvent(self._correct)
         self.DeclarePeriodicDiscreteUpdateEvent(config.period, config.period, self._correct)
+
+    @property
+    def trace_key(self) -> Any:
+        """The measurement's, and the gains."""
+        gains = self.rotation_gain.tobytes(), self.translation_gain.tobytes()
+        return super().trace_key, *gains
+
+    def traced_output(self, port: str, at: At) -> NDArray:
+        is_due = at.time[0] > at.state(self._first + 1)[0] + _DUE * self.period
+        return chosen(is_due, self._traced_estimate(at, is_due=True), self._traced_estimate(at))
+
+    def traced_update(self, at: At) -> list[NDArray]:
+        return [*super().traced_update(at), self._traced_estimate(at, is_due=True), at.time]
+
+    @property
+    def _first(self) -> int:
+        """The place of the estimate among the states."""
+        return 4 if self.delay_periods > 0 else 1
+
+    def _traced_estimate(self, at: At, *, is_due: bool = False) -> NDArray:
+        estimate, newest = (at.state(self._first + k) for k in (0, 1))
+        state = predicted_state(estimate, at.time - newest)
+        if is_due:
+            gains = self.rotation_gain, self.translation_gain
+            state = corrected_state(state, self._traced_measurement(at), *gains)
+        return chosen(newest[0] >= 0, state, at.input("load_state"))  # the latter at the start
 
     def _correct(self, context: Context, discrete_state: DiscreteValues) -> None:
         newest = number(context.get_discrete_state(self._estimated_at)[0])

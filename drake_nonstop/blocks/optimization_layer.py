@@ -51,10 +51,11 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.traced_search import SearchFunctions
 from drake_nonstop.optimization.update_data import UpdateData
-from drake_nonstop.optimization.update_solver import UpdateSolver
+from drake_nonstop.optimization.update_solver import UpdateSolver, traced_tightened
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.diagram_trace import At, TracedAttempt
 from drake_nonstop.systems.parameters import declare_parameters
+from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
 _WIND = "wind_estimate"  # an optional input, of aircraft
@@ -72,15 +73,14 @@ class _TraceNumbers(NamedTuple):
     """What the trace of a `NonstopOptimizer` takes of its parameters."""
 
     enabled: NDArray  # (1,), 1 or 0
-    bound: NDArray  # (1,), m/s, ε
-    aim: NDArray  # (1,), m/s, ε as it is tightened
-    unit: NDArray  # (1,), m/s, of the margins
+    bound: NDArray  # (1,), m/s, ε that was set
+    tightening: NDArray  # (3,), how it is tightened, see `UpdateSolver.tightening`
     beliefs: NDArray  # a flat `Beliefs`
 
     @classmethod
     def view(cls, values: NDArray) -> "_TraceNumbers":
         """The parts of a flat vector."""
-        return cls._make([*(values[k : k + 1] for k in range(4)), values[4:]])
+        return cls._make([values[:1], values[1:2], values[2:5], values[5:]])
 
 
 class NonstopOptimizer(SpeedBoundLayer):
@@ -231,14 +231,12 @@ class NonstopOptimizer(SpeedBoundLayer):
     def trace_parameters(self, context: Context) -> NDArray:
         """What `traced_attempt` takes of the parameters, as a flat `_TraceNumbers`."""
         numbers = self._numbers_in(context)
-        bound = numbers.speed_bound
-        aim = self.solver.aim(bound)
-        first = [float(self.is_enabled(context)), bound, aim, aim if bound else 1.0]
+        first = [float(self.is_enabled(context)), numbers.speed_bound, *self.solver.tightening]
         return np.concatenate([first, numbers.beliefs])
 
     def traced_output(self, port: str, at: At) -> NDArray:
         if port == "speed_bound":
-            return _TraceNumbers.view(at.parameters).bound
+            return self.traced_bound(at, _TraceNumbers.view(at.parameters).bound)
         ports = ["parameters", "diagnostics", "solve_time"]
         return at.state(1 + ports.index(port) if port in ports else 7)
 
@@ -252,6 +250,8 @@ class NonstopOptimizer(SpeedBoundLayer):
         known = _TraceNumbers.view(at.parameters)
         states = [at.state(k) for k in range(1, 8 if self._missed is not None else 7)]
         previous, diagnostics, _, last_wrench_rate, bound_in_force, is_changing = states[:6]
+        bound = self.traced_bound(at, known.bound)
+        aim = traced_tightened(bound, known.tightening)
         wrench_rate = at.input("wrench_rate")
         updates = Diagnostics(*diagnostics).updates
         data = UpdateData(
@@ -262,8 +262,8 @@ class NonstopOptimizer(SpeedBoundLayer):
             wrench=at.input("wrench"),
             wrench_rate=wrench_rate,
             wrench_second_rate=(wrench_rate - last_wrench_rate) / self._period,
-            speed_bound=known.aim,
-            speed_unit=known.unit,
+            speed_bound=aim,
+            speed_unit=chosen(bound[0] > 0, aim, np.ones(1)),
             orbit_turn=np.zeros(1),
             anchor_weight=np.zeros(1),
             wind=np.zeros(WIND_SIZE) if self._wind is None else at.input_or(_WIND, np.zeros(3)),
@@ -273,7 +273,7 @@ class NonstopOptimizer(SpeedBoundLayer):
         conditions = [
             answer.holds,
             known.enabled[0] == 1,
-            known.bound[0] == bound_in_force[0],
+            bound[0] == bound_in_force[0],
             is_changing[0] == 0,
             updates > 0,
         ]
@@ -283,16 +283,16 @@ class NonstopOptimizer(SpeedBoundLayer):
         is_update = number == 0
         counted = [diagnostics.copy(), diagnostics.copy()]
         for values, outcome in zip(counted, (Outcome.SOLVED, Outcome.KEPT), strict=True):
-            count_update(values, outcome, answer.slowest_speed - known.bound[0])
+            count_update(values, outcome, answer.slowest_speed - bound[0])
         after = [
             answer.parameters,
-            _chosen(found[0] > 0, *counted),
+            chosen(found[0] > 0, *counted),
             np.zeros(1),
             wrench_rate,
             *states[4:],
         ]
         return TracedAttempt(
-            states=[_chosen(is_update, *pair) for pair in zip(after, states, strict=True)],
+            states=[chosen(is_update, *pair) for pair in zip(after, states, strict=True)],
             holds=casadi.logic_or(
                 functools.reduce(casadi.logic_and, conditions), casadi.logic_not(is_update)
             ),
@@ -378,12 +378,6 @@ class NonstopOptimizer(SpeedBoundLayer):
         discrete_state.set_value(self._is_changing, [float(is_changing)])
 
 
-def _chosen(condition: Any, values: NDArray, others: NDArray) -> NDArray:
-    """Values where a condition in symbols holds, or others."""
-    pairs = zip(values, others, strict=True)
-    return np.array([casadi.if_else(condition, value, other) for value, other in pairs])
-
-
 @dataclass(kw_only=True)
 class ConstantParametersConfig(StrictFields):
     """The internal force's parameters, and the bound with which the metrics compare speeds."""
@@ -458,7 +452,10 @@ class ConstantParameters(LeafBlock):
         values = self.parameters.view(at.parameters)
         if port == "parameters":
             return np.concatenate([values["frequency"], values["amplitude"]])
-        return values["speed_bound"]
+        if not at.has_input(COMMAND):
+            return values["speed_bound"]
+        command = at.input(COMMAND)
+        return chosen(command[0] >= 0, command, np.array([np.nan]))
 
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())

@@ -243,7 +243,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
 
     def traced_output(self, port: str, at: At) -> NDArray:
         if port == "speed_bound":
-            return at.parameters
+            return self.traced_bound(at, at.parameters)
         values = at.state(_VALUES)
         if port == "parameters":
             planned = PlannedParameters.view(values)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
@@ -19,6 +20,7 @@ from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.model.block_parameters import AIRCRAFT_NUMBERS, LOAD, BlockParameters, Rules
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.problem_config import (
+    LEAST_BOUND,
     LimitsConfig,
     check_speed_bound,
     highest_speed_bound,
@@ -26,7 +28,9 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import LeafBlock, weakly
+from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.parameters import declare_parameters
+from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import require
 
 BOX = "optimization_layer"
@@ -176,6 +180,17 @@ class SpeedBoundLayer(LeafBlock):
     def is_enabled(self, context: Context) -> bool:
         """Whether the layer is switched on."""
         return bool(context.get_numeric_parameter(self._enabled).CopyToVector()[0])
+
+    def traced_bound(self, at: At, bound: NDArray) -> NDArray:
+        """ε (1,), m/s: `bound`, or what is commanded; no number where that is out of range."""
+        if not at.has_input(COMMAND):
+            return bound
+        command = at.input(COMMAND)
+        is_bound = casadi.logic_and(
+            command[0] >= LEAST_BOUND, command[0] < self.highest_speed_bound
+        )
+        is_bound = casadi.logic_or(command[0] == 0, is_bound)
+        return chosen(is_bound, command, np.array([np.nan]))
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
         if self._command.HasValue(context):

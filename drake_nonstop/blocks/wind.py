@@ -256,6 +256,13 @@ class _Profile(_MeanWind):
         load = LoadState.view(self._load_state.Eval(context))
         return self._profile(context, load.position[None])[0]
 
+    @property
+    def trace_key(self) -> Any:
+        """The mean wind, and what is believed of it."""
+        believed = None if self.believed is None else self.believed.tobytes()
+        rise = self._velocity.tobytes(), self._start, self._rise_time
+        return *rise, believed, self._ground, *self._law.values()
+
     def traced_output(self, port: str, at: At) -> NDArray:
         if port == "wind_estimate" and self.believed is not None:
             return constants(self.believed)

@@ -12,7 +12,7 @@ from drake_nonstop.mechanics.rotation import (
 from drake_nonstop.mechanics.signals import LoadState
 
 
-def predicted_state(state: NDArray, elapsed: float) -> NDArray:
+def predicted_state(state: NDArray, elapsed: float | NDArray) -> NDArray:
     """The state (13,) after a time in s, with constant velocities in W."""
     quaternion, position, angular_velocity, velocity = LoadState.view(state)
     return np.concatenate(

@@ -17,12 +17,16 @@ from drake_nonstop.optimization.flight_search import nearest_within_limits
 from drake_nonstop.optimization.grid_search import cheapest_on_grid, least_infeasible_on_grid
 from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
-from drake_nonstop.optimization.problem_config import NonstopProblemConfig, tightened_bound
+from drake_nonstop.optimization.problem_config import (
+    NonstopProblemConfig,
+    bound_tightening,
+    tightened_bound,
+)
 from drake_nonstop.optimization.traced_problem import TracedProblem
 from drake_nonstop.optimization.traced_search import SearchFunctions, search_functions
 from drake_nonstop.optimization.update_data import Beliefs, UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
-from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.systems.tracing import TracedFunction, chosen
 
 _NOT_GIVEN = np.zeros(0)
 _STILL_AIR = np.zeros(3)
@@ -145,6 +149,11 @@ class UpdateSolver:
     def aim(self, speed_bound: float) -> float:
         """The speed (m/s) that is aimed at for an ε in m/s: as it is tightened."""
         return tightened_bound(self._config, speed_bound)
+
+    @property
+    def tightening(self) -> NDArray:
+        """How `aim` depends on ε (3,), for `traced_tightened`."""
+        return np.array(bound_tightening(self._config))
 
     def problem(self, data: UpdateData) -> UpdateProblem:
         """The problem of one update."""
@@ -280,6 +289,13 @@ class UpdateSolver:
             search_problem, before, problem.speed_margins, float(parameters[1])
         )
         return (nearer, lower_cost) if lower_cost < cost else (parameters, cost)
+
+
+def traced_tightened(bound: NDArray, tightening: NDArray) -> NDArray:
+    """As `UpdateSolver.aim`, of an ε (1,) in symbols, by the solver's `tightening` (3,)."""
+    slope, margin, growth = tightening
+    aim = slope * bound[0] + margin * casadi.fmax(1.0, growth * bound[0])
+    return chosen(bound[0] > 0, np.array([aim]), np.zeros(1))
 
 
 def _is_moving(reference: NDArray) -> bool:

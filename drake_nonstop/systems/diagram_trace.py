@@ -7,7 +7,7 @@ Every leaf system of the diagram is one of these:
   `trace_parameters(context)` it takes other numbers than its first numeric parameter. What it
   takes by `At.known` is evaluated beforehand;
 - one of Drake's systems that are linear and have no state: their matrix is found at unit vectors;
-- Drake's Integrator, or the switch of an `AdjustableLinear`.
+- Drake's Integrator, TrajectorySource, or the switch of an `AdjustableLinear`.
 
 What is none of them stands outside: `At` asks for the values of its ports.
 """
@@ -34,6 +34,7 @@ from pydrake.systems.primitives import (
     PassThrough,
     PortSwitch,
     Selector,
+    TrajectorySource,
 )
 
 from drake_nonstop.systems.tracing import object_array
@@ -59,11 +60,16 @@ def leaves(system: System) -> Iterator[System]:
 def is_traceable(system: System) -> bool:
     """Whether all of a system can be traced."""
     return all(
-        isinstance(leaf, (Integrator, *_LINEAR))
+        isinstance(leaf, (Integrator, TrajectorySource, *_LINEAR))
         or _has_trace(leaf)
         or (isinstance(leaf, PortSwitch) and leaf.HasInputPort(ADJUSTED))
         for leaf in leaves(system)
     )
+
+
+def knows_beforehand(leaf: System) -> bool:
+    """Whether a leaf that can be traced has outputs or quantities that it knows beforehand."""
+    return hasattr(leaf, KNOWN) or isinstance(leaf, TrajectorySource)
 
 
 def _has_trace(leaf: System) -> bool:
@@ -130,7 +136,7 @@ def _content(system: Any, outside: Callable[[System], bool]) -> Any:
         return ()
     if isinstance(system, _LINEAR):
         return (kind, _response(system))
-    if isinstance(system, (Integrator, PortSwitch)):
+    if isinstance(system, (Integrator, PortSwitch, TrajectorySource)):
         return (kind,)
     if not hasattr(system, "trace_key"):
         return None
@@ -235,7 +241,7 @@ class Instant:
             self._known[place] = _output(system, int(index), At(self, system))
         return self._known[place]
 
-    def known(self, leaf: System, name: str, size: int) -> NDArray:
+    def known(self, leaf: System, name: int | str, size: int) -> NDArray:
         """A quantity that a leaf knows beforehand, see `At.known`."""
         return self._outside(leaf, name, size)
 
@@ -281,10 +287,11 @@ class At:
         """Whether an input port is connected."""
         return self._instant.wires.source(self._leaf, self._index(name)) is not None
 
-    def known(self, name: str, size: int) -> NDArray:
+    def known(self, name: int | str, size: int) -> NDArray:
         """A quantity that is a function of the time alone, and no part of the trace.
 
-        The leaf's method `known_over(names, times)` gives rows (k, size) of each, at times (k,), s.
+        It is what a port shows, by its number, or one of the block's own, by its name: the leaf's
+        method `known_over(names, times)` gives rows (k, size) of each, at times (k,) in s.
         """
         return self._instant.known(self._leaf, name, size)
 
@@ -317,6 +324,8 @@ def _output(leaf: Any, index: int, at: At) -> NDArray:
         return at.state(0)
     if isinstance(leaf, PortSwitch):
         return at.input(ADJUSTED)
+    if isinstance(leaf, TrajectorySource):
+        return at.known(index, leaf.get_output_port(index).size())
     total = casadi.SX.zeros(leaf.get_output_port(index).size())
     for name, matrix in at.matrices(index).items():
         total += matrix @ casadi.vertcat(*at.input(name))

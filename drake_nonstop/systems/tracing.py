@@ -344,6 +344,12 @@ def after(time: NDArray, start: float) -> NDArray:
     return object_array(time[0] >= start)
 
 
+def chosen(condition: Any, values: NDArray, others: NDArray) -> NDArray:
+    """Values where a condition of symbols holds, or others, which may then be no numbers."""
+    pairs = zip(values, others, strict=True)
+    return np.array([casadi.if_else(condition, value, other) for value, other in pairs])
+
+
 def _entry(symbol: casadi.SX) -> casadi.SX:
     symbol.__class__ = _Entry
     return symbol

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drawn_tasks import aircraft_task, carriers_task
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import LeafSystem, PortDataType
 
 from drake_nonstop import (
     ConstantParameters,
@@ -21,12 +21,10 @@ from drake_nonstop.diagrams import compiled_loop
 from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
-from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.tracing import NotFiniteError, constants
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
 DURATION = 0.24  # s, a multiple of all control periods
-UNTRACED = {"aircraft_co_rotating_rising_wind"}  # its trajectory reads the rates of ξ
 
 
 def traced(scenario, **options):
@@ -52,7 +50,7 @@ def assert_equal(scenario, loop, context):
     assert compared >= 20
 
 
-@pytest.mark.parametrize("name", sorted({*scenario_names()} - UNTRACED))
+@pytest.mark.parametrize("name", scenario_names())
 def test_shipped_scenarios_are_the_same(name):
     scenario = load_scenario(name)
     assert_equal(scenario, *traced(scenario, compiles=False))
@@ -80,6 +78,12 @@ def test_shipped_scenarios_are_the_same(name):
         ["wind=!SteadyWind {velocity: [1, 0, 0], start_time: 0.1}", "system.load_drag=0.1"],
         ["wind=!WindProfile {velocity: [1, 0, 0], exponent: 0.2, ground_height: -3}"],
         ["wind=!GustyWind {velocity: [1, 0, 0], rise_time: 0.1}", "system.load_drag=0.1"],
+        ["load_feedback=!NoisyFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
+        ["load_feedback=!NoisyFeedback {delay: 0.02, velocity_noise: 0.01, seed: 3}"],
+        ["load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.007}"],
+        ["load_feedback=!EstimatedFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
+        ["load_feedback=!EstimatedFeedback {delay: 0.03, angular_velocity_noise: 0.1}"],
+        ["load_trajectory=PlannedTurn", NONSTOP, "simulator_config.max_step_size=0.0025"],
         ["control_period=0.005"],
         ["control_period=0.02", "simulator_config.max_step_size=0.004"],
         ["pattern=Carousel", "simulated.load_mass=1.1"],
@@ -161,11 +165,18 @@ SAME_TRACES = [
         ],
     ),
     (
+        load_scenario("quintic", ["wind=GustyWind", "load_feedback=NoisyFeedback"]),
+        [*OTHER_NUMBERS, "wind.gust=1", "wind.seed=4", "load_feedback.seed=2"],
+    ),
+    (
         load_scenario("quintic", ["optimization_layer=ConstantParameters"]),
         ["optimization_layer.frequency=2.2", "load_disturbance=!DisturbanceForce {gust_force: 1}"],
     ),
 ]
 OTHER_TRACES = [
+    "wind=!GustyWind {velocity: [1, 0, 0]}",
+    "load_feedback=!NoisyFeedback {delay: 0.01}",
+    "load_feedback=!EstimatedFeedback {process_acceleration: 0.1}",
     "simulated.attachments=[[0.4, 0, 0], [0, 0.5, 0], [-0.5, 0, 0], [0, -0.5, 0]]",
     "carrier_trajectory.hold=velocity",
     "carrier_controller.integral_gain=1",
@@ -180,8 +191,9 @@ def functions_of(scenario, monkeypatch):
     """The key of a loop's functions, and these as bytes."""
     known = {}
     monkeypatch.setattr(compiled_loop._functions, "entries", known)
-    traced(scenario, compiles=False)
-    ((key, functions),) = known.items()
+    loop, _ = traced(scenario, compiles=False)
+    functions = loop._functions
+    (key,) = known
     parts = functions.at_start, functions.shown, functions.after_sample, *functions.of_samples
     return key, [function.function.serialize() for function in parts]
 
@@ -220,7 +232,7 @@ def test_a_run_depends_on_nothing_that_ran_before():
     [
         (["control_period=0"], "control_period = 0: it goes from sample to sample"),
         (["load_plant=MultibodyLoadPlant"], "load_plant = MultibodyLoadPlant: it has no equations"),
-        (["load_feedback=!NoisyFeedback {delay: 0.02}"], "load_feedback = NoisyFeedback"),
+        (["load_feedback=!NoisyFeedback {delay: 0.02, period: 0.02}"], "load_feedback has 0.02"),
         (["simulator_config.use_error_control=true"], "without error control"),
     ],
 )
@@ -347,21 +359,33 @@ def test_a_trace_without_a_key_is_not_shared():
 
 def test_what_a_diagram_checks_or_samples_otherwise_is_named():
     scenario = load_scenario("quintic")
-
-    class Command(LeafBlock):
-        def __init__(self, model):
-            super().__init__()
-            self.DeclareVectorOutputPort("speed_bound_command", 1, self.calc)
-
-        def calc(self, context, output):
-            output.SetFromVector([0.4])
-
-    diagram = make_nonstop(scenario, extra={"command": Command})
-    reason = reason_against(diagram, scenario.simulator_config, 0.01)
-    assert reason == "optimization_layer reads speed_bound_command: the diagram checks its range"
     diagram = make_nonstop(scenario)
     for period in (0.02, -0.01):
         with pytest.raises(ScenarioError, match=f"^control_period = {period}: "):
             CompiledLoop(diagram, scenario.simulator_config, period)
     with pytest.raises(ScenarioError, match=r"^signals = load_stat"):
         CompiledLoop(diagram, scenario.simulator_config, 0.01, signals=["load_stat"])
+
+
+SOURCES = [
+    ("load_trajectory", "Circle", {"start_time": 0.02, "move_time": 0.2}),
+    ("load_trajectory", "SteadyTurn", {}),
+    ("load_trajectory", "Waypoints", {"move_times": [0.1], "rest_times": [0.03]}),
+    ("load_disturbance", "DisturbanceForce", {"gust_force": 1.0, "start_time": 0.05}),
+]
+
+
+@pytest.mark.parametrize(("box", "name", "fields"), SOURCES)
+def test_rows_for_many_times_are_what_the_ports_show(box, name, fields):
+    block = make_nonstop(load_scenario("quintic", [f"{box}=!{name} {fields}"])).GetSubsystemByName(
+        box
+    )
+    context, times = block.CreateDefaultContext(), np.linspace(0.0, 0.4, 41)
+    ports = [block.get_output_port(k) for k in range(block.num_output_ports())]
+    ports = [port for port in ports if port.get_data_type() == PortDataType.kVectorValued]
+    rows = block.known_over([port.get_name() for port in ports], times)
+    for k, instant in enumerate(times):
+        context.SetTime(instant)
+        for port, values in zip(ports, rows, strict=True):
+            np.testing.assert_allclose(values[k], port.Eval(context), rtol=1e-13, atol=1e-13)
+    assert any(np.ptp(values, axis=0).max() > 0.01 for values in rows)

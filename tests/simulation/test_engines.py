@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from drake_nonstop import (
+    CompiledFlight,
+    CompiledLoop,
     RunInterrupted,
     RunStopped,
     ScenarioError,
@@ -15,13 +17,16 @@ from drake_nonstop import (
     StepAction,
     StepCheck,
     load_scenario,
+    make_nonstop,
     simulate,
 )
 from drake_nonstop.simulation import recording
 from drake_nonstop.studies.run_all import attempt
 from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.compilation import compiler
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
+NOTHING = StepCheck.NOTHING
 CONSTANT = "optimization_layer=ConstantParameters"
 
 
@@ -215,3 +220,55 @@ def test_a_study_may_ask_for_an_engine():
     found = [attempt(lambda: scenario, **given) for given in ({"engine": "diagram"}, {})]
     assert [one.ending for one in found] == ["completed"] * 2
     assert_same(found[1].run, found[0].run)
+
+
+class CommandedBound(LeafBlock):
+    """A bound that changes from 0.4 m/s at 0.1 s; a layer may refuse what it is then."""
+
+    def __init__(self, model, later):
+        super().__init__()
+        self.later = later
+        ticket = self.time_ticket()
+        self.DeclareVectorOutputPort("speed_bound_command", 1, self.calc, {ticket})
+
+    def calc(self, context, output):
+        output.SetFromVector([0.4 if context.get_time() < 0.1 else self.later])
+
+
+@pytest.mark.parametrize("later", [0.47, 0.0, -1.0, 1e-4])
+@pytest.mark.parametrize("layer", [NONSTOP, CONSTANT, "optimization_layer.speed_bound=0.45"])
+def test_a_commanded_bound_counts_and_is_checked_as_in_the_diagram(layer, later):
+    runs = []
+    for engine in ("diagram", "compiled"):
+        extra = {"bound": lambda model: CommandedBound(model, later)}
+        run, told = flown(
+            "quintic", [layer, "simulation_duration=0.4"], engine, extra=extra, check_step=NOTHING
+        )
+        assert later < 1e-3 or not any("engine" in message for message in told)
+        runs.append(run)
+    assert_same(runs[1], runs[0])
+    assert runs[0].signal("speed_bound")[-1] in (later, 0.4)
+
+
+class AskedError(RuntimeError):
+    """A layer's own update."""
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_the_search_in_c_asks_no_layer_and_finds_the_same(monkeypatch):
+    scenario = load_scenario("quintic", [NONSTOP, "simulation_duration=3.0"])
+    expected = simulate(scenario, engine="diagram", check_step=NOTHING)
+    assert expected.signal("diagnostics")[-1, 3] > 10  # solved
+    loop = CompiledLoop(make_nonstop(scenario), scenario.simulator_config, 0.01)
+
+    def asked(*arguments):
+        raise AskedError
+
+    monkeypatch.setattr(CompiledFlight, "_asked_for", asked)
+    _, signals = loop.run(loop.diagram.CreateDefaultContext(), 3.0)
+    for name in ("parameters", "diagnostics", "load_state", "carrier_state"):
+        values = expected.signal(name)
+        np.testing.assert_allclose(signals[name], values, atol=1e-9 * (1 + np.abs(values).max()))
+    slow = CompiledLoop(loop.diagram, scenario.simulator_config, 0.01, compiles=False)
+    with pytest.raises(AskedError):
+        slow.run(loop.diagram.CreateDefaultContext(), 3.0)
