@@ -29,7 +29,7 @@ from drake_nonstop.validation import ScenarioWarning
 COMPILER = "CC"  # the variable of the environment that names another compiler
 CACHE = "DRAKE_NONSTOP_CACHE"  # likewise, another folder
 _COMPILERS = "cc", "gcc", "clang"
-_OPTIONS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off")
+_OPTIONS = ("-Og", "-fPIC", "-shared", "-ffp-contract=off")
 _TIME_LIMIT = 600.0  # s, of a compilation
 
 
