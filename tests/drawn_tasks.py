@@ -63,7 +63,7 @@ def draw(seed: int) -> list[str]:
         return round(float(rng.uniform(low, high)), 4)
 
     n = int(rng.integers(3, 9))
-    attachments = _attachments(n, rng)
+    attachments = attachments_of(n, rng)
     mass, length = uniform(0.5, 3.0), uniform(0.6, 3.0)
     amplitude = round(mass * GRAVITY / n * uniform(0.3, 0.6), 4)
     frequency = uniform(1.2, 2.5)
@@ -157,7 +157,7 @@ def draw_aircraft(seed: int) -> list[str]:
 _AT_ORIGIN = np.eye(22)[0]  # a load's reference, at rest
 
 
-def _attachments(n: int, rng: np.random.Generator) -> NDArray:
+def attachments_of(n: int, rng: np.random.Generator) -> NDArray:
     """About a circle, such that each cable carries a part of the weight."""
     while True:
         angles = 2 * np.pi * (np.arange(n) + rng.uniform(-0.3, 0.3, n)) / n

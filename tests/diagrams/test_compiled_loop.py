@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from drawn_loops import drawn_loop, largest_difference
 from drawn_tasks import aircraft_task, carriers_task
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import LeafSystem, PortDataType
@@ -389,3 +390,9 @@ def test_rows_for_many_times_are_what_the_ports_show(box, name, fields):
         for port, values in zip(ports, rows, strict=True):
             np.testing.assert_allclose(values[k], port.Eval(context), rtol=1e-13, atol=1e-13)
     assert any(np.ptp(values, axis=0).max() > 0.01 for values in rows)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 4])
+def test_drawn_blocks_and_up_to_16_carriers_are_the_same(seed):
+    difference, signal = largest_difference(drawn_loop(seed))
+    assert difference < 1e-9, signal
