@@ -28,6 +28,7 @@ from drake_nonstop.diagrams.compiled_flight import CompiledFlight
 from drake_nonstop.diagrams.loop_derivatives import (
     DerivativeFlight,
     DerivativeFunctions,
+    Sensitivities,
     derivative_functions,
 )
 from drake_nonstop.diagrams.loop_functions import (
@@ -309,10 +310,7 @@ class CompiledLoop:
             ScenarioError: the duration is no such multiple, or the context is at another time.
             NotFiniteError: a value is not finite, or is too large.
         """
-        samples = round(duration / self.control_period) if math.isfinite(duration) else -1
-        is_multiple = samples >= 0 and abs(samples * self.control_period - duration) < _ROUNDING
-        remedy = f"give a multiple of the control period, {self.control_period:g} s"
-        require(is_multiple, "duration", duration, remedy)
+        samples = self._samples_of(duration)
         flight = self.fly(context)
         shown = [flight.start()[0][None]]
         while flight.samples < samples:
@@ -321,3 +319,36 @@ class CompiledLoop:
         ends = np.cumsum([*self.signals.values()])[:-1]
         times = self.control_period / self.shown_per_sample * np.arange(len(rows))
         return times, dict(zip(self.signals, np.split(rows, ends, axis=1), strict=True))
+
+    def sensitivities(self, context: Context, duration: float) -> Sensitivities:
+        """How the state at the end depends on that of a context, and on its parameters: exactly.
+
+        Args:
+            context: of the diagram, at t = 0, which stays as it is.
+            duration: s, a multiple of the control period.
+
+        Raises:
+            ScenarioError: as of `run` and `fly_with_derivatives`.
+            NotFiniteError: a value is not finite, or is too large.
+        """
+        samples = self._samples_of(duration)
+        flight = self.fly_with_derivatives(context)
+        states, parameters = len(flight.state), len(flight.parameters)
+        changes = np.eye(parameters, states + parameters, k=states)
+        slopes = flight.start(np.eye(states, states + parameters), changes)
+        while flight.samples < samples:
+            slopes = flight.advance(slopes, changes)
+        return Sensitivities(
+            state=flight.state,
+            by_state=slopes[:, :states],
+            by_parameters=slopes[:, states:],
+            state_names=self._layout.state_names,
+            parameter_names=self._layout.parameter_names,
+        )
+
+    def _samples_of(self, duration: float) -> int:
+        samples = round(duration / self.control_period) if math.isfinite(duration) else -1
+        is_multiple = samples >= 0 and abs(samples * self.control_period - duration) < _ROUNDING
+        remedy = f"give a multiple of the control period, {self.control_period:g} s"
+        require(is_multiple, "duration", duration, remedy)
+        return samples

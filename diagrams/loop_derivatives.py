@@ -8,6 +8,7 @@ method are differentiated by the chain rule, stage by stage (own derivation): of
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -79,6 +80,20 @@ def derivative_functions(layout: LoopLayout) -> DerivativeFunctions:
         update=_Slopes(trace.updates()),
         rates=_Slopes(Traced(rates, trace.arguments, symbols)),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivities:
+    """The state at the end of a flight, and its derivatives by the start's and the parameters.
+
+    Names are paths of systems in the diagram, or "box.field", with a number: all are in SI units.
+    """
+
+    state: NDArray  # (k,)
+    by_state: NDArray  # (k, k)
+    by_parameters: NDArray  # (k, p)
+    state_names: list[str]  # k, of the rows, and of the columns of `by_state`
+    parameter_names: list[str]  # p, of the columns of `by_parameters`
 
 
 class DerivativeFlight:

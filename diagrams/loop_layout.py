@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortDataType, System
 
 from drake_nonstop.systems.diagram_trace import Wires, is_traceable, knows_beforehand, leaves
+from drake_nonstop.systems.parameters import NumericParameters
 
 
 class LoopLayout:
@@ -77,6 +78,37 @@ class LoopLayout:
     def answers_size(self) -> int:
         """Of the argument of a whole sample: which blocks give their states, and these."""
         return sum(1 + sum(self.state_sizes[leaf][1:]) for leaf in self.attempting)
+
+    @property
+    def state_names(self) -> list[str]:
+        """Of each state the path of its system in the diagram, and its number in that."""
+        return [
+            f"{self._path(leaf)}[{k}]"
+            for leaf, sizes in self.state_sizes.items()
+            for k in range(sum(sizes))
+        ]
+
+    @property
+    def parameter_names(self) -> list[str]:
+        """Of each parameter its block's name and its own, as `set_parameter` takes them.
+
+        An entry of an array has its number, too. Where a block's trace takes other numbers they
+        have numbers alone.
+        """
+        names = []
+        for leaf, size in zip(self.with_parameters, self.parameter_sizes, strict=True):
+            box = self.wires.block_of(leaf).get_name()
+            own = None if hasattr(leaf, "trace_parameters") else getattr(leaf, "parameters", None)
+            shapes = {"parameters": (size,)}
+            if isinstance(own, NumericParameters):
+                shapes = {name: value.shape for name, value in own.defaults.items()}
+            for name, shape in shapes.items():
+                names += [f"{box}.{name}{list(at) or ''}" for at in np.ndindex(shape)]
+        return names
+
+    def _path(self, leaf: System) -> str:
+        inside = leaf.GetSystemPathname().removeprefix(self.diagram.GetSystemPathname())
+        return inside.strip(":").replace("::", ".")
 
     def is_outside(self, block: System) -> bool:
         """Whether a block of the diagram is not traced."""

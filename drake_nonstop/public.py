@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 from drake_nonstop.blocks.load_trajectory import LoadTrajectory
 from drake_nonstop.blocks.reference_governor import ReferenceGovernor, ReferenceGovernorConfig
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.diagrams.compiled_loop import CompiledFlight, CompiledLoop
+from drake_nonstop.diagrams.compiled_flight import CompiledFlight
+from drake_nonstop.diagrams.compiled_loop import CompiledLoop
 from drake_nonstop.diagrams.compiled_system import CompiledSystem
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
+from drake_nonstop.diagrams.loop_derivatives import DerivativeFlight, Sensitivities
 from drake_nonstop.diagrams.nonstop import BOXES, make_blocks, make_nonstop
 from drake_nonstop.diagrams.parameters import (
     LoopParameter,
@@ -114,6 +116,8 @@ __all__ = [  # noqa: RUF022 - in the order of the figure
     "CompiledLoop",
     "CompiledFlight",
     "CompiledSystem",
+    "DerivativeFlight",
+    "Sensitivities",
     "set_equilibrium",
     "set_parameter",
     "get_parameter",

@@ -20,6 +20,7 @@ from drake_nonstop import (
     make_nonstop,
     simulate,
 )
+from drake_nonstop.diagrams.compiled_loop import reason_against
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
@@ -60,10 +61,11 @@ def drawn_loop(seed: int) -> Scenario:
         block = rng.choice(BOXES[box].variants).__name__
         try:
             tried = changed(scenario, [f"{box}={block}"])
-            loop_of(tried, tried.simulator_config.max_step_size)
+            diagram = make_nonstop(tried, at_equilibrium=False)
         except ScenarioError:
-            continue  # it does not go with the others, or is not traced
-        scenario = tried
+            continue  # it does not go with the others
+        if not reason_against(diagram, tried.simulator_config, tried.control_period):
+            scenario = tried
     return scenario
 
 

@@ -658,11 +658,13 @@ def require_room(nonstop: Diagram, scenario: Scenario) -> None:
 def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, OutputPort]]:
     """The ports, by name, that are recorded at 100 Hz and at every step."""
     is_loop = all(map(nonstop.HasOutputPort, RUN_SIGNALS))
+    loops = nested(nonstop, RUN_SIGNALS) if is_loop else [nonstop]
+    optional = {block: optional_inputs(block) for loop in loops for block in loop.GetSystems()}
     read = {
         source.get_output_port(index).get_name()
-        for loop in (nested(nonstop, RUN_SIGNALS) if is_loop else [nonstop])
+        for loop in loops
         for (reader, at), (source, index) in loop.connection_map().items()
-        if reader.get_input_port(at).get_name() not in optional_inputs(reader)
+        if reader.get_input_port(at).get_name() not in optional[reader]
     }
     if_read = {name for box in BOXES.values() for name in box.recorded_where_read}
     if_read |= {f"{HELD}{name}" for name in if_read}

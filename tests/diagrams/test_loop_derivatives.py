@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from drake_nonstop import CompiledLoop, ScenarioError, load_scenario, make_nonstop
+from drake_nonstop import (
+    CompiledLoop,
+    ScenarioError,
+    load_scenario,
+    make_nonstop,
+    set_parameter,
+)
 from drake_nonstop.simulation.step_size import stable_config
+from drake_nonstop.systems.parameters import parameters_in
 
 CONSTANT = "optimization_layer=ConstantParameters"
 COLUMNS = 16  # that are compared, of some 150
@@ -42,17 +49,15 @@ def state_after(loop, context, samples, change):
 )
 def test_over_a_second_they_are_those_of_central_differences(name, overrides, rng):
     loop, context = loop_of(load_scenario(name, overrides))
-    flight = loop.fly_with_derivatives(context)
-    sizes = len(flight.state), len(flight.parameters)
-    start = np.concatenate([flight.state, flight.parameters])
-    slopes = np.eye(sizes[0], sum(sizes))
-    changes = np.eye(sizes[1], sum(sizes), k=sizes[0])
+    found = loop.sensitivities(context, 1.0)
+    slopes = np.hstack([found.by_state, found.by_parameters])
+    sizes = len(found.state_names), len(found.parameter_names)
+    assert slopes.shape == (sizes[0], sum(sizes))
+    flight = loop.fly(context)
+    start = np.concatenate([flight.state, flight._parameters])
     samples = round(1 / loop.control_period)
-    slopes = flight.start(slopes, changes)
-    while flight.samples < samples:
-        slopes = flight.advance(slopes, changes)
     expected = state_after(loop, context, samples, np.zeros(sum(sizes)))
-    np.testing.assert_allclose(flight.state, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.state, expected, rtol=1e-9, atol=1e-9)
     compared = 0
     for column in rng.permutation(sum(sizes))[:COLUMNS]:
         step = 3e-5 * max(1.0, abs(start[column]))
@@ -64,6 +69,30 @@ def test_over_a_second_they_are_those_of_central_differences(name, overrides, rn
         np.testing.assert_allclose(slopes[:, column], difference, atol=1e-6 * (1 + largest))
         compared += largest > 1e-3
     assert compared >= 3
+
+
+def test_parameters_and_states_have_their_names():
+    loop, context = loop_of(load_scenario("quintic", [CONSTANT]))
+    found = loop.sensitivities(context, 0.3)
+    name, block = "carrier_controller.position_gain", "carrier_controller"
+    column = found.by_parameters[:, found.parameter_names.index(name)]
+    row = int(np.argmax(np.abs(column)))
+    assert found.state_names[row].startswith(("carrier_", "wrench_controller", "load_", "sample_"))
+    controller = loop.diagram.GetSubsystemByName(block)
+    before = parameters_in(controller, controller.GetMyContextFromRoot(context))
+    ends = []
+    for factor in (1.001, 0.999):
+        set_parameter(loop.diagram, context, name, factor * before["position_gain"][0])
+        flight = loop.fly(context)
+        flight.start()
+        while flight.samples < 30:
+            flight.advance(30 - flight.samples)
+        ends.append(flight.state[row])
+    step = 0.002 * before["position_gain"][0]
+    assert column[row] == pytest.approx((ends[0] - ends[1]) / step, rel=1e-4)
+    (height,) = [k for k, name in enumerate(found.state_names) if name == "load_plant.(state)[6]"]
+    load_state = loop.diagram.GetOutputPort("load_state").Eval(context)
+    assert loop.state_of(context)[height] == load_state[6]
 
 
 def test_a_layer_that_searches_is_named():
