@@ -265,6 +265,20 @@ class CompiledLoop:
         """The states (k,) of all blocks in a context of the diagram, as of `CompiledFlight`."""
         return self._layout.state_of(context)
 
+    @property
+    def state_names(self) -> list[str]:
+        """Of each state the path of its system in the diagram, and its number in that."""
+        return self._layout.state_names
+
+    @property
+    def parameter_names(self) -> list[str]:
+        """Of each parameter its block's name and its own, and of an array's entry its number.
+
+        Where a block's trace takes other numbers, as that of a layer that searches does, they have
+        numbers alone.
+        """
+        return self._layout.parameter_names
+
     def fly_with_derivatives(self, context: Context) -> DerivativeFlight:
         """Likewise, with the exact derivatives of the states.
 
@@ -342,8 +356,8 @@ class CompiledLoop:
             state=flight.state,
             by_state=slopes[:, :states],
             by_parameters=slopes[:, states:],
-            state_names=self._layout.state_names,
-            parameter_names=self._layout.parameter_names,
+            state_names=self.state_names,
+            parameter_names=self.parameter_names,
         )
 
     def _samples_of(self, duration: float) -> int:

@@ -98,6 +98,7 @@ class LoadTrajectory(DiagramBlock):
                 "reference_higher_rates": REFERENCE_HIGHER_RATES_SIZE,
             },
             reads_time=yaw_rate != 0,
+            key=(_reference.__qualname__, yaw_rate) if pose is None else None,
         )
         builder.AddNamedSystem("reference", traced)
         builder.Connect(coordinates.get_output_port(), traced.get_input_port())
