@@ -142,10 +142,7 @@ def _rows_of(
         vectors = values.reshape(-1, len(times)).T
         if reads_time:
             vectors = np.column_stack([vectors, times])
-        evaluate = traced().of_vector
-        found = np.empty((len(times), LOAD_REFERENCE_SIZE + REFERENCE_HIGHER_RATES_SIZE))
-        for row, vector in zip(found, vectors, strict=True):
-            row[:] = evaluate(vector)
+        found = traced().of_rows(vectors)
         return found[:, :LOAD_REFERENCE_SIZE], found[:, LOAD_REFERENCE_SIZE:]
 
     return rows

@@ -16,7 +16,7 @@ all phases of the orbit of the ξ and A there, taken as constant: these limits a
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, TypeVar
@@ -393,15 +393,20 @@ class HorizonProblem:
 
     def all_terms(self, references: NDArray, winds: NDArray) -> NDArray:
         """The flat `OrbitTerms` (k, 9n + 3) of references (k, 22), in winds (3,) or (k, 3)."""
-        return np.array([self.terms_at(*pair) for pair in _pairs(references, winds)])
+        return self._terms.of_rows(self._stacked(references, winds))
 
     def flight_terms(self, references: NDArray, winds: NDArray) -> NDArray:
         """The flat `FlightTerms` (k, 15n + 9) likewise; (k, 0) without limits of flight."""
         function = self._flight_terms
         if function is None:
             return np.zeros((len(references), 0))
-        pairs = _pairs(references, winds)
-        return np.array([function(row, self._beliefs, wind)[0].copy() for row, wind in pairs])
+        return function.of_rows(self._stacked(references, winds))
+
+    def _stacked(self, references: NDArray, winds: NDArray) -> NDArray:
+        """What functions take of references (k, 22), in winds (3,) or (k, 3)."""
+        count = len(references)
+        own = np.broadcast_to(self._beliefs, (count, len(self._beliefs)))
+        return np.hstack([references, own, np.broadcast_to(winds, (count, WIND_SIZE))])
 
     def orbit_flight_margins(
         self, flat_flight: NDArray, frequency: float, amplitude: float
@@ -913,11 +918,6 @@ class HorizonProblem:
         key = terms.__name__, model.attachments, model.pseudo_inverse, model.aircraft is None
         sizes = [LOAD_REFERENCE_SIZE, len(self._beliefs), WIND_SIZE]
         return TracedFunction(of_reference, sizes, name=self.name, key=key)
-
-
-def _pairs(references: NDArray, winds: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
-    """Each reference (k, 22) with its wind, of those (k, 3) or of the one (3,)."""
-    return zip(references, np.broadcast_to(winds, (len(references), WIND_SIZE)), strict=True)
 
 
 def _columns(parts: NDArray) -> NDArray:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.blocks.wind import StillAirConfig
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import (
     PLANNED_SIZE,
     CarrierStates,
@@ -53,7 +54,7 @@ def largest_shortfall(run: Run) -> float | None:
     problem = HorizonProblem(model, limits, horizon, lambda: "planned speeds")
     flown = np.linalg.norm(states.velocities, axis=-1)
     # The first values are not those of a plan that has begun.
-    terms = np.array([problem.terms_at(reference) for reference in references[1:]])
+    terms = problem.all_terms(references[1:], STILL_AIR)
     planned_speed = np.sqrt(problem.squares_along(OrbitTerms.view(terms), planned[1:]))
     wanted = planned_speed.copy()
     if len(wanted) > _SETTLING + len(_AHEAD):

@@ -114,6 +114,18 @@ class TracedFunction:
             self._raise(vector)
         return results[0]
 
+    def of_rows(self, rows: NDArray) -> NDArray:
+        """The output, where there is one, for each row (k, size) of all inputs, stacked."""
+        vector, evaluate, squared_norm, results = self._scratch.parts
+        found = np.empty((len(rows), len(results[0])))
+        for values, row in zip(rows, found, strict=True):
+            vector[:] = values
+            evaluate()
+            if not squared_norm[0] < self._largest_squared:
+                self._raise(vector)
+            row[:] = results[0]
+        return found
+
     def of_vector_and_time(self, values: NDArray, time: float) -> NDArray:
         """Likewise for the only input, all of it but the time at its end."""
         vector, evaluate, squared_norm, results = self._scratch.parts
