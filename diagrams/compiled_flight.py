@@ -12,8 +12,9 @@ from pydrake.systems.framework import Context, PortDataType, System
 
 from drake_nonstop.diagrams.loop_functions import Evaluation, LoopFunctions, Reading
 from drake_nonstop.diagrams.loop_layout import LoopLayout, discrete_state_of
-from drake_nonstop.systems.diagram_trace import FOUND_SIZE, KNOWN
+from drake_nonstop.systems.diagram_trace import FOUND_SIZE, QUANTITIES, ROWS, gives_rows
 from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.validation import require
 
 _MOST_SAMPLES = 64  # for which what stands outside is evaluated at once
 
@@ -117,8 +118,10 @@ class CompiledFlight:
             sample, with those at its end. Of each sample that was flown, one after the other.
 
         Raises:
+            ScenarioError: `samples` is below 1.
             NotFiniteError: a value is not finite, or is too large.
         """
+        require(samples >= 1, "samples", samples, "give 1 or more")
         if self.samples == 0:
             self._state, signals, step_signals = self._call(self._after_sample)
         elif self._whole is None:
@@ -156,7 +159,8 @@ class CompiledFlight:
             NotFiniteError: a value is not finite, or is too large.
         """
         own = self._state, self._parameters, np.array([self.time])
-        *_, read, holds, _ = self._evaluated(whole, *own, self._no_answers, outside)
+        *_, read, holds, _, _ = whole([*own, self._no_answers, outside])
+        self._require_finite(float(read @ read))
         self._give(read)
         answers = [
             self._place_of(leaf, self._state) if is_made else self._asked_for(leaf, self._state)
@@ -274,9 +278,12 @@ class CompiledFlight:
 
     def _evaluated(self, function: Evaluation, *inputs: NDArray) -> list[NDArray]:
         *results, norm = function(inputs)
-        if not norm[0] < self._largest**2:
-            raise NotFiniteError("the loop")
+        self._require_finite(norm[0])
         return results
+
+    def _require_finite(self, squares: float) -> None:
+        if not squares < self._largest**2:
+            raise NotFiniteError("the loop", largest=self._largest)
 
     def _value(self, reading: Reading, now: float, ahead: float) -> NDArray:
         number, output, offset = reading
@@ -325,36 +332,46 @@ class _Source:
             self._time = at
             self._known.clear()
         if output not in self._known:
-            if self._is_known(output):
-                ((self._known[output],),) = self._rows([output], np.array([at]))
+            if self._has_rows(output):
+                self._known[output] = self._rows([output], np.array([at]))[0][0]
             else:
                 self._known[output] = self._block.get_output_port(output).Eval(self._context)
         return self._known[output]
 
     def values(self, outputs: Sequence[int | str], times: NDArray) -> list[NDArray]:
         """Rows of each of some outputs, at times (k,) in s."""
-        if all(map(self._is_known, outputs)):
-            return self._rows(outputs, times)
-        found: list[list[NDArray]] = [[] for _ in outputs]
-        for at in times.tolist():
-            for output, rows in zip(outputs, found, strict=True):
-                rows.append(self.value(output, at))
-        return [np.array(rows) for rows in found]
+        given = [output for output in outputs if self._has_rows(output)]
+        found: dict[int | str, Any] = {output: [] for output in outputs}
+        found |= dict(zip(given, self._rows(given, times), strict=True)) if given else {}
+        others = [output for output in outputs if output not in given]
+        for at in times.tolist() if others else ():
+            for output in others:
+                found[output].append(self.value(output, at))
+        return [np.array(rows) for rows in found.values()]
 
-    def _is_known(self, output: int | str) -> bool:
+    def _has_rows(self, output: int | str) -> bool:
         """Whether the block gives rows of an output, and not its ports alone."""
-        if not hasattr(self._block, KNOWN):
-            return False
-        is_quantity = isinstance(output, str)
-        port = None if is_quantity else self._block.get_output_port(output)
-        return port is None or port.get_data_type() == PortDataType.kVectorValued
+        if isinstance(output, str):
+            return True
+        port = self._block.get_output_port(output)
+        return gives_rows(self._block) and port.get_data_type() == PortDataType.kVectorValued
 
     def _rows(self, outputs: Sequence[int | str], times: NDArray) -> list[NDArray]:
-        names = [
-            output if isinstance(output, str) else self._block.get_output_port(output).get_name()
-            for output in outputs
-        ]
-        return self._block.known_over(names, times)
+        """Those of quantities, or of ports.
+
+        Raises:
+            ValueError: the block gives other rows than its ports have.
+        """
+        if isinstance(outputs[0], str):
+            return getattr(self._block, QUANTITIES)(outputs, times)
+        ports = [self._block.get_output_port(output) for output in outputs]
+        names = [port.get_name() for port in ports]
+        rows = getattr(self._block, ROWS)(names, times)
+        for port, own in zip(ports, rows, strict=True):
+            if own.shape != (len(times), port.size()):
+                name = f"{self._block.get_name()}.{ROWS}"
+                raise ValueError(f"{name}: rows {own.shape} of {port.get_name()} ({port.size()})")
+        return rows
 
 
 class _Outside:
@@ -380,7 +397,7 @@ class _Outside:
             most: of the samples.
         """
         if not self._first <= first < self._end:
-            self._first, self._end = first, first + _MOST_SAMPLES
+            self._first, self._end = first, first + min(most, _MOST_SAMPLES)
             self._times = time_of(np.arange(first, self._end), self._period)
             self._rows = self._made()
         chosen = slice(first - self._first, first - self._first + most)

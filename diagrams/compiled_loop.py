@@ -127,8 +127,8 @@ def _is_held(block: System, wires: Wires) -> bool:
     return not is_fed and block.CreateDefaultContext().num_continuous_states() == 0
 
 
-_functions: Recent[LoopFunctions] = Recent()
-_derivatives: Recent[DerivativeFunctions] = Recent()
+_recent_functions: Recent[LoopFunctions] = Recent()
+_recent_derivatives: Recent[DerivativeFunctions] = Recent()
 
 
 class CompiledLoop:
@@ -199,7 +199,7 @@ class CompiledLoop:
 
     @cached_property
     def _functions(self) -> LoopFunctions:
-        return _functions.get(self._key(), self._traced)
+        return _recent_functions.get(self._key(), self._traced)
 
     @cached_property
     def _content(self) -> Any:
@@ -287,11 +287,20 @@ class CompiledLoop:
                 is at another time.
         """
         require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
-        made = functools.partial(derivative_functions, self._layout)
-        functions = _derivatives.get(self._content, made)
+        functions = self._derivatives
         return DerivativeFlight(
             self._layout, functions, self.control_period, self._schedule, context
         )
+
+    @cached_property
+    def _derivatives(self) -> DerivativeFunctions:
+        made = functools.partial(derivative_functions, self._layout)
+        return _recent_derivatives.get(self._content, made)
+
+    @property
+    def blocks_without_derivatives(self) -> list[str]:
+        """The names of those that search, or are stepped by Simulators of their own."""
+        return [*self._layout.updating]
 
     @property
     def blocks_beside(self) -> list[str]:

@@ -207,8 +207,11 @@ def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> tuple[NDA
             step = step / 2
         offset = offset - step
         residual, before, last = function(offset), residual, size
-        change = residual - before
-        slopes = slopes - np.outer(change + slopes @ step, step) / (step @ step)
+        length, change = step @ step, residual - before
+        if length > 0 and np.all(np.isfinite(change)):
+            slopes = slopes - np.outer(change + slopes @ step, step) / length
+        else:
+            last = 0.0
     return residual, is_far
 
 

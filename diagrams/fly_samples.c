@@ -2,8 +2,8 @@
 
    `loop` has one argument: its state comes first, and the results are, in this order, the state
    after the sample, the signals, the signals of steps, what blocks read, whether what is made of
-   their updates holds (1 or 0), the data of a search, and the sum of all squares. Where there is
-   no search it is defined as 0. */
+   their updates holds (1 or 0), the data of a search, and the sum of the squares of all but these
+   two. Where there is no search it is defined as 0; FOUND_SIZE is that of what it finds. */
 
 #include <string.h>
 
@@ -39,13 +39,12 @@ CASADI_SYMBOL_EXPORT casadi_int fly_samples(casadi_int samples, casadi_real limi
       loop(arg, res, iw, w, 0);
       is_made = 1;
       for (j = 0; j < sizes[3]; j++) is_made = is_made && results[HOLDS][j] == 1;
-      if (!(results[SQUARES][0] < limit)) break; /* it may be no number */
       if (is_made || found[0] == 1) break;
       if (!search(results[DATA], tolerance, found + 1)) break;
       found[0] = 1;
     }
-    found[0] = found[1] = found[2] = 0;
-    if (!is_made || !(results[SQUARES][0] < limit)) return k;
+    for (j = 0; j < FOUND_SIZE; j++) found[j] = 0;
+    if (!is_made || !(results[SQUARES][0] < limit)) return k; /* which may be no number */
     memcpy(input, results[STATE], sizes[0] * sizeof *input);
   }
   return k;

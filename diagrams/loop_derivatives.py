@@ -8,7 +8,7 @@ method are differentiated by the chain rule, stage by stage (own derivation): of
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -33,6 +33,8 @@ class _Slopes:
     """
 
     def __init__(self, traced: Traced):
+        # Without the diagram's systems: the functions outlive it.
+        traced = traced._replace(symbols=replace(traced.symbols, numbers={}))
         self._traced = traced
         self.values = LoopFunction(traced._replace(results=traced.results[:1]), is_frequent=False)
 
@@ -66,10 +68,9 @@ def derivative_functions(layout: LoopLayout) -> DerivativeFunctions:
     Raises:
         ScenarioError: a block of the loop searches, or stands beside the trace.
     """
-    for block in (*layout.held, *layout.attempting):
-        path = block.get_name() if block in layout.held else layout.wires.block_of(block).get_name()
+    for name, block in layout.updating.items():
         raise ScenarioError(
-            f"{path} = {type(block).__name__}: its updates have no derivatives that are traced; "
+            f"{name} = {type(block).__name__}: its updates have no derivatives that are traced; "
             "give another block, such as ConstantParameters in place of a layer that searches"
         )
     trace = LoopTrace(layout)

@@ -1,6 +1,7 @@
 """The traced functions of a loop, and how they are evaluated: as C, or in CasADi's machine."""
 
 import ctypes
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import System
 
 from drake_nonstop.systems.compilation import Compiled, compiled
+from drake_nonstop.systems.diagram_trace import FOUND_SIZE
 from drake_nonstop.systems.tracing import object_array
 
 Made = TypeVar("Made")
@@ -26,15 +28,17 @@ class Recent(Generic[Made]):
 
     def __init__(self) -> None:
         self.entries: dict[Any, Made] = {}
+        self._lock = threading.Lock()
 
     def get(self, key: Any, make: Callable[[], Made]) -> Made:
         """What there is for a key, or what is made; None has no entry."""
-        found = self.entries.pop(key, None) or make()
-        if key is not None:
-            self.entries[key] = found
-            if len(self.entries) > _MOST_ENTRIES:
-                self.entries.pop(next(iter(self.entries)), None)
-        return found
+        with self._lock:
+            found = self.entries.pop(key, None) or make()
+            if key is not None:
+                self.entries[key] = found
+                if len(self.entries) > _MOST_ENTRIES:
+                    self.entries.pop(next(iter(self.entries)))
+            return found
 
 
 class SearchInC(Protocol):
@@ -92,7 +96,7 @@ class Traced(NamedTuple):
 class LoopFunction:
     """A traced function of the state, the parameters, the time and what stands outside.
 
-    The last of its results is the sum of the others' squares.
+    The last of its results is the sum of the squares of those that are checked.
 
     Args:
         traced: what it computes.
@@ -115,7 +119,8 @@ class LoopFunction:
         outside = casadi.vertcat(*symbols.symbols) if symbols.symbols else casadi.SX(0, 1)
         self.argument_sizes = [argument.numel() for argument in arguments]
         stacked = casadi.vertcat(*arguments, outside)
-        norm = casadi.sumsqr(casadi.vertcat(*results))
+        checked = results[:-2] if is_whole else results  # not what tells of updates to be made
+        norm = casadi.sumsqr(casadi.vertcat(*checked))
         results = [*results, norm]
         if is_frequent:  # it takes longer than an evaluation saves
             results = casadi.cse(results)
@@ -125,7 +130,8 @@ class LoopFunction:
         self._others = [] if search is None else search.functions
         self._besides = ""
         if is_whole:
-            self._besides = (_NO_SEARCH if search is None else search.text) + _FLY_SAMPLES
+            own = _NO_SEARCH if search is None else search.text
+            self._besides = f"{own}#define FOUND_SIZE {FOUND_SIZE}\n{_FLY_SAMPLES}"
         self._is_looked_for = self._is_tried = False  # in the cache, to compile it
 
     def compile(self, builds: bool) -> None:
@@ -240,7 +246,7 @@ class Evaluation:
             own[place] = time
             own[start:] = outside[k]
             self.evaluate()
-            if not norm[0] < limit or not holds.all():
+            if not norm[0] < limit or not (holds == 1).all():
                 return k
             signals[k], steps[k] = own_signals, own_steps
             own[: len(state)] = state

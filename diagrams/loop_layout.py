@@ -80,6 +80,12 @@ class LoopLayout:
         return sum(1 + sum(self.state_sizes[leaf][1:]) for leaf in self.attempting)
 
     @property
+    def updating(self) -> dict[str, System]:
+        """Those that make updates themselves, at every sample or some, by their blocks' names."""
+        names = {self.wires.block_of(leaf).get_name(): leaf for leaf in self.attempting}
+        return {block.get_name(): block for block in self.held} | names
+
+    @property
     def state_names(self) -> list[str]:
         """Of each state the path of its system in the diagram, and its number in that."""
         return [

@@ -277,7 +277,7 @@ class NoisyFeedback(LeafBlock):
             return state
         return _with_noise(state, at.known(_NOISE, TRACKING_ERROR_SIZE))
 
-    def known_over(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+    def quantities_over(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """The noise (k, 12) at times (k,) in s, of which there is no other quantity."""
         numbers, places = np.unique(self._numbers_of(times), return_inverse=True)
         noise = np.array([self._noise(number) for number in numbers.tolist()])

@@ -74,13 +74,14 @@ class _TraceNumbers(NamedTuple):
 
     enabled: NDArray  # (1,), 1 or 0
     bound: NDArray  # (1,), m/s, ε that was set
+    highest: NDArray  # (1,), m/s, of a bound
     tightening: NDArray  # (3,), how it is tightened, see `UpdateSolver.tightening`
     beliefs: NDArray  # a flat `Beliefs`
 
     @classmethod
     def view(cls, values: NDArray) -> "_TraceNumbers":
         """The parts of a flat vector."""
-        return cls._make([values[:1], values[1:2], values[2:5], values[5:]])
+        return cls._make([values[:1], values[1:2], values[2:3], values[3:6], values[6:]])
 
 
 class NonstopOptimizer(SpeedBoundLayer):
@@ -231,12 +232,13 @@ class NonstopOptimizer(SpeedBoundLayer):
     def trace_parameters(self, context: Context) -> NDArray:
         """What `traced_attempt` takes of the parameters, as a flat `_TraceNumbers`."""
         numbers = self._numbers_in(context)
-        first = [float(self.is_enabled(context)), numbers.speed_bound, *self.solver.tightening]
-        return np.concatenate([first, numbers.beliefs])
+        first = [float(self.is_enabled(context)), numbers.speed_bound, self.highest_speed_bound]
+        return np.concatenate([first, self.solver.tightening, numbers.beliefs])
 
     def traced_output(self, port: str, at: At) -> NDArray:
         if port == "speed_bound":
-            return self.traced_bound(at, _TraceNumbers.view(at.parameters).bound)
+            known = _TraceNumbers.view(at.parameters)
+            return self.traced_bound(at, known.bound, known.highest)
         ports = ["parameters", "diagnostics", "solve_time"]
         return at.state(1 + ports.index(port) if port in ports else 7)
 
@@ -250,7 +252,7 @@ class NonstopOptimizer(SpeedBoundLayer):
         known = _TraceNumbers.view(at.parameters)
         states = [at.state(k) for k in range(1, 8 if self._missed is not None else 7)]
         previous, diagnostics, _, last_wrench_rate, bound_in_force, is_changing = states[:6]
-        bound = self.traced_bound(at, known.bound)
+        bound = self.traced_bound(at, known.bound, known.highest)
         aim = traced_tightened(bound, known.tightening)
         wrench_rate = at.input("wrench_rate")
         updates = Diagnostics(*diagnostics).updates

@@ -238,12 +238,12 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         return self._config.knot_spacing, self._sample_period, self._samples_per_plan
 
     def trace_parameters(self, context: Context) -> NDArray:
-        """The speed bound (1,), m/s."""
-        return np.array([self._numbers_in(context).speed_bound])
+        """The speed bound and the highest one (2,), m/s."""
+        return np.array([self._numbers_in(context).speed_bound, self.highest_speed_bound])
 
     def traced_output(self, port: str, at: At) -> NDArray:
         if port == "speed_bound":
-            return self.traced_bound(at, at.parameters)
+            return self.traced_bound(at, *np.split(at.parameters, 2))
         values = at.state(_VALUES)
         if port == "parameters":
             planned = PlannedParameters.view(values)

@@ -181,14 +181,18 @@ class SpeedBoundLayer(LeafBlock):
         """Whether the layer is switched on."""
         return bool(context.get_numeric_parameter(self._enabled).CopyToVector()[0])
 
-    def traced_bound(self, at: At, bound: NDArray) -> NDArray:
-        """ε (1,), m/s: `bound`, or what is commanded; no number where that is out of range."""
+    def traced_bound(self, at: At, bound: NDArray, highest: NDArray) -> NDArray:
+        """ε (1,), m/s: `bound`, or what is commanded; no number where that is out of range.
+
+        Args:
+            at: the instant.
+            bound: (1,), m/s, that was set.
+            highest: (1,), m/s, `highest_speed_bound`, which is no part of a trace.
+        """
         if not at.has_input(COMMAND):
             return bound
         command = at.input(COMMAND)
-        is_bound = casadi.logic_and(
-            command[0] >= LEAST_BOUND, command[0] < self.highest_speed_bound
-        )
+        is_bound = casadi.logic_and(command[0] >= LEAST_BOUND, command[0] < highest[0])
         is_bound = casadi.logic_or(command[0] == 0, is_bound)
         return chosen(is_bound, command, np.array([np.nan]))
 

@@ -434,7 +434,7 @@ class GustyWind(_Profile):
     def _gusts_at(self, port: str, at: At) -> Any:
         return at.known(port, self.GetOutputPort(port).size())
 
-    def known_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
+    def quantities_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """The gusts on top of what ports show, (k, size), at times (k,) in s; m/s, in W."""
         shapes = [(len(times), self.GetOutputPort(port).size()) for port in ports]
         gusts = [self._gusts(port, times[:, None, None]) for port in ports]

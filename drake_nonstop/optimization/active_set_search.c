@@ -153,7 +153,7 @@ static double evaluate(active_set *search, double amplitude) {
 static void evaluate_evenly(active_set *search, double low, double step, int count) {
   double costs[MOST_COSTS + 2];
   int i, j;
-  if (count > MOST_COSTS) {
+  if (count < 1 || count > MOST_COSTS) {
     search->has_given_up = 1;
     return;
   }

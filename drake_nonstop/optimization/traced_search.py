@@ -13,6 +13,7 @@ from drake_nonstop.optimization.traced_problem import SpeedTerms, TracedProblem
 from drake_nonstop.optimization.update_data import Beliefs, UpdateData
 from drake_nonstop.systems.tracing import object_array
 
+_MOST_MEMORY = 50_000  # numbers on the stack, which threads may have half a megabyte of
 _C_TEXT = files(__package__).joinpath("active_set_search.c").read_text()
 
 
@@ -24,8 +25,8 @@ class SearchFunctions(NamedTuple):
     tolerance: float  # of a margin
 
 
-def search_functions(problem: TracedProblem) -> SearchFunctions:
-    """The search for a problem with constraints on speeds alone."""
+def search_functions(problem: TracedProblem) -> SearchFunctions | None:
+    """The search for a problem with constraints on speeds alone; None: it needs too much memory."""
     x = casadi.SX.sym("x", PARAMETERS_SIZE)
     data = casadi.SX.sym("d", problem.data_size)
     given = _search_problem(problem, object_array(data))
@@ -51,6 +52,8 @@ def search_functions(problem: TracedProblem) -> SearchFunctions:
         "SEARCH_IW": max(1, *(function.sz_iw() for function in functions)),
         "SEARCH_W": max(1, *(function.sz_w() for function in functions)),
     }
+    if 2 * sizes["SEARCH_W"] + 40 * count > _MOST_MEMORY:
+        return None
     defined = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
     return SearchFunctions(functions, f"\n{defined}{_C_TEXT}", FEASIBILITY_TOLERANCE)
 

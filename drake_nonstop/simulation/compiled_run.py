@@ -139,6 +139,8 @@ class CompiledRun:
             for block in ending
         ]
         self._signal_ends = np.arange(1, loop.shown_per_sample + 1) / loop.shown_per_sample
+        self._recorded = 0, self._flight.state  # samples, and the state after them
+        self._end = 0.0  # s, of what is recorded
 
     def saved_state(self) -> "RestorableState":
         """The state of the last sample, for a flight of the diagram from there."""
@@ -173,6 +175,7 @@ class CompiledRun:
         try:
             signals, steps = self._flight.start()
             self._recording.add([0.0], signals[None], [0.0], steps[None])
+            self._recorded = 0, self._flight.state
             monitor.has_ended = self._is_over(steps[None]) is not None
             ends = monitor.ends(0.0) or monitor.has_ended
             while not ends and self._flight.samples < samples:
@@ -182,13 +185,15 @@ class CompiledRun:
         except RecordingError:
             raise
         except Exception as error:  # whatever blocks may raise: the diagram does again, at its step
+            is_begun = self._go_back()
             _tell(f"{one_line(error)}; from t = {self._flight.time:g} s on")
-            if not self._again():
+            self._end = self._flight.time
+            if not is_begun:
                 if self._recording.has_steps:
                     self._recording.drop_last_step()
                 return False
         finally:
-            self._context.SetTime(self._flight.time)
+            self._context.SetTime(self._end)
         if not monitor.has_ended:
             self.write_state()
         if abs(self._flight.time - duration) < _ROUNDING:
@@ -213,10 +218,12 @@ class CompiledRun:
             self._recording.add(
                 times[is_before], signals[is_before], step_times[: last + 1], steps[: last + 1]
             )
+            self._end = float(step_times[last])
             monitor.has_ended = True
             return True
         self._recording.add(times, signals, step_times, steps)
-        return monitor.ends(ends[-1])
+        self._recorded, self._end = (self._flight.samples, self._flight.state), float(ends[-1])
+        return monitor.ends(self._end)
 
     def _is_over(self, steps: NDArray) -> int | None:
         """The first step after which a block ends the run."""
@@ -226,11 +233,12 @@ class CompiledRun:
                     return k
         return None
 
-    def _again(self) -> bool:
-        """Goes back to the last sample; whether there is one."""
-        samples = self._flight.samples
+    def _go_back(self) -> bool:
+        """Goes back to the last sample that is recorded; whether there is one."""
+        samples, state = self._recorded
         if not self._loop.blocks_beside:
-            return samples > 0  # the flight is there still
+            self._flight.go_to(samples, state)
+            return samples > 0
         self._flight = self._loop.fly(self._start, _UNUSUAL)
         if samples > 0:
             self._flight.start()

@@ -145,8 +145,12 @@ def linearize(scenario: Scenario) -> Stability:
     config = stable_config(resting.simulator_config, nonstop, context)
 
     coordinates = _Coordinates(nonstop, context)
-    maps = _ExactMaps if not reason_against(nonstop, config, sample) else _DifferencedMaps
-    sample_map = maps(coordinates, nonstop, context, config, sample)
+    sample_map: _DifferencedMaps | _ExactMaps
+    sample_map = _DifferencedMaps(coordinates, nonstop, context, config, sample)
+    if not reason_against(nonstop, config, sample):
+        loop = CompiledLoop(nonstop, config, sample, signals=(), compiles=False)
+        if not loop.blocks_without_derivatives:
+            sample_map = _ExactMaps(coordinates, loop, context)
 
     # Before each phase the loop runs from its equilibrium until the delays are filled.
     delay = getattr(scenario.load_feedback, "delay", 0.0)
@@ -257,18 +261,16 @@ class _DifferencedMaps:
 
 
 class _ExactMaps:
-    """The same by the loop's exact derivatives; arguments as of `_DifferencedMaps`."""
+    """The same by a loop's exact derivatives.
 
-    def __init__(
-        self,
-        coordinates: "_Coordinates",
-        nonstop: Diagram,
-        context: Context,
-        config: SimulatorConfig,
-        sample: float,
-    ):
-        self._coordinates, self._context = coordinates, context
-        self._loop = CompiledLoop(nonstop, config, sample, signals=(), compiles=False)
+    Args:
+        coordinates: what is differentiated.
+        loop: that of the diagram.
+        context: at the start of a flight, each time.
+    """
+
+    def __init__(self, coordinates: "_Coordinates", loop: CompiledLoop, context: Context):
+        self._coordinates, self._loop, self._context = coordinates, loop, context
         self._places = coordinates.places_in(self._loop.state_of)
 
     def after(self, lead: int) -> NDArray:
@@ -343,11 +345,11 @@ class _Coordinates:
         Args:
             state_of: the states of a context in that order.
         """
-        context, count = self._nonstop.CreateDefaultContext(), 0
+        context, count = self._nonstop.CreateDefaultContext(), 2.0**40  # that no state has
         numbers = {}
         for name, (block, _) in self._blocks.items():
             size = len(self._values(block, context))
-            numbers[name] = count + 1.0 + np.arange(size)  # each state's own
+            numbers[name] = count + np.arange(size)  # each state's own
             set_state_values(self._own(block, context), numbers[name])
             count += size
         found = state_of(context)

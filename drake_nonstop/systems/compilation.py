@@ -16,6 +16,7 @@ import platform
 import shutil
 import stat
 import subprocess
+import sys
 import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -29,7 +30,10 @@ from drake_nonstop.validation import ScenarioWarning
 COMPILER = "CC"  # the variable of the environment that names another compiler
 CACHE = "DRAKE_NONSTOP_CACHE"  # likewise, another folder
 _COMPILERS = "cc", "gcc", "clang"
-_OPTIONS = ("-Og", "-fPIC", "-shared", "-ffp-contract=off")
+_OPTIONS = [  # on Linux a library calls its own functions, and none of that name elsewhere
+    *("-Og", "-fPIC", "-shared", "-ffp-contract=off"),
+    *(["-Wl,-Bsymbolic"] if sys.platform == "linux" else []),
+]
 _TIME_LIMIT = 600.0  # s, of a compilation
 
 

@@ -40,7 +40,8 @@ from pydrake.systems.primitives import (
 from drake_nonstop.systems.tracing import object_array
 
 FOUND_SIZE = 3  # of what a search in C finds: whether it does, and two numbers
-KNOWN = "known_over"  # the method of a block that knows outputs or quantities beforehand
+ROWS = "known_over"  # the method of a block without inputs that gives rows of its outputs
+QUANTITIES = "quantities_over"  # likewise, of a traced block for what it takes by `At.known`
 ADJUSTED = "adjusted"  # the input of a switch that reads the parameters of the context
 _LINEAR = Selector, Gain, MatrixGain, Adder, Multiplexer, Demultiplexer, PassThrough
 
@@ -69,7 +70,13 @@ def is_traceable(system: System) -> bool:
 
 def knows_beforehand(leaf: System) -> bool:
     """Whether a leaf that can be traced has outputs or quantities that it knows beforehand."""
-    return hasattr(leaf, KNOWN) or isinstance(leaf, TrajectorySource)
+    return hasattr(leaf, QUANTITIES) or isinstance(leaf, TrajectorySource)
+
+
+def gives_rows(block: System) -> bool:
+    """Whether a block gives rows of its outputs, and no class below computes other values."""
+    kind = type(block)
+    return hasattr(block, ROWS) and (_is_of_package(kind) or ROWS in vars(kind))
 
 
 def _has_trace(leaf: System) -> bool:
@@ -291,7 +298,7 @@ class At:
         """A quantity that is a function of the time alone, and no part of the trace.
 
         It is what a port shows, by its number, or one of the block's own, by its name: the leaf's
-        method `known_over(names, times)` gives rows (k, size) of each, at times (k,) in s.
+        method `quantities_over(names, times)` gives rows (k, size) of each, at times (k,) in s.
         """
         return self._instant.known(self._leaf, name, size)
 

@@ -28,12 +28,13 @@ class NotFiniteError(ArithmeticError):
     Args:
         block: its name.
         was_given: whether the value is among its inputs.
+        largest: what it may be, in SI units.
     """
 
-    def __init__(self, block: str, *, was_given: bool = False):
+    def __init__(self, block: str, *, was_given: bool = False, largest: float = LARGEST):
         super().__init__(
             f"{block} {'was given' if was_given else 'made'} a value that is not finite, or beyond "
-            f"{LARGEST:.0e} in SI units"
+            f"{largest:.0e} in SI units"
         )
         self.block, self.was_given = block, was_given
 

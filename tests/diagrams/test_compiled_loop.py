@@ -1,5 +1,8 @@
 """The traced loop shows what its diagram shows, to rounding."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 from drawn_loops import drawn_loop, largest_difference
@@ -9,6 +12,7 @@ from pydrake.systems.framework import LeafSystem, PortDataType
 
 from drake_nonstop import (
     ConstantParameters,
+    DisturbanceForce,
     ScenarioError,
     StepCheck,
     load_scenario,
@@ -22,6 +26,7 @@ from drake_nonstop.diagrams import compiled_loop
 from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
+from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.tracing import NotFiniteError, constants
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
@@ -191,7 +196,7 @@ OTHER_TRACES = [
 def functions_of(scenario, monkeypatch):
     """The key of a loop's functions, and these as bytes."""
     known = {}
-    monkeypatch.setattr(compiled_loop._functions, "entries", known)
+    monkeypatch.setattr(compiled_loop._recent_functions, "entries", known)
     loop, _ = traced(scenario, compiles=False)
     functions = loop._functions
     (key,) = known
@@ -396,3 +401,123 @@ def test_rows_for_many_times_are_what_the_ports_show(box, name, fields):
 def test_drawn_blocks_and_up_to_16_carriers_are_the_same(seed):
     difference, signal = largest_difference(drawn_loop(seed))
     assert difference < 1e-9, signal
+
+
+class SteadyPush(DisturbanceForce):
+    """Shows another force than the block that it is made of."""
+
+    def _calc(self, context, output):
+        output.SetFromVector([0.0, 0.0, 0.0, 0.5, 0.0, 0.0])
+
+
+class NarrowRows(LeafBlock):
+    """Gives rows that are no outputs of its port."""
+
+    is_sampled = True
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.time_ticket()})
+
+    def calc(self, context, output):
+        output.SetFromVector(np.zeros(6))
+
+    def known_over(self, ports, times):
+        return [np.zeros((len(times), 3)) for _ in ports]
+
+
+def loop_with(scenario, **replacements):
+    diagram = make_nonstop(scenario, **replacements)
+    return CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
+
+
+def test_a_block_below_one_with_rows_shows_its_own_values():
+    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    loop = loop_with(scenario, load_disturbance=SteadyPush)
+    _, signals = loop.run(loop.diagram.CreateDefaultContext(), 0.2)
+    np.testing.assert_array_equal(signals["disturbance_wrench"][:, 3], 0.5)
+
+
+def test_rows_of_another_size_are_named():
+    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    loop = loop_with(scenario, load_disturbance=NarrowRows)
+    with pytest.raises(ValueError, match=r"^load_disturbance.known_over: rows .* \(6\)"):
+        loop.run(loop.diagram.CreateDefaultContext(), 0.2)
+
+
+class EndingSource(LeafBlock):
+    """Is known until 0.2 s."""
+
+    is_sampled = True
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.time_ticket()})
+
+    def calc(self, context, output):
+        if context.get_time() > 0.2 + 1e-9:
+            raise ValueError("nothing is known after 0.2 s")
+        output.SetFromVector(np.zeros(6))
+
+
+def test_a_source_is_read_no_longer_than_the_flight():
+    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    loop = loop_with(scenario, load_disturbance=EndingSource)
+    times, _ = loop.run(loop.diagram.CreateDefaultContext(), 0.2)
+    assert len(times) == 21
+    with pytest.raises(ValueError, match="nothing is known"):
+        loop.run(loop.diagram.CreateDefaultContext(), 0.3)
+
+
+@pytest.mark.parametrize("layer", ["NonstopOptimizer", "RecedingHorizonOptimizer"])
+def test_what_a_command_may_be_is_that_of_each_loop(layer):
+    """Loops whose highest bounds differ share a trace, which does not have them."""
+
+    class Command(LeafBlock):
+        def __init__(self, model):
+            super().__init__()
+            self.DeclareVectorOutputPort("speed_bound_command", 1, self.calc)
+
+        def calc(self, context, output):
+            output.SetFromVector([0.6])
+
+    shown = []
+    for highest in (0.5, 3.0):
+        fields = f"{{speed_bound: 0.3, max_speed: {highest}}}"
+        scenario = load_scenario("quintic", [f"optimization_layer=!{layer} {fields}"])
+        diagram = make_nonstop(scenario, at_equilibrium=False, extra={"command": Command})
+        loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
+        flight = loop.fly(diagram.CreateDefaultContext(), np.inf)
+        with np.errstate(invalid="ignore"):
+            values = flight._shown(
+                [flight.state, flight._parameters, np.zeros(1), *outside(flight)]
+            )
+        ends = np.cumsum([*loop.signals.values()])
+        place = [*loop.signals].index("speed_bound")
+        shown.append(values[0][ends[place] - 1])
+    assert np.isnan(shown[0])
+    assert shown[1] == 0.6
+
+
+def outside(flight):
+    """What the signals at the start read."""
+    return [flight._value(reading, 0.0, 0.01) for reading in flight._shown.readings]
+
+
+def test_what_loops_share_keeps_no_diagram():
+    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    loop = loop_with(scenario)
+    loop.sensitivities(loop.diagram.CreateDefaultContext(), 0.02)
+    loop.run(loop.diagram.CreateDefaultContext(), 0.02)
+    diagram = weakref.ref(loop.diagram)
+    del loop
+    gc.collect()
+    assert diagram() is None
+
+
+def test_a_flight_goes_on_by_a_sample_at_least():
+    loop, context = traced(load_scenario("quintic", [NONSTOP]), compiles=False)
+    flight = loop.fly(context)
+    flight.start()
+    with pytest.raises(ScenarioError, match=r"^samples = 0: "):
+        flight.advance(0)

@@ -10,6 +10,7 @@ import pytest
 from drake_nonstop import (
     CompiledFlight,
     CompiledLoop,
+    LoadPlant,
     RunInterrupted,
     RunStopped,
     ScenarioError,
@@ -272,3 +273,41 @@ def test_the_search_in_c_asks_no_layer_and_finds_the_same(monkeypatch):
     slow = CompiledLoop(loop.diagram, scenario.simulator_config, 0.01, compiles=False)
     with pytest.raises(AskedError):
         slow.run(loop.diagram.CreateDefaultContext(), 3.0)
+
+
+class EndingLoad(LoadPlant):
+    """Fails as it is asked whether it ends the run, at some time after 0.3 s."""
+
+    ending_signal = "load_state"
+
+    def ends_run(self, context, shown):
+        if shown[4] > 1e-3 and not self.has_failed:
+            self.has_failed = True
+            raise RuntimeError("asked in vain")
+        return False
+
+    has_failed = False
+
+
+def test_an_error_between_samples_loses_none():
+    overrides = [CONSTANT, "simulation_duration=2", "load_trajectory.start_time=0"]
+    expected, _ = flown("quintic", overrides, "diagram", check_step=NOTHING)
+    assert expected.signal("load_state")[-1, 4] > 2e-3
+    run, told = flown("quintic", overrides, "compiled", load_plant=EndingLoad, check_step=NOTHING)
+    assert any("asked in vain" in message for message in told)
+    np.testing.assert_array_equal(run.time, expected.time)
+    np.testing.assert_allclose(run.steps["time"], expected.steps["time"], atol=1e-9)
+    for name in ("load_state", "carrier_state"):
+        np.testing.assert_allclose(run.signal(name), expected.signal(name), atol=1e-8)
+
+
+@pytest.mark.parametrize("bounds", ["frequency_bounds=[0.1,1e7]", "amplitude_bounds=[0.01,2e6]"])
+def test_what_a_search_reads_is_no_signal(bounds):
+    overrides = [NONSTOP, f"optimization_layer.{bounds}", "simulation_duration=0.2"]
+    _, told = flown("quintic", overrides, "compiled", check_step=NOTHING)
+    assert not any("engine" in message for message in told)
+
+
+def test_a_run_computes_with_numbers_only():
+    with np.errstate(all="raise"):
+        simulate(load_scenario("quintic", [NONSTOP, "simulation_duration=0.1"]), engine="compiled")

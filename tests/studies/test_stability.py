@@ -5,7 +5,7 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from drake_nonstop import load_scenario
+from drake_nonstop import LeafBlock, load_scenario
 from drake_nonstop.studies import stability
 
 
@@ -59,3 +59,33 @@ def test_exact_maps_are_those_of_differences(name, overrides, is_stable, monkeyp
     np.testing.assert_allclose(ours, others, rtol=1e-5, atol=1e-6)
     for name, share in differenced.shares.items():
         assert exact.shares[name] == pytest.approx(share, abs=1e-4)
+
+
+class LateFeedback(LeafBlock):
+    """The load's state of a sample before, by an update that no trace knows."""
+
+    is_sampled = True
+
+    def __init__(self, model):
+        super().__init__()
+        self.read = self.DeclareVectorInputPort("load_state", 13)
+        state = self.DeclareDiscreteState(np.eye(13)[0])
+        self.DeclareStateOutputPort("measured_load_state", state)
+        self.DeclareInitializationDiscreteUpdateEvent(self.sample)
+        self.DeclarePeriodicDiscreteUpdateEvent(0.01, 0.01, self.sample)
+
+    def sample(self, context, discrete_state):
+        discrete_state.set_value(self.read.Eval(context))
+
+
+def test_a_loop_with_a_block_that_is_not_traced_is_differenced(monkeypatch):
+    scenario = load_scenario("three_carriers")
+    made = stability.make_nonstop
+    monkeypatch.setattr(
+        stability,
+        "make_nonstop",
+        lambda scenario, **options: made(scenario, load_feedback=LateFeedback, **options),
+    )
+    found = stability.linearize(scenario)
+    assert found.is_stable
+    assert found.shares["load_feedback"] >= 0
