@@ -16,7 +16,7 @@ from drake_nonstop.systems.diagram_trace import FOUND_SIZE, QUANTITIES, ROWS, gi
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
 
-_MOST_SAMPLES = 64  # for which what stands outside is evaluated at once
+_MOST_SAMPLES = 128  # for which what stands outside is evaluated at once
 
 
 class CompiledFlight:
@@ -56,10 +56,8 @@ class CompiledFlight:
         self._whole = None if whole is None else Evaluation(whole, compiles)
         self._no_answers = np.zeros(FOUND_SIZE + layout.answers_size)
         diagram = layout.diagram
-        own = diagram.CreateDefaultContext()
-        own.SetTimeStateAndParametersFrom(context)
-        self._state, self._parameters = layout.state_of(own), layout.parameters_of(own)
-        self._sources = sources_of(layout, own)
+        self._state, self._parameters = layout.state_of(context), layout.parameters_of(context)
+        self._sources = sources_of(layout, context)
         self._systems = [*layout.numbers]
         self._outside = _Outside([] if whole is None else whole.readings, self._sources, period)
         self.samples = 0
@@ -69,7 +67,8 @@ class CompiledFlight:
         self._asked: dict[Any, Context] = {}
         for block in (*layout.held, *layout.attempting):
             block_context = block.CreateDefaultContext()
-            block_context.SetTimeStateAndParametersFrom(diagram.GetSubsystemContext(block, own))
+            own = diagram.GetSubsystemContext(block, context)
+            block_context.SetTimeStateAndParametersFrom(own)
             for k in range(block.num_input_ports()):
                 self._fix(block, block_context, k)
             if block in layout.held:
