@@ -139,7 +139,7 @@ class CompiledFlight:
         return signals, step_signals
 
     def _advance_whole(self, whole: Evaluation, samples: int) -> tuple[NDArray, NDArray]:
-        """Samples in one call, or one of them in a second one, with what blocks answer."""
+        """Samples in one call, or one of them that blocks make an update for."""
         times, outside = self._outside.of_samples(self.samples, samples)
         inputs = [self._state, self._parameters, self._no_answers]
         state, *rows = whole.fly(inputs, times, outside, self._largest)

@@ -144,7 +144,8 @@ class CompiledLoop:
             output ports; None: all of them.
         step_signals: those that are shown at the end of every step of the integrator.
         compiles: whether the functions are compiled as C, see `systems.compilation`; if not,
-            CasADi's virtual machine evaluates them, to the same numbers in ten times the time.
+            CasADi's virtual machine evaluates them, in six times the time and more, and blocks
+            search in Python; the numbers are the same to rounding.
         samples: how many are to be flown. Where C is in the cache it is used; else it is compiled,
             which takes seconds, where this process has more of them to fly than it pays for.
             None: it is compiled at once.
