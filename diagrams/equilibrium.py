@@ -11,7 +11,7 @@ from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.diagrams.plant_states import PlantStates
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -69,7 +69,7 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     trial = copied_context(nonstop, context)
     with block_named(nonstop, trial):
         _settle(nonstop, trial)
-    plant_states(nonstop).take_over(context, trial)
+    PlantStates(nonstop).take_over(context, trial)
 
 
 @contextlib.contextmanager
@@ -93,7 +93,7 @@ def block_named(nonstop: Diagram, context: Context) -> Iterator[None]:
 
 def _settle(nonstop: Diagram, trial: Context) -> None:
     """Sets a context of the loop alone to the equilibrium, with all that is sampled or held."""
-    plant = plant_states(nonstop)
+    plant = PlantStates(nonstop)
     start = trial.Clone()
     simulator = Simulator(nonstop, trial)
     reference = nonstop.GetOutputPort("reference").Eval(trial).copy()
@@ -163,7 +163,7 @@ def on_reference(nonstop: Diagram, context: Context) -> None:
     Whatever samples or holds takes its first value.
     """
     loop, own = innermost(nonstop, context, LOOP_SIGNALS)
-    plant = plant_states(loop)
+    plant = PlantStates(loop)
     simulator = Simulator(nonstop, context)
     reference = nonstop.GetOutputPort("reference").Eval(context)[:LOAD_STATE_SIZE]
     plant.set_states(own, load_state=reference)

@@ -55,7 +55,7 @@ from drake_nonstop.diagrams.box import (
 )
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.margin_of_loop import computed_margin
-from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.diagrams.plant_states import PlantStates
 from drake_nonstop.mechanics import signal_layouts
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
@@ -365,9 +365,9 @@ def make_nonstop(
     context = diagram.CreateDefaultContext()
     with _naming_the_block():
         set_equilibrium(diagram, context)
-    if not plant_states(diagram).declare_defaults(context):
+    if not PlantStates(diagram).declare_defaults(context):
         return diagram
-    states = plant_states(diagram).states(context)
+    states = PlantStates(diagram).states(context)
     again = _made_parts(scenario, others, extra, states, parts.margin)
     taken = [*parts.blocks.values()]
     if not any(block is other for block in again.blocks.values() for other in taken):
@@ -376,7 +376,7 @@ def make_nonstop(
             diagram = _connected(scenario, again, inputs, has_extra=bool(extra))
         context = diagram.CreateDefaultContext()
         set_equilibrium(diagram, context)
-    for message in plant_states(diagram).declare_defaults(context):
+    for message in PlantStates(diagram).declare_defaults(context):
         warnings.warn(message, ScenarioWarning, stacklevel=2)
     return diagram
 

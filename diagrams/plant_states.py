@@ -244,11 +244,6 @@ class PlantStates:
         return others
 
 
-def plant_states(nonstop: Diagram) -> PlantStates:
-    """Access to the plant's states of a loop."""
-    return PlantStates(nonstop)
-
-
 def _agree(signal: str, shown: NDArray, value: NDArray) -> NDArray:
     """Whether the entries are the same; a quaternion and its negative are one attitude."""
 

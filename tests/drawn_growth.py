@@ -8,7 +8,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.diagrams.plant_states import PlantStates
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.step_size import with_step
@@ -34,7 +34,7 @@ def deviations(scenario: Scenario, duration: float) -> tuple[NDArray, NDArray]:
         set_equilibrium(nonstop, context)
         load = nonstop.GetOutputPort("load_state").Eval(context).copy()
         LoadState.view(load).position[:] += by / math.sqrt(3)
-        plant_states(nonstop).set_states(context, load_state=load)
+        PlantStates(nonstop).set_states(context, load_state=load)
         simulator = Simulator(nonstop, context)
         step = min(_STEP, scenario.simulator_config.max_step_size)
         ApplySimulatorConfig(with_step(scenario.simulator_config, step), simulator)

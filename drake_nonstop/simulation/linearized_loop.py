@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.equilibrium import LOOP_SIGNALS, copied_context
-from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.diagrams.plant_states import PlantStates
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, LoadState
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.systems.wiring import innermost
@@ -42,7 +42,7 @@ class LinearizedLoop:
 
     def __init__(self, nonstop: Diagram, context: Context, control_period: float):
         nonstop, context = innermost(nonstop, context, LOOP_SIGNALS)
-        self._nonstop, self._plant = nonstop, plant_states(nonstop)
+        self._nonstop, self._plant = nonstop, PlantStates(nonstop)
         self._period = control_period or SIGNAL_PERIOD
         self._trial = trial = copied_context(nonstop, context)
         Simulator(nonstop, trial).Initialize()

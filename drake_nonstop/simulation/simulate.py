@@ -17,7 +17,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 
 from drake_nonstop.diagrams.equilibrium import block_named, set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
-from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.diagrams.plant_states import PlantStates
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import AUTO, COMPILED, DIAGRAM, Scenario, check
 from drake_nonstop.simulation.aircraft_margins import margins_of_loop
@@ -213,7 +213,7 @@ def _simulate(
     nonstop_context = nonstop.GetMyMutableContextFromRoot(context)
     try:
         set_equilibrium(nonstop, nonstop_context)
-        plant_states(nonstop).declare_defaults(nonstop_context)
+        PlantStates(nonstop).declare_defaults(nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
         if not is_second:  # it has been said
             _warn_of_margins(scenario, nonstop, nonstop_context)

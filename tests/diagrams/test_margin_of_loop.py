@@ -11,7 +11,7 @@ from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.diagrams.margin_of_loop import margin_of_loop
 from drake_nonstop.diagrams.nonstop import make_blocks, make_nonstop
-from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.diagrams.plant_states import PlantStates
 from drake_nonstop.mechanics.sampled_loop import noise_deviation, responses
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.mechanics.tethered_loop import (
@@ -138,7 +138,7 @@ def test_a_deviation_goes_on_as_in_a_run():
         context = loop.CreateDefaultContext()
         load = loop.GetOutputPort("load_state").Eval(context).copy()
         LoadState.view(load).angular_velocity[:] += by * spin
-        plant_states(loop).set_states(context, load_state=load)
+        PlantStates(loop).set_states(context, load_state=load)
         simulator = Simulator(loop, context)
         simulator.get_mutable_integrator().set_maximum_step_size(2e-4)
         states.append([])

@@ -6,7 +6,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.diagrams.plant_states import plant_states
+from drake_nonstop.diagrams.plant_states import PlantStates
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
@@ -31,7 +31,7 @@ def growth_per_turn(resting, turns):
         for seed, name in enumerate(("load_state", "carrier_state")):
             state = nonstop.GetOutputPort(name).Eval(context).copy()
             noise = np.random.default_rng(seed).standard_normal(len(state))
-            plant_states(nonstop).set_states(context, **{name: state + size * noise})
+            PlantStates(nonstop).set_states(context, **{name: state + size * noise})
         simulator = Simulator(nonstop, context)
         ApplySimulatorConfig(config, simulator)
         states = []
