@@ -1,4 +1,7 @@
-"""Runs that several tests judge, simulated once per test run whatever the number of workers."""
+"""Runs that several tests judge, flown once per test run whatever the number of workers.
+
+The compiled engine flies them where it can: `simulation/test_engines.py` holds it to the diagram.
+"""
 
 import contextlib
 import copy
@@ -10,8 +13,9 @@ import pickle
 from collections.abc import Iterator
 from pathlib import Path
 
-from drake_nonstop import Run, Scenario, compute_metrics, simulate
+from drake_nonstop import Run, Scenario, compute_metrics
 from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.studies.run_all import fly
 
 # Who asks for a run has its scenario; its diagram, which cannot be pickled, is built where it is
 # needed.
@@ -45,13 +49,13 @@ class SharedRuns:
         return self._here[key]
 
     def _stored(self, key: str, scenario: Scenario) -> dict:
-        """The stored fields of a run, simulated now where no process has done so before."""
+        """The stored fields of a run, flown now where no process has done so before."""
         path = self._folder / f"{key}.pickle"
         self._folder.mkdir(exist_ok=True)
         with _locked(path.with_suffix(".lock")):
             if path.exists():
                 return pickle.loads(path.read_bytes())
-            run = simulate(scenario)
+            run = fly(scenario)
             stored = {name: getattr(run, name) for name in _STORED}
             written = path.with_suffix(".new")
             written.write_bytes(pickle.dumps(stored, protocol=pickle.HIGHEST_PROTOCOL))

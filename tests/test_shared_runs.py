@@ -1,20 +1,21 @@
-"""The runs that tests share are those that `simulate` returns."""
+"""The runs that tests share are those that studies fly."""
 
 import numpy as np
 import pytest
 import shared_runs
 
-from drake_nonstop import compute_metrics, load_scenario, simulate
+from drake_nonstop import compute_metrics, load_scenario
+from drake_nonstop.studies.run_all import fly
 
 
 def test_a_shared_run_is_simulated_once_and_is_that_of_the_scenario(tmp_path, monkeypatch):
     scenario = load_scenario(
         "quintic", ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
     )
-    fresh = simulate(scenario)
+    fresh = fly(scenario)
     stores = [shared_runs.SharedRuns(tmp_path) for _ in range(2)]  # as of two processes
     runs = [stores[0].run(scenario)]
-    monkeypatch.setattr(shared_runs, "simulate", lambda scenario: pytest.fail("simulated again"))
+    monkeypatch.setattr(shared_runs, "fly", lambda scenario: pytest.fail("flown again"))
     runs += [stores[0].run(scenario), stores[1].run(scenario)]
     for run in runs:
         assert run.signals.keys() == fresh.signals.keys()

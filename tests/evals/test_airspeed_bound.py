@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from drake_nonstop import load_scenario, simulate
+from drake_nonstop import load_scenario
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import Parameters
 from drake_nonstop.model.system import aircraft_in
 from drake_nonstop.simulation.run_quantities import RunQuantities, load_errors
+from drake_nonstop.studies.run_all import fly
 
 NAME = "aircraft_transfer_rising_wind"
 SHARE = 1.4  # of the stall speed
@@ -46,7 +47,7 @@ def test_a_load_turns_faster_as_the_wind_rises_and_misses_the_bound_without(shar
         "load_trajectory=!SteadyTurn {yaw_rate: 0.28}",
         *("simulation_duration=24", "wind.start_time=0", "wind.rise_time=0"),
     ]
-    run = simulate(load_scenario(name, fixed))
+    run = fly(load_scenario(name, fixed))
     assert RunQuantities(run).flight.least_airspeed < 0.86 * bound
 
 
@@ -59,6 +60,6 @@ def test_without_the_layer_the_bound_is_missed():
         "wind.start_time=0",
         "wind.rise_time=0",
     ]
-    run = simulate(load_scenario(NAME, at_end))
+    run = fly(load_scenario(NAME, at_end))
     bound = SHARE * stall_speed(aircraft_in(run.scenario.system))
     assert RunQuantities(run).flight.least_airspeed < 0.93 * bound

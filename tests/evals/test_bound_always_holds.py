@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from drake_nonstop import Scenario, compute_metrics, load_scenario, simulate
+from drake_nonstop import Scenario, compute_metrics, load_scenario
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
+from drake_nonstop.studies.run_all import fly
 
 
 def assert_no_carrier_is_ever_below_its_bound(scenario: Scenario) -> None:
-    metrics = compute_metrics(simulate(scenario))
+    metrics = compute_metrics(fly(scenario))
     assert metrics["carriers"]["time_below_bound_s"] == 0
     assert metrics["carriers"]["speed_min_m_s"] >= scenario.optimization_layer.speed_bound
     optimizer = metrics["optimizer"]
@@ -60,7 +61,7 @@ def one_sample_ahead(scenario: Scenario, **fields) -> Scenario:
 
 def test_without_foresight_of_the_orbit_some_variations_break_the_bound():
     scenario = one_sample_ahead(variation(7), orbit_points=1)
-    carriers = compute_metrics(simulate(scenario))["carriers"]
+    carriers = compute_metrics(fly(scenario))["carriers"]
     assert carriers["time_below_bound_s"] > 0.1
 
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from drake_nonstop import Scenario, compute_metrics, load_scenario, simulate
+from drake_nonstop import Scenario, compute_metrics, load_scenario
+from drake_nonstop.studies.run_all import fly
 
 ONE_SAMPLE = [  # the layer that looks one sample ahead, with what reads its ξ and A
     "optimization_layer=NonstopOptimizer",
@@ -32,7 +33,7 @@ def with_fields(scenario: Scenario, **fields: float) -> Scenario:
 
 
 def metrics_of(scenario: Scenario) -> dict:
-    return kept(compute_metrics(simulate(scenario)))
+    return kept(compute_metrics(fly(scenario)))
 
 
 def kept(metrics: dict) -> dict:
@@ -74,7 +75,7 @@ def test_max_speed_keeps_every_carrier_below_it():
 def test_rates_of_the_parameters_stay_within_their_limits(overrides):
     limits = {"max_frequency_rate": 1.0, "max_amplitude_rate": 0.2}
     scenario = with_fields(load_scenario("quintic", overrides), **limits)
-    run = simulate(scenario)
+    run = fly(scenario)
     parameters, largest = run.signal("parameters"), np.array(list(limits.values()))
     steps = np.abs(np.diff(parameters, axis=0))
     assert np.any(steps > 0)
@@ -93,8 +94,8 @@ def test_anchor_brings_the_parameters_back_without_breaking_the_bound():
     scenario = load_scenario("quintic", ONE_SAMPLE)
     layer = scenario.optimization_layer
     nominal = np.array([layer.frequency, layer.amplitude])
-    free = simulate(scenario).signal("parameters")[-1]
-    anchored = simulate(with_fields(scenario, anchor_weight=0.05))
+    free = fly(scenario).signal("parameters")[-1]
+    anchored = fly(with_fields(scenario, anchor_weight=0.05))
     metrics = compute_metrics(anchored)
     assert metrics["carriers"]["time_below_bound_s"] == 0
     left = np.abs(anchored.signal("parameters")[-1] - nominal)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from helpers import regular
 
-from drake_nonstop import compute_metrics, load_scenario, simulate
+from drake_nonstop import compute_metrics, load_scenario
 from drake_nonstop.simulation.run_quantities import load_errors
+from drake_nonstop.studies.run_all import fly
 
 RADIUS = 1.5  # m, of the circle of the attachments
 
@@ -15,7 +16,7 @@ def flown(n, shared_runs):
     if n == 4:
         return shared_runs.evaluated(load_scenario("real_scale_spread"))
     attachments = regular(n, RADIUS).tolist()
-    run = simulate(load_scenario("real_scale_spread", [f"system.attachments={attachments}"]))
+    run = fly(load_scenario("real_scale_spread", [f"system.attachments={attachments}"]))
     return run, compute_metrics(run)
 
 
@@ -42,7 +43,7 @@ def test_without_the_optimization_carriers_are_too_slow():
     scenario = load_scenario(
         "real_scale_spread", ["optimization_layer=ConstantParameters", "simulation_duration=12"]
     )
-    carriers = compute_metrics(simulate(scenario))["carriers"]
+    carriers = compute_metrics(fly(scenario))["carriers"]
     assert carriers["speed_bound_m_s"] == 8
     assert carriers["speed_min_m_s"] < 7.5
     assert carriers["time_below_bound_s"] > 1
