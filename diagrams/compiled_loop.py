@@ -232,7 +232,7 @@ class CompiledLoop:
         if self._layout.held:
             at_sample = LoopFunction(trace.updates(), is_frequent=True)
         else:
-            whole = trace.whole(steps)
+            whole = trace.whole(self._schedule, shown)
         return LoopFunctions(
             at_start=LoopFunction(trace.updates(is_start=True), is_frequent=False),
             shown=LoopFunction(at_once, is_frequent=False),

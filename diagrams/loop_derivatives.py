@@ -6,7 +6,6 @@ method are differentiated by the chain rule, stage by stage (own derivation): of
     dx' = (∂f/∂x) dx + (∂f/∂p) dp.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -155,12 +154,11 @@ class DerivativeFlight:
         def at(offset: float) -> float:
             return ahead if offset == self._period else now + offset
 
-        for begin, h, end, _ in self._schedule:
-            last = end if math.isclose(begin + h, end) else begin + h
+        for begin, h, _, _ in self._schedule:
             r1, d1 = self._moved(rates, x, at(begin), dx, changes)
             r2, d2 = self._moved(rates, x + h / 2 * r1, at(begin + h / 2), dx + h / 2 * d1, changes)
             third = x - h * r1 + 2 * h * r2, dx - h * d1 + 2 * h * d2
-            r3, d3 = self._moved(rates, third[0], at(last), third[1], changes)
+            r3, d3 = self._moved(rates, third[0], at(begin + h), third[1], changes)
             x = x + h / 6 * r1 + 2 * h / 3 * r2 + h / 6 * r3
             dx = dx + h / 6 * d1 + 2 * h / 3 * d2 + h / 6 * d3
         self.state = x

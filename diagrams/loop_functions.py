@@ -5,13 +5,14 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import System
 
+from drake_nonstop.optimization.traced_search import SearchFunctions
 from drake_nonstop.systems.compilation import Compiled, compiled
 from drake_nonstop.systems.diagram_trace import FOUND_SIZE
 from drake_nonstop.systems.tracing import object_array
@@ -39,14 +40,6 @@ class Recent(Generic[Made]):
                 if len(self.entries) > _MOST_ENTRIES:
                     self.entries.pop(next(iter(self.entries)))
             return found
-
-
-class SearchInC(Protocol):
-    """A block's search: `int search(data, tolerance, x)` in `text`, which calls `functions`."""
-
-    functions: list[casadi.Function]
-    text: str
-    tolerance: float
 
 
 class Reading(NamedTuple):
@@ -111,7 +104,7 @@ class LoopFunction:
         *,
         is_frequent: bool,
         is_whole: bool = False,
-        search: SearchInC | None = None,
+        search: SearchFunctions | None = None,
     ):
         results, arguments, symbols = traced
         self.readings = symbols.readings

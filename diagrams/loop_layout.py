@@ -10,6 +10,7 @@ from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortData
 
 from drake_nonstop.systems.diagram_trace import Wires, is_traceable, knows_beforehand, leaves
 from drake_nonstop.systems.parameters import NumericParameters
+from drake_nonstop.systems.port_state import set_state_values, state_values
 
 
 class LoopLayout:
@@ -131,7 +132,7 @@ class LoopLayout:
 
     def state_of(self, context: Context) -> NDArray:
         """The stacked state of a context of the diagram."""
-        return _stacked(_state_of(self._own(leaf, context)) for leaf in self.leaves)
+        return _stacked(state_values(self._own(leaf, context)) for leaf in self.leaves)
 
     def parameters_of(self, context: Context) -> NDArray:
         """The stacked parameters of a context of the diagram."""
@@ -140,12 +141,9 @@ class LoopLayout:
 
     def write_state(self, context: Context, state: NDArray) -> None:
         """Sets the states of the traced blocks in a context of the diagram."""
-        for leaf, (continuous, *discrete) in self.states(state).items():
+        for leaf, parts in self.states(state).items():
             own = self.diagram.GetMutableSubsystemContext(leaf, context)
-            if len(continuous):
-                own.SetContinuousState(continuous)
-            for group, values in enumerate(discrete):
-                own.SetDiscreteState(group, values)
+            set_state_values(own, np.concatenate(parts))
 
     def _own(self, leaf: System, context: Context) -> Context:
         return self.diagram.GetSubsystemContext(leaf, context)
@@ -164,11 +162,6 @@ def _state_sizes(context: Context) -> list[int]:
     groups = range(context.num_discrete_state_groups())
     sizes = [context.get_discrete_state(k).size() for k in groups]
     return [context.num_continuous_states(), *sizes]
-
-
-def _state_of(context: Context) -> NDArray:
-    continuous = context.get_continuous_state_vector().CopyToVector()
-    return _stacked([continuous, discrete_state_of(context.get_discrete_state())])
 
 
 def _parameters_of(leaf: Any, context: Context) -> NDArray:

@@ -103,19 +103,22 @@ class LoopTrace:
         arguments = self.arguments if found is None else [*self.arguments, found]
         return Traced(results, arguments, symbols)
 
-    def steps(self, schedule: Sequence[Step], shown: _Part) -> Traced:
+    def steps(
+        self, schedule: Sequence[Step], shown: _Part, updates: Traced | None = None
+    ) -> Traced:
         """The state after a sample's steps, and all signals that are shown on the way.
 
         Args:
             schedule: of the sample.
             shown: the signals, and those of every step.
+            updates: of the sample, whose first result is the state; None: it is the argument.
         """
-        symbols = Symbols(self._layout.numbers)
+        symbols = Symbols(self._layout.numbers) if updates is None else updates.symbols
 
         def rate(state: casadi.SX, offset: float) -> casadi.SX:
             return self.rates(state, offset, symbols)[0]
 
-        now = self.arguments[0]
+        now = self.arguments[0] if updates is None else updates.results[0]
         signals, step_signals = [], []
         for begin, step, end, is_shown in schedule:
             first = rate(now, begin)
@@ -128,19 +131,18 @@ class LoopTrace:
         results = [now, casadi.vertcat(*signals), casadi.vertcat(*step_signals)]
         return Traced(results, self.arguments, symbols)
 
-    def whole(self, steps: Traced) -> LoopFunction:
+    def whole(self, schedule: Sequence[Step], shown: _Part) -> LoopFunction:
         """The state and all signals at the next sample, and what its updates tell besides.
 
         A further argument has what a search has found, which blocks have made updates themselves,
         and their states after these.
 
         Args:
-            steps: of the sample, see `steps`.
+            schedule: as of `steps`.
+            shown: likewise.
         """
-        _, parameters, time = self.arguments
         found = casadi.SX.sym("f", FOUND_SIZE)
         updates = self.updates(found=found)
-        symbols = updates.symbols
         answers = casadi.SX.sym("a", self._layout.answers_size)
         after, read, holds, data = updates.results
         start = len(self._layout.attempting)
@@ -149,13 +151,9 @@ class LoopTrace:
             end = start + place.stop - place.start
             after[place] = casadi.if_else(answers[k], answers[start:end], after[place])
             start = end
-        own = steps.symbols
-        known = zip(own.readings, own.symbols, strict=True)
-        outside = [symbols.of(reading, symbol.numel()) for reading, symbol in known]
-        old = casadi.vertcat(*self.arguments, *own.symbols)
-        new = casadi.vertcat(after, parameters, time, *itertools.chain(*outside))
-        moved = casadi.Function("part", [old], steps.results)(new)
-        traced = Traced([*moved, read, holds, data], [*self.arguments, found, answers], symbols)
+        moved = self.steps(schedule, shown, updates._replace(results=[after]))
+        results = [*moved.results, read, holds, data]
+        traced = Traced(results, [*self.arguments, found, answers], moved.symbols)
         search = None
         if len(self._layout.attempting) == 1:
             search = getattr(self._layout.attempting[0], "traced_search", None)

@@ -372,13 +372,8 @@ class _Coordinates:
                 own = self._directions
             elif name == _LOAD:
                 w, x, y, z = LoadState.view(state[places[name]]).quaternion
-                turned = np.array([[-x, -y, -z], [w, z, -y], [-z, w, x], [y, -x, w]]) / 2
-                own = np.block(
-                    [
-                        [turned, np.zeros((4, len(own) - 3))],
-                        [np.zeros((len(own) - 3, 3)), own[3:, 3:]],
-                    ]
-                )
+                own = np.vstack([np.zeros(len(own)), own])  # the quaternion has an entry more
+                own[:4, :3] = np.array([[-x, -y, -z], [w, z, -y], [-z, w, x], [y, -x, w]]) / 2
             slopes[places[name], place] = own
         return slopes
 
