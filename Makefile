@@ -1,27 +1,49 @@
-# make demo: environment, install, one run. make check: lint and types.
-# make test: all tests. make quick: without whole runs, processes and browsers.
-# make adversary: 2000 bad and extreme inputs, signals and kills; COUNT=200 SEED=1 for others.
+# make demo: environment, install, one run. make check: lint, types, imports between folders.
+# Three tiers of tests:
+# make quick: the units, in a minute at most.
+# make test: what a change has to pass, in some minutes.
+# make nightly: all the rest: studies, both engines on everything, browsers, notebooks, signals and
+#   kills, benchmarks, `make adversary`, `make lowest TESTS=`, `make mutants`.
+#   make sample: one test of each class of them, and some of the adversary and of the mutants.
+# make adversary: bad and extreme inputs, signals and kills; COUNT=2000 SEED=1 for more and others.
+# make mutants: which tests catch faults that are planted in a copy of the code.
+# make golden: writes golden numbers that changed, and lists them; see tests/golden.
 # make docs: the documentation, in site/; EXECUTE_NOTEBOOKS=false: notebooks without outputs.
 # make pictures: those of the README; needs Chromium (on Debian: apt-get install chromium).
 # make release: source distribution and wheel in dist/, both checked.
-# make lowest: the same tests as quick with the lowest versions that pyproject.toml names;
-#   TESTS=: the whole suite; PYTHON_OF_LOWEST=python3.12: with that Python.
+# make lowest: the quick tests with the lowest versions that pyproject.toml names;
+#   TESTS=: those of `make test`; PYTHON_OF_LOWEST=python3.12: with that Python.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test quick check adversary pictures release clean
+.PHONY: demo test quick nightly sample check adversary mutants golden pictures release clean
 
 demo: $(VENV)/.installed
 	$(BIN)/drake-nonstop run quintic
 	@echo "Open out/quintic/replay.html in a browser; figures are in out/quintic/figures."
 
 # Two workers, each of one thread: NumPy's own would stand in each other's way.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal
+UNITS := $(addprefix tests/,mechanics model optimization systems blocks scenario)
+
 test: $(VENV)/.installed-dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal
+	$(PYTEST)
 
 quick: $(VENV)/.installed-dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal -m "not slow"
+	$(PYTEST) $(UNITS) -m "not slow and not nightly"
+
+# One after the other, whatever fails before, so that a night tells all.
+nightly: $(VENV)/.installed-dev
+	status=0; \
+	$(PYTEST) -m nightly || status=1; \
+	for part in adversary "lowest TESTS=" mutants; do $(MAKE) $$part || status=1; done; \
+	exit $$status
+
+sample: $(VENV)/.installed-dev
+	$(PYTEST) -m nightly --sample 1
+	$(MAKE) adversary COUNT=24
+	cd tests && ../$(BIN)/python -m mutants --only 1 2
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -29,10 +51,16 @@ check: $(VENV)/.installed-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo --no-cache
 
-COUNT ?= 2000
+COUNT ?= 200
 SEED ?= 0
 adversary: $(VENV)/.installed-dev
 	cd tests && ../$(BIN)/python -m adversary --count $(COUNT) --seed $(SEED)
+
+mutants: $(VENV)/.installed-dev
+	cd tests && ../$(BIN)/python -m mutants
+
+golden: $(VENV)/.installed-dev
+	cd tests && ../$(BIN)/python -m golden
 
 pictures: $(VENV)/.installed-dev
 	$(BIN)/drake-nonstop pictures --out docs/pictures
@@ -50,7 +78,7 @@ release: $(VENV)/.installed-dev
 	$(PYTHON) -m venv build/release/of_source
 	build/release/of_source/bin/pip install --quiet --editable 'build/release/source[dev]'
 	cd build/release/source && OPENBLAS_NUM_THREADS=1 \
-	  ../of_source/bin/pytest -n 2 --dist worksteal -m "not slow"
+	  ../of_source/bin/pytest -n 2 --dist worksteal $(UNITS) -m "not slow and not nightly"
 	$(PYTHON) -m venv build/release/of_wheel
 	build/release/of_wheel/bin/pip install --quiet dist/*.whl
 	cd build/release && of_wheel/bin/drake-nonstop run quintic --set simulation_duration=1
@@ -72,7 +100,7 @@ $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 # In an environment of its own, with the oldest Python that is found.
 LOWEST := .venv-lowest
 PYTHON_OF_LOWEST ?= python3.10 python3.11 python3.12 python3.13 $(PYTHON)
-TESTS ?= -m "not slow"
+TESTS ?= $(UNITS) -m "not slow and not nightly"
 .PHONY: lowest
 lowest: $(LOWEST)/.installed
 	OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/pytest -n 2 --dist worksteal $(TESTS)

@@ -1,50 +1,110 @@
-"""Fixtures for all tests, and which tests are slow."""
+"""The tiers of the suite, signals, and fixtures for all tests.
 
+A test without a mark is a unit or a short flight. `slow` ones are left out by `make quick`, and
+`nightly` ones, each of a class, are flown by `make nightly` only.
+"""
+
+import contextlib
+import ctypes
+import gc
 import os
+import random
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fleet import Fleet
 from pages import WatchedPage, page_or_skip
-from shared_runs import SharedRuns
+from pydrake.systems.framework import LeafSystem
 
-# What `make quick` leaves out: whole runs, commands, processes and browsers. Each entry is what
-# the paths of tests begin with, from this folder on.
-SLOW = (
-    "adversary/",
-    "benchmarks/",
-    "blocks/test_carrier_dynamics.py::test_with_the_cables_reaction",
-    "blocks/test_cables.py::test_a_cable_that_goes_slack",
-    "cli/",
-    "diagrams/test_compiled_loop.py::test_shipped_scenarios",
-    "diagrams/test_compiled_loop.py::test_other_blocks",
-    "diagrams/test_compiled_loop.py::test_drawn_loops",
-    "evals/",
-    "optimization/test_update_solver.py::test_carriers_stay_apart_over_a_whole_orbit",
-    "simulation/test_faults.py",
-    "simulation/test_flight_of_plan.py",
-    "studies/",
-    "test_examples.py",
-    "test_notebooks.py",
-    "visualization/test_live.py",
-    "visualization/test_live_page.py",
-    "visualization/test_replay_page.py",
-)
+from drake_nonstop.diagrams import compiled_loop
+from drake_nonstop.studies import results_folder
+from drake_nonstop.systems.block import LeafBlock
+
+MOST_MEMORY = 450_000_000  # bytes that a worker has without looking for what it can free
+
+# Why a test takes longer than `make test` can wait: the classes of `nightly`.
+CLASSES = {
+    "adversary": "bad and extreme inputs",
+    "benchmarks": "benchmarks and the claims on speed",
+    "browsers": "pages in a headless Chromium",
+    "engines": "both engines, both load plants, on everything",
+    "examples": "examples, pages and notebooks, executed whole",
+    "flights": "flights of many variants of one task, or of long ones",
+    "processes": "studies in processes, signals and kills",
+    "studies": "drawn loops, tasks and designs beyond two of a property",
+}
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    here = Path(__file__).parent
-    found = set()
+def pytest_addoption(parser: pytest.Parser) -> None:
+    text = "of each class of nightly tests, that many, the same in every run"
+    parser.addoption("--sample", type=int, default=0, metavar="N", help=text)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # Where the suite is started with SIGINT ignored, as by nohup and some CI runners, Python has no
+    # handler for it, and children would ignore it as well.
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    by_class: dict[str, list[pytest.Item]] = {name: [] for name in CLASSES}
     for item in items:
-        path = f"{item.path.relative_to(here).as_posix()}::{item.name}"
-        prefixes = [prefix for prefix in SLOW if path.startswith(prefix)]
-        if prefixes:
-            item.add_marker("slow")
-        found.update(prefixes)
-    is_whole_suite = {item.path for item in items} >= {*here.rglob("test_*.py")}
-    stale = [prefix for prefix in SLOW if prefix not in found]
-    if is_whole_suite and stale:
-        raise pytest.UsageError(f"SLOW = {', '.join(stale)}: no test has such a path; remove it")
+        mark = item.get_closest_marker("nightly")
+        if mark is not None:
+            if mark.args not in {(name,) for name in CLASSES}:
+                raise pytest.UsageError(
+                    f"{item.nodeid}: nightly{mark.args}: give one of {', '.join(CLASSES)}"
+                )
+            by_class[mark.args[0]].append(item)
+    count = config.getoption("sample")
+    if count:
+        chosen = {
+            item
+            for name, some in by_class.items()
+            for item in random.Random(name).sample(some, min(count, len(some)))
+        }
+        config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
+        items[:] = [item for item in items if item in chosen]
+
+
+def pytest_collection_finish() -> None:
+    # What is there by now stays: the collector need not look at it again and again.
+    gc.collect()
+    gc.freeze()
+
+
+_freed = [MOST_MEMORY]  # the memory, in bytes, at which a worker looks for what it can free
+
+
+@pytest.fixture(scope="module", autouse=True)
+def little_memory() -> Iterator[None]:
+    """After modules that leave much memory behind, their diagrams and traces are freed.
+
+    Systems that tests derive from Drake's in Python are never freed, nor what they refer to.
+    """
+    yield
+    if not Path("/proc/self/statm").exists() or _resident_memory() < _freed[0]:
+        return
+    compiled_loop._recent_functions.entries.clear()
+    for thing in gc.get_objects():
+        if isinstance(thing, LeafSystem):
+            is_drakes = type(thing).__module__.startswith("pydrake")
+            if not is_drakes and not isinstance(thing, LeafBlock):
+                vars(thing).clear()
+    gc.collect()
+    with contextlib.suppress(OSError, AttributeError):  # another C library than GNU's
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+    _freed[0] = max(MOST_MEMORY, _resident_memory() + MOST_MEMORY // 10)
+
+
+def _resident_memory() -> int:
+    """Of this process, in bytes."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 @pytest.fixture
@@ -54,12 +114,18 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture(scope="session")
-def shared_runs(tmp_path_factory) -> SharedRuns:
-    """Runs that all tests of all workers share."""
+def fleet(tmp_path_factory) -> Fleet:
+    """Flights that all tests of all workers share."""
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent  # each worker has a folder of its own in it
-    return SharedRuns(folder / "shared_runs")
+    return Fleet(folder / "fleet")
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results without the drawing of their diagrams, which takes longer than a short flight."""
+    monkeypatch.setattr(results_folder, "draw_diagram", lambda diagram: "<svg/>")
 
 
 @pytest.fixture

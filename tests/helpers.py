@@ -1,9 +1,11 @@
 """Attachments, smooth motions, difference quotients and ports, for several test files."""
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue
 from pydrake.common.eigen_geometry import Quaternion
@@ -29,6 +31,16 @@ GAINS = {
     "angular_velocity_gain": 0.06,
     "orientation_integral_gain": 0.1,
 }
+
+
+def nightly_beyond(count: int, nightly_class: str, cases: Iterable[Any]) -> list[Any]:
+    """Cases of a test, of which the first few are for `make test`, the others for `make nightly`.
+
+    A tuple has the values of several arguments.
+    """
+    mark = pytest.mark.nightly(nightly_class)
+    listed = [case if isinstance(case, tuple) else (case,) for case in cases]
+    return [pytest.param(*c, marks=() if k < count else mark) for k, c in enumerate(listed)]
 
 
 def regular(n: int, radius: float = 0.75) -> NDArray:

@@ -22,6 +22,11 @@ def hooks():
     return names
 
 
+@pytest.fixture(scope="module")
+def blocks_page(hooks):
+    return hooks["blocks_page"]()
+
+
 def test_every_public_name_is_in_the_reference(hooks):
     page = hooks["reference_page"]()
     found = set(re.findall(r"(?m)^(?:::: .*\.|### )(\w+)$", page))
@@ -37,23 +42,21 @@ def test_every_signal_has_its_layout(hooks):
             assert f"| {part.name} | {part.size} | {part.unit} | {part.frame} |" in section
 
 
-def test_every_block_has_its_parameters(hooks):
-    page = hooks["blocks_page"]()
+def test_every_block_has_its_parameters(blocks_page):
     for name, box in BOXES.items():
-        section = page.partition(f"## `{name}` ")[2].partition("\n## ")[0]
+        section = blocks_page.partition(f"## `{name}` ")[2].partition("\n## ")[0]
         for block, config in zip(box.variants, box.configs, strict=True):
             own = section.partition(f"### {block.__name__} ")[2].partition("\n### ")[0]
             for field in config.__dataclass_fields__:
                 assert f"| `{field}` |" in own, f"{block.__name__}.{field}"
 
 
-def test_every_field_of_a_scenario_has_a_meaning_or_a_place(hooks):
-    page = hooks["blocks_page"]()
+def test_every_field_of_a_scenario_has_a_meaning_or_a_place(blocks_page):
     for field in dataclasses.fields(Scenario):
-        assert f"`{field.name}`" in page, field.name
+        assert f"`{field.name}`" in blocks_page, field.name
     for config in (SystemParameters, AircraftParameters, RunLimits, SceneConfig):
         for field in dataclasses.fields(config):
-            assert f"| `{field.name}` |" in page, f"{config.__name__}.{field.name}"
+            assert f"| `{field.name}` |" in blocks_page, f"{config.__name__}.{field.name}"
 
 
 def test_a_link_that_leads_nowhere_is_found(hooks, tmp_path):

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers import nightly_beyond
 
 import drake_nonstop
 from drake_nonstop.cli.main import main
@@ -30,27 +31,51 @@ def test_there_are_examples_and_blocks():
     assert len(WITH_CODE) >= 9
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs(path, capsys, monkeypatch, tmp_path):
+def imported(path, monkeypatch):
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, path.stem, module)
     spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_can_be_imported_and_shortened(path, monkeypatch):
+    main_of_example = imported(path, monkeypatch).main
+    assert "duration" in inspect.signature(main_of_example).parameters
+
+
+QUICK = ("fly_nonstop", "swap_a_block", "articulated_load")
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_quick_example_runs(name, capsys, monkeypatch, tmp_path):
+    run_example(ROOT / "examples" / f"{name}.py", 0.1, capsys, monkeypatch, tmp_path)
+
+
+@pytest.mark.nightly("examples")
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_runs(path, capsys, monkeypatch, tmp_path):
+    run_example(path, 1.0, capsys, monkeypatch, tmp_path)
+
+
+def run_example(path, duration, capsys, monkeypatch, tmp_path):
+    module = imported(path, monkeypatch)
     monkeypatch.chdir(tmp_path)  # where it may leave results
     few = {"runs": 4} if "runs" in inspect.signature(module.main).parameters else {}
-    module.main(duration=1.0, **few)
+    module.main(duration=duration, **few)
     assert "load error" in capsys.readouterr().out
 
 
 @pytest.fixture
-def shared_simulate(shared_runs, monkeypatch):
+def shared_simulate(fleet, monkeypatch):
     """Has `simulate` answer with the shared run where a scenario is all that it is given."""
     simulate = drake_nonstop.simulate
 
     def shared(scenario, **options):
         if options:
             return simulate(scenario, **options)
-        run = shared_runs.run(scenario)
+        run = fleet.run(scenario)
         return dataclasses.replace(run, diagram=drake_nonstop.make_nonstop(scenario))
 
     monkeypatch.setattr(drake_nonstop, "simulate", shared)
@@ -62,8 +87,18 @@ def file_name(code):
     return match[1] if match else ""
 
 
-@pytest.mark.usefixtures("shared_simulate")
+FIRST_PAGES = ("README.md", "docs/howto_vehicle.md")
+PAGES_IN_ORDER = [*FIRST_PAGES, *(page for page in WITH_CODE if page not in FIRST_PAGES)]
+
+
 @pytest.mark.parametrize("page", WITH_CODE)
+def test_code_of_a_page_compiles(page):
+    for code in BLOCKS[page]:
+        compile(code, page, "exec")
+
+
+@pytest.mark.usefixtures("shared_simulate")
+@pytest.mark.parametrize("page", nightly_beyond(len(FIRST_PAGES), "examples", PAGES_IN_ORDER))
 def test_code_of_a_page_runs(page, capsys, monkeypatch, tmp_path):
     """One block after the other, as a reader would try them; files are saved first."""
     monkeypatch.chdir(tmp_path)
@@ -98,6 +133,7 @@ def test_commands_of_a_page_are_commands(page):
                     assert named in drake_nonstop.scenario_names(), line
 
 
+@pytest.mark.nightly("examples")
 def test_a_layer_of_a_page_runs_in_an_ablation(tmp_path, monkeypatch):
     """The custom optimization layer, as a file in the current folder, and the page's command."""
     page = "docs/swap.md"

@@ -3,6 +3,7 @@
 import ast
 import contextlib
 import dataclasses
+import functools
 import inspect
 import io
 import textwrap
@@ -29,6 +30,7 @@ def headings(config: type) -> dict[str, str]:
     return found
 
 
+@functools.cache  # Python parses a whole module for the source of each class in it
 def _field_comments(config: type, *, apart: bool = False) -> dict[str, str]:
     """By the name of each field that a class body itself has: the comments on its lines.
 

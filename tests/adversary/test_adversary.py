@@ -7,14 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
-from adversary.trying import CLASSES, draw, shares
+from adversary.trying import CLASSES, draw, shares, try_all
 from adversary.values import SPELLINGS
 from adversary.verdicts import Verdict, judge_sentence
 
 TESTS = Path(__file__).parents[1]
 
 
+def test_cases_that_are_tried_are_judged():
+    tried = try_all([("overrides", 1), ("python", 1)], 7, jobs=1)
+    assert [case.verdict.faults for case in tried] == [[], []]
+    assert [case.verdict.ending for case in tried] == ["refused", "refused"]
+
+
+@pytest.mark.nightly("adversary")
 @pytest.mark.parametrize(
     ("classes", "count"),
     [
@@ -31,7 +39,13 @@ def test_bad_inputs_get_one_sentence_and_nothing_is_lost(classes, count):
     assert result.returncode == 0, result.stdout + result.stderr
 
 
-@pytest.mark.parametrize("class_name", CLASSES)
+# Those of files are drawn of the results of a flight.
+DRAWN_FAST = [name for name in CLASSES if name != "files"]
+
+
+@pytest.mark.parametrize(
+    "class_name", nightly_beyond(len(DRAWN_FAST), "adversary", [*DRAWN_FAST, "files"])
+)
 def test_a_case_depends_on_its_class_seed_and_number_only(class_name):
     first = [draw(class_name, 3, number).text for number in range(5)]
     assert [draw(class_name, 3, number).text for number in reversed(range(5))] == first[::-1]

@@ -17,9 +17,10 @@ LONG = ("simulator_config.integration_scheme=runge_kutta2", "simulator_config.ma
 @pytest.fixture(scope="module")
 def results():
     overrides = [("engine=compiled",), ("simulator_config.max_step_size=0.001",), LONG]
-    return benchmark_accuracy(load_scenario("line", BRIEF), overrides=overrides, repeats=2)
+    return benchmark_accuracy(load_scenario("line", BRIEF), overrides=overrides, repeats=1)
 
 
+@pytest.mark.nightly("benchmarks")
 def test_shorter_steps_are_nearer_to_the_truth(results):
     default, compiled, short, _ = results["runs"]
     for error in ("load_error_m", "speed_error"):
@@ -54,6 +55,7 @@ def test_a_run_that_diverges_is_reported(results):
     assert "diverged" in table(results).splitlines()[4]
 
 
+@pytest.mark.nightly("benchmarks")
 def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     arguments = ["bench", "accuracy", "line", "--repeats", "1", "--out", str(tmp_path)]
     assert main([*arguments, "--set", "simulation_duration=0.05", BRIEF[1]]) == 0

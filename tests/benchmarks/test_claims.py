@@ -2,9 +2,11 @@
 
 import dataclasses
 import re
+from functools import partial
 
 import pytest
 
+from drake_nonstop.benchmarks import claims
 from drake_nonstop.benchmarks.claims import (
     LOOP_QUANTITIES,
     QUANTITIES,
@@ -19,11 +21,20 @@ from drake_nonstop.benchmarks.claims import (
 from drake_nonstop.benchmarks.speed_claims import BENCHMARKS, _of_scenario
 from drake_nonstop.cli.main import main
 from drake_nonstop.simulation.metrics import METRICS
+from drake_nonstop.studies.run_all import SerialExecutor, run_all
 from drake_nonstop.validation import ScenarioError
 
 RUN = "quintic simulation_duration=0.1 optimization_layer=ConstantParameters"
 ROW = "| `{}` | {} | | {} |"
+
+
 SHARES = "| search | 1.4 / 3.2 | 100.0% | {}% | 0.3 / 0.6 |"
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch):
+    """Has claims measured one after the other, without processes."""
+    monkeypatch.setattr(claims, "run_all", partial(run_all, executor=SerialExecutor()))
 
 
 @pytest.mark.parametrize(
@@ -190,6 +201,17 @@ def test_only_what_half_the_step_leaves_is_resolved():
     assert "mean position error (mm)" not in unresolved
 
 
+def test_what_a_run_does_not_resolve_is_measured_as_such(monkeypatch):
+    monkeypatch.setattr(claims, "unresolved_quantities", lambda run: {"final A (N)"})
+    printed = {"final A (N)": "1.2", "time below the bound (s)": "0"}
+    on_run = [Claim(arguments=RUN, quantity=name, printed=text) for name, text in printed.items()]
+    values = measure(on_run)
+    assert [values[claim].is_resolved for claim in on_run] == [False, True]
+    (wrong,) = wrong_claims(values)
+    assert wrong == f"{RUN}: final A (N) = 1.2 is not resolved by its step"
+
+
+@pytest.mark.nightly("benchmarks")
 def test_a_run_that_its_step_does_not_resolve_fails_its_claim():
     points = "[[0.8,0.75,0],[-0.75,0.7,0],[-0.75,-0.75,0],[0.75,-0.75,0]]"
     arguments = f"quintic simulation_duration=2 simulated.attachments={points}"

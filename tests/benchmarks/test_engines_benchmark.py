@@ -13,12 +13,12 @@ from drake_nonstop.cli.main import main
 
 pytestmark = pytest.mark.filterwarnings("ignore:compiled loop")
 
-BRIEF = ["simulation_duration=0.5", "optimization_layer=NonstopOptimizer"]
+BRIEF = ["simulation_duration=0.1", "optimization_layer=NonstopOptimizer"]
 
 
 def test_the_ways_to_fly_are_measured_and_agree(monkeypatch):
     monkeypatch.setenv("CC", "/bin/false")  # to compile would take longer
-    results = benchmark_engines(load_scenario("line", BRIEF), repeats=2)
+    results = benchmark_engines(load_scenario("line", BRIEF), repeats=1)
     assert results["compiler"] is None
     assert 0 < results["difference"] < 1e-9
     assert results["ratios"]["diagram"] == 1
@@ -29,14 +29,14 @@ def test_the_ways_to_fly_are_measured_and_agree(monkeypatch):
         "virtual machine",
         "functions",
     ]
-    assert results["wall_s"]["functions"] < results["wall_s"]["stepped"]
     factors = np.array([*results["real_time_factors"].values()])
-    np.testing.assert_allclose(factors * [*results["wall_s"].values()], 0.5)
+    np.testing.assert_allclose(factors * [*results["wall_s"].values()], 0.1)
     text = table(results)
     assert "by the virtual machine alone" in text
     assert len(text.splitlines()) == 7
 
 
+@pytest.mark.nightly("benchmarks")
 def test_the_command_writes_them(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("CC", "/bin/false")
     settings = [text for override in BRIEF for text in ("--set", override)]

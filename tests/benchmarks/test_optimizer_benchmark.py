@@ -22,7 +22,7 @@ def solvers():
 
 @pytest.fixture(scope="module")
 def instances(solvers):
-    return drawn.draw_instances(60, 1, solvers)
+    return drawn.draw_instances(30, 1, solvers)
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +121,7 @@ def test_peers_solve_what_is_near_by(name, solvers):
     assert np.median(ratios) <= 1.01
 
 
+@pytest.mark.nightly("benchmarks")
 def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     out = tmp_path / "bench"
     names = ["search", "SciPy SLSQP"]
@@ -141,6 +142,7 @@ def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     assert {path.name for path in out.iterdir()} == {"optimizer.json"}
 
 
+@pytest.mark.nightly("benchmarks")
 def test_layers_are_compared_with_the_offline_optimum():
     short = ["simulation_duration=5", "load_trajectory.move_time=4"]
     slow = ["load_trajectory.displacement=[0.4, 0.4, 0.4]", "optimization_layer.speed_bound=0.55"]

@@ -8,6 +8,7 @@ from drake_nonstop.benchmarks import pictures
 from drake_nonstop.cli.main import main
 
 
+@pytest.mark.nightly("browsers")
 @pytest.mark.usefixtures("needs_browser")
 def test_the_pictures_show_both_runs_moving(tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "_SPAN", (7.0, 7.5))

@@ -203,9 +203,10 @@ def test_half_a_pair_is_refused(blocks, said):
 def test_aircraft_that_are_not_flown_are_told():
     scenario = load_scenario("real_scale_spread", ["system.aircraft.model=rascal_110"])
     with pytest.warns(ScenarioWarning, match="its carriers are points of the aircraft's mass"):
-        make_nonstop(scenario)
+        make_nonstop(scenario, at_equilibrium=False)
 
 
+@pytest.mark.slow
 def test_a_layer_without_limits_of_aircraft_is_told_before_they_fly():
     other = "optimization_layer=!NonstopOptimizer {period: 0.04}"
     pattern = "pattern=!SpreadCarousel {spread: 6.75}"

@@ -85,6 +85,7 @@ def test_ports_are_those_of_the_point_masses(loop):
     }
 
 
+@pytest.mark.slow
 def test_it_flies_as_the_point_masses_and_repeats_to_the_bit(loop):
     first, again = flown(loop, 1.0).get_context(), flown(loop, 1.0).get_context()
     values = shown(loop, first)

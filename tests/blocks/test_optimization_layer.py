@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from helpers import fix, model, output
+from helpers import fix, model, nightly_beyond, output
 from nonstop_cases import (
     AT_REST,
     PERIOD,
@@ -103,7 +103,7 @@ def test_solution_over_a_square_at_rest_is_the_global_optimum(excess):
 
 @pytest.mark.parametrize("load_motion", ["desired", "measured"])
 @pytest.mark.parametrize("slope", [0.0, 3.0])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [1, 2]))
 def test_solution_keeps_every_carrier_above_the_bound_until_the_next_update(
     seed, slope, load_motion
 ):
@@ -129,7 +129,7 @@ def test_solution_keeps_every_carrier_above_the_bound_until_the_next_update(
 
 
 @pytest.mark.parametrize("load_motion", ["desired", "measured"])
-@pytest.mark.parametrize("seed", [4, 5, 6])
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [4, 5, 6]))
 def test_predicted_margin_of_now_is_that_of_first_principles(seed, load_motion):
     inputs = moving(seed)
     layer = Layer(config(0.01, load_motion=load_motion, look_ahead_points=1))
@@ -140,7 +140,7 @@ def test_predicted_margin_of_now_is_that_of_first_principles(seed, load_motion):
 
 
 @pytest.mark.parametrize("load_motion", ["desired", "measured"])
-@pytest.mark.parametrize("seed", [4, 5, 6])
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [4, 5, 6]))
 def test_predicted_margin_looks_ahead(seed, load_motion):
     inputs = moving(seed)
     layer = Layer(config(0.01, load_motion=load_motion, look_ahead_points=3))
@@ -154,7 +154,7 @@ def test_predicted_margin_looks_ahead(seed, load_motion):
     assert np.ptp(speeds) > 9e-4
 
 
-@pytest.mark.parametrize("seed", [4, 6, 7])
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [4, 6, 7]))
 def test_predicted_margin_is_that_of_the_slowest_phase_of_the_orbit(seed):
     inputs, points = moving(seed), 12
     layer = Layer(config(0.01, orbit_points=points, orbit_updates=1, look_ahead_points=1))
@@ -180,7 +180,7 @@ def test_updates_share_the_phases_of_the_orbit():
 
 
 @pytest.mark.parametrize("ahead", [0.0, 0.005])
-@pytest.mark.parametrize("seed", [2, 5])
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [2, 5]))
 def test_solution_keeps_every_carrier_above_the_bound_all_along_the_orbit(seed, ahead):
     inputs = moving(seed)
     bound = speed_bound_above(inputs, 0.1)
@@ -193,7 +193,7 @@ def test_solution_keeps_every_carrier_above_the_bound_all_along_the_orbit(seed, 
         assert np.min(speeds) >= bound * (1 + TIGHTENING) - 2e-4
 
 
-@pytest.mark.parametrize("seed", [2, 6])
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [2, 6]))
 def test_predicted_margin_of_the_orbit_is_that_of_the_time_ahead(seed):
     inputs, ahead, points = moving(seed), 0.03, 12
     orbit = {"orbit_points": points, "orbit_updates": 1}
@@ -241,7 +241,7 @@ def test_bound_out_of_reach_is_approached_as_far_as_the_bounds_allow(solver):
     )
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [1, 2, 3]))
 def test_relaxed_parameters_have_the_largest_worst_speed_of_a_moving_load(seed):
     inputs = moving(seed)
     bounds = {"frequency_bounds": [1.5, 2.5], "amplitude_bounds": [1.0, 1.5]}

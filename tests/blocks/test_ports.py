@@ -343,12 +343,22 @@ SAMPLED = {
     MeasuredCarrierTrajectory: ("sample_time", "carrier_reference"),
 }
 
-CASES = [(block, period) for block in BLOCKS for period in (0.0, 0.01)]
-cases = pytest.mark.parametrize(
-    ("make", "period"),
-    CASES,
-    ids=[f"{b.__name__}-{'sampled' if p else 'continuous'}" for b, p in CASES],
-)
+PERIODS = (0.0, 0.01)  # s, of continuous and of sampled controllers
+
+
+def of_every(blocks):
+    """What makes of a test of a block and a control period one of each block, for all periods."""
+
+    def decorated(test):
+        @pytest.mark.parametrize("make", blocks, ids=lambda make: make.__name__)
+        def over_periods(make):
+            for period in PERIODS:
+                test(make, period)
+
+        over_periods.__doc__ = test.__doc__
+        return over_periods
+
+    return decorated
 
 
 @functools.cache
@@ -401,17 +411,17 @@ def output_names(block):
     return [block.get_output_port(i).get_name() for i in range(block.num_output_ports())]
 
 
-@cases
-@pytest.mark.parametrize("n", [3, 4, 6])
-def test_ports_have_the_names_and_sizes_of_the_contract(make, period, n):
-    block = built(make, n, period)
+@of_every(BLOCKS)
+def test_ports_have_the_names_and_sizes_of_the_contract(make, period):
     inputs, outputs, _ = expected_ports(make, period)
-    assert input_names(block) == inputs
-    assert output_names(block) == outputs
-    for name in inputs:
-        assert block.GetInputPort(name).size() == size(name, n, n), name
-    for name in outputs:
-        assert output_sizes(block)[name] == size(name, n, n), name
+    for n in (3, 4):
+        block = built(make, n, period)
+        assert input_names(block) == inputs
+        assert output_names(block) == outputs
+        for name in inputs:
+            assert block.GetInputPort(name).size() == size(name, n, n), (name, n)
+        for name in outputs:
+            assert output_sizes(block)[name] == size(name, n, n), (name, n)
 
 
 def feedthrough(block):
@@ -424,7 +434,7 @@ def feedthrough(block):
     }
 
 
-@cases
+@of_every(BLOCKS)
 def test_direct_feedthrough(make, period):
     block = built(make, 4, period)
     assert feedthrough(block) == set(expected_ports(make, period)[2])
@@ -453,7 +463,7 @@ def fresh(block, inputs, state, time):
     return evaluated(block, context)
 
 
-@cases
+@of_every(BLOCKS)
 def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, period):
     block = built(make, 4, period)
     names = input_names(block)
@@ -490,7 +500,7 @@ def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, per
         assert np.array_equal(before[name], after[name]) == constant, name
 
 
-@cases
+@of_every(BLOCKS)
 def test_what_feeds_through_changes_the_output(make, period):
     block = built(make, 4, period)
     inputs = {name: values(name, 1, 4) for name in input_names(block)}
@@ -528,12 +538,10 @@ def along(scale):
     return lambda given: given + scale * np.sin(7 * given)
 
 
-CONVERTIBLE = pytest.mark.parametrize(
-    ("make", "period"), [case for case in CASES if case[0] is not bounded_distribution]
-)
+CONVERTIBLE = [block for block in BLOCKS if block is not bounded_distribution]
 
 
-@CONVERTIBLE
+@of_every(CONVERTIBLE)
 def test_of_autodiff_values_are_those_of_floats_and_gradients_differences(make, period):
     block = built(make, 4, period)
     result = made_values(block.ToAutoDiffXd(), AutoDiffXd, along(AutoDiffXd(0.0, [1.0])))
@@ -547,7 +555,7 @@ def test_of_autodiff_values_are_those_of_floats_and_gradients_differences(make, 
     np.testing.assert_allclose(gradient, slope, rtol=0, atol=1e-7 * scale)
 
 
-@CONVERTIBLE
+@of_every(CONVERTIBLE)
 def test_of_expressions_values_are_those_of_floats(make, period):
     block = built(make, 4, period)
     expected = made_values(block, float, along(0.0))
@@ -559,7 +567,7 @@ def test_of_expressions_values_are_those_of_floats(make, period):
     np.testing.assert_allclose(numbers, expected, rtol=0, atol=1e-12 * scale)
 
 
-@cases
+@of_every(BLOCKS)
 def test_a_clone_makes_the_same_to_the_bit(make, period):
     block = built(make, 4, period)
     expected = made_values(block, float, along(0.0))
@@ -618,8 +626,7 @@ def documented_ports(block, period):
     return ports["name"], *([port.replace(SOMETIMES, "").strip() for port in p] for p in present)
 
 
-@pytest.mark.parametrize("period", [0.0, 0.01])
-@pytest.mark.parametrize("block", DOCUMENTED, ids=lambda block: block.__name__)
+@of_every(DOCUMENTED)
 def test_docstring_lists_exactly_the_ports(block, period):
     name, inputs, outputs = documented_ports(block, period)
     assert name == block.__name__
@@ -654,6 +661,6 @@ def test_docstring_lists_exactly_the_fields_of_the_config_with_their_units(block
     assert [" ".join(entry.split()) for entry in listed] == expected
 
 
-@pytest.mark.parametrize("block", DOCUMENTED, ids=lambda block: block.__name__)
-def test_the_constructor_is_documented_by_the_package_and_not_by_drake(block):
-    assert "`model` and a `config`" in inspect.getdoc(block.__init__)
+def test_constructors_are_documented_by_the_package_and_not_by_drake():
+    for block in DOCUMENTED:
+        assert "`model` and a `config`" in inspect.getdoc(block.__init__), block.__name__

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import difference, model, output
+from helpers import difference, model, nightly_beyond, output
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
@@ -28,12 +28,13 @@ from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.optimization.stretched_time import PathDelay
 from drake_nonstop.simulation.speed_check import check_speeds
 from drake_nonstop.simulation.task import task_of
+from drake_nonstop.studies.run_all import fly
 from drake_nonstop.systems.wiring import output_sizes
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
 # A line with ξ and A that do not change, and a bound that their orbit keeps at rest only.
 FAST_LINE = [
-    "simulation_duration=8",
+    "simulation_duration=6",
     "load_trajectory.start_time=1",
     "load_trajectory.move_time=2",
     "load_trajectory.velocity=[0.5, 0, 0]",
@@ -56,7 +57,7 @@ def flights():
     scenarios = [
         load_scenario("line_without_optimization", [*FAST_LINE, *o]) for o in ([], [GOVERNED])
     ]
-    return [simulate(scenario, check_step=StepCheck.NOTHING) for scenario in scenarios]
+    return [fly(scenario, check_step=StepCheck.NOTHING) for scenario in scenarios]
 
 
 def test_its_signals_are_those_of_the_delayed_motion():
@@ -114,6 +115,7 @@ def test_it_does_not_differentiate_by_time():
         converted.GetOutputPort("reference").Eval(context)
 
 
+@pytest.mark.slow
 def test_a_bound_that_is_missed_at_full_speed_is_kept_and_the_load_arrives_late(flights):
     without, governed = flights
     slowest = [
@@ -137,6 +139,7 @@ def test_a_bound_that_is_missed_at_full_speed_is_kept_and_the_load_arrives_late(
     assert largest < 4e-5  # without the reference's higher rates 6e-5
 
 
+@pytest.mark.slow
 def test_check_looks_at_the_motion_that_the_governor_lets_pass():
     tasks = [
         task_of(load_scenario("line_without_optimization", [*FAST_LINE, *o]))
@@ -145,6 +148,7 @@ def test_check_looks_at_the_motion_that_the_governor_lets_pass():
     assert [check_speeds(task).is_feasible for task in tasks] == [False, True]
 
 
+@pytest.mark.slow
 def test_it_slows_down_for_the_margin_that_is_computed(monkeypatch):
     margins = []
 
@@ -153,14 +157,14 @@ def test_it_slows_down_for_the_margin_that_is_computed(monkeypatch):
         return trajectory
 
     monkeypatch.setattr(nonstop, "governed", recorded)
-    scenario = load_scenario("quintic", [GOVERNED, "optimization_layer.tightening=auto"])
+    scenario = load_scenario("three_carriers", [GOVERNED, "optimization_layer.tightening=auto"])
     make_nonstop(scenario, at_equilibrium=False)
     assert len(margins) == 1
     assert margins[0] > 0
 
 
 def test_a_motion_that_needs_none_is_the_same_to_the_bit():
-    overrides = ["simulation_duration=0.3", "optimization_layer=ConstantParameters"]
+    overrides = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
     runs = [simulate(load_scenario("quintic", [*overrides, *o])) for o in ([], [GOVERNED])]
     loop = make_nonstop(runs[1].scenario)
     assert type(loop.GetSubsystemByName("load_trajectory")) is RestToRest
@@ -266,18 +270,18 @@ AIRCRAFT = [  # a transfer that is too fast in the wind, with ξ and A that do n
 ]
 
 
-@pytest.mark.parametrize(
-    ("wind", "is_slowed"),
-    [
-        ("!SteadyWind {velocity: [-1, 0, 0]}", True),
-        ("!SteadyWind {velocity: [-1, 0, 0], believed: [0, 0, 0]}", False),
-        ("!SteadyWind {velocity: [1, 0, 0]}", False),
-        ("!SteadyWind {velocity: [-1, 0, 0], start_time: 33}", False),
-        # At the load, 50 m above the ground: 0.25 and 1 m/s.
-        ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0, ground_height: -50}", False),
-        ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0.86, ground_height: -50}", True),
-    ],
-)
+BELIEVED = [
+    ("!SteadyWind {velocity: [-1, 0, 0]}", True),
+    ("!SteadyWind {velocity: [-1, 0, 0], believed: [0, 0, 0]}", False),
+    ("!SteadyWind {velocity: [-1, 0, 0], start_time: 33}", False),
+    # At the load, 50 m above the ground: 1 and 0.25 m/s.
+    ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0.86, ground_height: -50}", True),
+    ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0, ground_height: -50}", False),
+    ("!SteadyWind {velocity: [1, 0, 0]}", False),
+]
+
+
+@pytest.mark.parametrize(("wind", "is_slowed"), nightly_beyond(4, "studies", BELIEVED))
 def test_the_wind_that_is_believed_counts_for_aircraft(wind, is_slowed):
     scenario = load_scenario("aircraft_transfer", [*AIRCRAFT, f"wind={wind}"])
     loop = make_nonstop(scenario, at_equilibrium=False)

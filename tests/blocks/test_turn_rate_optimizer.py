@@ -36,6 +36,7 @@ def test_its_ports_are_those_of_the_box_and_nothing_feeds_through():
     assert not block.HasAnyDirectFeedthrough()
 
 
+@pytest.mark.slow
 def test_in_its_loop_the_load_turns_as_fast_as_the_bound_asks_for():
     """From 0.4 rad/s on, in 5 m/s of wind, to what keeps 1.8 of the stall speed."""
     with warnings.catch_warnings():

@@ -100,6 +100,7 @@ def test_a_profile_follows_the_power_law():
 
 
 class TestGusts:
+    @pytest.mark.slow
     def test_deviation_correlation_and_independence_over_seeds(self):
         """Against E x_i(t) x_j(t + s) = δ_ij σ² exp(−|s|/τ)."""
         tau, lags = 50 / 15, np.array([0.0, 0.3, 1.0, 2.0])
@@ -194,7 +195,8 @@ def test_sampled_controllers_hold_an_estimate_that_changes():
         ("!SteadyWind {rise_time: 1}", ("sample_and_hold", "held_")),
         ("WindProfile", ("sample_and_hold", "held_")),
     ):
-        nonstop = make_nonstop(load_scenario("quintic", [CONSTANT, f"wind={block}"]))
+        scenario = load_scenario("quintic", [CONSTANT, f"wind={block}"])
+        nonstop = make_nonstop(scenario, at_equilibrium=False)
         assert wire.format(*source) in wiring.connections(nonstop)
 
 

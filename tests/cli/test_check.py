@@ -3,18 +3,30 @@
 import json
 
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
+from drake_nonstop.cli import check
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario
 
+SHORT = "simulation_duration=0.2"  # the aircraft's margins are those of a load at rest
 RASCAL = "system.aircraft.model=rascal_110"
 
 
-def test_a_spread_carousel_is_refused_with_the_numbers(tmp_path, capsys):
+@pytest.fixture
+def plain_figures(monkeypatch):
+    """Empty figures, in less time."""
+    for name in ("make_check_figure", "make_aircraft_margins_figure"):
+        monkeypatch.setattr(check, name, lambda found: Figure(figsize=(12, 8)))
+
+
+@pytest.mark.nightly("flights")
+def test_a_spread_carousel_is_refused_with_the_numbers(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(check, "make_check_figure", lambda found: Figure())
     folder = tmp_path / "a"
-    arguments = ["check", "real_scale_spread", "--out", str(folder), "--set", RASCAL]
+    arguments = ["check", "real_scale_spread", "--out", str(folder), "--set", RASCAL, SHORT]
     assert main(arguments) == FAILED
     *table, verdict, place = capsys.readouterr().out.splitlines()
     assert any(line.startswith("climb or descent") and "43.0 deg" in line for line in table)
@@ -31,8 +43,9 @@ def test_a_spread_carousel_is_refused_with_the_numbers(tmp_path, capsys):
     assert load_scenario(folder / "scenario.yaml").system.aircraft.model == "rascal_110"
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_a_level_formation_flies_in_wind(tmp_path, capsys):
-    overrides = ["wind.velocity=[3, -4, 0]"]
+    overrides = ["wind.velocity=[3, -4, 0]", SHORT]
     arguments = ["check", "aircraft_co_rotating", "--out", str(tmp_path), "--set", *overrides]
     assert main(arguments) == 0
     shown = capsys.readouterr().out
@@ -43,7 +56,7 @@ def test_a_level_formation_flies_in_wind(tmp_path, capsys):
 
 
 def test_a_task_without_aircraft_is_told_of_its_bound_and_its_formation(tmp_path, capsys):
-    arguments = ["check", "quintic", "--out", str(tmp_path), "--set", "simulation_duration=6"]
+    arguments = ["check", "quintic", "--out", str(tmp_path), "--set", "simulation_duration=1"]
     assert main(arguments) == 0
     shown = capsys.readouterr().out
     assert "the speed bound can be kept" in shown
@@ -57,17 +70,20 @@ def test_a_task_without_aircraft_is_told_of_its_bound_and_its_formation(tmp_path
     assert not (tmp_path / "check.png").exists()
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_the_scenario_of_a_run_of_other_settings_is_kept(tmp_path, capsys):
     (tmp_path / "metrics.json").write_text("{}")
     (tmp_path / "scenario.yaml").write_text("line: {}")
-    assert main(["check", "aircraft_co_rotating", "--out", str(tmp_path)]) == BAD_INPUT
+    arguments = ["check", "aircraft_co_rotating", "--out", str(tmp_path), "--set", SHORT]
+    assert main(arguments) == BAD_INPUT
     assert "a run of other settings has its scenario.yaml there" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["metrics.json", "scenario.yaml"]
-    text = dump_scenario(load_scenario("aircraft_co_rotating"))
+    text = dump_scenario(load_scenario("aircraft_co_rotating", [SHORT]))
     (tmp_path / "scenario.yaml").write_text(text)
-    assert main(["check", "aircraft_co_rotating", "--out", str(tmp_path)]) == 0
+    assert main(arguments) == 0
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_gusts_are_told_to_be_left_out(tmp_path, capsys):
-    assert main(["check", "aircraft_transfer_gusty", "--out", str(tmp_path)]) == 0
+    assert main(["check", "aircraft_transfer_gusty", "--out", str(tmp_path), "--set", SHORT]) == 0
     assert "[0.0, 0.0, 0.0] m/s, without gusts" in capsys.readouterr().out

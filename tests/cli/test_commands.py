@@ -6,15 +6,17 @@ import json
 import os
 import re
 import signal
-import subprocess
+import socket
 import sys
+import threading
+import time
 import urllib.request
 
 import numpy as np
 import pytest
 
 from drake_nonstop.cli import run
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, NOT_OK
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
 from drake_nonstop.cli.file_server import serve_folder
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
@@ -92,6 +94,7 @@ def brief_runs(tmp_path_factory):
     return new, used, text.getvalue()
 
 
+@pytest.mark.nightly("flights")
 def test_two_runs_write_the_same_signals_to_the_bit(brief_runs):
     first, second = ((folder / "signals.npz").read_bytes() for folder in brief_runs[:2])
     assert first == second
@@ -241,47 +244,30 @@ def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys)
     assert "diverged at t = " in metrics["reasons"][0]
 
 
-def test_ctrl_c_keeps_what_was_simulated(tmp_path):
-    arguments = ["run", "line", "--out", tmp_path, "--set", "simulation_duration=1000", *BRIEF[1:]]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "drake_nonstop.cli", *arguments],
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )
-    line = process.stderr.readline()  # the first line of progress: the run is on its way
-    process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=60)
-    assert "real time" in line
-    assert process.returncode == 130
-    assert "interrupted" in error
-    assert "Traceback" not in error
-    assert contents(tmp_path) == {
-        "scenario.yaml",
-        "metrics.json",
-        "signals.npz",
-        "steps.npz",
-        "diagram.svg",
-    }
-
-
-def test_view_serves_the_replay_until_it_is_interrupted(tmp_path):
+def test_view_serves_the_replay_until_it_is_interrupted(tmp_path, capsys):
     (tmp_path / "replay.html").write_text("<p>hello</p>")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "drake_nonstop.cli", "view", str(tmp_path), "--no-open"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        address = process.stdout.readline().split()[0]
-        with urllib.request.urlopen(address, timeout=60) as page:
-            assert page.read() == b"<p>hello</p>"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=60) == 130
-    finally:
-        process.kill()
-        process.communicate()
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    address, read = f"http://localhost:{port}/replay.html", []
+
+    def visit():
+        try:
+            for _ in range(600):
+                with contextlib.suppress(OSError):
+                    with urllib.request.urlopen(address, timeout=60) as page:
+                        read.append(page.read())
+                    return
+                time.sleep(0.05)
+        finally:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    visitor = threading.Thread(target=visit)
+    visitor.start()
+    code = main(["view", str(tmp_path), "--no-open", "--port", str(port)])
+    visitor.join()
+    assert read == [b"<p>hello</p>"]
+    assert code == INTERRUPTED
+    assert address in capsys.readouterr().out
 
 
 def test_view_wants_a_folder_with_a_replay(tmp_path, capsys):

@@ -17,7 +17,6 @@ from drake_nonstop.studies.design_request import read_request
 SMALL = ["carriers=[3]", "kinds=[co_rotating]", "cable_length=[60, 60]", "starts=1"]
 
 
-@pytest.mark.slow
 def test_a_request_becomes_scenarios_a_table_and_a_figure(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "light.yaml").write_text("load_mass: 6.0\nwind: [2, 0, 0]\n")

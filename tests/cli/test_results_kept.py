@@ -5,6 +5,7 @@ import json
 import random
 
 import pytest
+from helpers import nightly_beyond
 
 from drake_nonstop.cli import run as run_command
 from drake_nonstop.cli.main import main
@@ -49,6 +50,8 @@ def end(monkeypatch, whole):
             raise {"interrupted": RunInterrupted, "stopped": _stopped}[how](run)
 
         monkeypatch.setattr(run_command, "simulate", flown)
+        if "--no-replay" in arguments:
+            monkeypatch.setattr(results_folder, "draw_diagram", lambda diagram: "<svg/>")
         return main(["run", "line", *arguments, "--set", *SHORT, *change])
 
     return ended
@@ -66,8 +69,14 @@ def outcome(folder):
     return json.loads((folder / "metrics.json").read_text())["outcome"]
 
 
-@pytest.mark.parametrize("options", [[], ["--out", "mine"], ["--out", "."]])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    ("options", "seed"),
+    nightly_beyond(
+        3,
+        "studies",
+        [(place, k) for k in range(2) for place in ([], ["--out", "mine"], ["--out", "."])],
+    ),
+)
 def test_in_any_order_what_is_whole_stays(tmp_path, monkeypatch, capsys, end, options, seed):
     work = tmp_path / "work"
     work.mkdir()

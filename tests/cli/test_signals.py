@@ -18,6 +18,8 @@ import pytest
 from helpers import handle_signals_as_a_shell_does
 
 from drake_nonstop.cli import list_scenarios
+from drake_nonstop.cli import run as run_command
+from drake_nonstop.cli.ending import handling_signals
 from drake_nonstop.cli.main import main
 
 TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
@@ -163,7 +165,7 @@ _DRAWN = {  # commands, and within how many s of their start they are signalled
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly("processes")
 @pytest.mark.parametrize("seed", range(TRIES))
 def test_two_signals_end_every_command_with_one_sentence(start, tmp_path, seed):
     rng = random.Random(seed)
@@ -189,7 +191,7 @@ def test_two_signals_end_every_command_with_one_sentence(start, tmp_path, seed):
         flown(tmp_path / "o")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly("processes")
 @pytest.mark.parametrize("block", ["Spins", "Sleeps", "Waits", "Swallows"])
 def test_a_block_that_never_returns_is_ended_and_what_was_flown_is_kept(start, tmp_path, block):
     options = ["--out", "o", "--trust", "--quiet", "--set", f"phase=stays.{block}"]
@@ -208,7 +210,7 @@ def test_a_block_that_never_returns_is_ended_and_what_was_flown_is_kept(start, t
     assert {path.name for path in (tmp_path / "o").iterdir()} == _DATA
 
 
-@pytest.mark.slow
+@pytest.mark.nightly("processes")
 def test_a_blocks_exit_is_its_error_and_what_was_flown_is_kept(start, tmp_path):
     options = ["--no-figures", "--no-replay", "--out", "o", "--trust", "--quiet"]
     process = start("run", "quintic", *options, "--set", "phase=stays.Exits", *_UNPLANNED)
@@ -218,7 +220,26 @@ def test_a_blocks_exit_is_its_error_and_what_was_flown_is_kept(start, tmp_path):
     assert flown(tmp_path / "o") == pytest.approx(0.3, abs=0.011)
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_run_goes_on_keeps_what_was_flown(tmp_path, monkeypatch, capsys, number):
+    def show(progress, simulated):
+        if simulated > 0:
+            os.kill(os.getpid(), number)
+
+    monkeypatch.setattr(run_command.RunProgress, "__call__", show)
+    options = ["--no-figures", "--no-replay", "--out", str(tmp_path), "--set"]
+    options += ["simulation_duration=1000", "optimization_layer=ConstantParameters"]
+    assert main(["run", "line", *options]) == 128 + number
+    name = {signal.SIGINT: "interrupted", signal.SIGTERM: "ended by SIGTERM"}[number]
+    kept = rf"drake-nonstop: {name}: the results up to ([\d.]+) s are in {tmp_path}\n"
+    (simulated,) = re.fullmatch(kept, capsys.readouterr().err).groups()
+    assert 0 < flown(tmp_path) < 1000
+    assert flown(tmp_path) == pytest.approx(float(simulated), abs=6e-4)
+    assert {path.name for path in tmp_path.iterdir()} == _DATA | {"diagram.svg"}
+
+
+@pytest.mark.nightly("processes")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_one_signal_ends_a_run_in_order(start, tmp_path, number):
     options = ["--no-figures", "--no-replay", "--out", "o", "--trust", "--set"]
@@ -233,20 +254,19 @@ def test_one_signal_ends_a_run_in_order(start, tmp_path, number):
     assert {path.name for path in (tmp_path / "o").iterdir()} == _DATA | {"diagram.svg"}
 
 
-@pytest.mark.slow
-def test_an_ignored_signal_stays_ignored(start, tmp_path, monkeypatch):
+def test_an_ignored_signal_stays_ignored():
     """As by nohup, or where a shell without jobs starts the command in the background."""
-    process = subprocess.run(
-        [sys.executable, "-c", "import signal, sys, os\n"
-         "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-         "from drake_nonstop.cli.ending import handling_signals\n"
-         "with handling_signals() as interruption:\n"
-         "    os.kill(os.getpid(), signal.SIGHUP)\n"
-         "    print(interruption.number, signal.getsignal(signal.SIGHUP).name)"],
-        capture_output=True, text=True, check=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    )  # fmt: skip
-    assert process.stdout.split() == ["0", "SIG_IGN"]
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with handling_signals() as interruption:
+            interruption.is_starting, interruption.patience = False, 1
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert interruption.number == 0
+            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert interruption.number == signal.SIGTERM
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_keyboard_interrupt_that_became_another_error_is_one(monkeypatch, capsys):

@@ -2,11 +2,13 @@
 
 import gc
 import weakref
+from functools import partial
 
 import numpy as np
 import pytest
 from drawn_loops import drawn_loop, largest_difference
 from drawn_tasks import aircraft_task, carriers_task
+from helpers import nightly_beyond
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import LeafSystem, PortDataType
 
@@ -30,6 +32,7 @@ from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.tracing import NotFiniteError, constants
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
+CONSTANT = "optimization_layer=ConstantParameters"
 DURATION = 0.24  # s, a multiple of all control periods
 
 
@@ -56,12 +59,48 @@ def assert_equal(scenario, loop, context):
     assert compared >= 20
 
 
-@pytest.mark.parametrize("name", scenario_names())
+# A receding horizon, and aircraft in a wind; `tests/simulation` compares whole flights.
+SHIPPED = dict.fromkeys(["quintic", "aircraft_transfer_gusty", *scenario_names()])
+
+
+@pytest.mark.parametrize("name", nightly_beyond(2, "engines", SHIPPED))
 def test_shipped_scenarios_are_the_same(name):
     scenario = load_scenario(name)
     assert_equal(scenario, *traced(scenario, compiles=False))
 
 
+MIXED = [
+    [
+        "optimization_layer=!NonstopOptimizer {period: 0.03, orbit_points: 1, max_tension: 9}",
+        "load_feedback=!NoisyFeedback {delay: 0.02, velocity_noise: 0.01, seed: 3}",
+        "wind=!GustyWind {velocity: [1, 0, 0], rise_time: 0.1}",
+        *("system.load_drag=0.1", "phase=AccumulatedPhase"),
+        "internal_force=InternalForceTrajectory",
+    ],
+    [
+        "load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.007}",
+        *("carrier_dynamics=LoadedCarrierDynamics", "carrier_controller=LoadedCarrierPid"),
+        *("phase=PaperPhase", "carrier_trajectory=InextensibleCarrierTrajectory", CONSTANT),
+        *("cables=IndividualCables", "load_trajectory=Circle"),
+        "wind=!SteadyWind {velocity: [1, 0, 0], start_time: 0.1}",
+    ],
+    [
+        *("control_period=0.02", "simulator_config.max_step_size=0.004", CONSTANT),
+        "load_feedback=!EstimatedFeedback {period: 0.02, delay: 0.02, position_noise: 0.01}",
+        *("carrier_controller.integral_gain=5", "carrier_trajectory.hold=velocity"),
+        "load_disturbance=!DisturbanceForce {force: [1, 0, 0], start_time: 0.05}",
+        "load_trajectory=SteadyTurn",
+    ],
+]
+
+
+@pytest.mark.parametrize("overrides", nightly_beyond(2, "engines", MIXED))
+def test_mixed_blocks_are_the_same(overrides):
+    scenario = load_scenario("quintic", overrides)
+    assert_equal(scenario, *traced(scenario, compiles=False))
+
+
+@pytest.mark.nightly("engines")
 @pytest.mark.parametrize(
     "overrides",
     [
@@ -71,7 +110,7 @@ def test_shipped_scenarios_are_the_same(name):
         ["optimization_layer=!NonstopOptimizer {period: 0.03, orbit_points: 1, max_tension: 9}"],
         ["optimization_layer=!NonstopOptimizer {min_separation: 0.2, solver: ipopt}"],
         ["optimization_layer=!NonstopOptimizer {speed_bound: 0, load_motion: measured}"],
-        ["load_trajectory=SteadyTurn", "optimization_layer=ConstantParameters"],
+        ["load_trajectory=SteadyTurn", CONSTANT],
         ["load_feedback=DesiredStateFeedback", "cables=IndividualCables"],
         ["wrench_controller=GeometricPd", "carrier_controller=TunedCarrierPid"],
         ["phase=AccumulatedPhase", "internal_force=InternalForceTrajectory"],
@@ -103,7 +142,7 @@ def test_other_blocks_are_the_same(overrides):
 
 def test_parameters_are_inputs_of_one_trace():
     """Values of a context count, as they do in the diagram, without another trace."""
-    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    scenario = load_scenario("quintic", [CONSTANT])
     loop, context = traced(scenario, compiles=False)
     values = {
         "carrier_controller.position_gain": 800.0,
@@ -119,6 +158,7 @@ def test_parameters_are_inputs_of_one_trace():
     assert_equal(other, loop, context)
 
 
+@pytest.mark.nightly("engines")
 @pytest.mark.parametrize("seed", range(4100, 4106))
 @pytest.mark.parametrize("task", [carriers_task, aircraft_task], ids=["carriers", "aircraft"])
 def test_drawn_loops_are_the_same(task, seed):
@@ -153,12 +193,10 @@ OTHER_NUMBERS = [
     "load_trajectory.start_time=0.05",
     "random_seed=3",
 ]
+GUSTY_AND_NOISY = ["wind=GustyWind", "load_feedback=NoisyFeedback"]
 SAME_TRACES = [
-    *((carriers_task(seed), OTHER_NUMBERS) for seed in range(4100, 4104)),
-    *((aircraft_task(seed), OTHER_NUMBERS) for seed in range(4100, 4102)),
-    (load_scenario("paper_quintic"), [*OTHER_NUMBERS, "system.load_mass=1.1"]),
     (
-        load_scenario("quintic", [NONSTOP]),
+        partial(load_scenario, "three_carriers", [NONSTOP]),
         [
             *OTHER_NUMBERS,
             "system.load_mass=1.2",
@@ -171,13 +209,18 @@ SAME_TRACES = [
         ],
     ),
     (
-        load_scenario("quintic", ["wind=GustyWind", "load_feedback=NoisyFeedback"]),
-        [*OTHER_NUMBERS, "wind.gust=1", "wind.seed=4", "load_feedback.seed=2"],
+        partial(load_scenario, "quintic", [CONSTANT, *GUSTY_AND_NOISY]),
+        [
+            *OTHER_NUMBERS,
+            *("wind.gust=1", "wind.seed=4", "load_feedback.seed=2"),
+            "optimization_layer.frequency=2.2",
+            "load_disturbance=!DisturbanceForce {gust_force: 1}",
+        ],
     ),
-    (
-        load_scenario("quintic", ["optimization_layer=ConstantParameters"]),
-        ["optimization_layer.frequency=2.2", "load_disturbance=!DisturbanceForce {gust_force: 1}"],
-    ),
+    (partial(load_scenario, "quintic", GUSTY_AND_NOISY), OTHER_NUMBERS),
+    (partial(load_scenario, "paper_quintic"), [*OTHER_NUMBERS, "system.load_mass=1.1"]),
+    *((partial(carriers_task, seed), OTHER_NUMBERS) for seed in range(4100, 4104)),
+    *((partial(aircraft_task, seed), OTHER_NUMBERS) for seed in range(4100, 4102)),
 ]
 OTHER_TRACES = [
     "wind=!GustyWind {velocity: [1, 0, 0]}",
@@ -193,7 +236,7 @@ OTHER_TRACES = [
 ]
 
 
-def functions_of(scenario, monkeypatch):
+def key_and_functions(scenario, monkeypatch):
     """The key of a loop's functions, and these as bytes."""
     known = {}
     monkeypatch.setattr(compiled_loop._recent_functions, "entries", known)
@@ -204,29 +247,41 @@ def functions_of(scenario, monkeypatch):
     return key, [function.function.serialize() for function in parts]
 
 
-@pytest.mark.parametrize(("scenario", "overrides"), SAME_TRACES)
-def test_loops_of_other_numbers_share_a_trace_that_is_theirs(scenario, overrides, monkeypatch):
+@pytest.mark.parametrize(("make", "overrides"), nightly_beyond(2, "engines", SAME_TRACES))
+def test_loops_of_other_numbers_share_a_trace_that_is_theirs(make, overrides, monkeypatch):
     """What the key of a shared trace leaves out are inputs: anew it would be the same one."""
+    scenario = make()
     source = [o for o in overrides if o.startswith("load_disturbance=")]
-    one = functions_of(
+    one = key_and_functions(
         changed(scenario, ["load_disturbance=DisturbanceForce"] * len(source)), monkeypatch
     )
-    other = functions_of(changed(scenario, overrides), monkeypatch)
+    other = key_and_functions(changed(scenario, overrides), monkeypatch)
     assert one[0] == other[0]
     assert one[1] == other[1]
 
 
+def test_loops_of_another_kind_have_another_key():
+    keys = []
+    for override in (CONSTANT, NONSTOP, *OTHER_TRACES):
+        scenario = load_scenario("quintic", [CONSTANT, override])
+        diagram = make_nonstop(scenario, at_equilibrium=False)
+        loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
+        assert loop._key() not in keys, override
+        keys.append(loop._key())
+
+
+@pytest.mark.nightly("engines")
 @pytest.mark.parametrize("override", OTHER_TRACES)
 def test_loops_of_another_kind_have_another_trace(override, monkeypatch):
     scenario = load_scenario("quintic", [NONSTOP])
-    one = functions_of(scenario, monkeypatch)
-    other = functions_of(changed(scenario, [override]), monkeypatch)
+    one = key_and_functions(scenario, monkeypatch)
+    other = key_and_functions(changed(scenario, [override]), monkeypatch)
     assert one[0] != other[0]
     assert one[1] != other[1]
 
 
 def test_a_run_depends_on_nothing_that_ran_before():
-    loop, context = traced(load_scenario("line"), compiles=False)
+    loop, context = traced(load_scenario("quintic", [NONSTOP]), compiles=False)
     first, second = (loop.run(context, DURATION)[1] for _ in range(2))
     for name, values in first.items():
         if name != "solve_time":  # measured with a clock
@@ -243,7 +298,7 @@ def test_a_run_depends_on_nothing_that_ran_before():
     ],
 )
 def test_what_cannot_be_traced_is_named(overrides, said):
-    scenario = load_scenario("quintic", overrides)
+    scenario = load_scenario("quintic", [CONSTANT, *overrides])
     diagram = make_nonstop(scenario)
     reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
     assert said in reason
@@ -286,7 +341,7 @@ class Drift(LeafSystem):
 
 
 def test_a_block_below_one_with_a_trace_makes_its_own_values():
-    scenario = load_scenario("quintic")
+    scenario = load_scenario("quintic", [CONSTANT])
     diagram = make_nonstop(scenario, optimization_layer=lambda model: Faster(model))
     loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
     _, signals = loop.run(diagram.CreateDefaultContext(), 0.02)
@@ -297,28 +352,28 @@ def test_a_block_below_one_with_a_trace_makes_its_own_values():
     ("box", "block"), [("optimization_layer", Drifting), ("load_disturbance", Drift)]
 )
 def test_a_block_of_ones_own_that_a_trace_would_get_wrong_is_named(box, block):
-    scenario = load_scenario("quintic")
+    scenario = load_scenario("quintic", [CONSTANT])
     diagram = make_nonstop(scenario, **{box: block})
     reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
     assert reason == f"{box} = {block.__name__}: it has no equations to be traced"
 
 
 def test_a_loop_with_inputs_is_named():
-    scenario = load_scenario("quintic")
+    scenario = load_scenario("quintic", [CONSTANT])
     diagram = make_nonstop(scenario, inputs=["speed_bound_command"])
     reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
     assert reason.startswith("inputs = speed_bound_command")
 
 
-@pytest.mark.parametrize("duration", [0.015, -0.01, np.nan])
-def test_a_duration_has_to_be_a_multiple_of_the_sample(duration):
-    loop, context = traced(load_scenario("quintic"), compiles=False)
-    with pytest.raises(ScenarioError, match=r"duration = .*give a multiple"):
-        loop.run(context, duration)
+def test_a_duration_has_to_be_a_multiple_of_the_sample():
+    loop, context = traced(load_scenario("quintic", [CONSTANT]), compiles=False)
+    for duration in (0.015, -0.01, np.nan):
+        with pytest.raises(ScenarioError, match=r"duration = .*give a multiple"):
+            loop.run(context, duration)
 
 
 def test_a_period_of_signals_has_to_fit():
-    scenario = load_scenario("quintic")
+    scenario = load_scenario("quintic", [CONSTANT])
     diagram, config = make_nonstop(scenario), scenario.simulator_config
     for period in (0.003, 0.02, -0.01):
         with pytest.raises(ScenarioError, match=f"signal_period = {period}: give a whole part"):
@@ -326,7 +381,7 @@ def test_a_period_of_signals_has_to_fit():
 
 
 def test_a_value_that_is_not_finite_is_no_result():
-    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    scenario = load_scenario("quintic", [CONSTANT])
     loop, context = traced(scenario, compiles=False)
     plant = loop.diagram.GetSubsystemByName("load_plant")
     own = plant.GetMyMutableContextFromRoot(context)
@@ -353,18 +408,19 @@ class Push(LeafSystem):
 
 
 def test_a_trace_without_a_key_is_not_shared():
-    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    scenario = load_scenario("quintic", [CONSTANT])
     ends = []
     for force in (0.0, 1.0):
         diagram = make_nonstop(scenario, load_disturbance=lambda model, force=force: Push(force))
-        loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
-        _, signals = loop.run(diagram.CreateDefaultContext(), 0.1)
+        options = {"signals": ["disturbance_wrench"], "compiles": False}
+        loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, **options)
+        _, signals = loop.run(diagram.CreateDefaultContext(), 0.02)
         ends.append(signals["disturbance_wrench"][-1, 3])
     assert ends == [0.0, 1.0]
 
 
 def test_what_a_diagram_checks_or_samples_otherwise_is_named():
-    scenario = load_scenario("quintic")
+    scenario = load_scenario("quintic", [CONSTANT])
     diagram = make_nonstop(scenario)
     for period in (0.02, -0.01):
         with pytest.raises(ScenarioError, match=f"^control_period = {period}: "):
@@ -383,9 +439,8 @@ SOURCES = [
 
 @pytest.mark.parametrize(("box", "name", "fields"), SOURCES)
 def test_rows_for_many_times_are_what_the_ports_show(box, name, fields):
-    block = make_nonstop(load_scenario("quintic", [f"{box}=!{name} {fields}"])).GetSubsystemByName(
-        box
-    )
+    scenario = load_scenario("quintic", [CONSTANT, f"{box}=!{name} {fields}"])
+    block = make_nonstop(scenario, at_equilibrium=False).GetSubsystemByName(box)
     context, times = block.CreateDefaultContext(), np.linspace(0.0, 0.4, 41)
     ports = [block.get_output_port(k) for k in range(block.num_output_ports())]
     ports = [port for port in ports if port.get_data_type() == PortDataType.kVectorValued]
@@ -397,7 +452,7 @@ def test_rows_for_many_times_are_what_the_ports_show(box, name, fields):
     assert any(np.ptp(values, axis=0).max() > 0.01 for values in rows)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 4])
+@pytest.mark.parametrize("seed", nightly_beyond(1, "engines", [39, 0, 1, 4]))
 def test_drawn_blocks_and_up_to_16_carriers_are_the_same(seed):
     difference, signal = largest_difference(drawn_loop(seed))
     assert difference < 1e-9, signal
@@ -432,14 +487,14 @@ def loop_with(scenario, **replacements):
 
 
 def test_a_block_below_one_with_rows_shows_its_own_values():
-    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    scenario = load_scenario("quintic", [CONSTANT])
     loop = loop_with(scenario, load_disturbance=SteadyPush)
     _, signals = loop.run(loop.diagram.CreateDefaultContext(), 0.2)
     np.testing.assert_array_equal(signals["disturbance_wrench"][:, 3], 0.5)
 
 
 def test_rows_of_another_size_are_named():
-    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    scenario = load_scenario("quintic", [CONSTANT])
     loop = loop_with(scenario, load_disturbance=NarrowRows)
     with pytest.raises(ValueError, match=r"^load_disturbance.known_over: rows .* \(6\)"):
         loop.run(loop.diagram.CreateDefaultContext(), 0.2)
@@ -461,7 +516,7 @@ class EndingSource(LeafBlock):
 
 
 def test_a_source_is_read_no_longer_than_the_flight():
-    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    scenario = load_scenario("quintic", [CONSTANT])
     loop = loop_with(scenario, load_disturbance=EndingSource)
     times, _ = loop.run(loop.diagram.CreateDefaultContext(), 0.2)
     assert len(times) == 21
@@ -469,7 +524,10 @@ def test_a_source_is_read_no_longer_than_the_flight():
         loop.run(loop.diagram.CreateDefaultContext(), 0.3)
 
 
-@pytest.mark.parametrize("layer", ["NonstopOptimizer", "RecedingHorizonOptimizer"])
+LAYERS = ["RecedingHorizonOptimizer", "NonstopOptimizer"]
+
+
+@pytest.mark.parametrize("layer", nightly_beyond(1, "engines", LAYERS))
 def test_what_a_command_may_be_is_that_of_each_loop(layer):
     """Loops whose highest bounds differ share a trace, which does not have them."""
 
@@ -505,7 +563,7 @@ def outside(flight):
 
 
 def test_what_loops_share_keeps_no_diagram():
-    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
+    scenario = load_scenario("quintic", [CONSTANT])
     loop = loop_with(scenario)
     loop.sensitivities(loop.diagram.CreateDefaultContext(), 0.02)
     loop.run(loop.diagram.CreateDefaultContext(), 0.02)
@@ -516,7 +574,7 @@ def test_what_loops_share_keeps_no_diagram():
 
 
 def test_a_flight_goes_on_by_a_sample_at_least():
-    loop, context = traced(load_scenario("quintic", [NONSTOP]), compiles=False)
+    loop, context = traced(load_scenario("quintic", [CONSTANT]), compiles=False)
     flight = loop.fly(context)
     flight.start()
     with pytest.raises(ScenarioError, match=r"^samples = 0: "):

@@ -70,7 +70,7 @@ def test_a_run_begins_anew_in_a_new_context():
 
 
 def test_what_has_states_of_its_own_is_named():
-    scenario = load_scenario("quintic")
+    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
 
     class OwnLayer(type(make_nonstop(scenario).GetSubsystemByName("optimization_layer"))):
         """Below one with a trace, which is stepped by itself."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import output, vector_outputs
+from helpers import nightly_beyond, output, vector_outputs
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from drake_nonstop import load_scenario, make_nonstop, scenario_names, simulate
@@ -14,17 +14,18 @@ SIGNALS = ("load_state", "carrier_state", "tensions", "parameters", "phase")
 CONSTANT = "optimization_layer=ConstantParameters"
 
 
+REPRESENTATIVE = ("quintic", "aircraft_transfer_gusty", "three_carriers")
+STARTS = [
+    ("quintic", ["control_period=0", CONSTANT]),
+    ("quintic", ["load_feedback=!NoisyFeedback {delay: 0.02}", CONSTANT]),
+    ("quintic", ["carrier_dynamics=IdealCarriers", CONSTANT]),
+    ("quintic", ["load_trajectory.start_roll_pitch_yaw=[0.2,-0.1,2.5]", CONSTANT]),
+    *((name, []) for name in dict.fromkeys([*REPRESENTATIVE, *scenario_names()])),
+]
+
+
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    ("name", "overrides"),
-    [
-        *((name, []) for name in scenario_names()),
-        ("quintic", ["control_period=0", CONSTANT]),
-        ("quintic", ["load_feedback=!NoisyFeedback {delay: 0.02}", CONSTANT]),
-        ("quintic", ["carrier_dynamics=IdealCarriers", CONSTANT]),
-        ("quintic", ["load_trajectory.start_roll_pitch_yaw=[0.2,-0.1,2.5]", CONSTANT]),
-    ],
-)
+@pytest.mark.parametrize(("name", "overrides"), nightly_beyond(7, "engines", STARTS))
 def test_every_signal_is_finite_and_load_and_carriers_are_where_they_start(name, overrides):
     diagram = make_nonstop(load_scenario(name, overrides))
     default, settled = diagram.CreateDefaultContext(), diagram.CreateDefaultContext()
@@ -39,9 +40,12 @@ def test_every_signal_is_finite_and_load_and_carriers_are_where_they_start(name,
     np.testing.assert_allclose(load.position, reference.position, rtol=0, atol=0.05)
 
 
-@pytest.mark.parametrize("overrides", [[], ["control_period=0", CONSTANT], ["engine=compiled"]])
+FLOWN = [["engine=compiled", CONSTANT], ["control_period=0", CONSTANT], [], ["engine=compiled"]]
+
+
+@pytest.mark.parametrize("overrides", nightly_beyond(2, "engines", FLOWN))
 def test_a_plain_simulator_flies_as_simulate_does_and_again_after_a_reset(overrides):
-    scenario = load_scenario("quintic", ["simulation_duration=0.3", *overrides])
+    scenario = load_scenario("quintic", ["simulation_duration=0.2", *overrides])
     run = simulate(scenario)
     assert run.step == scenario.simulator_config.max_step_size
     diagram = make_nonstop(scenario)
@@ -49,7 +53,7 @@ def test_a_plain_simulator_flies_as_simulate_does_and_again_after_a_reset(overri
         simulator = Simulator(flown)
         ApplySimulatorConfig(scenario.simulator_config, simulator)
         for _ in range(2):
-            simulator.AdvanceTo(0.3)
+            simulator.AdvanceTo(0.2)
             for signal in SIGNALS:
                 shown = output(flown, simulator.get_context(), signal)
                 # Without samples of the controllers the steps differ by the rounding of instants,

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
 from drake_nonstop import (
     CompiledLoop,
@@ -37,25 +38,27 @@ def state_after(loop, context, samples, change):
     return flight.state
 
 
-@pytest.mark.parametrize(
-    ("name", "overrides"),
-    [
-        ("quintic", [CONSTANT]),
-        ("quintic", [CONSTANT, "control_period=0.02", "simulated.load_mass=1.2"]),
-        ("quintic", [CONSTANT, "wind=!GustyWind {gust: 0.3}", "system.load_drag=0.1"]),
-        ("paper_line", [CONSTANT, "carrier_controller.integral_gain=1"]),
-        ("aircraft_six", [CONSTANT]),
-    ],
-)
-def test_over_a_second_they_are_those_of_central_differences(name, overrides, rng):
+GUSTY = [CONSTANT, "wind=!GustyWind {gust: 0.3}", "system.load_drag=0.1"]
+CASES = [
+    ("quintic", GUSTY, 0.4),
+    ("quintic", GUSTY, 1.0),
+    ("quintic", [CONSTANT], 1.0),
+    ("quintic", [CONSTANT, "control_period=0.02", "simulated.load_mass=1.2"], 1.0),
+    ("paper_line", [CONSTANT, "carrier_controller.integral_gain=1"], 1.0),
+    ("aircraft_six", [CONSTANT], 1.0),
+]
+
+
+@pytest.mark.parametrize(("name", "overrides", "duration"), nightly_beyond(1, "engines", CASES))
+def test_they_are_those_of_central_differences(name, overrides, duration, rng):
     loop, context = loop_of(load_scenario(name, overrides))
-    found = loop.sensitivities(context, 1.0)
+    found = loop.sensitivities(context, duration)
     slopes = np.hstack([found.by_state, found.by_parameters])
     sizes = len(found.state_names), len(found.parameter_names)
     assert slopes.shape == (sizes[0], sum(sizes))
     flight = loop.fly(context)
     start = np.concatenate([flight.state, flight._parameters])
-    samples = round(1 / loop.control_period)
+    samples = round(duration / loop.control_period)
     expected = state_after(loop, context, samples, np.zeros(sum(sizes)))
     np.testing.assert_allclose(found.state, expected, rtol=1e-9, atol=1e-9)
     compared = 0
@@ -72,7 +75,7 @@ def test_over_a_second_they_are_those_of_central_differences(name, overrides, rn
 
 
 def test_parameters_and_states_have_their_names():
-    loop, context = loop_of(load_scenario("quintic", [CONSTANT]))
+    loop, context = loop_of(load_scenario("quintic", GUSTY))
     found = loop.sensitivities(context, 0.3)
     name, block = "carrier_controller.position_gain", "carrier_controller"
     column = found.by_parameters[:, found.parameter_names.index(name)]

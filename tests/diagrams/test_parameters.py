@@ -5,10 +5,11 @@ others: all signals agree to the bit.
 """
 
 import copy
+from functools import cache
 
 import numpy as np
 import pytest
-from helpers import output, vector_outputs
+from helpers import nightly_beyond, output, vector_outputs
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
@@ -97,9 +98,8 @@ def another(path, value, random):
     return given.get(field, changed if np.any(value) else value)
 
 
-def signals(scenario, changes):
+def signals(loop, scenario, changes):
     """All signals but the wall time, a little after the start, with parameters changed."""
-    loop = make_nonstop(scenario)
     simulator = Simulator(loop)
     context = simulator.get_mutable_context()
     for path, value in changes.items():
@@ -122,7 +122,8 @@ def built_for(scenario, changes):
     return result
 
 
-@pytest.mark.parametrize("seed", range(6))
+# Between them the three patterns, and controllers that are continuous or sampled.
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [1, 2, 3, 0, 4, 5]))
 def test_a_loop_set_to_values_is_the_loop_built_for_them(seed):
     scenario, random = drawn(seed)
     loop = make_nonstop(scenario)
@@ -132,26 +133,43 @@ def test_a_loop_set_to_values_is_the_loop_built_for_them(seed):
     if "pattern.spread" in changes:
         del changes["pattern.offset"]  # the same in other words
     for chosen in (changes, dict([list(changes.items())[random.integers(len(changes))]])):
-        expected = signals(built_for(scenario, chosen), {})
-        found = signals(scenario, chosen)
+        other = built_for(scenario, chosen)
+        expected = signals(make_nonstop(other), other, {})
+        found = signals(loop, scenario, chosen)
         for name, value in expected.items():
             # Where carriers' forces are scaled or summed up in another order: by rounding.
             np.testing.assert_allclose(found[name], value, rtol=1e-12, atol=1e-12, err_msg=name)
-    before = signals(scenario, {})
+    before = signals(loop, scenario, {})
     assert any(not np.array_equal(before[name], value_) for name, value_ in expected.items())
 
 
-@pytest.mark.parametrize("path", ["system.load_mass", "wrench_controller.position_gain"])
-def test_where_no_linear_block_is_concerned_they_are_equal_to_the_bit(path):
+def test_where_no_linear_block_is_concerned_they_are_equal_to_the_bit():
     scenario = load_scenario("quintic")
-    expected = signals(built_for(scenario, {path: 1.3}), {})
-    for name, value in signals(scenario, {path: 1.3}).items():
-        np.testing.assert_array_equal(value, expected[name], err_msg=name)
+    loop, _ = quintic()
+    for path in ("system.load_mass", "wrench_controller.position_gain"):
+        other = built_for(scenario, {path: 1.3})
+        expected = signals(make_nonstop(other), other, {})
+        for name, value in signals(loop, scenario, {path: 1.3}).items():
+            np.testing.assert_array_equal(value, expected[name], err_msg=f"{path}: {name}")
+
+
+@cache
+def loop_of(*overrides):
+    return make_nonstop(load_scenario("quintic", overrides))
 
 
 def quintic(*overrides):
-    loop = make_nonstop(load_scenario("quintic", overrides))
+    """A loop that tests share, and a context of its own."""
+    loop = loop_of(*overrides)
     return loop, loop.CreateDefaultContext()
+
+
+CONSTANT = "optimization_layer=ConstantParameters"
+
+
+def own_quintic():
+    """A loop that can become a part of another diagram."""
+    return make_nonstop(load_scenario("quintic", [CONSTANT]), at_equilibrium=False)
 
 
 def test_nothing_is_traced_anew(monkeypatch):
@@ -199,7 +217,7 @@ def test_gains_that_are_auto_follow_unless_they_have_a_value_of_their_own():
 
 
 def test_gains_that_are_auto_have_the_derivatives_of_what_they_follow():
-    loop, context = quintic("optimization_layer=ConstantParameters")
+    loop, context = quintic(CONSTANT)
     inertia = np.array([[0.03, 2e-3, 0.0], [2e-3, 0.02, 1e-3], [0.0, 1e-3, 0.04]])
     set_parameter(loop, context, "system.load_inertia", inertia)
     step = 1e-5
@@ -249,8 +267,8 @@ def test_parameters_are_listed_with_units_and_blocks():
 
 def test_a_loop_in_a_bigger_diagram_is_set_in_its_own_context():
     builder = DiagramBuilder()
-    loop = builder.AddSystem(make_nonstop(load_scenario("quintic")))
-    builder.AddSystem(make_nonstop(load_scenario("quintic"))).set_name("other")
+    loop = builder.AddSystem(own_quintic())
+    builder.AddSystem(own_quintic()).set_name("other")
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
     with pytest.raises(ScenarioError, match=r"give that of the diagram, inside of a bigger"):
@@ -274,7 +292,7 @@ def around(**loops):
 
 
 def test_a_diagram_around_a_loop_has_the_loops_parameters_and_one_around_two_is_refused():
-    loop, _ = quintic()
+    loop = own_quintic()
     paths = [entry.path for entry in parameters(loop, loop.CreateDefaultContext())]
     outer = around(middle=around(inner=loop))
     context = outer.CreateDefaultContext()
@@ -282,13 +300,14 @@ def test_a_diagram_around_a_loop_has_the_loops_parameters_and_one_around_two_is_
     set_parameter(outer, context, "wrench_controller.position_gain", 5.5)
     own = loop.GetMyContextFromRoot(context)
     assert get_parameter(loop, own, "wrench_controller.position_gain") == 5.5
-    two = around(a=quintic()[0], b=quintic()[0])
+    two = around(a=own_quintic(), b=own_quintic())
     with pytest.raises(ScenarioError, match="a diagram around a and b: give the loop inside of it"):
         set_parameter(two, two.CreateDefaultContext(), "system.load_mass", 1.2)
 
 
 def test_a_loop_is_given_as_it_was_before_its_conversion():
-    loop, _ = quintic("load_plant=MultibodyLoadPlant", "optimization_layer=ConstantParameters")
+    scenario = load_scenario("quintic", ["load_plant=MultibodyLoadPlant", CONSTANT])
+    loop = make_nonstop(scenario)
     converted = loop.ToAutoDiffXd()
     for made in (loop.Clone(), converted):
         with pytest.raises(ScenarioError, match="give the loop that it was made of"):
@@ -379,7 +398,7 @@ def test_a_users_block_that_has_read_a_number_of_its_model_keeps_it(reads):
                 "disturbance_wrench", 6, lambda _, output: output.SetFromVector(wrench)
             )
 
-    loop = make_nonstop(load_scenario("quintic"), load_disturbance=Push)
+    loop = make_nonstop(load_scenario("quintic", [CONSTANT]), load_disturbance=Push)
     context = loop.CreateDefaultContext()
     if reads:
         with pytest.raises(ScenarioError, match="load_disturbance has read it from its model"):

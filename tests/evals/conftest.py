@@ -1,9 +1,7 @@
 import pytest
 
-from drake_nonstop import load_scenario
-
 
 @pytest.fixture(scope="session")
-def evaluated(shared_runs):
-    """A function from a shipped scenario's name to its run and metrics."""
-    return lambda name: shared_runs.evaluated(load_scenario(name))
+def evaluated(fleet):
+    """A function from the name of a flight of the fleet to its run and metrics."""
+    return fleet.evaluated

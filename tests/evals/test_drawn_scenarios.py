@@ -5,6 +5,7 @@ from collections import Counter
 from functools import cache
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
@@ -125,6 +126,7 @@ def draw_and_run(name, optimized, drawn, duration):
         assert np.isfinite(values).all(), signal
 
 
+@pytest.mark.nightly("studies")
 def test_nothing_but_a_clear_error_or_a_sound_run():
     counts.clear()
     draw_and_run()

@@ -16,6 +16,7 @@ def flown(seed, variant):
     return result["outcome"], result["figures"]
 
 
+@pytest.mark.nightly("studies")
 @pytest.mark.parametrize("seed", [1001, FAILS_TODAY])
 def test_the_horizon_keeps_the_bound_smoothly(seed):
     outcome, figures = flown(seed, "horizon")
@@ -27,6 +28,7 @@ def test_the_horizon_keeps_the_bound_smoothly(seed):
     assert figures["frequency_step"] <= 0.02
 
 
+@pytest.mark.nightly("studies")
 def test_one_sample_ahead_does_not_keep_it():
     outcome, figures = flown(FAILS_TODAY, "one sample")
     assert outcome == "bound_missed"
@@ -35,7 +37,7 @@ def test_one_sample_ahead_does_not_keep_it():
 
 def test_tasks_repeat_and_are_as_they_are_said_to_be():
     counts = set()
-    for seed in range(2000, 2005):
+    for seed in range(2000, 2003):
         task = carriers_task(seed)
         assert task == carriers_task(seed)
         system, layer, motion = task.system, task.optimization_layer, task.load_trajectory
@@ -53,9 +55,9 @@ def test_tasks_repeat_and_are_as_they_are_said_to_be():
     assert len(counts) >= 2
 
 
+@pytest.mark.nightly("studies")
 def test_aircraft_can_fly_their_tasks_at_rest():
-    for seed in (2000, 2001):
-        assert aircraft_margins(aircraft_task(seed)).is_flyable
+    assert aircraft_margins(aircraft_task(2000)).is_flyable
 
 
 def test_a_study_goes_on_from_where_it_was_interrupted(tmp_path, monkeypatch):

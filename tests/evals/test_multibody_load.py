@@ -8,14 +8,21 @@ from scipy.spatial.transform import Rotation
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
 from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 
+FIRST = "quintic"
+NAMES = [FIRST, *(name for name in scenario_names() if name != FIRST)]
 
-@pytest.mark.parametrize("name", scenario_names())
+
+@pytest.mark.nightly("engines")
+@pytest.mark.parametrize("name", NAMES)
 def test_both_plants_agree(name):
     scenario = load_scenario(name)
     start = getattr(scenario.load_trajectory, "start_time", 0.0)
     overrides = [f"simulation_duration={min(start, 4.0) + 3.0}"]  # all that move do by then
+    if name == FIRST:
+        overrides = ["simulation_duration=1", "load_trajectory.start_time=0"]
     size = scenario.system.load_inertia[0][0]
     inertia = size * np.array([[1.2, 0.1, 0.0], [0.1, 1.0, 0.2], [0.0, 0.2, 1.5]])
     overrides += [f"simulated.load_inertia={inertia.tolist()}"]
@@ -24,9 +31,10 @@ def test_both_plants_agree(name):
         overrides += ["load_disturbance=!DisturbanceForce {force: [0.1, 0.05, 0.0]}"]
     scenario = changed(scenario, overrides)
     ours, drakes = (
-        simulate(load_scenario(name, [*overrides, f"load_plant=!{plant} {{}}"])).signal(
-            "load_state"
-        )
+        simulate(
+            load_scenario(name, [*overrides, f"load_plant=!{plant} {{}}"]),
+            check_step=StepCheck.NOTHING,
+        ).signal("load_state")
         for plant in ("LoadPlant", "MultibodyLoadPlant")
     )
     assert np.abs(ours[:, 4:7] - drakes[:, 4:7]).max() < 1e-10

@@ -33,6 +33,7 @@ def test_without_optimization_the_same_task_would_stop_the_carriers(evaluated):
     assert metrics["optimizer"]["updates"] == 0
 
 
+@pytest.mark.nightly("flights")
 def test_the_bound_holds_between_the_steps_too():
     """The default step of 5 ms hides no dip that one of 1 ms would show."""
     scenario = load_scenario(

@@ -6,11 +6,14 @@
 import pytest
 from plausible_scenarios import fly
 
-# A short run of each kind: refused, resolved, shortened, verified and moved, unstable.
-SEEDS = [223, 254, 310, 318, 349, 339, 110, 224, 271]
+# A short run of each kind: unstable, shortened, verified and moved, refused, resolved.
+SEEDS = [318, 224, 223, 254, 310, 349, 339, 110, 271]
+SAID = {318: "do not show whether the loop is stable", 224: "steps of 0.00333 s are taken"}
 
 
+@pytest.mark.nightly("studies")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_metric_moves_in_silence(seed):
     flight = fly(seed, is_judged_if_said=False)
     assert flight.said or not flight.moves, flight.overrides
+    assert SAID.get(seed, "") in " ".join(flight.said)

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop import load_scenario, simulate
@@ -15,15 +16,29 @@ from drake_nonstop.scenario.overrides import changed
 PATTERNS = ("HamiltonianCycle", "Carousel", "SpreadCarousel", "EllipticCarousel", "LinearPattern")
 VARIANTS = {name: box.variants for name, box in BOXES.items()}
 NAMES = {box: [block.__name__ for block in blocks] for box, blocks in VARIANTS.items()}
-PAIRS = [
+EACH = NAMES | {"pattern": PATTERNS}
+# Each block swapped for the next of its box, the last for the first; then all others.
+NEXT = [
     (box, old, new)
-    for box, names in (NAMES | {"pattern": PATTERNS}).items()
-    for old, new in itertools.permutations(names, 2)
+    for box, names in EACH.items()
+    for old, new in itertools.pairwise([*names, names[0]])
+    if old != new
+]
+PAIRS = [
+    *NEXT,
+    *(
+        (box, *pair)
+        for box, names in EACH.items()
+        for pair in itertools.permutations(names, 2)
+        if (box, *pair) not in NEXT
+    ),
 ]
 AIRCRAFT = ("FixedWingController", "FixedWingDynamics")  # which come in pairs, and need a scale
 TURN = ("TurnRateOptimizer", "PlannedTurn")  # of a formation without orbits
 ALONE = (*AIRCRAFT, *TURN, "JsbsimCarriers")  # which do not fly alone
 ALTERNATIVES = [
+    ("load_feedback", "EstimatedFeedback"),
+    ("pattern", "EllipticCarousel"),
     *((box, name) for box, names in NAMES.items() for name in names[1:] if name not in ALONE),
     *(("pattern", name) for name in PATTERNS[1:]),
 ]
@@ -43,7 +58,7 @@ def with_block(scenario):
     return cache(lambda box, block: changed(scenario, [f"{box}={block}"]))
 
 
-@pytest.mark.parametrize(("box", "old", "new"), PAIRS)
+@pytest.mark.parametrize(("box", "old", "new"), nightly_beyond(len(NEXT), "studies", PAIRS))
 def test_swap_changes_nothing_but_the_box(scenario, with_block, box, old, new):
     before = with_block(box, old)
     after = changed(before, [f"{box}={new}"])
@@ -56,7 +71,9 @@ def test_swap_changes_nothing_but_the_box(scenario, with_block, box, old, new):
         assert values[0] == values[1], field.name
 
 
-@pytest.mark.parametrize(("box", "block"), ALTERNATIVES)
+@pytest.mark.parametrize(
+    ("box", "block"), nightly_beyond(2, "flights", dict.fromkeys(ALTERNATIVES))
+)
 def test_swapped_loop_runs(with_block, box, block):
     scenario = with_block(box, block)
     if block == "MeasuredCarrierTrajectory":  # which makes no accelerations to be fed forward
@@ -70,8 +87,9 @@ def test_swapped_loop_runs(with_block, box, block):
         assert type(run.diagram.GetSubsystemByName(box)).__name__ == block
 
 
+@pytest.mark.nightly("flights")
 def test_aircraft_are_swapped_for_points_and_back():
-    aircraft = load_scenario("aircraft_rest", ["simulation_duration=2"])
+    aircraft = load_scenario("aircraft_rest", ["simulation_duration=0.5"])
     boxes = ("carrier_controller", "carrier_dynamics")
     points = changed(aircraft, [f"{box}={NAMES[box][0]}" for box in boxes])
     assert "aircraft_state" not in simulate(points).signals

@@ -1,12 +1,22 @@
 import numpy as np
-import pytest
 from helpers import SHAPES, Motion, difference, rotation
 from pydrake.multibody.math import SpatialForce
 
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates, grasp_matrix
 from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
 
-shapes = pytest.mark.parametrize("attachments", SHAPES.values(), ids=SHAPES.keys())
+
+def over_shapes(check):
+    """One test of all shapes."""
+
+    def over_all(rng):
+        for name, attachments in SHAPES.items():
+            try:
+                check(attachments, rng)
+            except AssertionError as error:
+                raise AssertionError(f"{name}: {error}") from error
+
+    return over_all
 
 
 def paper_grasp_matrix(attachments, R_WL):
@@ -45,7 +55,7 @@ def random_arguments(attachments, rng):
     )
 
 
-@shapes
+@over_shapes
 def test_grasp_matrix_sums_forces_and_moments(attachments, rng):
     forces = rng.normal(size=attachments.shape)
     total = SpatialForce(np.zeros(3), np.zeros(3))
@@ -56,13 +66,13 @@ def test_grasp_matrix_sums_forces_and_moments(attachments, rng):
     np.testing.assert_allclose(wrench, expected, rtol=0, atol=1e-14)
 
 
-@shapes
-def test_grasp_matrix_is_the_papers_with_its_row_blocks_exchanged(attachments):
+@over_shapes
+def test_grasp_matrix_is_the_papers_with_its_row_blocks_exchanged(attachments, rng):
     paper = paper_grasp_matrix(attachments, np.eye(3))
     np.testing.assert_array_equal(grasp_matrix(attachments), np.vstack([paper[3:], paper[:3]]))
 
 
-@shapes
+@over_shapes
 def test_forces_of_a_tilted_load_add_up_to_the_wrench(attachments, rng):
     (state, wrench, *others), constants = random_arguments(attachments, rng)
     forces, _ = cable_forces_and_rates(state, wrench, *others, **constants)
@@ -70,7 +80,7 @@ def test_forces_of_a_tilted_load_add_up_to_the_wrench(attachments, rng):
     np.testing.assert_allclose(G @ forces.ravel(), paper_order(wrench), rtol=0, atol=1e-12)
 
 
-@shapes
+@over_shapes
 def test_forces_are_the_papers_in_the_world_frame(attachments, rng):
     (state, wrench, rate, internal), constants = random_arguments(attachments, rng)
     forces, _ = cable_forces_and_rates(state, wrench, rate, internal, **constants)
@@ -117,8 +127,8 @@ class Pull:
         )
 
 
-@shapes
-def test_force_rates_are_the_differences_of_forces_on_a_turning_load(attachments):
+@over_shapes
+def test_force_rates_are_the_differences_of_forces_on_a_turning_load(attachments, rng):
     pull = Pull(attachments)
     for time in (0.2, 1.7, 3.1):
         rates = pull.forces_and_rates(time)[1]
@@ -126,8 +136,8 @@ def test_force_rates_are_the_differences_of_forces_on_a_turning_load(attachments
         np.testing.assert_allclose(rates, expected, rtol=0, atol=1e-10)
 
 
-@shapes
-def test_force_rates_are_the_papers_sum_of_four_terms(attachments):
+@over_shapes
+def test_force_rates_are_the_papers_sum_of_four_terms(attachments, rng):
     pull = Pull(attachments)
     pull.constants["offset"] = np.zeros(3 * pull.n)  # which the paper has not
 

@@ -123,7 +123,7 @@ def test_separations_are_those_of_the_orbits_between_the_turns_too():
         gaps, gap_rates = (a[:, :, pairs[0]] - a[:, :, pairs[1]] for a in (positions, rates))
         squares = nearest_squares(gaps, gap_rates, np.pi / count)
         nearest = np.full(6, np.inf)
-        for theta in np.linspace(0, 2 * np.pi, 3000):
+        for theta in np.linspace(0, 2 * np.pi, 1000):
             internal_forces = np.concatenate([amplitude * np.cos(theta + PHASES), np.zeros(4)])
             cables = cable_forces_and_rates(state, *WRENCHES[:2], internal_forces, **GRASP)
             positions, _ = carrier_motion(reference, *cables, **CABLES)

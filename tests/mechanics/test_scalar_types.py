@@ -258,12 +258,6 @@ def compare(values, expected):
     np.testing.assert_allclose(values, expected, rtol=0, atol=1e-12 * scale)
 
 
-def test_autodiff_gives_the_values_of_floats(equation):
-    function, sizes, values, expected = equation
-    result = flat(function(*split(InitializeAutoDiff(values)[:, 0], sizes)))
-    compare(ExtractValue(result)[:, 0], expected)
-
-
 def test_symbols_give_the_values_of_floats(equation):
     function, sizes, values, expected = equation
     # A symbol for every fourth entry of each input, and numbers for the others: expressions
@@ -280,17 +274,16 @@ def test_symbols_give_the_values_of_floats(equation):
     compare([expression.Evaluate(environment) for expression in result], expected)
 
 
-def test_traced_function_gives_the_values_of_floats(equation):
+def test_autodiff_and_traced_functions_give_the_values_of_floats_and_one_gradient(equation):
     function, sizes, values, expected = equation
-    compiled = TracedFunction(function, sizes, name=lambda: "test")
-    compare(flat(compiled(*split(values, sizes))), expected)
-
-
-def test_traced_jacobian_is_the_gradient_of_autodiff(equation):
-    function, sizes, values, _ = equation
-    gradients = ExtractGradient(flat(function(*split(InitializeAutoDiff(values)[:, 0], sizes))))
+    result = flat(function(*split(InitializeAutoDiff(values)[:, 0], sizes)))
+    compare(ExtractValue(result)[:, 0], expected)
+    gradients = ExtractGradient(result)
     gradients = gradients if gradients.size else np.zeros((len(gradients), len(values)))
     for index, columns in enumerate(split(np.arange(len(values)), sizes)):
-        compiled = TracedFunction(function, sizes, name=lambda: "test", jacobian_of=index)
-        jacobian = compiled(*split(values, sizes))[-1]
+        traced = TracedFunction(function, sizes, name=lambda: "test", jacobian_of=index)
+        *outputs, jacobian = traced(*split(values, sizes))
+        compare(flat(tuple(outputs)), expected)
         compare(jacobian, gradients[:, columns])
+    without = TracedFunction(function, sizes, name=lambda: "test")
+    compare(flat(without(*split(values, sizes))), expected)

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from helpers import GAINS, INERTIA, Motion, difference, rotation
+from helpers import GAINS, INERTIA, Motion, difference, nightly_beyond, rotation
 from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_nonstop.mechanics.rigid_load import RigidLoad, load_state_rate
@@ -152,15 +152,17 @@ def spinning_up(t, quaternion):
 RATE_TOLERANCE = 1e-8
 
 
-@pytest.mark.parametrize("gain", [None, *GAINS, "all"])
+@pytest.mark.parametrize("gain", nightly_beyond(1, "studies", ["all", *GAINS, None]))
 def test_wrench_rate_without_feedforward_is_the_difference_of_the_wrench(gain):
     gains = GAINS if gain == "all" else {**NO_GAINS, **({gain: GAINS[gain]} if gain else {})}
     rate, expected = differences_of_wrench(gains, 0.0, swinging)
     np.testing.assert_allclose(rate, expected, rtol=0, atol=RATE_TOLERANCE)
 
 
-@pytest.mark.parametrize("gains", [NO_GAINS, GAINS], ids=["feedforward only", "all"])
-@pytest.mark.parametrize("feedforward", [1.0, 0.5])
+@pytest.mark.parametrize(
+    ("gains", "feedforward"),
+    nightly_beyond(2, "studies", [(NO_GAINS, 1.0), (GAINS, 0.5), (NO_GAINS, 0.5), (GAINS, 1.0)]),
+)
 def test_wrench_rate_with_feedforward_is_the_difference_of_the_wrench(gains, feedforward):
     rate, expected = differences_of_wrench(gains, feedforward, spinning_up)
     np.testing.assert_allclose(rate, expected, rtol=0, atol=RATE_TOLERANCE)

@@ -69,8 +69,9 @@ def test_urdf_too(tmp_path):
 @pytest.mark.parametrize("plant", ["LoadPlant", "MultibodyLoadPlant"])
 def test_a_scenario_flies_a_load_from_a_file(crate, plant):
     overrides = [f"system.load_file={crate}", f"system.attachment_frames=[{', '.join(FRAMES)}]"]
+    layer = "optimization_layer=ConstantParameters"
     scenario = load_scenario(
-        "quintic", [*overrides, f"load_plant=!{plant} {{}}", "simulation_duration=0.5"]
+        "quintic", [*overrides, f"load_plant=!{plant} {{}}", "simulation_duration=0.2", layer]
     )
     assert scenario.system.load_mass == 1.2
     assert parse_scenario(dump_scenario(scenario)).system == scenario.system

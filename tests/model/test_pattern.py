@@ -5,7 +5,7 @@ import textwrap
 
 import numpy as np
 import pytest
-from helpers import difference, irregular, regular, spatial
+from helpers import difference, irregular, nightly_beyond, regular, spatial
 
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig
 from drake_nonstop.blocks.optimization_layer import (
@@ -197,7 +197,7 @@ def spread_carousel(n, spread):
     )
 
 
-@pytest.mark.parametrize("n", [3, 4, 6])
+@pytest.mark.parametrize("n", nightly_beyond(1, "flights", [4, 3, 6]))
 def test_spread_carousel_holds_a_load_at_rest_and_every_carrier_in_motion(n):
     share = 9.81 / n
     scenario = Scenario(

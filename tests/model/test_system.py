@@ -54,11 +54,11 @@ NON_NEGATIVE = ["load_drag", "cable_damping"]
 
 
 @pytest.mark.parametrize("name", [*POSITIVE, *NON_NEGATIVE, "cable_stiffness"])
-@pytest.mark.parametrize("value", [-1.0, math.nan, -math.inf, True, "1.0", None])
-def test_bad_number_is_named(name, value):
-    with pytest.raises(ScenarioError) as error:
-        make(**{name: value})
-    assert str(error.value).startswith(f"system.{name} = {value}: give a")
+def test_bad_number_is_named(name):
+    for value in (-1.0, math.nan, -math.inf, True, "1.0", None):
+        with pytest.raises(ScenarioError) as error:
+            make(**{name: value})
+        assert str(error.value).startswith(f"system.{name} = {value}: give a")
 
 
 @pytest.mark.parametrize("name", [*POSITIVE, "cable_stiffness"])

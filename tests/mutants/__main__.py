@@ -58,8 +58,8 @@ class _Copies:
             group, (verdict, seconds) = futures[future], future.result()
             if verdict.ending not in (Ending.PASSED, Ending.SKIPPED):
                 raise _UnsoundError(
-                    f"the tests fail without a fault, so that no figure would say anything: "
-                    f"{verdict.by}"
+                    f"without a fault the tests fail, so that no figure would say anything: "
+                    f"{verdict.by}, in tests/{group}"
                 )
             self._seconds[group] = seconds
             yield f"without a fault: tests/{group:22}{verdict.ending.value:8} {seconds:6.0f} s"
@@ -137,6 +137,8 @@ def main() -> int:
         if (options.only is None or number in options.only)
         and options.origin in (None, fault.origin)
     ]
+    for _, fault in faults:
+        fault.line_number((ROOT / fault.file).read_text(encoding="utf-8"))  # or an error at once
     for number in (signal.SIGINT, signal.SIGTERM):  # in the background the first is ignored
         signal.signal(number, signal.default_int_handler)
     with tempfile.TemporaryDirectory(

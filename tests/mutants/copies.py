@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 from mutants.faults import Fault
 
-_NIGHTLY = "nightly"  # a marker of tests that are left out
 _TICK, _GRACE = 0.05, 10.0  # s, between two looks at a process, and until it is killed
 # Variables of the environment that would make tests do something else.
 _LEFT_OUT = ("CI", "DRAKE_NONSTOP_CACHE", "PYTHONHOME")
@@ -118,8 +117,6 @@ class Copy:
                 continue  # it is deleted, and git does not know yet
             copied.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(path, copied, follow_symlinks=False)
-        configuration = (self.root / "pyproject.toml").read_text(encoding="utf-8")
-        self._marked = ["-m", f"not {_NIGHTLY}"] if f'"{_NIGHTLY}' in configuration else []
         kept = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
         for name in _LEFT_OUT:
             kept.pop(name, None)
@@ -141,7 +138,7 @@ class Copy:
         """Runs tests up to the first one that fails, for at most `limit` s."""
         shutil.rmtree(self.root / ".hypothesis", ignore_errors=True)  # examples of other faults
         call = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-n", "0"]
-        call += [*self._marked, f"--basetemp={self._folder / 'temporary' / 'tests'}"]
+        call += ["-m", "not nightly", f"--basetemp={self._folder / 'temporary' / 'tests'}"]
         return self._run([*call, *tests], self.root, limit)
 
     def _run(self, call: Sequence[str], folder: Path, limit: float) -> Ran:

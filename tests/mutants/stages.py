@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 GOLDEN, OWN = "golden", "mutants"  # folders of tests
-_LAST = ("evals",)  # rooms whose tests judge whole loops: the first ones beyond a fault's own room
+_WHOLE = ("evals",)  # rooms that judge whole loops: the first ones after a fault's own room
 
 # What the end of a process by a signal says: these are what a fault does, others what was done to
 # the process, such as by the system where memory is short.
@@ -77,7 +77,7 @@ def stages_of(file: str, tests: Iterable[str]) -> list[Stage]:
     mirrored = [test for test in of_room if PurePosixPath(test).stem.startswith(name)]
     golden = [test for test in tests if group_of(test) == GOLDEN]
     others = [test for test in tests if test not in {*of_room, *golden}]
-    others.sort(key=lambda test: group_of(test) not in _LAST)
+    others.sort(key=lambda test: group_of(test) not in _WHOLE)
     stages = [
         Stage(1, tuple(mirrored)),
         Stage(1, tuple(test for test in of_room if test not in mirrored)),
@@ -106,7 +106,7 @@ def judge(code: int | None, output: str) -> Verdict:
         return Verdict(Ending.SKIPPED)
     if code < 0:
         ending = Ending.CAUGHT if -code in _CRASHES else Ending.UNCLEAR
-        return Verdict(ending, f"a process ended by signal {-code}")
+        return Verdict(ending, f"the end of pytest by signal {-code}")
     found = _SUMMARY.search(output.rpartition(_SUMMARY_BEGINS)[2])
     if found is not None and "::" in found[1] and code == 1:
         return Verdict(Ending.CAUGHT, found[1], found[1])

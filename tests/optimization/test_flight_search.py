@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
 
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
@@ -85,9 +86,13 @@ def exact_margins(x, wind=(0.0, 0.0, 0.0)):
     return {(margin.name, margin.is_upper): margin for margin in found.margins}
 
 
-@pytest.mark.parametrize("seed", range(30))
-def test_the_nearest_point_of_a_polygon_is_that_of_a_quadratic_program(seed):
-    rng = np.random.default_rng(seed)
+def test_the_nearest_point_of_a_polygon_is_that_of_a_quadratic_program():
+    found = [assert_nearest(np.random.default_rng(seed)) for seed in range(30)]
+    assert {True, False} == set(found)
+
+
+def assert_nearest(rng):
+    """Whether there is one: some polygons are empty."""
     normals = rng.normal(size=(rng.integers(1, 12), 2))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     offsets, point = rng.normal(size=len(normals)) - 0.3, 2 * rng.normal(size=2)
@@ -100,6 +105,7 @@ def test_the_nearest_point_of_a_polygon_is_that_of_a_quadratic_program(seed):
     assert (found is not None) == expected.is_success()
     if found is not None:
         np.testing.assert_allclose(found, expected.GetSolution(z), atol=1e-5)
+    return found is not None
 
 
 def test_predicted_speeds_and_limits_at_rest_in_wind_are_those_of_the_exact_orbit():
@@ -151,7 +157,9 @@ def test_gradients_of_the_margins_are_central_differences():
         np.testing.assert_allclose(jacobian[:, i], (up - down) / (2 * step), atol=1e-6)
 
 
-@pytest.mark.parametrize(("bound", "wind"), [(14.3, 0.0), (12.0, 2.0), (13.0, 1.0)])
+@pytest.mark.parametrize(
+    ("bound", "wind"), nightly_beyond(1, "studies", [(12.0, 2.0), (14.3, 0.0), (13.0, 1.0)])
+)
 def test_the_search_within_limits_is_as_good_as_another_solver(bound, wind):
     solver = aircraft_solver(**LIMITS)
     data = resting(solver, bound, (wind, 0.0, 0.0))

@@ -2,7 +2,7 @@ import functools
 
 import numpy as np
 import pytest
-from helpers import Motion, difference, model
+from helpers import Motion, model, nightly_beyond
 
 from drake_nonstop.blocks import load_trajectory
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
@@ -91,20 +91,6 @@ def moving_problem():
     return problem, problem.data(1.0, 0.3, Motion(2).reference, 0.5)
 
 
-def test_jacobian_of_the_constraints_is_that_of_central_differences():
-    problem, data = moving_problem()
-    rng = np.random.default_rng(4)
-    x = 1 + 0.2 * rng.normal(size=(2, problem.count))
-    found = problem.linearization(data, x)
-    every = problem.margins(data, x)
-    for _ in range(4):
-        step = rng.normal(size=x.shape)
-        slopes = difference(lambda h, step=step: problem.margins(data, x + h * step), 0.0, 1e-5)
-        expected = dict(zip(every, slopes, strict=True))
-        for margin, row in zip(found.margins, found.jacobian(np.arange(len(every))), strict=True):
-            assert row @ step.ravel() == pytest.approx(expected[margin], rel=1e-5, abs=1e-5)
-
-
 def test_cost_is_that_of_a_fine_sum():
     problem, data = moving_problem()
     x = 1 + 0.2 * np.random.default_rng(5).normal(size=(2, problem.count))
@@ -146,7 +132,7 @@ def least_speed(system, problem, plan, reference, times):
     return np.sqrt(speeds.squares.min())
 
 
-@pytest.mark.parametrize("name", ["quintic", "line"])
+@pytest.mark.parametrize("name", nightly_beyond(1, "studies", ["quintic", "line"]))
 def test_the_best_plan_of_a_task_keeps_the_bound_between_instants_too(name):
     system, bound, reference, _ = paper_task(name)
     best, *others = plans_of(name)

@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 from drake_nonstop.mechanics.rotation import roll_pitch_yaw_to_quaternion
@@ -111,7 +112,7 @@ class Drawn:
         return worst / self.least**2 - 1
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", nightly_beyond(4, "studies", range(25)))
 def test_the_closest_encounter_of_all_pairs_is_found(seed, monkeypatch):
     if seed % 2:
         monkeypatch.setattr(separation, "_MOST_DISTANCES", 200)  # several blocks of phases
@@ -125,7 +126,7 @@ def test_the_closest_encounter_of_all_pairs_is_found(seed, monkeypatch):
             assert found == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", nightly_beyond(3, "studies", range(12)))
 def test_known_encounters_are_some_of_all(seed):
     drawn = Drawn(seed)
     at = drawn.problem._separation
@@ -142,7 +143,7 @@ def test_known_encounters_are_some_of_all(seed):
             assert known[i] == pytest.approx(worst[i], abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", nightly_beyond(4, "studies", range(24)))
 def test_answers_keep_apart_and_none_of_a_grid_is_cheaper(seed):
     drawn = Drawn(seed)
     problem, search = drawn.problem, drawn.solver.problem(drawn.data).search_problem
@@ -165,7 +166,7 @@ def test_answers_keep_apart_and_none_of_a_grid_is_cheaper(seed):
         assert not costs
 
 
-@pytest.mark.parametrize("seed", [2, 7, 11])
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [7, 2, 11]))
 def test_other_solvers_agree_with_the_search(seed):
     drawn = Drawn(seed)
     expected, outcome, _ = drawn.solver.solve(drawn.data)

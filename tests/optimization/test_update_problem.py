@@ -62,7 +62,7 @@ def test_bounds_are_within_reach():
 def test_many_speeds_are_judged_as_few_are(solver, monkeypatch):
     updates = update_solver(solver=solver)
     outcomes = set()
-    for seed in range(12):
+    for seed in range(8):
         inputs = moving(seed)
         data = update_data(inputs, 0.3 + 0.1 * seed, updates=updates)
         found = updates.solve(data)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
 from drake_nonstop import (
     ConstantParameters,
@@ -42,7 +43,7 @@ from drake_nonstop.scenario.tree import to_tree
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
 from drake_nonstop.validation import StrictFields
 
-SEEDS = range(3)
+SEEDS = nightly_beyond(1, "adversary", range(3))
 INPUTS = 60  # of each seed; a hundred times as many were tried
 
 # Values of YAML in one line, each in a scalar's place.
@@ -118,6 +119,7 @@ def all_configs() -> list[tuple[str, Any]]:
 CONFIGS = all_configs()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_any_override(seed):
     draw = random.Random(seed)
@@ -133,6 +135,7 @@ def test_any_override(seed):
         reads_back(made, override)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_any_text(seed):
     draw = random.Random(1000 + seed)
@@ -326,6 +329,7 @@ def test_files_that_are_none_of_a_scenario(content, tmp_path):
         assert checked(lambda: read(path), content[:100]) is None  # noqa: B023
 
 
+@pytest.mark.slow
 def test_values_are_counted():
     text = "a: {description: [" + "1," * 250_000 + "]}"
     assert checked(lambda: parse_scenario(text), text[:100]) is None
@@ -443,7 +447,7 @@ def test_numpy_in_a_field_is_python_in_the_scenario():
 
 @pytest.mark.parametrize("box", BOXES)
 def test_a_swap_in_python_is_that_of_the_command_line(box):
-    for name in ("quintic", "paper_line", "real_scale_spread"):
+    for name in ("quintic", "real_scale_spread"):
         scenario = load_scenario(name)
         for block in BOXES[box].variants:
             swapped = load_scenario(name, [f"{box}={block.__name__}"])

@@ -102,6 +102,7 @@ def test_comments_on_the_lines_of_a_field_and_above_it_are_its_meaning():
     }
 
 
+@pytest.mark.slow
 def test_every_box_and_block_is_listed_with_the_default_first(boxes):
     assert list(boxes) == [*BOXES, "pattern"]
     for name, box in BOXES.items():
@@ -117,7 +118,7 @@ def test_every_box_and_block_is_listed_with_the_default_first(boxes):
         assert not any(choice.unbuildable for choice in box.choices)
 
 
-@pytest.mark.parametrize(("n", "m"), [(3, 3), (5, 5), (5, 6)])
+@pytest.mark.parametrize(("n", "m"), [(3, 3), (5, 6)])
 def test_every_port_is_listed_with_its_size_whatever_n_and_m_are(boxes, n, m):
     edges = np.arange(m) % n
     pattern = LinearPatternConfig(
@@ -197,6 +198,7 @@ def test_one_box_is_shown_alone(capsys):
     assert "load_plant" not in shown
 
 
+@pytest.mark.slow
 def test_all_boxes_are_shown_in_lines_that_fit(capsys, boxes):
     assert main(["blocks"]) == 0
     shown = capsys.readouterr().out

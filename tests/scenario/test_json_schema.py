@@ -42,9 +42,13 @@ Untagged.add_multi_constructor("!", plain)
 
 
 @pytest.fixture(scope="module")
-def faults():
+def schema():
+    return json.loads(json.dumps(scenario_schema()))
+
+
+@pytest.fixture(scope="module")
+def faults(schema):
     jsonschema = pytest.importorskip("jsonschema")
-    schema = json.loads(json.dumps(scenario_schema()))
     jsonschema.Draft7Validator.check_schema(schema)
     validator = jsonschema.Draft7Validator(schema)
     return lambda text: list(validator.iter_errors(yaml.load(text, Untagged)))
@@ -81,8 +85,9 @@ def test_distributions_keep_it(faults):
     assert faults("a: {system: {load_mass: !Uniform {min: 0.5, max: 1.0}}}") == []
 
 
-def test_fields_have_units_and_blocks():
-    fields = next(iter([scenario_schema()["additionalProperties"]["properties"]]))
+@pytest.mark.slow
+def test_fields_have_units_and_blocks(schema):
+    fields = schema["additionalProperties"]["properties"]
     assert fields["control_period"]["description"].startswith("s, sample time")
     phase = fields["phase"]["anyOf"][0]["properties"]
     assert phase["bandwidth"]["description"] == "ShapedPhase: rad/s, of each of three equal poles"
@@ -90,14 +95,17 @@ def test_fields_have_units_and_blocks():
     assert "!ShapedPhase mapping" in custom_tags()
 
 
-def test_blocks_of_ones_own_keep_it_where_their_scenario_is_given(tmp_path, monkeypatch, capsys):
+@pytest.mark.slow
+def test_blocks_of_ones_own_keep_it_where_their_scenario_is_given(
+    schema, tmp_path, monkeypatch, capsys
+):
     jsonschema = pytest.importorskip("jsonschema")
     (tmp_path / "schema_blocks.py").write_text(OWN_BLOCK)
     (tmp_path / "own.yaml").write_text("own: {phase: !schema_blocks.Slower {slowness: 3.0}}")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     text = "own: {phase: {slowness: 3.0}}"
-    plain_schema = jsonschema.Draft7Validator(scenario_schema())
+    plain_schema = jsonschema.Draft7Validator(schema)
     assert list(plain_schema.iter_errors(yaml.safe_load(text)))
     assert main(["schema", "own.yaml", "--trust"]) == 0
     own = jsonschema.Draft7Validator(json.loads(capsys.readouterr().out))
@@ -107,9 +115,10 @@ def test_blocks_of_ones_own_keep_it_where_their_scenario_is_given(tmp_path, monk
     assert "!schema_blocks.Slower mapping" in json.loads(capsys.readouterr().out)
 
 
-def test_the_command_writes_it(tmp_path, capsys):
+@pytest.mark.slow
+def test_the_command_writes_it(schema, tmp_path, capsys):
     assert main(["schema", "--out", str(tmp_path / "s.json")]) == 0
-    assert json.loads((tmp_path / "s.json").read_text()) == scenario_schema()
+    assert json.loads((tmp_path / "s.json").read_text()) == schema
     capsys.readouterr()
     assert main(["schema", "--tags"]) == 0
     assert json.loads(capsys.readouterr().out) == custom_tags()

@@ -137,6 +137,7 @@ def test_without_trust_it_is_not_even_imported(folder):
     assert "own_test_blocks" not in sys.modules
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_command_asks_for_trust(folder, capsys):
     brief = ["--quiet", "--no-figures", "--no-replay", "--out", "out"]
     assert main(["run", "mine.yaml", *brief]) == 2

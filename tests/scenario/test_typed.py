@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 from plausible_scenarios import draw
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
@@ -45,12 +46,15 @@ def comes_back(scenario):
         assert dump_scenario(again) == dump_scenario(scenario)
 
 
-@pytest.mark.parametrize("name", scenario_names())
+NAMES = dict.fromkeys(["quintic", "aircraft_transfer_gusty", *scenario_names()])
+
+
+@pytest.mark.parametrize("name", nightly_beyond(4, "examples", NAMES))
 def test_a_shipped_scenario_comes_back(name):
     comes_back(load_scenario(name))
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", nightly_beyond(3, "studies", range(8)))
 def test_a_drawn_scenario_comes_back(seed):
     name, overrides = draw(seed)
     scenario = load_scenario(name, overrides)

@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
 from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
@@ -19,7 +20,11 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
-BRIEF = ["--quiet", "--no-figures", "--no-replay", "--set", "simulation_duration=0.3"]
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+CONSTANT = "optimization_layer=ConstantParameters"
+LIMIT = 20_000  # bytes of a file
+BRIEF = ["--quiet", "--no-figures", "--no-replay", "--set", "simulation_duration=0.2"]
 
 
 def command(folder, *more):
@@ -37,21 +42,39 @@ def contents(folder):
 def results(tmp_path_factory):
     """The results of a run, to be copied."""
     folder = tmp_path_factory.mktemp("results")
-    assert main(["run", "quintic", "--out", str(folder), *BRIEF]) == 0
+    assert main(["run", "quintic", "--out", str(folder), *BRIEF, CONSTANT]) == 0
     return folder
 
 
+def test_results_that_cannot_be_written_leave_the_earlier_ones(tmp_path, results, capsys):
+    """The kernel refuses to let any file grow beyond 20 kB, in the middle of signals.npz."""
+    shutil.copytree(results, tmp_path, dirs_exist_ok=True)
+    before = contents(tmp_path)
+    assert len(before["signals.npz"]) > LIMIT
+
+    heavier = ["system.load_mass=1.1", CONSTANT]
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, hard))
+    try:
+        assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF, *heavier]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert "give a folder with room to write to" in capsys.readouterr().err
+    assert contents(tmp_path) == before
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]
+
+
+@pytest.mark.nightly("processes")
 def test_no_room_for_the_results_leaves_the_earlier_ones(tmp_path, results):
     """The kernel refuses to let any file grow beyond 20 kB, in the middle of signals.npz."""
     shutil.copytree(results, tmp_path, dirs_exist_ok=True)
     before = contents(tmp_path)
-    limit = 20_000
-    assert len(before["signals.npz"]) > limit
+    assert len(before["signals.npz"]) > LIMIT
     result = subprocess.run(
         command(tmp_path, "system.load_mass=1.1"),
         capture_output=True,
         text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, LIMIT)),
     )
     assert result.returncode == 2
     assert "give a folder with room to write to" in result.stderr
@@ -60,16 +83,16 @@ def test_no_room_for_the_results_leaves_the_earlier_ones(tmp_path, results):
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]
 
 
-layers = pytest.mark.parametrize(
-    ("solver", "settings"),
-    [
-        (
-            HorizonSolver,
-            ["optimization_layer.knot_spacing=0.13", "optimization_layer.horizon=3.25"],
-        ),
-        (UpdateSolver, ["optimization_layer=NonstopOptimizer"]),
-    ],
-)
+LAYERS = [
+    (UpdateSolver, ["optimization_layer=NonstopOptimizer"]),
+    (HorizonSolver, ["optimization_layer.knot_spacing=0.13", "optimization_layer.horizon=3.25"]),
+]
+
+
+def layers(count):
+    return pytest.mark.parametrize(
+        ("solver", "settings"), nightly_beyond(count, "adversary", LAYERS)
+    )
 
 
 def angle(data):
@@ -77,7 +100,7 @@ def angle(data):
     return data.phase[0] if hasattr(data, "phase") else data.start_angle
 
 
-@layers
+@layers(1)
 def test_a_solver_that_throws_stops_the_run_with_its_cause_and_keeps_what_there_is(
     tmp_path, monkeypatch, capsys, solver, settings
 ):
@@ -98,7 +121,7 @@ def test_a_solver_that_throws_stops_the_run_with_its_cause_and_keeps_what_there_
         assert all(np.isfinite(signals[name]).all() for name in set(signals) - {"entries"})
 
 
-@layers
+@layers(2)
 def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch, solver, settings):
     def broken(*arguments, **options):
         answer = solve(*arguments, **options)
@@ -110,9 +133,10 @@ def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch, solver, sett
     solve = solver.solve
     monkeypatch.setattr(solver, "solve", broken)
     with pytest.raises(ScenarioError, match=r"start = optimization_layer: .*not finite"):
-        simulate(load_scenario("quintic", ["simulation_duration=0.3", *settings]))
+        simulate(load_scenario("quintic", ["simulation_duration=0.2", *settings]))
 
 
+@pytest.mark.nightly("processes")
 @pytest.mark.parametrize("delay", [0.0, 0.05])
 def test_ctrl_c_while_results_are_written_leaves_what_was_flown(tmp_path, results, delay):
     shutil.copytree(results, tmp_path, dirs_exist_ok=True)

@@ -1,17 +1,24 @@
 """What aircraft need along a plan, against the resting orbit and against flights."""
 
 import dataclasses
+import functools
 import math
+import re
 
 import numpy as np
 import pytest
 from drawn_tasks import aircraft_task
+from helpers import nightly_beyond
 
 from drake_nonstop import load_scenario
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.simulation.aircraft_margins import aircraft_margins, flight_limits_of
+from drake_nonstop.simulation.aircraft_margins import (
+    FlightLimits,
+    aircraft_margins,
+    flight_limits_of,
+)
 from drake_nonstop.simulation.flight_of_plan import flight_of_plan
 from drake_nonstop.simulation.speed_check import check_speeds
 from drake_nonstop.simulation.task import task_of
@@ -20,8 +27,13 @@ from drake_nonstop.simulation.task_check import check_task
 # One whose aircraft need more lift than they have at the end of the way, of a layer that does not
 # know of it.
 BEYOND = 4148
-AT_REST = ["load_trajectory.start_time=1000", "simulation_duration=40"]
+AT_REST = ["load_trajectory.start_time=1000", "simulation_duration=22"]  # two turns
 BLIND = ["optimization_layer.max_lift_share=.inf", "optimization_layer.max_bank=.inf"]
+
+
+@functools.cache
+def check_at_rest():
+    return check_task(load_scenario("aircraft_rest", AT_REST))
 
 
 def flight(scenario):
@@ -29,11 +41,14 @@ def flight(scenario):
     return flight_of_plan(task, check_speeds(task), flight_limits_of(scenario))
 
 
-@pytest.mark.parametrize("name", ["aircraft_rest", "aircraft_co_rotating"])
+@pytest.mark.parametrize(
+    "name", nightly_beyond(1, "flights", ["aircraft_rest", "aircraft_co_rotating"])
+)
 def test_at_rest_the_needs_are_those_of_the_resting_orbit(name):
-    still = AT_REST if name == "aircraft_rest" else AT_REST[1:]
+    still = AT_REST if name == "aircraft_rest" else ["simulation_duration=16"]
     scenario = load_scenario(name, still)
-    found, expected = flight(scenario), aircraft_margins(scenario)
+    found = check_at_rest().flight if name == "aircraft_rest" else flight(scenario)
+    expected = aircraft_margins(scenario)
     for margin, resting in zip(found.margins, expected.margins, strict=False):
         assert margin.name == resting.name
         assert margin.value == pytest.approx(resting.value, rel=2e-3, abs=1e-3)
@@ -41,18 +56,18 @@ def test_at_rest_the_needs_are_those_of_the_resting_orbit(name):
 
 
 def test_a_load_that_turns_at_a_planned_rate_is_taken_to_turn_at_the_nominal_one():
-    planned = load_scenario("aircraft_co_rotating_rising_wind", AT_REST[1:])
+    planned = load_scenario("aircraft_co_rotating_rising_wind", ["simulation_duration=8"])
     steady = load_scenario("aircraft_co_rotating", ["load_trajectory.yaw_rate=0.28"])
     of_planned, of_steady = (task_of(scenario).reference(7.0) for scenario in (planned, steady))
     np.testing.assert_array_equal(of_planned, of_steady)
     assert flight(planned).is_flyable
 
 
-def test_the_needs_on_the_way_are_those_that_are_flown(shared_runs):
+def test_the_needs_on_the_way_are_those_that_are_flown(fleet):
     """Of each limit at its tightest instant; C_L, bank and airspeed within 1 %, thrust 4 %."""
-    scenario = load_scenario("aircraft_transfer")
+    scenario = load_scenario("aircraft_transfer", ["simulation_duration=20"])
     found = flight(scenario)
-    run = shared_runs.run(scenario)
+    run = fleet.run("aircraft_transfer")
     state = AircraftState.view(run.signal("aircraft_state"))
     aircraft = task_of(scenario).model.aircraft
     flown = {
@@ -69,18 +84,33 @@ def test_the_needs_on_the_way_are_those_that_are_flown(shared_runs):
             assert margin.value == pytest.approx(value, abs=abs(share)), margin.name
 
 
-def test_a_way_beyond_the_aircraft_is_told_beforehand_and_the_layer_may_avoid_it():
-    scenario = aircraft_task(BEYOND)
-    blind = flight(changed(scenario, BLIND))
+def assert_beyond(blind):
     assert not blind.is_flyable
     assert "C_L / C_Lmax 1.00 (at most 0.90) at t = 30.8 s, carrier 4" in blind.verdict
+
+
+def test_limits_that_are_missed_are_told_with_where_and_by_whom():
+    found = check_at_rest()
+    task = task_of(load_scenario("aircraft_co_rotating", ["simulation_duration=6"]))
+    missed = flight_of_plan(task, check_speeds(task), FlightLimits(lift_share=0.3))
+    assert not missed.is_flyable
+    assert re.search(
+        r"C_L / C_Lmax 0\.\d\d \(at most 0\.30\) at t = \d\.\d s, carrier \d", missed.verdict
+    )
+    assert found.flight.is_flyable
+
+
+@pytest.mark.nightly("studies")
+def test_a_way_beyond_the_aircraft_is_told_of_the_whole_task_and_the_layer_may_avoid_it():
+    scenario = aircraft_task(BEYOND)
+    assert_beyond(flight(changed(scenario, BLIND)))
     lift = flight(scenario).margins[0]
     assert lift.name == "C_L / C_Lmax"
     assert 0.8 < lift.value <= 0.9
 
 
 def test_a_check_is_not_sound_where_the_way_cannot_be_flown():
-    found = check_task(load_scenario("aircraft_rest", AT_REST))
+    found = check_at_rest()
     assert found.is_sound
     assert found.verdicts[-1] == found.flight.verdict
     margin = dataclasses.replace(found.flight.margins[0], value=0.95)

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
 from drake_nonstop import ScenarioError, load_scenario, make_gym_env, simulate
 
 pytest.importorskip("gymnasium")
-BRIEF = ["simulation_duration=0.6"]
+BRIEF = ["simulation_duration=0.3"]
 
 
-@pytest.mark.parametrize("action", ["parameters", "wrench"])
+@pytest.mark.parametrize("action", nightly_beyond(1, "studies", ["parameters", "wrench"]))
 def test_it_is_an_environment(action):
     from gymnasium.utils.env_checker import check_env
 
@@ -19,7 +20,7 @@ def test_it_is_an_environment(action):
 
 def test_constant_parameters_fly_as_the_loop_does():
     scenario = load_scenario("three_carriers", [*BRIEF, "optimization_layer=ConstantParameters"])
-    env = make_gym_env(scenario, time_step=0.2)
+    env = make_gym_env(scenario, time_step=0.1)
     action = [scenario.optimization_layer.frequency, scenario.optimization_layer.amplitude]
     first, _ = env.reset()
     observations, ends = [first], []
@@ -31,7 +32,7 @@ def test_constant_parameters_fly_as_the_loop_does():
     assert ends == [(False, False), (False, False), (False, True)]
     run = simulate(scenario)
     signals = [run.signal(name) for name in ("load_state", "reference", "carrier_state")]
-    flown = np.hstack(signals)[[0, 20, 40, 60]]
+    flown = np.hstack(signals)[[0, 10, 20, 30]]
     np.testing.assert_allclose(observations, flown, atol=1e-6)
     again, _ = env.reset()
     np.testing.assert_array_equal(again, first)
@@ -97,7 +98,10 @@ def test_episodes_draw_their_numbers_by_the_seed():
 
 
 @pytest.mark.parametrize(
-    "action", [[np.nan, 1.0], [200.0, -50.0], [2.0], 2.0, "fast", None, [[2.0, 1.2]]]
+    "action",
+    nightly_beyond(
+        3, "adversary", [[np.nan, 1.0], [200.0, -50.0], [2.0], 2.0, "fast", None, [[2.0, 1.2]]]
+    ),
 )
 def test_an_action_outside_of_the_space_is_no_physics(action):
     env = make_gym_env(load_scenario("quintic", BRIEF))

@@ -23,11 +23,12 @@ from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.run_all import SerialExecutor
 
-DURATION = 0.3
+DURATION = 0.2
 _STEP = "simulator_config.max_step_size"
 # 50 of them agree; the suite flies a few, since a loop is traced for each.
 RUNS = int(os.environ.get("DRAKE_NONSTOP_RANDOM_RUNS", "2"))
 DRAWN = (
+    "optimization_layer=ConstantParameters",
     f"simulation_duration={DURATION}",
     "simulated.load_mass=!Gaussian {mean: 1, stddev: 0.1}",
     "load_disturbance=!DisturbanceForce {force: !GaussianVector {mean: [0, 0, 0], stddev: [0.2]}, "
@@ -49,6 +50,7 @@ def scenario():
     return load_scenario("quintic", [*DRAWN, "engine=diagram"])  # in the sweep as well
 
 
+@pytest.mark.nightly("studies")
 def test_monte_carlo_gives_what_a_sweep_gives_to_the_bit(scenario, tmp_path):
     spec = SweepSpec(seed=5, runs=RUNS)
     done = sweep(scenario, spec, tmp_path, executor=SerialExecutor())
@@ -65,8 +67,8 @@ def test_monte_carlo_gives_what_a_sweep_gives_to_the_bit(scenario, tmp_path):
 @pytest.mark.parametrize(
     "overrides",
     [
-        ("control_period=0", "optimization_layer=ConstantParameters", f"{_STEP}=0.0023"),
-        (),
+        ("control_period=0", f"{_STEP}=0.0023"),
+        ("optimization_layer=RecedingHorizonOptimizer",),
     ],
 )
 def test_it_flies_as_simulate_does(scenario, overrides):

@@ -219,7 +219,7 @@ def test_segment_distance_equals_a_dense_search():
     random = np.random.default_rng(5)
     ends = random.normal(size=(4, 60, 3))
     ends[1, :10] = ends[0, :10] + (ends[3, :10] - ends[2, :10])  # some parallel ones
-    s = np.linspace(0, 1, 201)
+    s = np.linspace(0, 1, 101)
     first = ends[0, :, None] + s[:, None] * (ends[1] - ends[0])[:, None]
     second = ends[2, :, None] + s[:, None] * (ends[3] - ends[2])[:, None]
     dense = np.linalg.norm(first[:, :, None] - second[:, None], axis=3).min(axis=(1, 2))
@@ -235,7 +235,7 @@ def test_crossing_and_touching_segments_have_no_distance():
     assert segment_distances(a, b, np.array([[3.0, 0, 0]]), np.array([[5.0, 0, 0]]))[0] == 1
 
 
-@pytest.mark.parametrize("chunk", [3, 50, 1000])
+@pytest.mark.parametrize("chunk", [50, 1000])
 def test_metrics_do_not_depend_on_how_many_steps_are_computed_at_a_time(chunk, monkeypatch):
     run = circling_run()
     rng = np.random.default_rng(chunk)
@@ -298,7 +298,7 @@ def test_moving_cables_are_closest_where_they_cross():
         ) == pytest.approx([np.min(distances)], abs=2e-3)
 
 
-@pytest.mark.parametrize(("steps", "n"), [(1, 3), (3000, 3), (500, 7), (300, 40)])
+@pytest.mark.parametrize(("steps", "n"), [(1, 3), (300, 3), (200, 7), (50, 40)])
 def test_closest_two_are_those_of_all_pairs(steps, n):
     ends, carriers = np.random.default_rng(n).normal(size=(2, steps, n, 3))
     pairs = list(combinations(range(n), 2))
@@ -320,10 +320,10 @@ def test_closest_two_take_little_memory():
     assert most < 3e6  # the distances of all pairs take 12 MB
 
 
-@pytest.mark.parametrize("count", range(1, 7))
-def test_the_table_prints_three_reasons_at_most(count):
+def test_the_table_prints_three_reasons_at_most():
     metrics = compute_metrics(circling_run(radius=0.5, rate=2.0))
-    metrics["reasons"] = [f"reason {k}" for k in range(count)]
-    line = metrics_table(metrics).splitlines()[0]
-    assert line.count("reason ") == min(count, 3)
-    assert line.endswith(f"; {count - 3} more in metrics.json") == (count > 3)
+    for count in range(1, 7):
+        metrics["reasons"] = [f"reason {k}" for k in range(count)]
+        line = metrics_table(metrics).splitlines()[0]
+        assert line.count("reason ") == min(count, 3)
+        assert line.endswith(f"; {count - 3} more in metrics.json") == (count > 3)

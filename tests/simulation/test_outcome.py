@@ -15,7 +15,6 @@ from drake_nonstop import (
     RunInterrupted,
     RunLimits,
     RunOutcome,
-    RunStopped,
     ScenarioError,
     StepAction,
     compute_metrics,
@@ -35,11 +34,8 @@ from drake_nonstop.simulation.outcome import LIMITS
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
 
+CONSTANT = "optimization_layer=ConstantParameters"
 SAMPLES = 60
-FALLING = [
-    "carrier_controller=LoadedCarrierPid",
-    "carrier_dynamics=!LoadedCarrierDynamics {max_force: 1.0}",
-]
 
 
 class MadeUpRun:
@@ -174,7 +170,7 @@ SENTENCES = {
 SEVERITY = ("stopped", "load_lost", "collision", "cables_slack", "bound_missed", "unconverged")
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32),
     n=st.integers(3, 8),
@@ -201,10 +197,13 @@ def test_the_outcome_is_the_worst_of_all_faults_and_each_is_said(seed, n, size, 
     assert json.loads(json.dumps(metrics, allow_nan=False))["outcome"] == metrics["outcome"]
 
 
-@pytest.mark.parametrize("fault", [f for f in FAULTS if f not in (stopped, unresolved)])
+@pytest.mark.parametrize(
+    "fault",
+    [load_far_off, load_turned, carriers_meet, cables_cross, cable_slack, carrier_slow],
+)
 def test_a_fault_within_wider_limits_is_none(fault):
     rng = np.random.default_rng(3)
-    for _ in range(5):
+    for _ in range(2):
         made = MadeUpRun(rng, rng.integers(3, 9), rng.choice([0.05, 1.0, 80.0]))
         fault(made)
         assert compute_metrics(made.run())["outcome"] == FAULTS[fault]
@@ -297,10 +296,8 @@ def test_limits_are_checked_dumped_and_loaded(field):
         load_scenario("quintic", [f"limits.{field}x=1"])
 
 
-def test_a_load_that_falls_is_lost():
-    metrics = compute_metrics(
-        simulate(load_scenario("quintic", ["simulation_duration=0.8", *FALLING]))
-    )
+def test_a_load_that_falls_is_lost(fleet):
+    _, metrics = fleet.evaluated("that_falls")
     assert metrics["outcome"] == "load_lost"
     assert metrics["reasons"][0].startswith("the load was ")
     assert any("carrier_dynamics.max_force: 1 N" in text for text in metrics["warnings"])
@@ -308,18 +305,16 @@ def test_a_load_that_falls_is_lost():
 
 def test_a_bound_on_tensions_that_was_not_kept_is_said():
     swap = ["force_distribution=BoundedTensionDistribution", "force_distribution.min_tension=2.9"]
-    swap += ["carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"]
+    swap += [CONSTANT, "carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"]
     metrics = compute_metrics(
-        simulate(load_scenario("quintic", ["simulation_duration=0.3", *swap]))
+        simulate(load_scenario("quintic", ["simulation_duration=0.1", *swap]))
     )
     said = "a cable's tension fell to 2.85 N (force_distribution.min_tension: 2.9 N)"
     assert metrics["warnings"] == [said]
 
 
 def short():
-    return load_scenario(
-        "line", ["simulation_duration=0.2", "optimization_layer=ConstantParameters"]
-    )
+    return load_scenario("line", ["simulation_duration=0.2", CONSTANT])
 
 
 @pytest.mark.parametrize("after", [0.0, 0.1, 0.2])
@@ -338,13 +333,11 @@ def test_a_run_that_is_ended_before_its_time_has_stopped(after):
         assert metrics["reasons"][0].startswith(f"the run was ended at t = {after:.2f}")
 
 
-def test_a_run_that_diverges_or_is_interrupted_has_stopped():
-    unstable = load_scenario("line", ["simulator_config.integration_scheme=explicit_euler"])
-    with pytest.raises(RunStopped) as diverged:
-        simulate(unstable)
-    metrics = compute_metrics(diverged.value.run)
+def test_a_run_that_diverges_or_is_interrupted_has_stopped(fleet):
+    run, metrics = fleet.evaluated("that_diverges")
     assert metrics["outcome"] == "stopped"
-    assert metrics["reasons"][0] == str(diverged.value)
+    assert metrics["reasons"][0] == run.stopped
+    assert run.stopped.startswith("the run diverged at t = ")
 
     def interrupt(simulator, nonstop):
         raise KeyboardInterrupt

@@ -6,6 +6,7 @@ import weakref
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
@@ -25,13 +26,14 @@ from drake_nonstop import (
     verify_step,
     write_results,
 )
+from drake_nonstop.studies import results_folder
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.visualization.run_figures import make_figure
 
-DURATION = 0.2  # s
+DURATION = 0.1  # s
 
 
-@pytest.fixture(scope="module", params=[0.0, 0.01])
+@pytest.fixture(scope="module", params=nightly_beyond(1, "flights", [0.01, 0.0]))
 def scenario(request):
     overrides = ["optimization_layer=ConstantParameters", f"control_period={request.param}"]
     return load_scenario("line", [*overrides, f"simulation_duration={DURATION}"])
@@ -109,7 +111,9 @@ def test_logs_of_ones_own_simulation_are_a_run(make_loop, scenario, shipped):
         verify_step(run)
 
 
-def test_a_run_of_logs_is_written_whole(tmp_path):
+def test_a_run_of_logs_is_written_whole(tmp_path, monkeypatch):
+    drawn = []  # of the diagrams, which take seconds to draw
+    monkeypatch.setattr(results_folder, "draw_diagram", lambda loop: drawn.append(loop) or "<svg/>")
     scenario = load_scenario("three_carriers", ["optimization_layer=ConstantParameters"])
     logs, simulator = flown(scenario, renamed(scenario))
     run = Run.from_logs(logs, simulator.get_context(), scenario)
@@ -117,6 +121,7 @@ def test_a_run_of_logs_is_written_whole(tmp_path):
         write_results(run, tmp_path / "odd", figures=np.zeros(2))
     assert (tmp_path / "odd" / "signals.npz").exists()  # the flight is not lost
     metrics = write_results(run, tmp_path, figures=False)
+    assert drawn == [run.diagram]
     make_figure(run, "carrier_speeds")
     assert metrics["wall_s"] is metrics["real_time_factor"] is None
     assert json.loads((tmp_path / "metrics.json").read_text())["outcome"] == metrics["outcome"]
@@ -143,13 +148,13 @@ def test_each_context_has_its_logs_and_the_last_flight_counts(scenario, shipped)
     set_equilibrium(loop, loop.GetMyMutableContextFromRoot(first))
     simulator.Initialize()
     simulator.Initialize()
-    simulator.AdvanceTo(0.1)
+    simulator.AdvanceTo(0.05)
     run = Run.from_logs(logs, first, scenario, wall_time=2.0)
-    np.testing.assert_array_equal(run.time, shipped.time[:11])
+    np.testing.assert_array_equal(run.time, shipped.time[:6])
     assert np.all(np.diff(run.steps["time"]) > 0)
-    assert run.steps["time"][[0, -1]].tolist() == pytest.approx([0.0, 0.1], abs=1e-12)
+    assert run.steps["time"][[0, -1]].tolist() == pytest.approx([0.0, 0.05], abs=1e-12)
     # The wrench controller's integral goes on from the first flight; the trajectory does not.
-    expected = shipped.signal("reference")[:11]
+    expected = shipped.signal("reference")[:6]
     assert run.signal("reference").tobytes() == expected.tobytes()
     assert compute_metrics(run)["wall_s"] == 2.0
 
@@ -232,7 +237,7 @@ def test_extra_blocks_are_logged_and_change_nothing(scenario, shipped):
 
 def test_an_extra_block_that_fails_is_named(scenario):
     with pytest.raises(RunStopped, match=r"echo \(test_own_loops\.py:\d+\): .*no echo"):
-        simulate(scenario, extra={"echo": lambda model: Echo(model, 0.1)})
+        simulate(scenario, extra={"echo": lambda model: Echo(model, 0.05)})
 
 
 def test_a_fault_of_a_block_under_another_name_is_named(scenario):

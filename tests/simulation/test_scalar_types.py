@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import difference
+from helpers import difference, nightly_beyond
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, Simulator_
 from pydrake.systems.framework import LeafSystem
@@ -14,25 +14,38 @@ from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.systems.block import number
 
 CONSTANT = "optimization_layer=ConstantParameters"
-SWAPS = [
+SWAPS = [  # the default optimizer, and constant parameters with everything else
     [],
-    ["control_period=0", CONSTANT, "phase=PaperPhase"],
+    [CONSTANT, "load_feedback=!EstimatedFeedback {delay: 0.02, position_noise: 0.01}"],
     [
-        "control_period=0",
-        "carrier_trajectory=MeasuredCarrierTrajectory",
-        "carrier_controller=CarrierPid",
+        *(CONSTANT, "load_plant=MultibodyLoadPlant"),
+        "load_disturbance=!DisturbanceForce {gust_force: 1.0}",
     ],
-    ["load_plant=MultibodyLoadPlant", "load_disturbance=!DisturbanceForce {gust_force: 1.0}"],
-    ["load_feedback=!NoisyFeedback {delay: 0.02, position_noise: 0.01}"],
-    ["load_feedback=!EstimatedFeedback {delay: 0.02, position_noise: 0.01}"],
     [
-        "carrier_dynamics=!LoadedCarrierDynamics {max_force: 9}",
+        *(CONSTANT, "carrier_dynamics=!LoadedCarrierDynamics {max_force: 9}"),
         "carrier_controller=LoadedCarrierPid",
     ],
-    ["carrier_controller=!FeedforwardCarrierPid {integral_gain: 3}", "cables=IndividualCables"],
-    ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
+    [
+        *("control_period=0", CONSTANT, "carrier_trajectory=MeasuredCarrierTrajectory"),
+        "carrier_controller=CarrierPid",
+    ],
+    ["control_period=0", CONSTANT, "phase=PaperPhase"],
+    [CONSTANT, "load_feedback=!NoisyFeedback {delay: 0.02, position_noise: 0.01}"],
+    [
+        *(CONSTANT, "carrier_controller=!FeedforwardCarrierPid {integral_gain: 3}"),
+        "cables=IndividualCables",
+    ],
+    [CONSTANT, "carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
 ]
-swaps = pytest.mark.parametrize("overrides", SWAPS, ids=lambda s: ", ".join(s) or "default")
+
+
+def swaps(count):
+    """The first few and, every night, all."""
+    return pytest.mark.parametrize(
+        "overrides",
+        nightly_beyond(count, "engines", SWAPS),
+        ids=lambda s: ", ".join(s) or "default",
+    )
 
 
 def started(overrides, scenario="quintic"):
@@ -80,7 +93,7 @@ def test_spectrum_has_the_fastest_mode(linearized):
     assert fastest == pytest.approx(LinearizedLoop(loop, context, 0.0).fastest_mode, rel=1e-4)
 
 
-@swaps
+@swaps(len(SWAPS))
 def test_rates_are_those_of_floats(overrides):
     _, loop, context = started(overrides)
     expected = rate(loop, context)
@@ -102,7 +115,7 @@ def flown(config, loop, context, time):
     return np.concatenate([context.get_continuous_state_vector().CopyToVector(), *parts])
 
 
-@swaps
+@swaps(5)
 def test_a_clone_flies_the_same_to_the_bit(overrides):
     config, loop, context = started(overrides)
     clone = loop.Clone()
@@ -143,6 +156,7 @@ def test_a_block_of_the_users_that_does_not_convert_is_named():
         loop.ToAutoDiffXd()
 
 
+@pytest.mark.nightly("studies")
 def test_gradient_of_a_flight_equals_central_differences():
     """Of the squared error of the load's position, by where and how fast the load starts."""
     config, loop, context = started([CONSTANT])
@@ -172,6 +186,7 @@ def test_gradient_of_a_flight_equals_central_differences():
     np.testing.assert_allclose(ExtractGradient(np.array([result]))[0], slopes, rtol=1e-5)
 
 
+@pytest.mark.nightly("studies")
 def test_gradient_by_every_gain_equals_central_differences():
     """Of the squared error of the load's position, of a load that starts off its reference."""
     config, loop, context = started([CONSTANT])

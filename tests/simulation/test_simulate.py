@@ -2,18 +2,23 @@
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import ConstantParameters, RunStopped, ScenarioError, load_scenario, simulate
 
+CONSTANT = "optimization_layer=ConstantParameters"
 
-def short(name, *overrides, duration=0.5):
-    return load_scenario(name, [*overrides, f"simulation_duration={duration}"])
+
+def short(name, *overrides, duration=0.2):
+    """A scenario with constant parameters if the overrides do not say otherwise."""
+    return load_scenario(name, [CONSTANT, *overrides, f"simulation_duration={duration}"])
 
 
 def test_two_runs_of_one_scenario_are_equal_to_the_bit():
     # The line's first solve is after 5 s: start the move at once to have some here.
-    scenario = short("quintic", "optimization_layer.speed_bound=0.72")
+    layer = "optimization_layer=!NonstopOptimizer {speed_bound: 0.72}"
+    scenario = short("quintic", layer)
     first, second = simulate(scenario), simulate(scenario, progress=lambda time: None)
     assert first.signals["optimization_layer.diagnostics"][-1, 3] > 0  # solved
     assert first.signals.keys() == second.signals.keys()
@@ -23,21 +28,30 @@ def test_two_runs_of_one_scenario_are_equal_to_the_bit():
 
 def test_signals_are_sampled_at_100_hz_and_hold_no_wall_time():
     run = simulate(short("quintic", "simulator_config.max_step_size=0.003"))
-    np.testing.assert_allclose(run.time, np.arange(51) / 100, atol=1e-12)
+    np.testing.assert_allclose(run.time, np.arange(21) / 100, atol=1e-12)
     assert not any("solve_time" in name for name in run.signals)
     assert len(run.steps["time"]) > len(run.time)
     assert run.steps["time"][0] == 0
 
 
 def test_every_block_of_the_figure_has_its_signals():
-    run = simulate(short("quintic", duration=0.02))
+    run = simulate(load_scenario("quintic", ["simulation_duration=0.02"]))
     blocks = {name.split(".")[0] for name in run.signals}
     assert blocks >= {"load_trajectory", "optimization_layer", "cables", "load_plant"}
     assert run.signals["wrench_controller.wrench"].shape == (3, 6)
 
 
-@pytest.mark.parametrize("name", ["quintic", "paper_quintic", "three_carriers"])
-@pytest.mark.parametrize("control_period", [0.0, 0.01])
+@pytest.mark.parametrize(
+    ("name", "control_period"),
+    nightly_beyond(
+        2,
+        "flights",
+        [
+            *(("quintic", 0.0), ("paper_quintic", 0.01), ("quintic", 0.01), ("paper_quintic", 0.0)),
+            *(("three_carriers", 0.0), ("three_carriers", 0.01)),
+        ],
+    ),
+)
 def test_the_load_starts_at_rest_on_its_equilibrium(name, control_period):
     run = simulate(short(name, f"control_period={control_period}", duration=0.1))
     speed = np.linalg.norm(run.signal("load_state")[:, 10:], axis=1)
@@ -52,14 +66,13 @@ def test_a_tilted_load_starts_at_rest_too():
         short(
             "quintic",
             "load_trajectory=!RestToRest {start_roll_pitch_yaw: [0.3, -0.2, 1.0]}",
-            duration=0.5,
         )
     )
     # What is left is the lag of the carriers behind their turning references.
     assert np.max(np.abs(run.signal("tracking_error")[:, :6])) < 5e-4
 
 
-@pytest.mark.parametrize("n", [3, 5, 6])
+@pytest.mark.parametrize("n", nightly_beyond(1, "flights", [5, 3, 6]))
 def test_other_numbers_of_carriers_fly(n):
     angles = 2 * np.pi * np.arange(n) / n
     points = np.stack([np.cos(angles), np.sin(angles), 0.1 * (-1.0) ** np.arange(n)], axis=1)
@@ -101,18 +114,18 @@ class FailsAt(LeafSystem):
 
 def test_a_nan_from_a_users_block_stops_the_run_and_is_blamed_on_it():
     with pytest.raises(RunStopped, match="optimization_layer made a value that is not") as caught:
-        simulate(short("quintic"), optimization_layer=lambda model: FailsAt(0.2, None))
-    assert 0.15 < caught.value.run.time[-1] <= 0.2
+        simulate(short("quintic"), optimization_layer=lambda model: FailsAt(0.105, None))
+    assert 0.05 < caught.value.run.time[-1] < 0.111
 
 
 def test_an_error_in_a_users_block_is_reported_with_its_time():
-    layer = lambda model: FailsAt(0.2, ZeroDivisionError("my mistake"))  # noqa: E731
+    layer = lambda model: FailsAt(0.105, ZeroDivisionError("my mistake"))  # noqa: E731
     with pytest.raises(RunStopped, match="my mistake") as caught:
         simulate(short("quintic"), optimization_layer=layer)
-    assert 0.15 < caught.value.run.time[-1] <= 0.2
+    assert 0.05 < caught.value.run.time[-1] < 0.111
 
 
-@pytest.mark.parametrize("raised", [ZeroDivisionError, SystemExit])
+@pytest.mark.parametrize("raised", nightly_beyond(1, "adversary", [SystemExit, ZeroDivisionError]))
 def test_an_error_without_a_readable_message_keeps_the_signals(raised):
     class UnreadableError(ValueError):
         def __str__(self):
@@ -128,15 +141,15 @@ def test_an_error_without_a_readable_message_keeps_the_signals(raised):
 def test_an_interrupt_keeps_the_signals():
     from drake_nonstop import RunInterrupted
 
-    layer = lambda model: FailsAt(0.2, KeyboardInterrupt())  # noqa: E731
+    layer = lambda model: FailsAt(0.105, KeyboardInterrupt())  # noqa: E731
     with pytest.raises(RunInterrupted) as caught:
         simulate(short("quintic"), optimization_layer=layer)
-    assert 0.15 < caught.value.run.time[-1] <= 0.2
+    assert 0.05 < caught.value.run.time[-1] < 0.111
 
 
 def test_a_finer_step_gives_the_same_run():
-    coarse = simulate(short("quintic", duration=1))
-    fine = simulate(short("quintic", "simulator_config.max_step_size=0.001", duration=1))
+    coarse = simulate(short("quintic", duration=0.3))
+    fine = simulate(short("quintic", "simulator_config.max_step_size=0.001", duration=0.3))
     difference = coarse.signal("load_state") - fine.signal("load_state")
     assert np.max(np.abs(difference[:, 4:7])) < 1e-6
 
@@ -147,19 +160,19 @@ def test_the_loop_without_optimization_keeps_its_parameters():
     assert len(run.solve_times) == 0
 
 
-@pytest.mark.parametrize("length", [0.79, 0.81])
+@pytest.mark.parametrize("length", nightly_beyond(1, "flights", [0.81, 0.79]))
 def test_a_run_starts_with_cables_that_the_controllers_know_wrongly(length):
-    run = simulate(short("quintic", f"simulated.cable_length={length}", duration=0.3))
+    run = simulate(short("quintic", f"simulated.cable_length={length}"))
     assert np.min(run.steps["tensions"]) > 0
     assert np.max(np.abs(run.signal("load_state")[:, 10:])) < 0.02
 
 
-@pytest.mark.parametrize("n", [6, 8])
+@pytest.mark.parametrize("n", nightly_beyond(1, "flights", [8, 6]))
 def test_the_step_is_shortened_where_the_fastest_mode_needs_it(n):
     angles = 2 * np.pi * np.arange(n) / n
     points = 1.06 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     overrides = [f"system.attachments={points.tolist()}", "pattern=!HamiltonianCycle {}"]
-    run = simulate(short("quintic", *overrides, duration=3))
+    run = simulate(short("quintic", *overrides))
     assert np.max(np.diff(run.steps["time"])) < 0.004  # less than the scenario's 5 ms
     assert np.min(run.steps["tensions"]) > 0
     assert np.max(np.abs(run.signal("tracking_error")[:, 3:6])) < 1e-3

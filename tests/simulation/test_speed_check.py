@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation import speed_check
 from drake_nonstop.simulation.speed_check import (
     check_speeds,
     constant_speeds,
@@ -44,11 +45,17 @@ def test_a_bound_that_is_kept_and_one_out_of_reach():
     assert len(missed.tight_times) > 0
 
 
+@pytest.fixture
+def coarse(monkeypatch):
+    """Speeds of constant parameters every 0.05 s, of orbits of 3 s and more."""
+    monkeypatch.setattr(speed_check, "_FINE", 0.05)
+
+
+@pytest.mark.usefixtures("coarse")
 def test_constant_parameters_miss_a_bound_and_slower_motion_keeps_it():
     fields = "speed_bound: 0.6, frequency: 2.0, amplitude: 1.2"
-    task = task_of(
-        load_scenario("quintic", [f"optimization_layer=!ConstantParameters {{{fields}}}"])
-    )
+    given = [f"optimization_layer=!ConstantParameters {{{fields}}}", "simulation_duration=8"]
+    task = task_of(load_scenario("quintic", given))
     found = check_speeds(task)
     assert not found.is_feasible
     assert found.plan is None
@@ -56,7 +63,9 @@ def test_constant_parameters_miss_a_bound_and_slower_motion_keeps_it():
 
 
 def test_a_task_without_a_bound_is_feasible():
-    task = task_of(load_scenario("quintic", ["optimization_layer.speed_bound=0"]))
+    task = task_of(
+        load_scenario("quintic", ["optimization_layer.speed_bound=0", "simulation_duration=6"])
+    )
     assert check_speeds(task).is_feasible
 
 
@@ -75,6 +84,7 @@ def test_the_wind_of_a_check_is_that_at_the_height_of_the_load_when_it_has_risen
     np.testing.assert_allclose(task.planned_wind(9.0), [3, 0, 0])
 
 
+@pytest.mark.usefixtures("coarse")
 def test_where_a_layer_helps_bounds_that_it_has_are_not_named():
     fields = "speed_bound: 0.5, frequency: 1.6, amplitude: 1.2"
     given = [f"optimization_layer=!ConstantParameters {{{fields}}}", "simulation_duration=3"]

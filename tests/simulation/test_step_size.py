@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
 from drake_nonstop import (
     StepAction,
@@ -49,8 +50,17 @@ def on_its_reference(*overrides):
     return scenario, nonstop, context
 
 
-@pytest.mark.parametrize("stiffness", [200, 2000])
-@pytest.mark.parametrize("exponent", [2, 3.3, 4, 5.2, 6, 7.5, 8.9])
+@pytest.mark.parametrize(
+    ("exponent", "stiffness"),
+    nightly_beyond(
+        4,
+        "studies",
+        [
+            *((2, 200), (4, 2000), (6, 200), (8.9, 2000), (2, 2000), (3.3, 200), (3.3, 2000)),
+            *((4, 200), (5.2, 200), (5.2, 2000), (6, 2000), (7.5, 200), (7.5, 2000), (8.9, 200)),
+        ],
+    ),
+)
 def test_damping_makes_a_mode_fast(exponent, stiffness):
     """Of whatever strength: a tension ends at zero at ever smaller speeds."""
     damping = 10**exponent
@@ -64,29 +74,38 @@ def test_damping_makes_a_mode_fast(exponent, stiffness):
     assert mode > 1e4
 
 
-@pytest.mark.parametrize("damping", [1e4, 1e5, 1e6, 3e8])
+@pytest.mark.parametrize("damping", nightly_beyond(2, "studies", [1e4, 3e8, 1e5, 1e6]))
 def test_steps_that_would_take_for_ever_are_refused(damping):
     with pytest.raises(ScenarioError, match=r"fastest mode = .* less stiffness, damping"):
-        simulate(
-            load_scenario("quintic", [f"system.cable_damping={damping}", "simulation_duration=1"])
-        )
+        simulate(load_scenario("quintic", [CONSTANT, f"system.cable_damping={damping}"]))
 
 
-def test_where_everything_is_resolved_the_step_stays_and_nothing_is_said():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", ScenarioWarning)
-        run = simulate(load_scenario("quintic", ["simulation_duration=3"]))
+def test_where_everything_is_resolved_the_step_stays_and_nothing_is_said(fleet):
+    run, metrics = fleet.evaluated("quintic")
     assert run.step == 0.005
     assert run.unresolved == ()
-    assert compute_metrics(run)["simulator"]["step_s"] == 0.005
-    assert "half_step" not in compute_metrics(run)
+    assert metrics["simulator"]["step_s"] == 0.005
+    assert "half_step" not in metrics
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ScenarioWarning)
+        simulate(load_scenario("quintic", ["simulation_duration=0.1"]))
 
 
 def test_slow_samples_shorten_the_step():
-    scenario = load_scenario("quintic", [*SLOW_SAMPLES, "simulation_duration=4"])
-    with pytest.warns(ScenarioWarning, match="commanded motion between the controllers' samples"):
+    scenario = load_scenario("quintic", [*SLOW_SAMPLES, "simulation_duration=0.6"])
+    said = "the commanded motion between the controllers' samples"
+    with pytest.warns(ScenarioWarning, match=said) as warned:
         run = simulate(scenario)
+    files = [warning.filename for warning in warned if warning.category is ScenarioWarning]
+    assert files == [__file__]  # the user's line
     assert run.step <= 0.0025
+
+
+@pytest.mark.nightly("flights")
+def test_steps_of_slow_samples_move_no_metric_that_is_not_told():
+    scenario = load_scenario("quintic", [*SLOW_SAMPLES, "simulation_duration=4"])
+    with pytest.warns(ScenarioWarning, match="the commanded motion between"):
+        run = simulate(scenario)
     finer = with_step(scenario.simulator_config, run.step / 5)
     fine = simulate(
         dataclasses.replace(scenario, simulator_config=finer), check_step=StepCheck.NOTHING
@@ -95,6 +114,7 @@ def test_slow_samples_shorten_the_step():
     assert not moves or run.unresolved
 
 
+@pytest.mark.nightly("engines")
 @pytest.mark.parametrize("engine", ENGINES)
 def test_what_the_step_does_not_resolve_is_said(engine):
     overrides = [TURN, "simulation_duration=7", CONSTANT, f"engine={engine}"]
@@ -123,15 +143,27 @@ def test_growth_that_the_step_hides_is_said():
     assert said.startswith("at the start a small deviation grows by 11 1/s")
 
 
-def test_growth_of_the_linearized_loop_is_that_of_the_simulated_one():
-    """The carriers hardly orbit, so that the loop stays what it is linearized at."""
+def slowly_turning():
+    """Gains, a step, and growths in 1/s of the linearized loop; the carriers hardly orbit."""
     measured = ["carrier_trajectory=MeasuredCarrierTrajectory", "carrier_controller=CarrierPid"]
     gains = ["optimization_layer.frequency=0.01", *measured]
     step = "simulator_config.max_step_size=0.001"
     _, nonstop, context = at_start(*gains, step)
     exact, (stepped, same) = LinearizedLoop(nonstop, context, 0.01).growths([0.001, 1e-4])
+    return gains, step, exact, stepped, same
+
+
+def test_growth_of_the_linearized_loop_with_short_steps_is_the_exact_one():
+    _, _, exact, stepped, same = slowly_turning()
     assert same == pytest.approx(exact, rel=1e-4)
     assert stepped == pytest.approx(exact, rel=0.05)
+    assert exact > 1
+
+
+@pytest.mark.nightly("flights")
+def test_growth_of_the_linearized_loop_is_that_of_the_simulated_one():
+    """The loop stays what it is linearized at."""
+    gains, step, exact, _, _ = slowly_turning()
     scenario = load_scenario("quintic", [CONSTANT, *gains, step, "simulation_duration=2.4"])
     sizes = []
     for moved in (0.0, 1e-7):
@@ -154,7 +186,8 @@ def test_a_live_run_in_doubt_is_said_to_be_without_a_second_flight():
         flown.append(simulator.get_context().get_time())
         return StepAction.CONTINUE
 
-    overrides = [TURN, "simulation_duration=6", IN_STEPS, *IN_STEPS_TO_THE_CARRIERS]
+    soon = ["load_trajectory.start_time=0", "load_trajectory.move_time=4"]
+    overrides = [TURN, *soon, "simulation_duration=2", IN_STEPS, *IN_STEPS_TO_THE_CARRIERS]
     scenario = load_scenario("quintic", overrides)
     run = simulate(scenario, after_step=after_step, check_step=StepCheck.PARTS)
     assert len(run.unresolved) == 1
@@ -164,7 +197,7 @@ def test_a_live_run_in_doubt_is_said_to_be_without_a_second_flight():
 
 
 def test_a_verified_run_says_what_it_was_compared_with():
-    run = verify_step(simulate(load_scenario("quintic", ["simulation_duration=0.5"])))
+    run = verify_step(simulate(load_scenario("quintic", [CONSTANT, "simulation_duration=0.1"])))
     assert run.half_step == {"step_s": 0.0025, "moved": {}}
     assert run.unresolved == ()
 
@@ -172,18 +205,18 @@ def test_a_verified_run_says_what_it_was_compared_with():
 @pytest.mark.parametrize("scheme", ["explicit_euler", "runge_kutta2"])
 def test_schemes_of_low_order_are_always_verified(scheme):
     overrides = [
-        "simulation_duration=0.3",
+        *(CONSTANT, "simulation_duration=0.05"),
         f"simulator_config.integration_scheme={scheme}",
         "simulator_config.max_step_size=0.001",
     ]
     assert simulate(load_scenario("quintic", overrides)).half_step is not None
 
 
-@pytest.mark.parametrize("overrides", [(), ("control_period=0",)])
+@pytest.mark.parametrize(
+    "overrides", [(IN_STEPS, "optimization_layer.speed_bound=0.9"), (CONSTANT, "control_period=0")]
+)
 def test_a_short_flight_repeats_its_part_of_the_run(overrides):
-    scenario = load_scenario(
-        "quintic", ["simulation_duration=0.5", "optimization_layer.speed_bound=0.9", *overrides]
-    )
+    scenario = load_scenario("quintic", ["simulation_duration=0.32", *overrides])
     states = []
 
     def after_step(simulator, nonstop):

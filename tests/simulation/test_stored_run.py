@@ -21,14 +21,17 @@ from drake_nonstop.simulation.signal_table import UnknownSignalError
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.visualization.replay import record_replay
 
-BRIEF = ["simulation_duration=0.5"]
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+CONSTANT = "optimization_layer=ConstantParameters"
+BRIEF = ["simulation_duration=0.2"]
 
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
     """A run, and the folder that it is written to."""
     folder = tmp_path_factory.mktemp("stored") / "run"
-    run = simulate(load_scenario("quintic", BRIEF))
+    run = simulate(load_scenario("quintic", [*BRIEF, CONSTANT]))
     write_results(run, folder, figures=False, replay=False)
     return run, folder
 
@@ -85,10 +88,10 @@ def test_a_run_with_blocks_of_ones_own_says_so(tmp_path):
         def _calc_numbers(self, context, output):
             output.SetFromVector([1.0, 2.0])
 
-    run = simulate(load_scenario("quintic", BRIEF), extra={"clock": Clock})
+    run = simulate(load_scenario("quintic", [*BRIEF, CONSTANT]), extra={"clock": Clock})
     frame = run.to_pandas(["clock.hours", "numbers"])
     assert list(frame.columns) == ["hours [h]", "numbers.1", "numbers.2"]
-    assert frame["hours [h]"].iloc[-1] == pytest.approx(0.5 / 3600)
+    assert frame["hours [h]"].iloc[-1] == pytest.approx(0.2 / 3600)
     write_results(run, tmp_path, figures=False, replay=False)
     with pytest.warns(ScenarioWarning, match="blocks that its scenario does not name"):
         loaded = Run.load(tmp_path)
@@ -114,9 +117,9 @@ def test_columns_and_frames_have_units(stored):
 
 
 def test_a_run_is_shown_in_one_line(stored):
-    assert repr(stored[0]) == "<Run of quintic: 0.5 s, 29 signals>"
+    assert repr(stored[0]) == "<Run of quintic: 0.2 s, 27 signals>"
     stopped = dataclasses.replace(stored[0], stopped="the run diverged")
-    assert repr(stopped) == "<Run of quintic: 0.5 s, 29 signals, stopped: the run diverged>"
+    assert repr(stopped) == "<Run of quintic: 0.2 s, 27 signals, stopped: the run diverged>"
 
 
 def test_what_is_no_run_is_refused(stored, tmp_path):

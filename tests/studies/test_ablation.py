@@ -12,6 +12,7 @@ import time
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 from PIL import Image
 
 from drake_nonstop.cli import exit_codes
@@ -19,6 +20,7 @@ from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.scenario.schema import check
 from drake_nonstop.simulation.metrics import flattened
 from drake_nonstop.studies.ablation import (
     BASE,
@@ -143,15 +145,23 @@ class TestGrids:
         with pytest.raises(ScenarioError, match="a file that can be read"):
             read_grid(tmp_path / "none.yaml")
 
-    @pytest.mark.parametrize("name", grid_names())
-    def test_what_comes_with_the_package_applies_to_its_scenario(self, name):
+    @pytest.mark.parametrize(
+        ("name", "is_built"),
+        [
+            *((name, False) for name in grid_names()),
+            *nightly_beyond(0, "flights", [(name, True) for name in grid_names()]),
+        ],
+    )
+    def test_what_comes_with_the_package_applies_to_its_scenario(self, name, is_built):
         grid = read_grid(name)
         assert grid.description
         scenario = load_scenario("aircraft_transfer" if name == "airspeed" else "line")
         for overrides in grid.variants.values():
             variant = changed(scenario, overrides)
             assert variant != scenario
-            make_nonstop(variant, at_equilibrium=name != "airspeed")
+            check(variant)
+            if is_built:
+                make_nonstop(variant, at_equilibrium=name != "airspeed")
 
 
 def a_row(name, error=None, below=0.0, ending=COMPLETED, message=""):
@@ -403,6 +413,7 @@ def test_bad_input_is_reported_and_leaves_no_folder(tmp_path, capsys, arguments,
     assert not folder.exists()
 
 
+@pytest.mark.nightly("processes")
 def test_ctrl_c_ends_all_processes_and_leaves_the_earlier_results(tmp_path):
     (tmp_path / "table.md").write_text("earlier")
     arguments = ["ablate", "line", "--grid", "paper", "--out", str(tmp_path)]
@@ -430,6 +441,7 @@ def test_ctrl_c_ends_all_processes_and_leaves_the_earlier_results(tmp_path):
     assert (tmp_path / "table.md").read_text() == "earlier"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_interrupted_repetition_keeps_table_page_and_plots(tmp_path, monkeypatch):
     scenario = load_scenario(
         "line", ["simulation_duration=0.05", "optimization_layer=ConstantParameters"]

@@ -16,6 +16,7 @@ def page_path(tmp_path_factory):
     return folder / "index.html"
 
 
+@pytest.mark.nightly("browsers")
 def test_the_bar_drives_both_replays(watched, page_path):
     page = watched.page
     page.set_viewport_size({"width": 900, "height": 900})

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers import handle_signals_as_a_shell_does
+from helpers import handle_signals_as_a_shell_does, nightly_beyond
 
 from drake_nonstop import SweepSpec, ablate, load_scenario, sweep
 from drake_nonstop.studies import margins, processes
@@ -101,6 +101,7 @@ def journalled(folder):
     return [json.loads(line) for line in lines if line.endswith(b"\n")]
 
 
+@pytest.mark.nightly("processes")
 @pytest.mark.parametrize("number", range(COUNT))
 def test_any_study_ends_by_ctrl_c_at_any_time(tmp_path, number):
     draw = random.Random(f"{SEED} {number}")
@@ -130,6 +131,7 @@ def test_any_study_ends_by_ctrl_c_at_any_time(tmp_path, number):
     assert (f"interrupted: {done} of " in error) == (done > 0), drawn
 
 
+@pytest.mark.nightly("processes")
 @pytest.mark.parametrize(
     ("sign", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)]
 )
@@ -157,6 +159,7 @@ def test_a_block_that_never_returns_keeps_no_process(
     assert session(process.pid) == []
 
 
+@pytest.mark.nightly("processes")
 def test_an_interrupt_leaves_no_process_behind_where_python_goes_on(tmp_path, scenario):
     block = "load_disturbance=!faulty_blocks.FaultyWind {}"
     spec = SweepSpec(overrides=[block], grid={"load_disturbance.fault": ["none", "hangs", "dies"]})
@@ -212,6 +215,7 @@ def scenario():
     return load_scenario("line", SHORT)
 
 
+@pytest.mark.nightly("processes")
 def test_killed_workers_cost_no_run(tmp_path, scenario):
     spec = SweepSpec(grid={"system.load_mass": [1 + k / 100 for k in range(12)]})
     whole = sweep(scenario, spec, tmp_path / "whole", executor=SerialExecutor())
@@ -220,6 +224,13 @@ def test_killed_workers_cost_no_run(tmp_path, scenario):
     assert killer.kills > 0
     assert done.endings == {COMPLETED: 12}
     assert done.table.read_bytes() == whole.table.read_bytes()
+
+
+@pytest.fixture(params=nightly_beyond(1, "processes", ["serial", "processes"]))
+def runs_of_studies(request):
+    """Studies with their runs in this process, or in others."""
+    if request.param == "serial":
+        request.getfixturevalue("serial_runs")
 
 
 class After:
@@ -243,12 +254,13 @@ def csv_without_clocks(folder):
     return [[cell for k, cell in enumerate(row) if k not in clocks] for row in rows]
 
 
+@pytest.mark.usefixtures("runs_of_studies")
 def test_ablate_keeps_variants_and_continues(tmp_path, scenario):
-    variants = {f"mass {k}": [f"system.load_mass={1 + k / 10}"] for k in range(3)}
+    variants = {f"mass {k}": [f"system.load_mass={1 + k / 10}"] for k in range(2)}
     ablate(scenario, variants, tmp_path / "whole", replay=False)
     folder = tmp_path / "parts"
-    # A third one may have ended with the second.
-    with pytest.raises(StudyInterrupted, match=r"^[23] of 4 variants are in ") as interrupted:
+    # In processes a third one may have ended with the second.
+    with pytest.raises(StudyInterrupted, match=r"^[23] of 3 variants are in ") as interrupted:
         ablate(scenario, variants, folder, replay=False, progress=After(2))
     kept_count = int(str(interrupted.value)[0])
     done = sorted(folder.glob("*/metrics.json"))
@@ -259,25 +271,32 @@ def test_ablate_keeps_variants_and_continues(tmp_path, scenario):
         ablate(scenario, {"other": ["system.load_mass=2"]}, folder, replay=False)
     progress = After()
     ablate(scenario, variants, folder, replay=False, progress=progress)
-    assert progress.shares == [number / 4 for number in range(kept_count + 1, 5)]
+    assert progress.shares == [number / 3 for number in range(kept_count + 1, 4)]
     kept = [path.stat().st_mtime_ns for path in done[:2]]
     assert sum(a == b for a, b in zip(before, kept, strict=True)) >= 1
     assert csv_without_clocks(folder) == csv_without_clocks(tmp_path / "whole")
     assert not (folder / ".curves").exists()
 
 
+@pytest.mark.usefixtures("runs_of_studies")
 def test_a_variant_whose_files_are_gone_is_run_again(tmp_path, scenario):
-    variants = {"heavy": ["system.load_mass=1.1"], "light": ["system.load_mass=0.9"]}
+    variants = {"heavy": ["system.load_mass=1.1"]}
     with pytest.raises(StudyInterrupted):
         ablate(scenario, variants, tmp_path, replay=False, progress=After(2))
     for path in tmp_path.glob("*/scenario.yaml"):
         path.write_text("another: {}")
     progress = After()
     rows = ablate(scenario, variants, tmp_path, replay=False, progress=progress)
-    assert len(progress.shares) == 3
+    assert len(progress.shares) == 2
     assert all(row.ending == COMPLETED for row in rows)
 
 
+def stable(resting, override, value):
+    """What is measured of a loop, without that loop."""
+    return [0.9, -0.1]
+
+
+@pytest.mark.usefixtures("runs_of_studies")
 def test_robustness_and_margins_continue(tmp_path, scenario, monkeypatch):
     axes, errors = margins._axes, robustness_module._errors
 
@@ -287,6 +306,7 @@ def test_robustness_and_margins_continue(tmp_path, scenario, monkeypatch):
         return [mass]
 
     monkeypatch.setattr(margins, "_axes", few)
+    monkeypatch.setattr(margins, "_measure", stable)
     monkeypatch.setattr(robustness_module, "_errors", lambda *given: [*errors(*given)][:4])
     for k, study in enumerate((robustness, find_margins)):
         folder = tmp_path / str(k)
@@ -298,6 +318,7 @@ def test_robustness_and_margins_continue(tmp_path, scenario, monkeypatch):
         assert len(parts) == (4, 1)[k]
 
 
+@pytest.mark.nightly("processes")
 @pytest.mark.parametrize(("fault", "words"), [("dies", "process died"), ("exits", "SystemExit")])
 def test_a_block_that_ends_its_process_spoils_nothing(tmp_path, scenario, fault, words):
     block = f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}"

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from helpers import nightly_beyond
 from PIL import Image
 
 from drake_nonstop.cli.main import main
@@ -11,16 +12,26 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies import robustness
 
+PLAIN = "optimization_layer=ConstantParameters"
 CASES = ("none", 0.0), ("load mass", 20.0)
 
 
+@pytest.mark.nightly("studies")
 def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     errors = robustness._errors
     wanted = ("none", "load mass", "gusty force")
     monkeypatch.setattr(
         robustness, "_errors", lambda *given: [e for e in errors(*given) if e[0] in wanted]
     )
-    arguments = ["robustness", "quintic", "--out", str(tmp_path), "--set", "simulation_duration=1"]
+    arguments = [
+        "robustness",
+        "quintic",
+        "--out",
+        str(tmp_path),
+        "--set",
+        "simulation_duration=1",
+        PLAIN,
+    ]
     assert main(arguments) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len([line for line in lines if line.startswith(wanted)]) == 9
@@ -45,6 +56,7 @@ def test_the_outcome_and_the_warnings_of_each_case_are_said_with_it(tmp_path, ca
         str(tmp_path),
         "--set",
         "simulation_duration=0.5",
+        PLAIN,
     ]
     # The step is shortened in every case, and a load that is too heavy counts as lost.
     arguments += ["simulator_config.max_step_size=0.02", "limits.position_error=0.0002"]
@@ -62,16 +74,16 @@ def test_the_outcome_and_the_warnings_of_each_case_are_said_with_it(tmp_path, ca
     assert "the load was" in cases[1]["metrics"]["reasons"][0]
 
 
-def test_each_error_of_the_report_makes_a_scenario():
+@pytest.mark.parametrize("name", nightly_beyond(1, "studies", ["quintic", "three_carriers"]))
+def test_each_error_of_the_report_makes_a_scenario(name):
+    scenario = load_scenario(name, [PLAIN])
     built = set()
-    for name in ("quintic", "three_carriers"):
-        scenario = load_scenario(name)
-        for error, _, _, overrides in robustness._errors(scenario, 0):
-            changed_scenario = changed(scenario, overrides)
-            if (name, error) not in built:
-                make_nonstop(changed_scenario)
-            built.add((name, error))
-    assert len(built) == 2 * 9
+    for error, _, _, overrides in robustness._errors(scenario, 0):
+        changed_scenario = changed(scenario, overrides)
+        if error not in built:
+            make_nonstop(changed_scenario)
+        built.add(error)
+    assert len(built) == 9
 
 
 @pytest.mark.parametrize(
@@ -94,6 +106,7 @@ def test_a_run_that_does_not_complete_says_how_it_ended(
     arguments = ["robustness", "quintic", "--out", str(tmp_path), "--trust", "--set"]
     arguments += [
         "simulation_duration=0.1",
+        PLAIN,
         f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}",
     ]
     assert main(arguments) == 0
@@ -121,7 +134,7 @@ def test_an_error_with_which_nothing_can_be_built_is_a_row_of_its_own(
     ]
     monkeypatch.setattr(robustness, "_errors", lambda *given: errors)
     arguments = ["robustness", "quintic", "--out", str(tmp_path)]
-    arguments += ["--set", "simulation_duration=0.1"]
+    arguments += ["--set", "simulation_duration=0.1", PLAIN]
     assert main(arguments) == 0
     lines = capsys.readouterr().out.splitlines()
     cases = json.loads((tmp_path / "robustness.json").read_text())["cases"]

@@ -1,12 +1,12 @@
 """Many runs in processes: results, errors, and processes that die."""
 
-import multiprocessing
+import itertools
 import os
 import subprocess
 import sys
 import time
 import types
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 
 import pytest
 
@@ -130,8 +130,11 @@ scenario = load_scenario(
 """
 
 
-@pytest.mark.parametrize("is_file", [True, False])
-@pytest.mark.parametrize("study", CALLS)
+@pytest.mark.nightly("processes")
+@pytest.mark.parametrize(
+    ("study", "is_file"),
+    itertools.product(CALLS, [True, False]),
+)
 def test_a_script_that_processes_cannot_import_is_told_so(tmp_path, study, is_file):
     """They would run it again, and end as they start; no study keeps anything of that."""
     script = tmp_path / "study.py"
@@ -151,6 +154,17 @@ def test_a_script_that_processes_cannot_import_is_told_so(tmp_path, study, is_fi
     name = script if is_file else "<stdin>"
     assert f"ScenarioError: __main__ = {name}: processes import it as they start" in last
     assert '`if __name__ == "__main__":`' in last
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("study", CALLS)
+def test_a_main_module_without_its_file_is_refused_by_every_study(tmp_path, monkeypatch, study):
+    main = types.ModuleType("__main__")
+    main.__file__ = "<stdin>"
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ScenarioError, match=r"^__main__ = <stdin>: processes import it"):
+        exec(f"{SCRIPT}{CALLS[study]}\n", {})
     assert not (tmp_path / "out").exists()
 
 
@@ -180,20 +194,27 @@ def test_modules_that_only_this_process_has_end_a_study(tmp_path, monkeypatch, f
         assert not journal.exists() or "unbuildable" not in journal.read_text()
 
 
+class BrokenPool(Executor):
+    """Its workers end before a call does."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = Future()
+        future.set_exception(BrokenExecutor("a worker has ended"))
+        return future
+
+
 def test_anything_but_an_executor_that_takes_calls_is_refused():
     closed = ThreadPoolExecutor(1)
     closed.shutdown()
-    broken = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
     for executor, words in (
         ("x", "give one of concurrent.futures"),
         (ThreadPoolExecutor, "give one of concurrent.futures"),
         (closed, "give one that takes calls"),
-        (broken, "its workers end or cannot be used"),
+        (BrokenPool(), "its workers end or cannot be used"),
     ):
         with pytest.raises(ScenarioError, match="executor = ") as raised:
-            results(["death", 1], executor=executor)
+            results([1, 2], executor=executor)
         assert words in str(raised.value)
-    broken.shutdown()
 
 
 @pytest.mark.parametrize(

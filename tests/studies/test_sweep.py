@@ -18,6 +18,7 @@ from pydrake.common import RandomGenerator
 
 import drake_nonstop
 from drake_nonstop import SweepInterrupted, SweepSpec, load_scenario, read_sweep
+from drake_nonstop.cli import run as run_command
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.overrides import changed
@@ -213,6 +214,7 @@ class TestTable:
             },
             draws={"optimization_layer.frequency": {"choice": [2]}},
             runs=1,
+            overrides=["engine=diagram"],
         )
         path = sweep(scenario, spec, tmp_path, executor=SerialExecutor()).table
         schema = parquet.read_schema(path)
@@ -228,7 +230,10 @@ class TestTable:
         base = changed(scenario, ["simulated.load_mass=!Gaussian {mean: 1, stddev: 0}"])
         path = "simulated.load_mass.stddev"
         spec = SweepSpec(
-            seed=4, runs=2, grid={path: [0.0, 0.1]}, overrides=[f"load_disturbance={block}"]
+            seed=4,
+            runs=2,
+            grid={path: [0.0, 0.1]},
+            overrides=["engine=diagram", f"load_disturbance={block}"],
         )
         sweep(base, spec, tmp_path, executor=SerialExecutor())
         table = rows(tmp_path)
@@ -272,6 +277,7 @@ class TestTable:
         assert done.endings == dict.fromkeys([COMPLETED, BLOCK_FAILED, DIVERGED, UNBUILDABLE], 2)
         assert shares == [(k + 1) / 8 for k in range(8)]
 
+    @pytest.mark.nightly("processes")
     def test_dask_makes_the_same_table_even_where_a_worker_is_killed(
         self, serial, scenario, tmp_path
     ):
@@ -378,7 +384,8 @@ class TestCommand:
         path.write_text(text)
         return str(path)
 
-    def test_a_failed_run_is_replayed_alone(self, serial, tmp_path, capsys):
+    def test_a_failed_run_is_replayed_alone(self, serial, tmp_path, capsys, monkeypatch):
+        monkeypatch.setattr(run_command, "write_pictures", lambda *run, **options: None)
         arguments = ["sweep", "line", str(serial / "spec.yaml"), "--set", *SHORT]
         arguments += ["--trust", "--run", "3", "--out", str(tmp_path / "out")]
         assert main(arguments) == FAILED
@@ -421,6 +428,7 @@ class TestCommand:
         assert main(["sweep", "line", spec, "--out", str(tmp_path / "out")]) == BAD_INPUT
         assert "sweep = no pyarrow: install it, `pip install pyarrow`" in capsys.readouterr().err
 
+    @pytest.mark.nightly("processes")
     def test_ctrl_c_keeps_what_is_done(self, tmp_path):
         text = "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 500"
         arguments = ["sweep", "line", self.spec(tmp_path, text), "--set", *SHORT]

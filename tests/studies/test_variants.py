@@ -57,6 +57,7 @@ def error_of(scenario, **replacements):
     return compute_metrics(simulate(scenario, **replacements))["load"]["position_error_mean_m"]
 
 
+@pytest.mark.nightly("studies")
 def test_ablation_of_classes_configs_functions_and_a_loop_of_ones_own(scenario, tmp_path):
     variants = {
         "class": {"load_disturbance": Push},

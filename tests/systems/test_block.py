@@ -7,6 +7,7 @@ import math
 import weakref
 
 import pytest
+from helpers import nightly_beyond
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.framework import BasicVector, Diagram, DiagramBuilder, LeafSystem, LeafSystem_
@@ -24,25 +25,36 @@ from drake_nonstop.systems.block import (
 )
 from drake_nonstop.validation import ScenarioError
 
+CONSTANT = "optimization_layer=ConstantParameters"
+# The first two have most blocks between them.
 SWAPS = [
     [],
-    ["phase=PaperPhase", "wrench_controller=PaperWrenchController", "control_period=0"],
     [
-        "load_plant=MultibodyLoadPlant",
-        "carrier_trajectory=MeasuredCarrierTrajectory",
-        "carrier_controller=CarrierPid",
+        *("load_plant=MultibodyLoadPlant", "carrier_trajectory=MeasuredCarrierTrajectory"),
+        *("carrier_controller=CarrierPid", "load_feedback=!NoisyFeedback {delay: 0.02}"),
+        *("load_disturbance=DisturbanceForce", "wind=GustyWind", "cables=IndividualCables"),
+        *("phase=PaperPhase", "wrench_controller=PaperWrenchController", CONSTANT),
     ],
-    ["load_feedback=!NoisyFeedback {delay: 0.02}", "load_disturbance=DisturbanceForce"],
+    ["engine=compiled", CONSTANT],
+    ["engine=compiled"],
+    ["phase=PaperPhase", "wrench_controller=PaperWrenchController", "control_period=0"],
     ["carrier_dynamics=LoadedCarrierDynamics", "carrier_controller=LoadedCarrierPid"],
     ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
     ["cables=IndividualCables", "force_distribution=BoundedTensionDistribution"],
-    ["optimization_layer=ConstantParameters"],
-    ["engine=compiled"],
+    [CONSTANT],
     *(
         [f"optimization_layer=!NonstopOptimizer {{solver: {name}}}"]
         for name in ("search", "snopt", "ipopt", "nlopt", "grid")
     ),
 ]
+
+
+@pytest.fixture(autouse=True)
+def _collects_new_objects_only():
+    """What other tests have left is not looked at: that is quicker."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 class PlainWind(LeafSystem):
@@ -62,7 +74,8 @@ def held(run):
     return [weakref.ref(thing) for thing in things]
 
 
-@pytest.mark.parametrize("overrides", SWAPS, ids=lambda s: ", ".join(s) or "default")
+@pytest.mark.parametrize("overrides", nightly_beyond(3, "engines", SWAPS))
+@pytest.mark.slow
 def test_a_run_leaves_nothing_in_memory(overrides):
     run = simulate(load_scenario("line", ["simulation_duration=0.02", *overrides]))
     references = held(run)
@@ -78,8 +91,8 @@ def test_every_block_is_one_that_is_freed():
 
 @pytest.mark.parametrize("convert", [Diagram.ToAutoDiffXd, Diagram.ToSymbolic, Diagram.Clone])
 def test_a_converted_loop_leaves_nothing_in_memory(convert):
-    scenario = load_scenario("line", ["load_plant=MultibodyLoadPlant", "phase=PaperPhase"])
-    converted = convert(make_nonstop(scenario))
+    overrides = ["load_plant=MultibodyLoadPlant", "phase=PaperPhase", CONSTANT]
+    converted = convert(make_nonstop(load_scenario("line", overrides), at_equilibrium=False))
     references = [weakref.ref(thing) for thing in (converted, *converted.GetSystems())]
     context = converted.CreateDefaultContext()
     converted.GetOutputPort("phase").Eval(context)
@@ -158,7 +171,8 @@ def test_a_continuous_state_without_rates_is_an_error():
 
 
 def test_release_frees_the_rest_beside_a_block_of_the_users():
-    run = simulate(load_scenario("line", ["simulation_duration=0.02"]), load_disturbance=PlainWind)
+    scenario = load_scenario("line", ["simulation_duration=0.02", CONSTANT])
+    run = simulate(scenario, load_disturbance=PlainWind)
     reference, blocks = weakref.ref(run.diagram), held(run)
     release(run.diagram)
     del run

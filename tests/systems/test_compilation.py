@@ -53,8 +53,17 @@ def test_values_are_those_of_the_virtual_machine_and_the_entry_is_used_again(fol
     assert len([*folder.glob("*.so")]) == 2
 
 
+# Each case starts processes, which import this file.
+DAMAGES = ["bytes"]
+DAMAGES += [
+    pytest.param(damage, marks=pytest.mark.nightly("engines"))
+    for damage in ("mode", "checksum", "folder", "link")
+]
+
+
 @needs_compiler
-@pytest.mark.parametrize("damage", ["bytes", "mode", "checksum", "folder", "link"])
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.slow
 def test_an_entry_that_is_not_sound_is_built_again(folder, damage, tmp_path):
     text = "import sys; sys.path[:0] = sys.argv[1:]; import test_compilation as t; "
     text += "print(t.values((t.compiled([t.function()]) or [t.function()])[0]).tolist())"

@@ -157,6 +157,7 @@ def power(system, diagram, context, feels_its_cable):
 
 
 @pytest.mark.parametrize("load", [LoadPlant, MultibodyLoadPlant])
+@pytest.mark.slow
 def test_a_free_undamped_loop_conserves_its_energy(load):
     system = SystemParameters(cable_damping=0.0, load_drag=0.0)
     diagram = loop(

@@ -4,6 +4,7 @@ from itertools import combinations, pairwise
 from xml.etree import ElementTree
 
 import pytest
+from helpers import nightly_beyond
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 
 from drake_nonstop.diagrams.nonstop import PLACES, make_nonstop
@@ -159,6 +160,11 @@ def touch(a: tuple[Point, Point], b: tuple[Point, Point]) -> bool:
     return not (left < x < right and top < y < bottom)
 
 
+PICTURES = nightly_beyond(
+    3, "studies", dict.fromkeys(["sampled", "extra_blocks", "labels", *SCENARIOS])
+)
+
+
 @cache
 def picture_of(name: str) -> Picture:
     if name == "labels":
@@ -169,7 +175,7 @@ def picture_of(name: str) -> Picture:
     return Picture(make_nonstop(load_scenario(scenario, overrides)))
 
 
-@pytest.fixture(scope="module", params=[*SCENARIOS, "extra_blocks", "labels"])
+@pytest.fixture(scope="module", params=PICTURES)
 def picture(request: pytest.FixtureRequest) -> Picture:
     return picture_of(request.param)
 

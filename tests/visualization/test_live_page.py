@@ -13,6 +13,8 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.visualization import live
 
+pytestmark = pytest.mark.nightly("browsers")
+
 
 @pytest.fixture
 def flight(tmp_path, request):

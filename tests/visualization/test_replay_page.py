@@ -10,6 +10,8 @@ from PIL import Image
 from drake_nonstop.cli.main import main
 from drake_nonstop.visualization.replay import record_replay
 
+pytestmark = pytest.mark.nightly("browsers")
+
 POSES = """() => {
   const found = {};
   const root = viewer.scene_tree.find(["nonstop"]).object;

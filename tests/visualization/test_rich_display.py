@@ -26,10 +26,12 @@ def test_a_loop_shows_its_drawing():
     assert 'data-block="optimization_layer"' in shown
 
 
+@pytest.mark.nightly("studies")
 def test_a_sweep_shows_its_endings(tmp_path):
     pytest.importorskip("pyarrow")
     spec = SweepSpec(grid={"system.load_mass": [1.0, -1.0]})
-    done = sweep(load_scenario("quintic", BRIEF), spec, tmp_path, executor=SerialExecutor())
+    scenario = load_scenario("line", [*BRIEF, "optimization_layer=ConstantParameters"])
+    done = sweep(scenario, spec, tmp_path, executor=SerialExecutor())
     shown = done._repr_html_()
     assert "1 completed, 1 unbuildable" in shown
     assert "1 x unbuildable: system.load_mass = -1.0" in shown

@@ -3,7 +3,7 @@
 import dataclasses
 
 import pytest
-from helpers import circling_run
+from helpers import circling_run, nightly_beyond
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -24,9 +24,14 @@ _KINDS = {
 }
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(data=st.data())
-def test_what_is_not_refused_can_be_shown(data):
+@pytest.mark.parametrize("count", nightly_beyond(1, "adversary", [12, 100]))
+def test_what_is_not_refused_can_be_shown(count):
+    given_values = given(data=st.data())(is_refused_or_shown)
+    limits = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+    settings(max_examples=count, **limits)(given_values)()
+
+
+def is_refused_or_shown(data):
     """Two fields at a time, of any value: the replay of a run that has been flown is written."""
     fields = {field.name: field.type for field in dataclasses.fields(SceneConfig)}
     names = data.draw(st.lists(st.sampled_from([*fields]), min_size=1, max_size=2, unique=True))

@@ -1,0 +1,250 @@
+"""The fleet: flights that many tests read, each flown once in a run of the suite.
+
+Its flights are the shipped scenarios and the `DRAWN` ones. Together they have every block of every
+box, every pattern, every outcome, and 3 to 8 carriers; `tests/evals/test_fleet.py` holds that. The
+compiled engine flies them where it can. Those of `BY_BOTH_ENGINES` are flown by the diagram, too.
+"""
+
+import contextlib
+import copy
+import dataclasses
+import fcntl
+import gc
+import hashlib
+import multiprocessing
+import os
+import pickle
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from helpers import irregular, regular, spatial
+
+from drake_nonstop import (
+    Run,
+    RunStopped,
+    Scenario,
+    ScenarioWarning,
+    StepCheck,
+    compute_metrics,
+)
+from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
+from drake_nonstop.studies.run_all import fly
+
+
+def _carriers(n: int, shape=irregular, **settings: object) -> list[str]:
+    """Overrides of "quintic" for n carriers at the corners of a shape."""
+    points = np.round(shape(n), 4).tolist()
+    return [f"system.attachments={points}", "pattern=!HamiltonianCycle {}", *_settings(settings)]
+
+
+def _settings(settings: dict[str, object]) -> list[str]:
+    return [f"{path}={value}" for path, value in settings.items()]
+
+
+_ONE_SAMPLE_AHEAD = [
+    *("optimization_layer=NonstopOptimizer", "phase=AccumulatedPhase"),
+    *("internal_force=InternalForceTrajectory", "carrier_trajectory.hold=velocity"),
+]
+_IN_A_SECOND = "!RestToRest {displacement: [0.2, 0.1, 0.1], start_time: 0.2, move_time: 2.0}"
+
+# The scenario that each starts from, and its overrides.
+DRAWN: dict[str, tuple[str, list[str]]] = {
+    "three_on_a_circle": (
+        "three_carriers",
+        [
+            "simulation_duration=4",
+            "load_trajectory=!Circle {radius: 0.5, start_time: 0.5, move_time: 6, turns: 1}",
+            "load_feedback=!EstimatedFeedback {position_noise: 0.002, orientation_noise: 0.002}",
+            "wind=!SteadyWind {velocity: [0.5, 0.2, 0], start_time: 0.5, rise_time: 1}",
+            *("system.load_drag=0.1", "wrench_controller=!TunedWrenchController {}"),
+            "carrier_controller=!TunedFeedforwardCarrierPid {}",
+        ],
+    ),
+    "five_tilted_loaded": (
+        "quintic",
+        [
+            *_carriers(5, spatial, simulation_duration=4),
+            "load_trajectory=!Waypoints {positions: [[0.5, 0, 0.2], [0, 0.4, 0]], "
+            "roll_pitch_yaw: [[0.1, 0.1, 0.3], [0, 0, 0]], move_times: [2, 2], "
+            "start_roll_pitch_yaw: [0.15, -0.1, 0.4]}",
+            *("carrier_controller=LoadedCarrierPid", "carrier_dynamics=LoadedCarrierDynamics"),
+            "cables=!IndividualCables {rest_length: [0.8, 0.79, 0.8, 0.81, 0.8]}",
+            *("simulated.load_mass=1.05", "optimization_layer.amplitude=0.6"),
+            "optimization_layer.speed_bound=0.2",
+        ],
+    ),
+    "six_noisy": (
+        "quintic",
+        [
+            *_carriers(6, regular, simulation_duration=3),
+            *_ONE_SAMPLE_AHEAD,
+            *("optimization_layer.amplitude=0.7", "optimization_layer.speed_bound=0.4"),
+            "pattern=!SpreadCarousel {spread: 1.5}",
+            "load_feedback=!NoisyFeedback {position_noise: 0.002, delay: 0.02, seed: 3}",
+            "load_disturbance=!DisturbanceForce {force: [0.5, 0.2, 0], gust_force: 0.2}",
+            *("carrier_controller=!TunedCarrierPid {}", "wrench_controller=PaperWrenchController"),
+        ],
+    ),
+    "seven_gusty": (
+        "quintic",
+        [
+            *_carriers(7, simulation_duration=3, control_period=0.02),
+            "load_trajectory=!SampledTrajectory {samples: [[0, 0, 0, 0], [2, 0.3, 0.1, 0], "
+            "[5, 0.6, 0, 0.1]]}",
+            "wind=!GustyWind {velocity: [0.5, 0, 0], gust: 0.2, rise_time: 1, seed: 5}",
+            *("system.load_drag=0.1", "optimization_layer.amplitude=0.5"),
+            *("optimization_layer.speed_bound=0.2", "simulator_config.max_step_size=0.004"),
+        ],
+    ),
+    "eight_by_drakes_body": (
+        "quintic",
+        [
+            *_carriers(8, regular, simulation_duration=1.5),
+            *("load_plant=MultibodyLoadPlant", "wind=!WindProfile {velocity: [0.5, 0, 0]}"),
+            f"load_trajectory={_IN_A_SECOND}",
+            *("optimization_layer.amplitude=0.5", "optimization_layer.speed_bound=0.2"),
+        ],
+    ),
+    "four_by_a_pattern_of_ones_own": (
+        "quintic",
+        [
+            *("simulation_duration=2", "pattern=!LinearPattern {}"),
+            *("carrier_trajectory=MeasuredCarrierTrajectory", "carrier_controller=CarrierPid"),
+            "force_distribution=!BoundedTensionDistribution {min_tension: 2.4}",
+            "wrench_controller=GeometricPd",
+            *("optimization_layer=ConstantParameters", "load_feedback=DesiredAttitudeFeedback"),
+        ],
+    ),
+    "four_ideal_governed": (
+        "quintic",
+        [
+            *("simulation_duration=4", "reference_governor={}", "carrier_dynamics=IdealCarriers"),
+            f"load_trajectory={_IN_A_SECOND}",
+        ],
+    ),
+    "rigid_aircraft": (
+        "aircraft_rest",
+        ["simulation_duration=2", "carrier_dynamics=JsbsimCarriers"],
+    ),
+    "that_falls": (
+        "quintic",
+        [
+            *("simulation_duration=0.8", "carrier_controller=LoadedCarrierPid"),
+            "carrier_dynamics=!LoadedCarrierDynamics {max_force: 1.0}",
+        ],
+    ),
+    "that_stalls": (
+        "aircraft_three",
+        ["simulation_duration=4", "wind=!GustyWind {velocity: [9, 0, 0], rise_time: 3}"],
+    ),
+    "that_diverges": (
+        "quintic",
+        ["optimization_layer=ConstantParameters", "wrench_controller.velocity_gain=400"],
+    ),
+    "with_slack_cables": (
+        "quintic",
+        [
+            *("simulation_duration=2", "optimization_layer=ConstantParameters"),
+            "carrier_trajectory=InextensibleCarrierTrajectory",
+            "load_disturbance=!DisturbanceForce {force: [0, 0, 9], start_time: 1}",
+        ],
+    ),
+}
+BY_BOTH_ENGINES = (
+    *("static_hold_open_loop", "three_carriers", "three_on_a_circle", "six_noisy"),
+    *("seven_gusty", "that_stalls", "that_diverges"),
+)
+FLEET = (*scenario_names(), *DRAWN)
+
+
+def scenario_of(name: str) -> Scenario:
+    """The scenario of a flight of the fleet."""
+    base, overrides = DRAWN.get(name, (name, []))
+    return load_scenario(base, overrides)
+
+
+# Who asks for a run has its scenario; its diagram, which cannot be pickled, is built where it is
+# needed.
+_STORED = [field.name for field in dataclasses.fields(Run)]
+_STORED = [name for name in _STORED if name not in ("scenario", "diagram")]
+_KEPT = 3  # runs in the memory of a process, of up to 50 MB each
+
+
+class Fleet:
+    """A folder of runs, filled by the first process that asks for each.
+
+    What is returned is shared: its arrays cannot be written to, and its `diagram` is None.
+    """
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        self._here: dict[str, tuple[Run, dict]] = {}  # of this process, the latest last
+
+    def run(self, flight: str | Scenario, engine: str | None = None) -> Run:
+        """The run of a flight of the fleet, or of a scenario, by an engine or the fastest."""
+        return self.evaluated(flight, engine)[0]
+
+    def evaluated(
+        self,
+        flight: str | Scenario,
+        engine: str | None = None,
+        check_step: StepCheck = StepCheck.WHOLE,
+    ) -> tuple[Run, dict]:
+        """The run of a flight of the fleet, or of a scenario, and its metrics."""
+        scenario = scenario_of(flight) if isinstance(flight, str) else flight
+        text = f"{engine}\n{check_step}\n{dump_scenario(scenario)}"
+        key = hashlib.sha256(text.encode()).hexdigest()
+        found = self._here.pop(key, None)
+        if found is None:
+            stored, metrics = self._stored(key, scenario, engine=engine, check_step=check_step)
+            run = Run(scenario=copy.deepcopy(scenario), diagram=None, **stored)
+            for values in (run.time, run.solve_times, *run.signals.values(), *run.steps.values()):
+                values.flags.writeable = False
+            found = run, metrics
+        while len(self._here) >= _KEPT:
+            del self._here[next(iter(self._here))]
+        self._here[key] = found
+        return found
+
+    def _stored(self, key: str, scenario: Scenario, **arguments: object) -> tuple[dict, dict]:
+        """The stored fields of a run, and its metrics, flown now if no process has done so."""
+        path = self._folder / f"{key}.pickle"
+        self._folder.mkdir(exist_ok=True)
+        with _locked(path.with_suffix(".lock")):
+            if not path.exists():
+                # In a process of its own, whose memory ends with it: no diagram is ever freed.
+                with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as child:
+                    child.submit(_write, path, scenario, arguments).result()
+        return pickle.loads(path.read_bytes())
+
+
+def flown(scenario: Scenario, **arguments: object) -> Run:
+    """The run of a scenario, whole or as far as it came; arguments are those of `simulate`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)
+        try:
+            return fly(scenario, **arguments)
+        except RunStopped as stopped:
+            return stopped.run
+
+
+def _write(path: Path, scenario: Scenario, arguments: dict[str, object]) -> None:
+    """Flies a scenario, and writes the stored fields of its run and its metrics."""
+    gc.freeze()  # what the process was forked with is not this one's to end: windows, threads
+    run = flown(scenario, **arguments)
+    stored = {name: getattr(run, name) for name in _STORED}
+    stored |= {name: dict(stored[name]) for name in ("signals", "steps")}
+    written = path.with_suffix(".new")
+    written.write_bytes(pickle.dumps((stored, compute_metrics(run)), pickle.HIGHEST_PROTOCOL))
+    os.replace(written, path)
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Waits until no other process holds the file."""
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -1,0 +1,74 @@
+"""The fleet has every block, pattern and outcome; each of its flights is flown once."""
+
+import fleet as fleet_module
+import numpy as np
+import pytest
+from fleet import BY_BOTH_ENGINES, DRAWN, FLEET, Fleet, flown, scenario_of
+
+from drake_nonstop import compute_metrics, load_scenario
+from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.scenario.schema import DIAGRAM, PATTERNS
+from drake_nonstop.simulation.outcome import RunOutcome
+
+SHORT = load_scenario(
+    "quintic", ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
+)
+
+
+def test_every_block_of_every_box_and_every_pattern_flies():
+    scenarios = [scenario_of(name) for name in FLEET]
+    for box, variants in BOXES.items():
+        flying = {type(getattr(scenario, box)) for scenario in scenarios}
+        assert flying >= {*variants.configs}, box
+    assert {type(scenario.pattern) for scenario in scenarios} == {*PATTERNS}
+    assert {len(scenario.system.attachments) for scenario in scenarios} >= {*range(3, 9)}
+    assert any(scenario.reference_governor is not None for scenario in scenarios)
+    assert len(BY_BOTH_ENGINES) >= 6
+
+
+def test_every_outcome_is_flown(fleet):
+    outcomes = {fleet.evaluated(name)[1]["outcome"] for name in DRAWN}
+    assert outcomes | {"collision"} == {outcome.value for outcome in RunOutcome}
+
+
+def assert_same(run, expected):
+    assert run.signals.keys() == expected.signals.keys()
+    for name, values in expected.signals.items():
+        np.testing.assert_array_equal(run.signals[name], values)
+    for name, values in expected.steps.items():
+        if name != "solve_time":  # measured with a clock
+            np.testing.assert_array_equal(run.steps[name], values)
+
+
+def test_a_flight_is_flown_once_and_is_that_of_the_scenario(tmp_path, monkeypatch):
+    fresh = flown(SHORT)
+    stores = [Fleet(tmp_path) for _ in range(2)]  # as of two processes
+    runs = [stores[0].run(SHORT)]
+    monkeypatch.setattr(fleet_module, "flown", lambda *_, **__: pytest.fail("flown again"))
+    runs += [stores[0].run(SHORT), stores[1].run(SHORT)]
+    for run in runs:
+        assert_same(run, fresh)
+    metrics, expected = stores[1].evaluated(SHORT)[1], compute_metrics(fresh)
+    assert metrics["carriers"] == expected["carriers"]
+    assert metrics["load"] == expected["load"]
+
+
+def test_an_engine_has_a_flight_of_its_own(tmp_path):
+    store = Fleet(tmp_path)
+    store.run(SHORT)
+    assert_same(store.run(SHORT, DIAGRAM), flown(SHORT, engine=DIAGRAM))
+    assert len([*tmp_path.glob("*.pickle")]) == 2
+
+
+def test_a_shared_run_cannot_be_changed(tmp_path):
+    run = Fleet(tmp_path).run(SHORT)
+    with pytest.raises(ValueError, match="read-only"):
+        run.signal("load_state")[0, 0] = 1.0
+
+
+def test_an_error_of_a_flight_is_raised_and_nothing_is_kept(tmp_path):
+    wrong = load_scenario("quintic")
+    wrong.system.load_mass = -1.0  # checked as the loop is built
+    with pytest.raises(ValueError, match="load_mass"):
+        Fleet(tmp_path).run(wrong)
+    assert not [*tmp_path.glob("*.pickle")]
