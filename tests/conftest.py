@@ -114,12 +114,14 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture(scope="session")
-def fleet(tmp_path_factory) -> Fleet:
+def fleet(tmp_path_factory) -> Iterator[Fleet]:
     """Flights that all tests of all workers share."""
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent  # each worker has a folder of its own in it
-    return Fleet(folder / "fleet")
+    made = Fleet(folder / "fleet")
+    yield made
+    made.close()
 
 
 @pytest.fixture

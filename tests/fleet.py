@@ -16,7 +16,7 @@ import os
 import pickle
 import warnings
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -170,6 +170,7 @@ def scenario_of(name: str) -> Scenario:
 # needed.
 _STORED = [field.name for field in dataclasses.fields(Run)]
 _STORED = [name for name in _STORED if name not in ("scenario", "diagram")]
+_FLIGHTS = 15  # of a process
 _KEPT = 3  # runs in the memory of a process, of up to 50 MB each
 
 
@@ -182,6 +183,8 @@ class Fleet:
     def __init__(self, folder: Path):
         self._folder = folder
         self._here: dict[str, tuple[Run, dict]] = {}  # of this process, the latest last
+        self._processes: Executor | None = None
+        self._flights = 0  # of that process
 
     def run(self, flight: str | Scenario, engine: str | None = None) -> Run:
         """The run of a flight of the fleet, or of a scenario, by an engine or the fastest."""
@@ -215,10 +218,28 @@ class Fleet:
         self._folder.mkdir(exist_ok=True)
         with _locked(path.with_suffix(".lock")):
             if not path.exists():
-                # In a process of its own, whose memory ends with it: no diagram is ever freed.
-                with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as child:
-                    child.submit(_write, path, scenario, arguments).result()
+                try:
+                    self._process().submit(_write, path, scenario, arguments).result()
+                except BrokenExecutor:
+                    self.close()
+                    raise
         return pickle.loads(path.read_bytes())
+
+    def _process(self) -> Executor:
+        """A process for the next flight, whose memory ends with it after some."""
+        if self._flights % _FLIGHTS == 0:
+            self.close()
+            # What it is forked with, such as windows and their threads, is not its own to end.
+            context = multiprocessing.get_context("fork")
+            self._processes = ProcessPoolExecutor(1, context, initializer=gc.freeze)
+        self._flights += 1
+        return self._processes
+
+    def close(self) -> None:
+        """Ends the process of its flights."""
+        if self._processes is not None:
+            self._processes.shutdown()
+        self._processes, self._flights = None, 0
 
 
 def flown(scenario: Scenario, **arguments: object) -> Run:
@@ -233,7 +254,6 @@ def flown(scenario: Scenario, **arguments: object) -> Run:
 
 def _write(path: Path, scenario: Scenario, arguments: dict[str, object]) -> None:
     """Flies a scenario, and writes the stored fields of its run and its metrics."""
-    gc.freeze()  # what the process was forked with is not this one's to end: windows, threads
     run = flown(scenario, **arguments)
     stored = {name: getattr(run, name) for name in _STORED}
     stored |= {name: dict(stored[name]) for name in ("signals", "steps")}
@@ -247,4 +267,7 @@ def _locked(path: Path) -> Iterator[None]:
     """Waits until no other process holds the file."""
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+        try:
+            yield
+        finally:
+            fcntl.flock(file, fcntl.LOCK_UN)  # for processes, too, that were forked meanwhile

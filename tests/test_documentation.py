@@ -77,6 +77,7 @@ def test_the_citation_and_the_changelog_have_the_version():
     assert re.search(r"(?m)^## (\S+)$", (root / "CHANGELOG.md").read_text())[1] == version
 
 
+@pytest.mark.nightly("examples")
 def test_every_box_of_the_figure_is_a_link(hooks):
     page = hooks["figure_page"]()
     for name in BOXES:

@@ -1,5 +1,7 @@
 """The fleet has every block, pattern and outcome; each of its flights is flown once."""
 
+import contextlib
+
 import fleet as fleet_module
 import numpy as np
 import pytest
@@ -40,9 +42,15 @@ def assert_same(run, expected):
             np.testing.assert_array_equal(run.steps[name], values)
 
 
-def test_a_flight_is_flown_once_and_is_that_of_the_scenario(tmp_path, monkeypatch):
+@pytest.fixture
+def store(tmp_path):
+    with contextlib.closing(Fleet(tmp_path)) as made:
+        yield made
+
+
+def test_a_flight_is_flown_once_and_is_that_of_the_scenario(store, tmp_path, monkeypatch):
     fresh = flown(SHORT)
-    stores = [Fleet(tmp_path) for _ in range(2)]  # as of two processes
+    stores = [store, Fleet(tmp_path)]  # as of two processes
     runs = [stores[0].run(SHORT)]
     monkeypatch.setattr(fleet_module, "flown", lambda *_, **__: pytest.fail("flown again"))
     runs += [stores[0].run(SHORT), stores[1].run(SHORT)]
@@ -53,22 +61,21 @@ def test_a_flight_is_flown_once_and_is_that_of_the_scenario(tmp_path, monkeypatc
     assert metrics["load"] == expected["load"]
 
 
-def test_an_engine_has_a_flight_of_its_own(tmp_path):
-    store = Fleet(tmp_path)
+def test_an_engine_has_a_flight_of_its_own(store, tmp_path):
     store.run(SHORT)
     assert_same(store.run(SHORT, DIAGRAM), flown(SHORT, engine=DIAGRAM))
     assert len([*tmp_path.glob("*.pickle")]) == 2
 
 
-def test_a_shared_run_cannot_be_changed(tmp_path):
-    run = Fleet(tmp_path).run(SHORT)
+def test_a_shared_run_cannot_be_changed(store):
+    run = store.run(SHORT)
     with pytest.raises(ValueError, match="read-only"):
         run.signal("load_state")[0, 0] = 1.0
 
 
-def test_an_error_of_a_flight_is_raised_and_nothing_is_kept(tmp_path):
+def test_an_error_of_a_flight_is_raised_and_nothing_is_kept(store, tmp_path):
     wrong = load_scenario("quintic")
     wrong.system.load_mass = -1.0  # checked as the loop is built
     with pytest.raises(ValueError, match="load_mass"):
-        Fleet(tmp_path).run(wrong)
+        store.run(wrong)
     assert not [*tmp_path.glob("*.pickle")]

@@ -7,7 +7,9 @@ the import path of a block of the user's own (`own_blocks`). With `based_on: NAM
 out are those of another scenario.
 """
 
+import copy
 import difflib
+import functools
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -57,8 +59,17 @@ def load_scenario(
     path = _path(name_or_file, "scenario")
     if trust:
         make_importable(str(Path.cwd()))
-    scenario = _parsed(read_text(path, "scenario"), str(path), path.parent, trust, [path])
+    if path.parent == SCENARIOS and path.exists():
+        scenario = copy.deepcopy(_shipped(path))
+    else:
+        scenario = _parsed(read_text(path, "scenario"), str(path), path.parent, trust, [path])
     return changed(scenario, texts, trust=trust) if texts else scenario
+
+
+@functools.cache
+def _shipped(path: Path) -> Scenario:
+    """A scenario that comes with the package; its file does not change."""
+    return _parsed(read_text(path, "scenario"), str(path), path.parent, False, [path])
 
 
 def parse_scenario(text: str, source: str = "scenario", *, trust: bool = False) -> Scenario:

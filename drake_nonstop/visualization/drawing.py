@@ -381,6 +381,7 @@ class _Router:
     ) -> list[Node]:
         """The cheapest path by the A* algorithm; empty if there is none."""
 
+        @functools.cache
         def distance(node: Node) -> int:
             return min(abs(node[0] - x) + abs(node[1] - y) for x, y in goals)
 

@@ -16,6 +16,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:compiled loop")
 BRIEF = ["simulation_duration=0.1", "optimization_layer=NonstopOptimizer"]
 
 
+@pytest.mark.nightly("benchmarks")
 def test_the_ways_to_fly_are_measured_and_agree(monkeypatch):
     monkeypatch.setenv("CC", "/bin/false")  # to compile would take longer
     results = benchmark_engines(load_scenario("line", BRIEF), repeats=1)

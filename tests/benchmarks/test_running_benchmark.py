@@ -193,6 +193,7 @@ def results(request):
         return running.benchmark_run(QUICK, repeats=2)
 
 
+@pytest.mark.nightly("benchmarks")
 def test_results_say_where_the_time_goes(results):
     assert json.loads(json.dumps(results, allow_nan=False)) == results
     shares = sum(block["share"] for block in results["blocks"]) + results["outside_share"]
@@ -407,9 +408,7 @@ def test_revisions_are_found_from_a_worktree(checkout, tmp_path):
 
 @pytest.mark.nightly("benchmarks")
 @needs_git
-@pytest.mark.parametrize(
-    "error", nightly_beyond(1, "benchmarks", [RuntimeError, KeyboardInterrupt])
-)
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_worktree_is_removed_after_errors(error, checkout):
     folder, git = checkout
     trees = []

@@ -88,6 +88,7 @@ def test_alike_cables_are_the_plain_ones_and_unlike_ones_are_not():
     np.testing.assert_allclose(output(short, context, "tensions"), [25, 0, 25, 5], atol=1e-9)
 
 
+@pytest.mark.nightly("flights")
 @pytest.mark.slow
 def test_a_cable_that_goes_slack_and_taut_does_not_chatter():
     """One cable 3 % too long: it is slack part of each turn, and the tension has no jumps."""

@@ -139,6 +139,7 @@ def test_a_bound_that_is_missed_at_full_speed_is_kept_and_the_load_arrives_late(
     assert largest < 4e-5  # without the reference's higher rates 6e-5
 
 
+@pytest.mark.nightly("flights")
 @pytest.mark.slow
 def test_check_looks_at_the_motion_that_the_governor_lets_pass():
     tasks = [
@@ -148,6 +149,7 @@ def test_check_looks_at_the_motion_that_the_governor_lets_pass():
     assert [check_speeds(task).is_feasible for task in tasks] == [False, True]
 
 
+@pytest.mark.nightly("flights")
 @pytest.mark.slow
 def test_it_slows_down_for_the_margin_that_is_computed(monkeypatch):
     margins = []

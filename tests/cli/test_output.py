@@ -71,6 +71,7 @@ def test_results_do_not_depend_on_what_is_printed(tmp_path, redirections, code, 
     assert names == {"scenario.yaml", "metrics.json", "signals.npz", "steps.npz", "diagram.svg"}
 
 
+@pytest.mark.nightly("processes")
 def test_help_and_an_ascii_locale(tmp_path):
     done = run("--help", ">/dev/full", tmp_path)
     assert done.returncode == 1

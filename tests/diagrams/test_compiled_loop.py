@@ -247,7 +247,7 @@ def key_and_functions(scenario, monkeypatch):
     return key, [function.function.serialize() for function in parts]
 
 
-@pytest.mark.parametrize(("make", "overrides"), nightly_beyond(2, "engines", SAME_TRACES))
+@pytest.mark.parametrize(("make", "overrides"), nightly_beyond(1, "engines", SAME_TRACES))
 def test_loops_of_other_numbers_share_a_trace_that_is_theirs(make, overrides, monkeypatch):
     """What the key of a shared trace leaves out are inputs: anew it would be the same one."""
     scenario = make()
@@ -407,6 +407,7 @@ class Push(LeafSystem):
         return constants(np.array([0, 0, 0, self.force, 0, 0]))
 
 
+@pytest.mark.nightly("engines")
 def test_a_trace_without_a_key_is_not_shared():
     scenario = load_scenario("quintic", [CONSTANT])
     ends = []

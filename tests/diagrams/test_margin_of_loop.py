@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 from drawn_tasks import draw
-from helpers import nightly_beyond
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.diagrams.margin_of_loop import feedback_of, margin_of_loop
@@ -165,9 +164,8 @@ def test_a_deviation_goes_on_as_in_a_run():
 FAST = "process_acceleration: 20, process_angular_acceleration: 40"
 
 
-@pytest.mark.parametrize(
-    "block", nightly_beyond(1, "studies", ["NoisyFeedback", "EstimatedFeedback"])
-)
+@pytest.mark.nightly("studies")
+@pytest.mark.parametrize("block", ["NoisyFeedback", "EstimatedFeedback"])
 def test_noise_spreads_speeds_as_in_a_run(block):
     noise = f"position_noise: {POSITION_NOISE}, orientation_noise: {ORIENTATION_NOISE}"
     noise += f", {FAST}" if block == "EstimatedFeedback" else ""
@@ -304,6 +302,7 @@ def test_what_fast_carriers_lose_does_not_count():
     assert margin.faster == 0
 
 
+@pytest.mark.nightly("studies")
 def test_where_no_margin_suffices_what_is_covered_is_used_and_that_is_said():
     gust = "load_disturbance=!DisturbanceForce {gust_force: 3}"
     found = margin_with("control_period=0.02", "optimization_layer.amplitude=3", gust)

@@ -143,6 +143,7 @@ def test_a_loop_set_to_values_is_the_loop_built_for_them(seed):
     assert any(not np.array_equal(before[name], value_) for name, value_ in expected.items())
 
 
+@pytest.mark.nightly("studies")
 def test_where_no_linear_block_is_concerned_they_are_equal_to_the_bit():
     scenario = load_scenario("quintic")
     loop, _ = quintic()

@@ -65,6 +65,7 @@ def test_multibody_plants_fly_as_our_blocks(without_drag):
     assert max(distance(simulate(scenario, **own_plants(0.0)), ours).values()) < 1e-10
 
 
+@pytest.mark.nightly("engines")
 def test_discrete_multibody_plants_approach_our_blocks_with_the_first_order_of_their_step(
     without_drag,
 ):

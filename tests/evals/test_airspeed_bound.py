@@ -1,6 +1,7 @@
 """Aircraft keep their airspeed and their limits in a wind that rises, as ξ and A follow it."""
 
 import numpy as np
+import pytest
 
 from drake_nonstop import load_scenario
 from drake_nonstop.mechanics.aircraft import stall_speed
@@ -52,6 +53,7 @@ def test_a_load_turns_faster_as_the_wind_rises_and_misses_the_bound_without(flee
     assert RunQuantities(run).flight.least_airspeed < 0.86 * bound
 
 
+@pytest.mark.nightly("flights")
 def test_without_the_layer_the_bound_is_missed():
     """By a tenth, at the end of the way in the full wind with the ξ and A of calm air."""
     at_end = [

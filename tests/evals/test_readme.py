@@ -49,6 +49,7 @@ def assert_hold(claims, run, metrics):
         assert claim.holds(value), (claim.quantity, value)
 
 
+@pytest.mark.nightly("flights")
 def test_claims_on_a_changed_scenario():
     name, *overrides = shlex.split(CHEAP)
     run = fly(load_scenario(name, overrides), check_step=StepCheck.NOTHING)

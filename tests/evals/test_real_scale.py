@@ -40,6 +40,7 @@ def test_spread_carousel_flies_any_number_of_carriers_apart(n, fleet):
     assert np.linalg.norm(run.signal("load_state")[-1, 4:7] - [100, 0, 10]) <= 0.02
 
 
+@pytest.mark.nightly("flights")
 def test_without_the_optimization_carriers_are_too_slow():
     scenario = load_scenario(
         "real_scale_spread", ["optimization_layer=ConstantParameters", "simulation_duration=3"]

@@ -4,6 +4,7 @@ Numbers within their tolerance stay as they are; what is written anew is listed.
 """
 
 import argparse
+import contextlib
 import multiprocessing
 import os
 import sys
@@ -32,8 +33,11 @@ from golden.numbers import (  # noqa: E402
 
 def renewed(name: str, kept: dict[str, Golden]) -> tuple[dict[str, Golden], dict[str, str]]:
     """The golden numbers of a flight, those that hold as they are kept, and what differs."""
-    with tempfile.TemporaryDirectory() as folder:
-        numbers = numbers_of_flight(name, Fleet(Path(folder)))
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.closing(Fleet(Path(folder))) as fleet,
+    ):
+        numbers = numbers_of_flight(name, fleet)
     different = differences(kept, numbers)
     if not different:
         return kept, {}

@@ -13,13 +13,14 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from mutants import drawing
-from mutants.copies import Copy, EndedError, Processes
+from mutants.copies import Copy, EndedError, Processes, Ran
 from mutants.faults import FILE, ORIGINS, ROOT, Fault, FaultError, read_faults
 from mutants.results import LEAST_CAUGHT, LEAST_WITHOUT_GOLDEN, Result, line_of, summary
-from mutants.stages import Ending, Stage, Verdict, files_of_tests, group_of, judge, stages_of
+from mutants.stages import Ending, Stage, files_of_tests, group_of, judge, stages_of
 
 _LEAST_LIMIT = 600.0  # s, of a stage, and of a group of tests of which no time is known
 _SLOWER = 3.0  # times as long as without a fault a stage may take
+_TOLD = 4000  # characters of what tests print that fail without a fault
 _LONGEST = 4 * 3600.0  # s, of a group of tests without a fault
 
 
@@ -55,23 +56,23 @@ class _Copies:
         """
         futures = {self._pool.submit(self._unchanged, group): group for group in groups}
         for future in as_completed(futures):
-            group, (verdict, seconds) = futures[future], future.result()
+            group, ran = futures[future], future.result()
+            verdict = judge(ran.code, ran.output)
             if verdict.ending not in (Ending.PASSED, Ending.SKIPPED):
                 raise _UnsoundError(
                     f"without a fault the tests fail, so that no figure would say anything: "
-                    f"{verdict.by}, in tests/{group}"
+                    f"{verdict.by}, in tests/{group}\n{ran.output[-_TOLD:]}"
                 )
-            self._seconds[group] = seconds
-            yield f"without a fault: tests/{group:22}{verdict.ending.value:8} {seconds:6.0f} s"
+            self._seconds[group] = ran.seconds
+            yield f"without a fault: tests/{group:22}{verdict.ending.value:8} {ran.seconds:6.0f} s"
 
-    def _unchanged(self, group: str) -> tuple[Verdict, float]:
+    def _unchanged(self, group: str) -> Ran:
         tests = [test for test in self.tests if group_of(test) == group]
         copy = self._free.get()
         try:
-            ran = copy.run_tests(tests, _LONGEST)
+            return copy.run_tests(tests, _LONGEST)
         finally:
             self._free.put(copy)
-        return judge(ran.code, ran.output), ran.seconds
 
     def examine(self, faults: Sequence[tuple[int, Fault]]) -> Iterator[Result]:
         """What becomes of numbered faults, each as it is known."""

@@ -244,6 +244,7 @@ class TestTables:
         assert lines[-1].startswith("a name that is… (diverged) ")
 
 
+@pytest.mark.nightly("studies")
 def test_equal_names_and_folders_get_numbers(tmp_path):
     names = [BASE, "a b", "A_b", "a b", "table.csv", "ε"]
     variants = [(name, ["simulation_duration=0.04"]) for name in names[1:]]
@@ -365,6 +366,7 @@ def test_a_diverged_variant_is_a_result(tmp_path):
     assert (tmp_path / "table.csv").read_text() == as_csv(rows)
 
 
+@pytest.mark.nightly("processes")
 def test_a_variant_that_ends_its_process_has_failed(tmp_path, faulty_blocks):
     scenario = load_scenario(
         "line", ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]

@@ -232,6 +232,7 @@ def test_remedies_of_small_numbers_are_told_to_three_digits():
     ]
 
 
+@pytest.mark.nightly("studies")
 def test_a_load_that_is_too_heavy_is_refused_with_one_that_is_not(unflown):
     found = found_for(["carriers=[3]", "load_mass=80", "cable_length=[40, 60]", "starts=1"])
     assert not found.formations

@@ -278,6 +278,7 @@ def test_ablate_keeps_variants_and_continues(tmp_path, scenario):
     assert not (folder / ".curves").exists()
 
 
+@pytest.mark.nightly("processes")
 @pytest.mark.usefixtures("runs_of_studies")
 def test_a_variant_whose_files_are_gone_is_run_again(tmp_path, scenario):
     variants = {"heavy": ["system.load_mass=1.1"]}
@@ -296,6 +297,7 @@ def stable(resting, override, value):
     return [0.9, -0.1]
 
 
+@pytest.mark.nightly("processes")
 @pytest.mark.usefixtures("runs_of_studies")
 def test_robustness_and_margins_continue(tmp_path, scenario, monkeypatch):
     axes, errors = margins._axes, robustness_module._errors

@@ -44,6 +44,7 @@ def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
         assert picture.width > 300
 
 
+@pytest.mark.nightly("studies")
 def test_the_outcome_and_the_warnings_of_each_case_are_said_with_it(tmp_path, capfd, monkeypatch):
     errors = robustness._errors
     monkeypatch.setattr(
@@ -123,6 +124,7 @@ def test_a_run_that_does_not_complete_says_how_it_ended(
     assert {case["ending"] for case in others} == {"completed"}
 
 
+@pytest.mark.nightly("studies")
 def test_an_error_with_which_nothing_can_be_built_is_a_row_of_its_own(
     tmp_path, capsys, monkeypatch
 ):

@@ -148,6 +148,7 @@ def test_many_instances_survive_garbage_collection():
         np.testing.assert_array_equal(jacobian, np.vstack([k * np.eye(3), np.zeros((1, 3))]))
 
 
+@pytest.mark.nightly("engines")
 def test_results_outlive_the_function():
     scaled, *_ = TracedFunction(lambda a: 3 * a, [3], name=str)(A)
     gc.collect()

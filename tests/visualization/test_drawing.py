@@ -161,7 +161,7 @@ def touch(a: tuple[Point, Point], b: tuple[Point, Point]) -> bool:
 
 
 PICTURES = nightly_beyond(
-    3, "studies", dict.fromkeys(["sampled", "extra_blocks", "labels", *SCENARIOS])
+    2, "studies", dict.fromkeys(["sampled", "labels", "extra_blocks", *SCENARIOS])
 )
 
 

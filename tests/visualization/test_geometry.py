@@ -243,6 +243,7 @@ def test_only_bodies_that_meet_collide():
     assert depth == pytest.approx(2 * radius - 0.05, abs=1e-12)
 
 
+@pytest.mark.nightly("flights")
 def test_a_camera_sees_load_cables_and_carriers_by_labels_of_their_own():
     attachments = irregular(3)
     made = Loop(attachments, add_viewer=add_camera)

@@ -195,6 +195,7 @@ def test_restart_discards_the_run_and_keeps_the_sliders(monkeypatch):
     np.testing.assert_allclose(run.signal("speed_bound")[1:], 0.66)
 
 
+@pytest.mark.nightly("flights")
 def test_after_its_time_a_run_waits_for_restart_stop_or_the_last_browser(monkeypatch):
     page = Page()
 
@@ -234,6 +235,7 @@ def test_pause_holds_the_time_and_the_pace_is_kept_afterwards(monkeypatch):
     assert run.wall_time < took - (held[-1] - held[1])  # nor counted
 
 
+@pytest.mark.nightly("flights")
 def test_the_pace_can_be_changed(monkeypatch):
     page = Page()
     slow = [(0.0, lambda page: page.SetSliderValue(live.RATE, 0.5))]

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 from aircraft_runs import aircraft_run
-from helpers import circling_run, nightly_beyond
+from helpers import circling_run
 
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.run import Run
@@ -78,7 +78,8 @@ def test_thirty_seconds_of_four_carriers_take_less_than_five_megabytes():
     assert len(record_replay(circling_run(duration=30.0))) < 5 * MEGABYTE
 
 
-@pytest.mark.parametrize("n", nightly_beyond(1, "benchmarks", [4, 12]))
+@pytest.mark.nightly("flights")
+@pytest.mark.parametrize("n", [4, 12])
 def test_a_long_replay_has_fewer_frames_and_stays_below_twenty_megabytes(n, monkeypatch):
     part = 20  # of a run of 2,000 s
     empty = len(record_replay(circling_run(n, duration=0.01)))
