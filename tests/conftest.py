@@ -23,7 +23,7 @@ from drake_nonstop.diagrams import compiled_loop
 from drake_nonstop.studies import results_folder
 from drake_nonstop.systems.block import LeafBlock
 
-MOST_MEMORY = 450_000_000  # bytes that a worker has without looking for what it can free
+MOST_MEMORY = 400_000_000  # bytes that a worker has without looking for what it can free
 
 # Why a test takes longer than `make test` can wait: the classes of `nightly`.
 CLASSES = {

@@ -171,7 +171,7 @@ def scenario_of(name: str) -> Scenario:
 _STORED = [field.name for field in dataclasses.fields(Run)]
 _STORED = [name for name in _STORED if name not in ("scenario", "diagram")]
 _FLIGHTS = 15  # of a process
-_KEPT = 3  # runs in the memory of a process, of up to 50 MB each
+_KEPT = 2  # runs in the memory of a process, of up to 50 MB each
 
 
 class Fleet:
@@ -223,7 +223,8 @@ class Fleet:
                 except BrokenExecutor:
                     self.close()
                     raise
-        return pickle.loads(path.read_bytes())
+        with path.open("rb") as file:
+            return pickle.load(file)
 
     def _process(self) -> Executor:
         """A process for the next flight, whose memory ends with it after some."""

@@ -30,6 +30,7 @@ def test_shorter_steps_are_nearer_to_the_truth(results):
     assert [row.get("steps") for row in results["runs"][:3]] == [80, 80, 400]
 
 
+@pytest.mark.nightly("benchmarks")
 def test_errors_are_the_largest_of_any_sample_and_carrier(results):
     scenario = load_scenario("line", BRIEF)
     runs = [

@@ -245,6 +245,7 @@ def test_fresh_runs_have_own_blocks_and_memory_of_their_own(tmp_path, monkeypatc
         assert answer["peak_memory_MiB"] < ballast.nbytes / 2**20
 
 
+@pytest.mark.nightly("benchmarks")
 def test_chart_shows_all_of_the_time(results):
     upper, lower = make_run_time_figure(results).axes
     widths = [bar.get_width() for bar in lower.patches]

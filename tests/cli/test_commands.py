@@ -117,6 +117,7 @@ def test_quiet_prints_nothing(brief_runs):
     assert brief_runs[2] == ""
 
 
+@pytest.mark.nightly("flights")
 def test_verified_steps_are_reported(tmp_path, capsys):
     arguments = ["run", "quintic", "--out", str(tmp_path), "--no-figures", "--no-replay"]
     assert main([*arguments, "--verify-step", "--set", "simulation_duration=0.3"]) == 0
@@ -308,6 +309,7 @@ def test_bad_options_of_a_live_run(options, words, tmp_path, capsys):
     assert not folder.exists()
 
 
+@pytest.mark.nightly("flights")
 def test_warnings_are_errors_output_and_quiet_silences_them(tmp_path, capsys):
     settings = [
         "simulation_duration=0.05",

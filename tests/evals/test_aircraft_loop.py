@@ -28,6 +28,7 @@ def test_aircraft_hold_the_load(period):
     assert np.max(np.abs(load)) < 5e-3
 
 
+@pytest.mark.nightly("flights")
 def test_aircraft_without_limits_fly_as_double_integrators_do():
     """Both keep their references; only the aircraft feel by how much a cable's force is off."""
     move = [

@@ -46,6 +46,7 @@ def results(tmp_path_factory):
     return folder
 
 
+@pytest.mark.nightly("processes")
 def test_results_that_cannot_be_written_leave_the_earlier_ones(tmp_path, results, capsys):
     """The kernel refuses to let any file grow beyond 20 kB, in the middle of signals.npz."""
     shutil.copytree(results, tmp_path, dirs_exist_ok=True)

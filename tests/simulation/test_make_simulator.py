@@ -4,11 +4,11 @@ import functools
 import os
 
 import numpy as np
-import pyarrow.parquet as parquet
 import pytest
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import MonteCarloSimulation, RandomSimulation
 from pydrake.systems.framework import Diagram
+from tables import read_rows
 
 from drake_nonstop import (
     Model,
@@ -54,7 +54,7 @@ def scenario():
 def test_monte_carlo_gives_what_a_sweep_gives_to_the_bit(scenario, tmp_path):
     spec = SweepSpec(seed=5, runs=RUNS)
     done = sweep(scenario, spec, tmp_path, executor=SerialExecutor())
-    rows = parquet.read_table(done.table).to_pylist()
+    rows = read_rows(done.table)
     make = functools.partial(make_simulator, scenario)
     results = MonteCarloSimulation(make, position_error, DURATION, RUNS, RandomGenerator(5))
     outputs = [result.output for result in results]

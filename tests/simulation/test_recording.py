@@ -331,6 +331,7 @@ def test_a_run_without_room_for_its_signals_is_refused_and_the_remedy_works(dura
     require_room(make_nonstop(scenario), scenario)
 
 
+@pytest.mark.nightly("flights")
 def test_the_expected_size_is_that_of_the_signals():
     for override in ("engine=compiled", "simulator_config.max_step_size=0.002"):
         scenario = scenario_of(0.5, override)

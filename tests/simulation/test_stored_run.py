@@ -169,7 +169,8 @@ def _facts(**changes):
         ("steps.npz", _with("run", lambda text: np.array("7")), "run"),
     ],
 )
-def test_a_damaged_part_is_named(file, damage, part, stored, tmp_path):
+def test_a_damaged_part_is_named(file, damage, part, stored, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # a sentence with a long path is shortened
     _, folder = stored
     for name in ("scenario.yaml", "signals.npz", "steps.npz"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
@@ -180,4 +181,4 @@ def test_a_damaged_part_is_named(file, damage, part, stored, tmp_path):
     with pytest.raises(
         ScenarioError, match=rf"(signals|steps|scenario)\.\w+: (its part )?({part})"
     ):
-        Run.load(tmp_path)
+        Run.load(".")

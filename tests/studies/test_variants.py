@@ -3,9 +3,9 @@
 import functools
 
 import numpy as np
-import pyarrow.parquet as parquet
 import pytest
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from tables import read_rows
 
 from drake_nonstop import (
     AccumulatedPhase,
@@ -92,7 +92,7 @@ def test_sweep_of_classes_configs_and_functions(scenario, tmp_path):
     spec = SweepSpec(grid={"load_disturbance": pushes, "phase": [PaperPhase]})
     result = sweep(scenario, spec, tmp_path, executor=SerialExecutor(), make_loop=renamed)
     assert result.endings == {"completed": 5}
-    rows = parquet.read_table(result.table).to_pylist()
+    rows = read_rows(result.table)
     names = [f"{__name__}.Push", f"{__name__}.strong", f"{__name__}.Push(force=0.1)"]
     assert [row["load_disturbance"] for row in rows[:3]] == names
     assert {row["phase"] for row in rows} == {"PaperPhase"}

@@ -110,6 +110,7 @@ class Loop:
         return found
 
 
+@pytest.mark.nightly("engines")
 @pytest.mark.parametrize("scalar", ["AutoDiffXd", "Expression"])
 def test_a_diagram_with_geometry_converts_and_has_poses_of_floats_only(scalar):
     loop = Loop(irregular(4), names=("one", "two"))

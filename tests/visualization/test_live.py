@@ -185,6 +185,7 @@ def test_a_users_own_controls_stay():
     assert list(meshcat.GetButtonNames()) == ["mine"]
 
 
+@pytest.mark.nightly("flights")
 def test_restart_discards_the_run_and_keeps_the_sliders(monkeypatch):
     actions = [
         (0.2, lambda page: page.SetSliderValue(live.BOUND, 0.66)),
