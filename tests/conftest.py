@@ -4,26 +4,19 @@ A test without a mark is a unit or a short flight. `slow` ones are left out by `
 `nightly` ones, each of a class, are flown by `make nightly` only.
 """
 
-import contextlib
-import ctypes
 import gc
 import os
 import random
 import signal
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 from fleet import Fleet
+from memory import free_memory
 from pages import WatchedPage, page_or_skip
-from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop.diagrams import compiled_loop
 from drake_nonstop.studies import results_folder
-from drake_nonstop.systems.block import LeafBlock
-
-MOST_MEMORY = 400_000_000  # bytes that a worker has without looking for what it can free
 
 # Why a test takes longer than `make test` can wait: the classes of `nightly`.
 CLASSES = {
@@ -77,34 +70,11 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-_freed = [MOST_MEMORY]  # the memory, in bytes, at which a worker looks for what it can free
-
-
 @pytest.fixture(scope="module", autouse=True)
 def little_memory() -> Iterator[None]:
-    """After modules that leave much memory behind, their diagrams and traces are freed.
-
-    Systems that tests derive from Drake's in Python are never freed, nor what they refer to.
-    """
+    """After a module what its tests have left behind is freed, if it is much."""
     yield
-    if not Path("/proc/self/statm").exists() or _resident_memory() < _freed[0]:
-        return
-    compiled_loop._recent_functions.entries.clear()
-    for thing in gc.get_objects():
-        if isinstance(thing, LeafSystem):
-            is_drakes = type(thing).__module__.startswith("pydrake")
-            if not is_drakes and not isinstance(thing, LeafBlock):
-                vars(thing).clear()
-    gc.collect()
-    with contextlib.suppress(OSError, AttributeError):  # another C library than GNU's
-        ctypes.CDLL("libc.so.6").malloc_trim(0)
-    _freed[0] = max(MOST_MEMORY, _resident_memory() + MOST_MEMORY // 10)
-
-
-def _resident_memory() -> int:
-    """Of this process, in bytes."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
+    free_memory()
 
 
 @pytest.fixture
@@ -113,13 +83,14 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20240607)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="session", autouse=True)
 def fleet(tmp_path_factory) -> Iterator[Fleet]:
     """Flights that all tests of all workers share."""
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent  # each worker has a folder of its own in it
     made = Fleet(folder / "fleet")
+    made.start()  # now, while no test has opened anything that its process would keep open
     yield made
     made.close()
 

@@ -9,7 +9,6 @@ import contextlib
 import copy
 import dataclasses
 import fcntl
-import gc
 import hashlib
 import multiprocessing
 import os
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from helpers import irregular, regular, spatial
+from memory import begin_forked, free_memory
 
 from drake_nonstop import (
     Run,
@@ -170,7 +170,6 @@ def scenario_of(name: str) -> Scenario:
 # needed.
 _STORED = [field.name for field in dataclasses.fields(Run)]
 _STORED = [name for name in _STORED if name not in ("scenario", "diagram")]
-_FLIGHTS = 15  # of a process
 _KEPT = 2  # runs in the memory of a process, of up to 50 MB each
 
 
@@ -183,8 +182,7 @@ class Fleet:
     def __init__(self, folder: Path):
         self._folder = folder
         self._here: dict[str, tuple[Run, dict]] = {}  # of this process, the latest last
-        self._processes: Executor | None = None
-        self._flights = 0  # of that process
+        self._process: Executor | None = None  # whose memory is not that of this one
 
     def run(self, flight: str | Scenario, engine: str | None = None) -> Run:
         """The run of a flight of the fleet, or of a scenario, by an engine or the fastest."""
@@ -219,28 +217,26 @@ class Fleet:
         with _locked(path.with_suffix(".lock")):
             if not path.exists():
                 try:
-                    self._process().submit(_write, path, scenario, arguments).result()
+                    self.start().submit(_write, path, scenario, arguments).result()
                 except BrokenExecutor:
                     self.close()
                     raise
         with path.open("rb") as file:
             return pickle.load(file)
 
-    def _process(self) -> Executor:
-        """A process for the next flight, whose memory ends with it after some."""
-        if self._flights % _FLIGHTS == 0:
-            self.close()
-            # What it is forked with, such as windows and their threads, is not its own to end.
+    def start(self) -> Executor:
+        """The process of its flights, started now if there is none."""
+        if self._process is None:
             context = multiprocessing.get_context("fork")
-            self._processes = ProcessPoolExecutor(1, context, initializer=gc.freeze)
-        self._flights += 1
-        return self._processes
+            self._process = ProcessPoolExecutor(1, context, initializer=begin_forked)
+            self._process.submit(int).result()
+        return self._process
 
     def close(self) -> None:
         """Ends the process of its flights."""
-        if self._processes is not None:
-            self._processes.shutdown()
-        self._processes, self._flights = None, 0
+        if self._process is not None:
+            self._process.shutdown()
+        self._process = None
 
 
 def flown(scenario: Scenario, **arguments: object) -> Run:
@@ -259,8 +255,10 @@ def _write(path: Path, scenario: Scenario, arguments: dict[str, object]) -> None
     stored = {name: getattr(run, name) for name in _STORED}
     stored |= {name: dict(stored[name]) for name in ("signals", "steps")}
     written = path.with_suffix(".new")
-    written.write_bytes(pickle.dumps((stored, compute_metrics(run)), pickle.HIGHEST_PROTOCOL))
+    with written.open("wb") as file:
+        pickle.dump((stored, compute_metrics(run)), file, pickle.HIGHEST_PROTOCOL)
     os.replace(written, path)
+    free_memory()
 
 
 @contextlib.contextmanager

@@ -1,0 +1,52 @@
+"""What a process of the suite frees, and how it ends with the one that started it."""
+
+import contextlib
+import ctypes
+import gc
+import os
+import signal
+from pathlib import Path
+
+from pydrake.systems.framework import LeafSystem
+
+from drake_nonstop.diagrams import compiled_loop
+from drake_nonstop.systems.block import LeafBlock
+
+MOST = 400_000_000  # bytes that a process has without looking for what it can free
+_STATISTICS = Path("/proc/self/statm")
+_PR_SET_PDEATHSIG = 1  # of prctl
+
+_next = MOST  # the memory in bytes at which the process looks again
+
+
+def free_memory() -> None:
+    """Frees diagrams and traces that nothing uses any more, in a process that has grown.
+
+    Systems that tests derive from Drake's in Python are never freed, nor what they refer to: their
+    attributes are cleared.
+    """
+    global _next
+    if not _STATISTICS.exists() or _resident() < _next:
+        return
+    compiled_loop._recent_functions.entries.clear()
+    for thing in gc.get_objects():
+        if isinstance(thing, LeafSystem):
+            is_drakes = type(thing).__module__.startswith("pydrake")
+            if not is_drakes and not isinstance(thing, LeafBlock):
+                vars(thing).clear()
+    gc.collect()
+    with contextlib.suppress(OSError, AttributeError):  # another C library than GNU's
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+    _next = max(MOST, _resident() + MOST // 10)
+
+
+def _resident() -> int:
+    """The memory of this process in bytes."""
+    return int(_STATISTICS.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def begin_forked() -> None:
+    """Has a forked process leave alone what it was forked with, and end with its parent."""
+    gc.freeze()
+    with contextlib.suppress(OSError, AttributeError):  # another system than Linux
+        ctypes.CDLL("libc.so.6").prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
