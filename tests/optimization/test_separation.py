@@ -194,3 +194,16 @@ def test_a_cable_without_tension_has_no_margin():
     drawn.problem._separation = at
     with pytest.raises(NotFiniteError, match="optimization_layer made"):
         drawn.problem.margins(np.array([2.0, 0.0]))
+
+
+def test_carriers_that_meet_between_two_phases_are_found_however_fast_they_close_in():
+    """Two come from farther apart than the nearest ones, as fast as any, towards each other."""
+    half_step = separation._HALF_STEP
+    apart = 1.0 + 1.8 * half_step
+    x = np.array([0.0, 1.0, 50.0, 50.0 + apart])
+    positions = np.stack([x, 0 * x, 0 * x])[:, None]
+    rates = np.stack([np.array([0.0, 0.0, 1.0, -1.0]), 0 * x, 0 * x])[:, None]
+    found = separation._close_encounters(positions, rates, distance=2.0)
+    assert {(first, second) for _, first, second in found.T.tolist()} == {(0, 1), (2, 3)}
+    slower = separation._close_encounters(positions, 0.5 * rates, distance=2.0)
+    assert {(first, second) for _, first, second in slower.T.tolist()} == {(0, 1)}

@@ -18,11 +18,11 @@ FIELDS = [
 ]
 TOGETHER = {  # of one system, for which alone C is made and compiled
     "max_speed": 8.0,
-    "anchor_weight": 0.3,
+    "anchor_weight": 3.0,
     "orbit_points": 1,
     "orbit_updates": 1,
     "internal_force_weight": 0.5,
-    "max_frequency_rate": 40.0,
+    "max_frequency_rate": 400.0,
 }
 
 
@@ -67,6 +67,9 @@ def test_drawn_updates_of_a_system_have_the_same_answers():
     solver, rng = update_solver(**TOGETHER), np.random.default_rng(7)
     bounds = rng.uniform(0.3, 3.0, 60)
     updates = [update_data(moving(k), bound, updates=solver) for k, bound in enumerate(bounds)]
+    # From slow parameters, which an anchor as strong brings farther than the bound does.
+    slow = np.array([[1.0, 0.6], [1.2, 0.8], [1.1, 0.9], [0.8, 0.6]])
+    updates += [update_data(moving(k), 0.6, x, solver) for k, x in enumerate(slow)]
     assert_same_answers([(solver, data) for data in updates], 20)
 
 
