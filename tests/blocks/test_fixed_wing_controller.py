@@ -4,6 +4,7 @@ import pytest
 from helpers import model
 from pydrake.systems.framework import Diagram
 
+from drake_nonstop import ScenarioError, load_scenario, make_nonstop
 from drake_nonstop.blocks.fixed_wing_controller import FixedWingController
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.systems.block import LeafBlock
@@ -25,3 +26,12 @@ def test_only_an_integrated_observer_is_asked_for_rates(period, asked):
     plain = LeafBlock.DoCalcTimeDerivatives
     overriding = [leaf for leaf in own if type(leaf).DoCalcTimeDerivatives is not plain]
     assert [leaf.get_name() for leaf in overriding] == asked
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("lift_share", 1.01), ("lift_share", 0), ("max_bank", 1.6), ("lead", -1)]
+)
+def test_a_field_out_of_its_range_is_refused(field, value):
+    scenario = load_scenario("aircraft_rest", [f"carrier_controller.{field}={value}"])
+    with pytest.raises(ScenarioError, match=rf"^carrier_controller.{field} = {value}"):
+        make_nonstop(scenario, at_equilibrium=False)

@@ -286,6 +286,22 @@ def test_shares_of_known_loops_are_these(overrides, shares):
         assert value == pytest.approx(shares.get(name, 0.0), rel=1e-6, abs=1e-12), name
 
 
+def test_a_loop_that_is_turned_with_its_motion_and_its_gusts_has_the_same_margin():
+    """The responses to a force are in the load's frame, gusts and motion in the world's."""
+    found = []
+    for yaw in (0.0, 1.1):
+        along = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        move = f"displacement: {(0.3 * along).tolist()}, move_time: 4"
+        turned = [
+            f"load_trajectory=!RestToRest {{{move}, start_roll_pitch_yaw: [0, 0, {yaw}]}}",
+            f"load_disturbance=!DisturbanceForce {{force: {(0.05 * along).tolist()}}}",
+        ]
+        found.append(margin_with(*SLOW, *turned).margin)
+    assert found[0].disturbance > 1e-4
+    for name, value in vars(found[0]).items():
+        assert getattr(found[1], name) == pytest.approx(value, rel=1e-5, abs=1e-9), name
+
+
 @pytest.mark.nightly("studies")
 def test_what_fast_carriers_lose_does_not_count():
     """By a cable of little tension its carrier is fast, and slowed down most."""

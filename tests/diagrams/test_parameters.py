@@ -425,3 +425,20 @@ def test_every_block_declares_the_numbers_of_the_model_that_it_reads(name, varia
             known |= {*found.of_system, *found.rules.fixed}
     known |= {name.split(".")[0] for name in known}  # an aircraft by its single figures
     assert model.read <= known
+
+
+def test_a_plan_goes_on_without_a_step_to_another_nominal_amplitude():
+    scenario = load_scenario("quintic", ["load_trajectory.start_time=9"])
+    diagram = make_nonstop(scenario)
+    simulator = Simulator(diagram)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    port, shown = diagram.GetOutputPort("parameters"), []
+    for k in range(150):
+        if k == 50:
+            context = simulator.get_mutable_context()
+            set_parameter(diagram, context, "optimization_layer.amplitude", 1.4)
+        simulator.AdvanceTo(0.01 * k + 0.005)
+        shown.append(port.Eval(simulator.get_context())[1])
+    assert shown[49] == pytest.approx(1.2, rel=1e-6)
+    assert shown[-1] > 1.22
+    assert np.abs(np.diff(shown)).max() < 0.01

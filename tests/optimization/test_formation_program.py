@@ -96,6 +96,8 @@ def test_co_rotating_circles_are_those_of_the_closed_form():
     np.testing.assert_allclose(found["airspeed"] * stall_speed(given.aircraft), speed, rtol=1e-9)
     distances, _ = program.separations(np.array([1.2, 0, 0, 0, 0.4, 60.0, MASS, 0, 0, 0]))
     assert distances.min() == pytest.approx(apart, rel=1e-9)
+    opposite = math.sqrt(2) * apart  # of four carriers on a circle
+    assert distances.max() == pytest.approx(opposite, rel=1e-9)
 
 
 def test_leaning_circles_are_those_of_the_closed_form():
