@@ -68,6 +68,19 @@ SHAPES = {
 }
 
 
+def over_shapes(check: Callable[[NDArray, np.random.Generator], None]) -> Callable:
+    """One test of all shapes, of a check of attachments (n, 3) and of random numbers."""
+
+    def over_all(rng):
+        for name, attachments in SHAPES.items():
+            try:
+                check(attachments, rng)
+            except AssertionError as error:
+                raise AssertionError(f"{name}: {error}") from error
+
+    return over_all
+
+
 def difference(function: Callable[[float], NDArray], time: float, step: float = 1e-3) -> NDArray:
     """The derivative by a central difference of fourth order.
 

@@ -77,12 +77,13 @@ def golden_scenario(name: str) -> Scenario:
 
 def numbers_of_flight(name: str, fleet: Fleet) -> Numbers:
     """The numbers of a golden flight, flown by the fastest engine."""
-    if name in FLEET:
-        return numbers_of(*fleet.evaluated(name))
-    return numbers_of(*fleet.evaluated(golden_scenario(name), check_step=_NOTHING), FEW_METRICS)
+    check_step, few = _way_of(name)
+    return numbers_of(*fleet.evaluated(golden_scenario(name), check_step=check_step), few)
 
 
-_NOTHING = StepCheck.NOTHING
+def _way_of(name: str) -> tuple[StepCheck, tuple[str, ...] | None]:
+    """What of a flight is flown again, and which of its metrics count; None: all."""
+    return (StepCheck.WHOLE, None) if name in FLEET else (StepCheck.NOTHING, FEW_METRICS)
 
 
 def moved_numbers(name: str, share: float) -> Numbers:
@@ -91,9 +92,9 @@ def moved_numbers(name: str, share: float) -> Numbers:
     for masses in (scenario.system, scenario.simulated):
         if masses.load_mass is not None:
             masses.load_mass *= 1.0 + share
-    is_of_fleet = name in FLEET
-    run = flown(scenario, check_step=StepCheck.WHOLE if is_of_fleet else _NOTHING)
-    return numbers_of(run, compute_metrics(run), None if is_of_fleet else FEW_METRICS)
+    check_step, few = _way_of(name)
+    run = flown(scenario, check_step=check_step)
+    return numbers_of(run, compute_metrics(run), few)
 
 
 def numbers_of(run: Run, metrics: dict, few: tuple[str, ...] | None = None) -> Numbers:

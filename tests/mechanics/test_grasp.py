@@ -1,22 +1,9 @@
 import numpy as np
-from helpers import SHAPES, Motion, difference, rotation
+from helpers import Motion, difference, over_shapes, rotation
 from pydrake.multibody.math import SpatialForce
 
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates, grasp_matrix
 from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
-
-
-def over_shapes(check):
-    """One test of all shapes."""
-
-    def over_all(rng):
-        for name, attachments in SHAPES.items():
-            try:
-                check(attachments, rng)
-            except AssertionError as error:
-                raise AssertionError(f"{name}: {error}") from error
-
-    return over_all
 
 
 def paper_grasp_matrix(attachments, R_WL):

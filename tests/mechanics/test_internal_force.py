@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from helpers import SHAPES, difference
+from helpers import SHAPES, difference, over_shapes
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import (
@@ -12,19 +12,6 @@ from drake_nonstop.mechanics.internal_force import (
     internal_force_jerk,
     planned_internal_force,
 )
-
-
-def over_shapes(check):
-    """One test of all shapes."""
-
-    def over_all(rng):
-        for name, attachments in SHAPES.items():
-            try:
-                check(attachments, rng)
-            except AssertionError as error:
-                raise AssertionError(f"{name}: {error}") from error
-
-    return over_all
 
 
 @over_shapes
