@@ -49,14 +49,6 @@ SWAPS = [
 ]
 
 
-@pytest.fixture(autouse=True)
-def _collects_new_objects_only():
-    """What other tests have left is not looked at: that is quicker."""
-    gc.freeze()
-    yield
-    gc.unfreeze()
-
-
 class PlainWind(LeafSystem):
     """A block as a user writes it, whose callback holds it."""
 
