@@ -146,9 +146,9 @@ class CompiledLoop:
         compiles: whether the functions are compiled as C, see `systems.compilation`; if not,
             CasADi's virtual machine evaluates them, in six times the time and more, and blocks
             search in Python; the numbers are the same to rounding.
-        samples: how many are to be flown. Where C is in the cache it is used; else it is compiled,
-            which takes seconds, where this process has more of them to fly than it pays for.
-            None: it is compiled at once.
+        samples: how many are to be flown. Where this process has many of them to fly, the
+            functions are made shorter, and C is used that is in the cache; where it has more,
+            C is compiled, which takes seconds. None: it is compiled at once.
 
     Attributes:
         diagram: as given.
@@ -195,8 +195,7 @@ class CompiledLoop:
         self.signals = {name: sizes[name] for name in (sizes if signals is None else signals)}
         self.step_signals = {name: sizes[name] for name in step_signals}
         self._compiles = compiles
-        if compiles:
-            self._functions.compile(samples)
+        self._functions.prepare(samples, compiles)
 
     @cached_property
     def _functions(self) -> LoopFunctions:
@@ -230,13 +229,13 @@ class CompiledLoop:
         steps = trace.steps(self._schedule, shown)
         at_sample = whole = None
         if self._layout.held:
-            at_sample = LoopFunction(trace.updates(), is_frequent=True)
+            at_sample = LoopFunction(trace.updates())
         else:
             whole = trace.whole(self._schedule, shown)
         return LoopFunctions(
-            at_start=LoopFunction(trace.updates(is_start=True), is_frequent=False),
-            shown=LoopFunction(at_once, is_frequent=False),
-            after_sample=LoopFunction(steps, is_frequent=whole is None),
+            at_start=LoopFunction(trace.updates(is_start=True)),
+            shown=LoopFunction(at_once),
+            after_sample=LoopFunction(steps),
             at_sample=at_sample,
             whole=whole,
         )

@@ -35,7 +35,7 @@ class _Slopes:
         # Without the diagram's systems: the functions outlive it.
         traced = traced._replace(symbols=replace(traced.symbols, numbers={}))
         self._traced = traced
-        self.values = LoopFunction(traced._replace(results=traced.results[:1]), is_frequent=False)
+        self.values = LoopFunction(traced._replace(results=traced.results[:1]))
 
     @cached_property
     def by_state(self) -> LoopFunction:
@@ -50,7 +50,7 @@ class _Slopes:
     def _derivative(self, argument: int) -> LoopFunction:
         slopes = casadi.jacobian(self._traced.results[0], self._traced.arguments[argument])
         traced = self._traced._replace(results=[casadi.vec(casadi.densify(slopes))])
-        return LoopFunction(traced, is_frequent=False)
+        return LoopFunction(traced)
 
 
 class DerivativeFunctions(NamedTuple):

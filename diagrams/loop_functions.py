@@ -18,7 +18,8 @@ from drake_nonstop.systems.diagram_trace import FOUND_SIZE
 from drake_nonstop.systems.tracing import object_array
 
 Made = TypeVar("Made")
-_MOST_ENTRIES = 32
+_MOST_ENTRIES = 16
+_WORTH_SHORTENING = 1_500  # samples, which save about what it takes
 _WORTH_COMPILING = 20_000  # samples, 2 s in the virtual machine
 _NO_SEARCH = "#define search(data, tolerance, x) 0\n"
 _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
@@ -93,7 +94,6 @@ class LoopFunction:
 
     Args:
         traced: what it computes.
-        is_frequent: whether it is evaluated often, so that it is worth being made shorter.
         is_whole: whether it is that of a whole sample, and evaluated sample by sample.
         search: of a block, for its updates.
     """
@@ -102,7 +102,6 @@ class LoopFunction:
         self,
         traced: Traced,
         *,
-        is_frequent: bool,
         is_whole: bool = False,
         search: SearchFunctions | None = None,
     ):
@@ -114,10 +113,8 @@ class LoopFunction:
         stacked = casadi.vertcat(*arguments, outside)
         checked = results[:-2] if is_whole else results  # not what tells of updates to be made
         norm = casadi.sumsqr(casadi.vertcat(*checked))
-        results = [*results, norm]
-        if is_frequent:  # it takes longer than an evaluation saves
-            results = casadi.cse(results)
-        self.function = casadi.Function("loop", [stacked], results)
+        self._traced = [stacked], [*results, norm]
+        self.function = casadi.Function("loop", *self._traced)
         self.compiled: Compiled | None = None  # the same, as C
         self.tolerance = search.tolerance if search is not None else 0.0
         self._others = [] if search is None else search.functions
@@ -125,7 +122,15 @@ class LoopFunction:
         if is_whole:
             own = _NO_SEARCH if search is None else search.text
             self._besides = f"{own}#define FOUND_SIZE {FOUND_SIZE}\n{_FLY_SAMPLES}"
-        self._is_looked_for = self._is_tried = False  # in the cache, to compile it
+        self._is_short = self._is_looked_for = self._is_tried = False
+
+    def shorten(self) -> None:
+        """Computes what is the same in two places once; the numbers stay, to the bit."""
+        if not self._is_short:
+            arguments, results = self._traced
+            self._traced = arguments, casadi.cse(results)
+            self.function = casadi.Function("loop", *self._traced)
+        self._is_short = True
 
     def compile(self, builds: bool) -> None:
         """Takes C that is in the cache, or builds it."""
@@ -154,12 +159,16 @@ class LoopFunctions:
         parts = [self.at_sample, self.after_sample] if self.whole is None else [self.whole]
         return [part for part in parts if part is not None]
 
-    def compile(self, samples: int | None) -> None:
-        """Takes C in place of the virtual machine, as `CompiledLoop` says."""
+    def prepare(self, samples: int | None, compiles: bool) -> None:
+        """Shortens those of samples, and takes C in their place, as `CompiledLoop` says."""
         self.samples += samples or 0
+        if samples is not None and self.samples < _WORTH_SHORTENING:
+            return
         builds = samples is None or self.samples >= _WORTH_COMPILING
         for function in self.of_samples:
-            function.compile(builds)
+            function.shorten()
+            if compiles:
+                function.compile(builds)
 
 
 class Evaluation:

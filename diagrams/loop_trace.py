@@ -157,7 +157,7 @@ class LoopTrace:
         search = None
         if len(self._layout.attempting) == 1:
             search = getattr(self._layout.attempting[0], "traced_search", None)
-        return LoopFunction(traced, is_frequent=True, is_whole=True, search=search)
+        return LoopFunction(traced, is_whole=True, search=search)
 
     def shown(self, *signals: Iterable[str]) -> _Part:
         """Some lists of signals, by the names of the diagram's ports."""

@@ -154,7 +154,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
     ),
 }
 BY_BOTH_ENGINES = (
-    *("static_hold_open_loop", "three_carriers", "three_on_a_circle", "six_noisy"),
+    *("static_hold_open_loop", "three_on_a_circle", "six_noisy"),
     *("seven_gusty", "that_stalls", "that_diverges"),
 )
 FLEET = (*scenario_names(), *DRAWN)
@@ -170,7 +170,7 @@ def scenario_of(name: str) -> Scenario:
 # needed.
 _STORED = [field.name for field in dataclasses.fields(Run)]
 _STORED = [name for name in _STORED if name not in ("scenario", "diagram")]
-_KEPT = 2  # runs in the memory of a process, of up to 50 MB each
+_KEPT = 1  # run in the memory of a process, of up to 50 MB
 
 
 class Fleet:

@@ -26,6 +26,7 @@ from drake_nonstop import (
 )
 from drake_nonstop.diagrams import compiled_loop
 from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
+from drake_nonstop.diagrams.loop_functions import Recent
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.block import LeafBlock
@@ -405,6 +406,19 @@ class Push(LeafSystem):
 
     def traced_output(self, port, at):
         return constants(np.array([0, 0, 0, self.force, 0, 0]))
+
+
+def test_a_loop_of_many_samples_is_shorter_and_shows_the_same_to_the_bit(monkeypatch):
+    monkeypatch.setattr(compiled_loop, "_recent_functions", Recent())
+    scenario = load_scenario("quintic", [CONSTANT])
+    shown, sizes = [], []
+    for samples in (1_000, 100, 400):  # 1,500 are many
+        loop, context = traced(scenario, compiles=False, samples=samples)
+        shown.append(loop.run(context, DURATION)[1])
+        sizes.append(loop._functions.whole.function.n_instructions())
+    assert sizes[0] == sizes[1] > 2 * sizes[2]
+    for name, values in shown[0].items():
+        np.testing.assert_array_equal(shown[2][name], values, err_msg=name)
 
 
 @pytest.mark.nightly("engines")

@@ -24,6 +24,12 @@ def test_a_fault_changes_a_line_that_is_found_once_and_compiles(fault):
         compile(made, fault.file, "exec")
 
 
+def test_a_third_of_sixty_and_more_faults_is_drawn():
+    drawn = [fault for fault in FAULTS if fault.origin == "drawn"]
+    assert len(FAULTS) >= 60
+    assert 3 * len(drawn) >= len(FAULTS)
+
+
 def test_no_fault_is_there_twice():
     assert len({(fault.file, fault.line, fault.becomes) for fault in FAULTS}) == len(FAULTS)
 
