@@ -2,6 +2,7 @@
 
 import shlex
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from drake_nonstop import compute_metrics, load_scenario, scenario_names
 from drake_nonstop.benchmarks.claims import (
     QUANTITIES,
+    Measured,
     documentation,
     measure,
     read_claims,
@@ -18,7 +20,8 @@ from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.studies.run_all import fly
 
 README = Path(__file__).parents[2] / "README.md"
-ALL = read_claims(documentation(README))
+TEXT = documentation(README)
+ALL = read_claims(TEXT)
 BY_ARGUMENTS = defaultdict(list)
 for claim in ALL:
     if not claim.is_of_speed:
@@ -40,6 +43,22 @@ def test_the_claims_were_found():
 def test_claims_on_a_shipped_scenario(evaluated, name):
     """In tables and paragraphs."""
     assert_hold(BY_ARGUMENTS[name], *evaluated(name))
+
+
+@pytest.mark.parametrize("shift", [-2, 2])
+def test_a_fault_in_a_claim_is_reported(evaluated, shift):
+    """Two of the last digit, in the text."""
+    quantity = "slowest speed (m/s)"
+    true = next(claim for claim in BY_ARGUMENTS["quintic"] if claim.quantity == quantity)
+    digits = len(true.printed.partition(".")[2])
+    planted = f"{float(true.printed) + shift * 10**-digits:.{digits}f}"
+    claims = read_claims(TEXT.replace(true.printed, planted))
+    (found,) = [
+        claim for claim in claims if replace(claim, printed="") == replace(true, printed="")
+    ]
+    value = QUANTITIES[quantity](*evaluated("quintic"))
+    assert true.fault(Measured(value=value)) == ""
+    assert found.fault(Measured(value=value)).endswith(f"not {planted}")
 
 
 def assert_hold(claims, run, metrics):
