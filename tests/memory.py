@@ -28,7 +28,8 @@ def free_memory() -> None:
     global _next
     if not _STATISTICS.exists() or _resident() < _next:
         return
-    compiled_loop._recent_functions.entries.clear()
+    for recent in (compiled_loop._recent_functions, compiled_loop._recent_derivatives):
+        recent.entries.clear()
     for thing in gc.get_objects():
         if isinstance(thing, LeafSystem):
             is_drakes = type(thing).__module__.startswith("pydrake")
