@@ -35,6 +35,7 @@ _OPTIONS = [  # on Linux a library calls its own functions, and none of that nam
     *(["-Wl,-Bsymbolic"] if sys.platform == "linux" else []),
 ]
 _TIME_LIMIT = 600.0  # s, of a compilation
+_VERSION_TIME_LIMIT = 10.0  # s
 
 
 class CompilationError(RuntimeError):
@@ -62,9 +63,7 @@ def compiled(
         builds: whether it is compiled where the cache does not have it.
     """
     try:
-        path = _library(_c_text(functions) + besides, builds)
-        if path is not None:
-            return Compiled(_external(functions[0].name(), path), _loaded(path))
+        return _compiled(functions[0].name(), _c_text(functions) + besides, builds)
     except CompilationError as error:
         _tell(str(error))
     return None
@@ -77,10 +76,17 @@ def compiler() -> str | None:
 
 
 def cache_folder() -> Path:
-    """Where compiled functions are kept: $DRAKE_NONSTOP_CACHE, or in the user's cache folder."""
+    """Where compiled functions are kept: $DRAKE_NONSTOP_CACHE, or in the user's cache folder.
+
+    Raises:
+        CompilationError: the user has no home directory, as in some containers.
+    """
     if os.environ.get(CACHE):
         return Path(os.environ[CACHE])
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    try:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    except RuntimeError:
+        raise CompilationError(f"there is no home directory; set {CACHE} to a folder") from None
     return Path(base) / "drake_nonstop"
 
 
@@ -97,11 +103,13 @@ def _loaded(library: Path) -> ctypes.CDLL:
         raise _not_loaded(library, error) from None
 
 
-def _external(name: str, library: Path) -> casadi.Function:
+def _of_library(name: str, library: Path) -> Compiled:
+    """The function of that name in a library."""
     try:
-        return casadi.external(name, str(library))
+        function = casadi.external(name, str(library))  # which closes a library without it
     except RuntimeError as error:
         raise _not_loaded(library, error) from None
+    return Compiled(function, _loaded(library))
 
 
 def _not_loaded(library: Path, error: Exception) -> CompilationError:
@@ -109,8 +117,8 @@ def _not_loaded(library: Path, error: Exception) -> CompilationError:
     return CompilationError(f"{library} cannot be loaded ({told[:200]})")
 
 
-def _library(text: str, builds: bool) -> Path | None:
-    """The shared library of a C text, or one that is built; None: there is none."""
+def _compiled(name: str, text: str, builds: bool) -> Compiled | None:
+    """A function of a C text from the cache, or compiled now; None: the cache does not have it."""
     own_compiler = compiler()
     if own_compiler is None:
         asked = os.environ.get(COMPILER)
@@ -120,19 +128,30 @@ def _library(text: str, builds: bool) -> Path | None:
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
     folder = cache_folder()
     library = folder / f"{key}.so"
-    if _is_sound(library):
-        return library
-    if not builds:
-        return None
+    found = _cached(name, library)
+    if found is not None or not builds:
+        return found
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         with _locked(folder / f"{key}.lock"):
-            if not _is_sound(library):
+            found = _cached(name, library)
+            if found is None:
                 _build(own_compiler, text, library)
+                found = _of_library(name, library)
     except OSError as error:
         reason = f"{folder} cannot be written ({error.strerror or error})"
         raise CompilationError(reason) from None
-    return library
+    return found
+
+
+def _cached(name: str, library: Path) -> Compiled | None:
+    """The function of that name in a library of the cache; None: it is not sound, or of no use."""
+    if not _is_sound(library):
+        return None
+    try:
+        return _of_library(name, library)
+    except CompilationError:
+        return None
 
 
 def _c_text(functions: Iterable[casadi.Function]) -> str:
@@ -143,12 +162,34 @@ def _c_text(functions: Iterable[casadi.Function]) -> str:
     return text
 
 
-@functools.cache
 def _version(path: str) -> str:
+    said, reason = _answer(path)
+    if reason:
+        raise CompilationError(f"{path} {reason}")
+    return said
+
+
+@functools.cache
+def _answer(path: str) -> tuple[str, str]:
+    """What a compiler says of its version, and why it says nothing."""
     try:
-        return subprocess.run([path, "--version"], capture_output=True, text=True).stdout
+        return _called([path, "--version"], _VERSION_TIME_LIMIT).stdout, ""
     except OSError as error:
-        raise CompilationError(f"{path} cannot be run ({error.strerror})") from None
+        return "", f"cannot be run ({error.strerror})"
+    except subprocess.TimeoutExpired:
+        return "", f"does not tell its version within {_VERSION_TIME_LIMIT:g} s"
+
+
+def _called(call: list[str], time_limit: float) -> subprocess.CompletedProcess[str]:
+    """A program's end; what it prints may be no UTF-8."""
+    return subprocess.run(
+        call,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        encoding="utf-8",
+        errors="replace",
+        timeout=time_limit,
+    )
 
 
 @contextlib.contextmanager
@@ -187,7 +228,7 @@ def _build(own_compiler: str, text: str, library: Path) -> None:
         source.write_text(text)
         call = [own_compiler, *_OPTIONS, str(source), "-o", str(made), "-lm"]
         try:
-            done = subprocess.run(call, capture_output=True, text=True, timeout=_TIME_LIMIT)
+            done = _called(call, _TIME_LIMIT)
         except subprocess.TimeoutExpired:
             raise CompilationError(f"{own_compiler} took more than {_TIME_LIMIT:g} s") from None
         if done.returncode != 0 or not made.is_file():

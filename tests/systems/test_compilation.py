@@ -1,5 +1,6 @@
 """Functions as compiled C: the same values, and an entry of the cache is loaded if it is sound."""
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -25,9 +26,9 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def function(factor=2.0):
+def function(factor=2.0, name="f"):
     x = casadi.SX.sym("x", 2)
-    return casadi.Function("f", [x], [casadi.vertcat(factor * casadi.sin(x[0]), x[1] ** 2)])
+    return casadi.Function(name, [x], [casadi.vertcat(factor * casadi.sin(x[0]), x[1] ** 2)])
 
 
 def values(compiled_function):
@@ -54,10 +55,10 @@ def test_values_are_those_of_the_virtual_machine_and_the_entry_is_used_again(fol
 
 
 # Each case starts processes, which import this file.
-DAMAGES = ["bytes"]
+DAMAGES = ["bytes", "useless"]
 DAMAGES += [
     pytest.param(damage, marks=pytest.mark.nightly("engines"))
-    for damage in ("mode", "checksum", "folder", "link")
+    for damage in ("empty", "mode", "checksum", "folder", "link")
 ]
 
 
@@ -74,6 +75,14 @@ def test_an_entry_that_is_not_sound_is_built_again(folder, damage, tmp_path):
     sound = entry.read_bytes()
     if damage == "bytes":
         entry.write_bytes(b"no library" + sound[10:])
+    elif damage in ("useless", "empty"):  # with a right checksum
+        compiled([function(name="g")])
+        (other,) = {*folder.glob("*.so")} - {entry}
+        other.replace(entry)
+        if damage == "empty":
+            entry.write_bytes(b"")
+        checksum = hashlib.sha256(entry.read_bytes()).hexdigest()
+        entry.with_suffix(".sha256").write_text(checksum)
     elif damage == "mode":
         entry.chmod(0o666)
     elif damage == "checksum":
@@ -87,8 +96,46 @@ def test_an_entry_that_is_not_sound_is_built_again(folder, damage, tmp_path):
         assert "virtual machine" in done.stderr  # what stands there is not removed
         return
     assert not entry.is_symlink()
-    assert entry.read_bytes() == sound
+    assert "virtual machine" not in done.stderr
+    assert len(entry.read_bytes()) == len(sound)
     assert entry.stat().st_mode & 0o777 == 0o600
+
+
+@needs_compiler
+def test_a_version_that_is_no_utf_8_is_none_the_less_a_version(monkeypatch, tmp_path):
+    own = tmp_path / "own"
+    own.write_text(
+        "#!/bin/sh\n"
+        "[ $1 = --version ] && printf 'gcc \\251 FSF\\n' && exit 0\n"
+        f'exec {compiler()} "$@"\n'
+    )
+    own.chmod(0o755)
+    monkeypatch.setenv("CC", str(own))
+    assert values(compiled([function()]).function)[1] == 1.5**2
+
+
+def test_a_compiler_that_does_not_answer_is_told_and_asked_once(monkeypatch, tmp_path):
+    own = tmp_path / "own"
+    own.write_text(f"#!/bin/sh\necho asked >> {tmp_path}/times\nexec sleep 60\n")
+    own.chmod(0o755)
+    monkeypatch.setenv("CC", str(own))
+    monkeypatch.setattr(compilation, "_VERSION_TIME_LIMIT", 0.5)
+    with pytest.warns(ScenarioWarning, match=r"does not tell its version within 0\.5 s"):
+        assert compiled([function()]) is None
+    assert compiled([function(3.0)]) is None
+    assert (tmp_path / "times").read_text() == "asked\n"
+
+
+@needs_compiler
+def test_a_user_without_a_home_directory_is_told(monkeypatch):
+    def no_home():
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in ("DRAKE_NONSTOP_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(compilation.Path, "home", no_home)
+    with pytest.warns(ScenarioWarning, match="no home directory; set DRAKE_NONSTOP_CACHE"):
+        assert compiled([function()]) is None
 
 
 @needs_compiler
