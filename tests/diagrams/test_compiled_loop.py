@@ -30,6 +30,7 @@ from drake_nonstop.diagrams.loop_functions import Recent
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.compilation import compiler
 from drake_nonstop.systems.tracing import NotFiniteError, constants
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
@@ -496,9 +497,9 @@ class NarrowRows(LeafBlock):
         return [np.zeros((len(times), 3)) for _ in ports]
 
 
-def loop_with(scenario, **replacements):
+def loop_with(scenario, *, compiles=False, **replacements):
     diagram = make_nonstop(scenario, **replacements)
-    return CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
+    return CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=compiles)
 
 
 def test_a_block_below_one_with_rows_shows_its_own_values():
@@ -506,6 +507,28 @@ def test_a_block_below_one_with_rows_shows_its_own_values():
     loop = loop_with(scenario, load_disturbance=SteadyPush)
     _, signals = loop.run(loop.diagram.CreateDefaultContext(), 0.2)
     np.testing.assert_array_equal(signals["disturbance_wrench"][:, 3], 0.5)
+
+
+class FailingPush(NarrowRows):
+    """Is no number after 0.1 s."""
+
+    def known_over(self, ports, times):
+        late = np.where(np.asarray(times) > 0.1 + 1e-9, np.nan, 0.0)
+        return [np.outer(late, np.ones(6)) for _ in ports]
+
+
+@pytest.mark.parametrize("compiles", [False, True])
+def test_what_becomes_no_number_in_flight_ends_it(compiles):
+    scenario = load_scenario("quintic", [CONSTANT])
+    loop = loop_with(scenario, compiles=compiles, load_disturbance=FailingPush)
+    assert loop.is_compiled == (compiles and compiler() is not None)
+    flight = loop.fly(loop.diagram.CreateDefaultContext())
+    flight.start()
+    while flight.samples < 10:
+        flight.advance(100)
+    with pytest.raises(NotFiniteError):
+        flight.advance(100)
+    assert flight.samples == 10
 
 
 def test_rows_of_another_size_are_named():

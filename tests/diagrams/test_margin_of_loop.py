@@ -61,12 +61,15 @@ POSITION_NOISE, ORIENTATION_NOISE = 1e-4, 2e-4  # m and rad
 
 
 @cache
-def margin_with(*overrides, name="three_carriers"):
+def margin_with(*overrides, name="three_carriers", simulated_drag=None):
     """The margin of a scenario's loop with exact references, and what it leaves out."""
     scenario = load_scenario(name, [*EXACT, "load_trajectory.start_time=1", *overrides])
-    model = Model(scenario.system, scenario.pattern, scenario.control_period)
+    model = plant = Model(scenario.system, scenario.pattern, scenario.control_period)
+    if simulated_drag is not None:
+        system = dataclasses.replace(scenario.system, load_drag=simulated_drag)
+        plant = Model(system, scenario.pattern, scenario.control_period)
     blocks = make_blocks(changed(scenario, ["optimization_layer=ConstantParameters"]))
-    return margin_of_loop(model, model, scenario.optimization_layer, blocks, 4.0)
+    return margin_of_loop(model, plant, scenario.optimization_layer, blocks, 4.0)
 
 
 @pytest.fixture(scope="module")
@@ -397,6 +400,15 @@ def test_a_heavier_load_slows_the_carriers_by_its_share(as_it_is):
     share = margin_with(auto, "optimization_layer.model_error=0.02").margin
     assert as_it_is.model == 0
     assert 0.01 * 0.55 < share.model < 0.05 * 2.0
+
+
+def test_a_drag_that_the_controllers_do_not_know_adds_what_its_force_does():
+    """0.7 N s/m is believed."""
+    wind = "wind=!SteadyWind {velocity: [0.2, 0, 0]}"
+    known, unknown = (margin_with(wind, simulated_drag=drag).margin for drag in (0.7, 1.0))
+    force = margin_with("load_disturbance=!DisturbanceForce {force: [0.06, 0, 0]}").margin
+    added = unknown.disturbance - known.disturbance
+    assert added == pytest.approx(force.disturbance, rel=0.1)
 
 
 @pytest.mark.nightly("studies")

@@ -240,7 +240,8 @@ def test_each_limit_is_kept_up_to_it_and_missed_beyond(limit):
     *parents, name = limit.path.split(".")
     owner = attrgetter(".".join(parents))(made.scenario)
     exact = value / limit.share_of(quantities)
-    for factor, is_kept in ((1.01, True), (0.99, False)):
+    within = [(1 - limit.tolerance / 2, True)] if limit.tolerance else []
+    for factor, is_kept in ((1.01, True), *within, (0.99, False)):
         setattr(owner, name, exact * (1 / factor if limit.is_least else factor))
         sentence = limit.complaint(RunQuantities(made.run()))
         assert (sentence is None) == is_kept
