@@ -2,6 +2,7 @@
 
 import functools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from drake_nonstop.simulation.formation import (
     cable_loads,
     find_formation,
     find_formation_remedies,
+    formation_at,
     growth_complaint,
 )
 from drake_nonstop.simulation.load_stability import LoadDeviations
@@ -84,6 +86,23 @@ def test_shares_and_elevations_of_a_carousel_are_those_of_its_cones():
         loads.elevations, math.atan2(mass * GRAVITY / 5, amplitude), rtol=1e-9
     )
     assert loads.least_tension == pytest.approx(math.hypot(mass * GRAVITY / 5, amplitude))
+
+
+@pytest.mark.parametrize("mass", [1.0, 1.1])
+def test_cables_carry_the_simulated_load(mass):
+    """Without internal forces four cables are vertical."""
+    of_no_interest = SimpleNamespace(growth=lambda *arguments, **named: None)
+    task = task_of(load_scenario("quintic", [f"simulated.load_mass={mass}"]))
+    parameters = np.array([2.0, 0.0])
+    at_rest = formation_at(task, of_no_interest, 0.0, parameters, None, in_samples=False)
+    assert at_rest.loads.least_tension == pytest.approx(mass * task.model.gravity / 4, rel=1e-9)
+
+
+@pytest.mark.parametrize("is_measured", [True, False])
+def test_the_attitude_of_a_task_is_measured_where_its_feedback_does(is_measured):
+    feedback = "IdealFeedback" if is_measured else "DesiredAttitudeFeedback"
+    task = task_of(load_scenario("quintic", [f"load_feedback={feedback}"]))
+    assert task.measures_attitude == is_measured
 
 
 def test_what_is_named_against_an_unstable_formation_makes_it_stable(unstable, monkeypatch):

@@ -11,6 +11,7 @@ from drake_nonstop.simulation.speed_check import (
     feasible_speeds,
     find_speed_remedies,
     problem_of,
+    set_over_time,
 )
 from drake_nonstop.simulation.task import task_of
 
@@ -26,6 +27,26 @@ def test_speeds_over_an_orbit_are_those_of_the_carriers_there():
         problem_of(task), task, times, task.nominal[:1, None], task.nominal[1:, None]
     )
     assert found[0, 0, 0] == pytest.approx(least, rel=2e-3)
+
+
+def test_a_wind_adds_its_square_to_the_mean_of_squared_airspeeds():
+    """Above a load at rest, over a turn, over which carriers move on the average nowhere."""
+    squares = []
+    for wind in ([], ["wind=!SteadyWind {velocity: [2, -1, 0]}"]):
+        given = ["system.load_drag=0", "optimization_layer=ConstantParameters", *wind]
+        task = task_of(load_scenario("aircraft_rest", given))
+        turn = 2 * np.pi / task.limits.frequency
+        times = np.linspace(0, turn, 24, endpoint=False)
+        squares.append((constant_speeds(task, times) ** 2).mean(axis=0))
+    np.testing.assert_allclose(squares[1] - squares[0], 5.0, rtol=1e-6)
+
+
+def test_the_set_over_time_is_shown_over_a_range_even_where_there_is_one_value():
+    bounds = "optimization_layer.frequency_bounds=[2, 2]"
+    task = task_of(load_scenario("quintic", [bounds, "simulation_duration=1"]))
+    times, values, ratios = set_over_time(task, check_speeds(task, is_quick=True), 0, count=3)
+    assert np.all(np.diff(values) > 0)
+    assert ratios.shape == (len(times), len(values)) == (3, 3)
 
 
 def test_a_bound_that_is_kept_and_one_out_of_reach():
