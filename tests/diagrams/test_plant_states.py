@@ -272,6 +272,22 @@ def test_a_state_that_the_port_does_not_show_is_refused_by_name(own, said):
         make_nonstop(short(0.1, "control_period=0.0"), **own)
 
 
+class RoundingLoad(MappedLoad):
+    """A load that sets its state to nine digits."""
+
+    def SetLoadState(self, context, value):  # noqa: N802
+        context.SetContinuousState(self.map @ (value * (1 + 1e-9) - self.shift))
+
+
+def test_a_state_far_away_may_be_shown_to_its_digits():
+    far = short(0.1, "load_trajectory.start_position=[1e3, 0, 0]")
+    loop = make_nonstop(far, at_equilibrium=False, load_plant=lambda model: RoundingLoad(model, 3))
+    context = loop.CreateDefaultContext()
+    set_equilibrium(loop, context)
+    shown = loop.GetOutputPort("load_state").Eval(context)
+    assert shown[4] == pytest.approx(1e3, abs=0.01)
+
+
 class LevelLoad(MappedLoad):
     """A load that does not turn, whatever pulls at it."""
 

@@ -91,6 +91,8 @@ def test_scenarios_read_back_and_need_at_rest_what_was_found(windy):
     assert np.max(np.abs(found.needs.bank)) == pytest.approx(flight.bank, rel=5e-3)
     assert np.max(found.needs.thrust) == pytest.approx(flight.thrust_max, rel=1e-3)
     assert found.drawn_power == pytest.approx(flight.power, rel=1e-3)
+    with_way = module.design_task(windy.request, 4, 24)
+    assert flight_of(with_way, formation.kind, formation.variables).power == flight.power
     assert found.turn == pytest.approx(2 * math.pi / formation.variables.frequency, rel=1e-4)
 
 
@@ -175,6 +177,10 @@ def test_what_is_printed_and_drawn(windy):
     flown = [RegionFlight("four", 0, 9.0, wind, how) for wind, how in ((1.0, KEPT), (9.0, LOST))]
     figure = make_region_figure({"four": [region]}, flown)
     assert len(figure.axes[0].lines) == 5  # the border, two flights, and both in the legend
+    flown = [RegionFlight("four", k, 9.0, 1.0, KEPT) for k in range(2)]
+    lines = make_region_figure({"four": [region, region]}, flown).axes[0].lines
+    first, second = (line.get_xdata()[0] for line in lines[2:4])  # behind the borders
+    assert 8.9 < first < 9.0 < second < 9.1
 
 
 def test_observers_have_the_largest_weight_at_which_a_flight_is_steady(windy, monkeypatch):
