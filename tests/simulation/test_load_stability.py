@@ -9,7 +9,8 @@ import pytest
 from drawn_tasks import carriers_task
 from helpers import nightly_beyond, regular
 
-from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS
+from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK
 from drake_nonstop.model.pattern import CarouselConfig, HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.loading import load_scenario
@@ -75,6 +76,18 @@ def test_growth_without_control_is_that_of_the_whole_loop_and_of_a_run(unstable)
     quick = task.deviations().growth(REST, task.nominal)
     assert quick.rate == pytest.approx(1.083, rel=0.02)
     assert quick.rate == pytest.approx(1.136, rel=0.1)
+
+
+def test_the_integral_of_the_position_stays_while_the_axes_turn():
+    """That of the attitude is in L, which turns with them."""
+    reference, rate = REST.copy(), np.array([0.1, -0.2, 0.7])
+    LoadReference.view(reference).angular_velocity[:] = rate
+    deviations = LoadDeviations(Model(SystemParameters(), CarouselConfig()))
+    (jacobian,) = deviations.jacobians(reference, np.array([2.0, 1.0]), np.zeros(1), NO_FEEDBACK)
+    own = [jacobian[start : start + 3, start : start + 3] for start in (12, 15)]
+    vector = np.array([0.3, 0.5, -0.4])
+    np.testing.assert_allclose(own[0] @ vector, 0, atol=1e-15)
+    np.testing.assert_allclose(own[1] @ vector, np.cross(vector, rate), rtol=1e-12)
 
 
 def test_shares_and_elevations_of_a_carousel_are_those_of_its_cones():
