@@ -1,7 +1,7 @@
 """The tiers of the suite, signals, and fixtures for all tests.
 
 A test without a mark is a unit or a short flight. `slow` ones are left out by `make quick`, and
-`nightly` ones, each of a class, are flown by `make nightly` only.
+`nightly` ones, each of a class, run in `make nightly` only.
 """
 
 import gc

@@ -1,7 +1,7 @@
 """The fleet: flights that many tests read, each flown once in a run of the suite.
 
 Its flights are the shipped scenarios and the `DRAWN` ones. Together they have every block of every
-box, every pattern, every outcome, and 3 to 8 carriers; `tests/evals/test_fleet.py` holds that. The
+box, every pattern, every outcome, and 3 to 8 carriers; `tests/test_fleet.py` holds that. The
 compiled engine flies them where it can. Those of `BY_BOTH_ENGINES` are flown by the diagram, too.
 """
 
@@ -48,7 +48,7 @@ _ONE_SAMPLE_AHEAD = [
     *("optimization_layer=NonstopOptimizer", "phase=AccumulatedPhase"),
     *("internal_force=InternalForceTrajectory", "carrier_trajectory.hold=velocity"),
 ]
-_IN_A_SECOND = "!RestToRest {displacement: [0.2, 0.1, 0.1], start_time: 0.2, move_time: 2.0}"
+_SHORT_MOTION = "!RestToRest {displacement: [0.2, 0.1, 0.1], start_time: 0.2, move_time: 2.0}"
 
 # The scenario that each starts from, and its overrides.
 DRAWN: dict[str, tuple[str, list[str]]] = {
@@ -104,7 +104,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
         [
             *_carriers(8, regular, simulation_duration=1.5),
             *("load_plant=MultibodyLoadPlant", "wind=!WindProfile {velocity: [0.5, 0, 0]}"),
-            f"load_trajectory={_IN_A_SECOND}",
+            f"load_trajectory={_SHORT_MOTION}",
             *("optimization_layer.amplitude=0.5", "optimization_layer.speed_bound=0.2"),
         ],
     ),
@@ -122,7 +122,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
         "quintic",
         [
             *("simulation_duration=4", "reference_governor={}", "carrier_dynamics=IdealCarriers"),
-            f"load_trajectory={_IN_A_SECOND}",
+            f"load_trajectory={_SHORT_MOTION}",
         ],
     ),
     "rigid_aircraft": (

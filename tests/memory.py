@@ -12,7 +12,7 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop.diagrams import compiled_loop
 from drake_nonstop.systems.block import LeafBlock
 
-MOST = 400_000_000  # bytes that a process has without looking for what it can free
+MOST = 400_000_000  # bytes: a process with less does not look for what it can free
 _STATISTICS = Path("/proc/self/statm")
 _PR_SET_PDEATHSIG = 1  # of prctl
 

@@ -9,7 +9,6 @@ import signal
 import socket
 import sys
 import threading
-import time
 import urllib.request
 
 import numpy as np
@@ -249,22 +248,22 @@ def test_view_serves_the_replay_until_it_is_interrupted(tmp_path, capsys):
     (tmp_path / "replay.html").write_text("<p>hello</p>")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    address, read = f"http://localhost:{port}/replay.html", []
+    address, read, has_ended = f"http://localhost:{port}/replay.html", [], threading.Event()
 
     def visit():
-        try:
-            for _ in range(600):
-                with contextlib.suppress(OSError):
-                    with urllib.request.urlopen(address, timeout=60) as page:
-                        read.append(page.read())
-                    return
-                time.sleep(0.05)
-        finally:
-            os.kill(os.getpid(), signal.SIGINT)
+        for _ in range(600):
+            with contextlib.suppress(OSError):
+                with urllib.request.urlopen(address, timeout=60) as page:
+                    read.append(page.read())
+                break
+            if has_ended.wait(0.05):
+                return  # the port was taken meanwhile, or it failed: an interrupt would end pytest
+        os.kill(os.getpid(), signal.SIGINT)
 
     visitor = threading.Thread(target=visit)
     visitor.start()
     code = main(["view", str(tmp_path), "--no-open", "--port", str(port)])
+    has_ended.set()
     visitor.join()
     assert read == [b"<p>hello</p>"]
     assert code == INTERRUPTED

@@ -89,7 +89,7 @@ def test_swapped_loop_runs(with_block, box, block):
 
 @pytest.mark.nightly("flights")
 def test_aircraft_are_swapped_for_points_and_back():
-    aircraft = load_scenario("aircraft_rest", ["simulation_duration=0.5"])
+    aircraft = load_scenario("aircraft_rest", ["simulation_duration=2"])
     boxes = ("carrier_controller", "carrier_dynamics")
     points = changed(aircraft, [f"{box}={NAMES[box][0]}" for box in boxes])
     assert "aircraft_state" not in simulate(points).signals

@@ -41,7 +41,10 @@ def renewed(name: str, kept: dict[str, Golden]) -> tuple[dict[str, Golden], dict
     different = differences(kept, numbers)
     if not different:
         return kept, {}
-    made = tolerances(numbers, [moved_numbers(name, share) for share in (MOVED, -MOVED)])
+    try:
+        made = tolerances(numbers, [moved_numbers(name, share) for share in (MOVED, -MOVED)])
+    except ValueError as error:
+        raise SystemExit(f"{name}: {error}; give the flight another duration") from None
     return {q: made[q] if q in different else kept[q] for q in numbers}, different
 
 

@@ -127,6 +127,10 @@ def tolerances(numbers: Numbers, moved: list[Numbers]) -> dict[str, Golden]:
         ValueError: the outcome hangs on the last digit, or other quantities are there.
     """
     found = {}
+    for other in moved:
+        if other.keys() != numbers.keys():
+            changed = sorted(other.keys() ^ numbers.keys())
+            raise ValueError(f"{changed[0]}: it comes or goes with the load's last digit")
     for quantity, value in numbers.items():
         if isinstance(value, str):
             if any(other[quantity] != value for other in moved):

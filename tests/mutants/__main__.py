@@ -16,7 +16,15 @@ from mutants import drawing
 from mutants.copies import Copy, EndedError, Processes, Ran
 from mutants.faults import FILE, ORIGINS, ROOT, Fault, FaultError, read_faults
 from mutants.results import LEAST_CAUGHT, LEAST_WITHOUT_GOLDEN, Result, line_of, summary
-from mutants.stages import Ending, Stage, files_of_tests, group_of, judge, stages_of
+from mutants.stages import (
+    TIME_LIMIT,
+    Ending,
+    Stage,
+    files_of_tests,
+    group_of,
+    judge,
+    stages_of,
+)
 
 _LEAST_LIMIT = 600.0  # s, of a stage, and of a group of tests of which no time is known
 _SLOWER = 3.0  # times as long as without a fault a stage may take
@@ -95,10 +103,13 @@ class _Copies:
                         result = result._replace(verdict=verdict, stage=stage.number)
                         break
             test = result.verdict.test
-            if test:
-                ran = copy.run_tests([test], self._limit(Stage(0, (test,))))
+            again = (test,) if test else ()
+            if result.verdict.by == TIME_LIMIT:
+                again = stage.tests
+            if again:
+                ran = copy.run_tests(again, self._limit(Stage(0, again)))
                 if judge(ran.code, ran.output).ending is Ending.CAUGHT:
-                    said = f"{test} fails now and then without the fault, too"
+                    said = f"{test or TIME_LIMIT} ends it now and then without the fault, too"
                     result = result._replace(
                         verdict=result.verdict._replace(ending=Ending.UNCLEAR, by=said)
                     )

@@ -12,6 +12,7 @@ _WHOLE = ("evals",)  # rooms that judge whole loops: the first ones after a faul
 
 # What the end of a process by a signal says: these are what a fault does, others what was done to
 # the process, such as by the system where memory is short.
+TIME_LIMIT = "time limit"  # what ends a stage that takes too long
 _CRASHES = (signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGSEGV)
 # A file, or a test with what it is parametrized by.
 _SUMMARY = re.compile(r"^(?:FAILED|ERROR) (\S+?\.py(?:::[^\[\s]+(?:\[.*?\](?= - |$))?)?)", re.M)
@@ -99,7 +100,7 @@ def judge(code: int | None, output: str) -> Verdict:
         output: of pytest.
     """
     if code is None:
-        return Verdict(Ending.CAUGHT, "time limit")
+        return Verdict(Ending.CAUGHT, TIME_LIMIT)
     if code == 0:
         return Verdict(Ending.PASSED)
     if code == 5:
