@@ -1,5 +1,8 @@
 """Whether a task's bound can be kept."""
 
+import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +50,17 @@ def test_the_set_over_time_is_shown_over_a_range_even_where_there_is_one_value()
     times, values, ratios = set_over_time(task, check_speeds(task, is_quick=True), 0, count=3)
     assert np.all(np.diff(values) > 0)
     assert ratios.shape == (len(times), len(values)) == (3, 3)
+
+
+@pytest.mark.parametrize(("order", "is_planned"), [(1, True), (2, False)])
+def test_patterns_of_the_first_order_alone_are_planned(order, is_planned):
+    task = task_of(load_scenario("quintic", ["simulation_duration=1"]))
+    found = check_speeds(task, is_quick=True)
+    pattern = task.model.pattern
+    model = copy.copy(task.model)
+    model.pattern = replace(pattern, harmonics=(order,) * len(pattern.phases))
+    of_pattern = set_over_time(replace(task, model=model), found, 0, count=3)
+    assert (of_pattern is not None) == is_planned
 
 
 def test_a_bound_that_is_kept_and_one_out_of_reach():
