@@ -75,7 +75,7 @@ def loop_of(scenario: Scenario, step: float) -> CompiledLoop:
     config = copy.deepcopy(scenario.simulator_config)
     config.max_step_size = step
     shown = min(0.01, scenario.control_period)
-    options = {"signal_period": shown, "compiles": False}
+    options = {"signal_period": shown, "compiles": False, "samples": 1}  # short flights
     return CompiledLoop(diagram, config, scenario.control_period, **options)
 
 

@@ -12,7 +12,7 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop.diagrams import compiled_loop
 from drake_nonstop.systems.block import LeafBlock
 
-MOST = 400_000_000  # bytes: a process with less does not look for what it can free
+MOST = 500_000_000  # bytes: a process with less does not look for what it can free
 _STATISTICS = Path("/proc/self/statm")
 _PR_SET_PDEATHSIG = 1  # of prctl
 
@@ -38,7 +38,7 @@ def free_memory() -> None:
     gc.collect()
     with contextlib.suppress(OSError, AttributeError):  # another C library than GNU's
         ctypes.CDLL("libc.so.6").malloc_trim(0)
-    _next = max(MOST, _resident() + MOST // 10)
+    _next = max(MOST, _resident() + MOST // 5)
 
 
 def _resident() -> int:

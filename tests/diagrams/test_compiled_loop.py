@@ -43,6 +43,8 @@ def traced(scenario, **options):
     context = diagram.CreateDefaultContext()
     config = stable_config(scenario.simulator_config, diagram, context)
     shown = min(0.01, scenario.control_period)
+    if options.get("compiles") is False:
+        options = {"samples": 1, **options}  # short flights
     loop = CompiledLoop(diagram, config, scenario.control_period, signal_period=shown, **options)
     return loop, context
 
@@ -499,7 +501,10 @@ class NarrowRows(LeafBlock):
 
 def loop_with(scenario, *, compiles=False, **replacements):
     diagram = make_nonstop(scenario, **replacements)
-    return CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=compiles)
+    samples = None if compiles else 1
+    return CompiledLoop(
+        diagram, scenario.simulator_config, 0.01, compiles=compiles, samples=samples
+    )
 
 
 def test_a_block_below_one_with_rows_shows_its_own_values():

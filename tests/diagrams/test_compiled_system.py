@@ -17,7 +17,8 @@ NONSTOP = "optimization_layer=NonstopOptimizer"
 def loop_of(*overrides, **options):
     scenario = load_scenario("quintic", overrides)
     diagram = make_nonstop(scenario)
-    return CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False, **options)
+    given = {"compiles": False, "samples": 1, **options}
+    return CompiledLoop(diagram, scenario.simulator_config, 0.01, **given)
 
 
 def logged(system, name):
