@@ -194,12 +194,15 @@ class CompiledLoop:
             require_known(name, [*sizes], "signals", name)
         self.signals = {name: sizes[name] for name in (sizes if signals is None else signals)}
         self.step_signals = {name: sizes[name] for name in step_signals}
-        self._compiles = compiles
-        self._functions.prepare(samples, compiles)
+        self._compiles, self._samples = compiles, samples
+        if compiles:
+            _ = self._functions  # now, so that no flight waits for it
 
     @cached_property
     def _functions(self) -> LoopFunctions:
-        return _recent_functions.get(self._key(), self._traced)
+        functions = _recent_functions.get(self._key(), self._traced)
+        functions.prepare(self._samples, self._compiles)
+        return functions
 
     @cached_property
     def _content(self) -> Any:

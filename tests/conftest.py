@@ -2,6 +2,8 @@
 
 A test without a mark is a unit or a short flight. `slow` ones are left out by `make quick`, and
 `nightly` ones, each of a class, run in `make nightly` only.
+
+What loads Drake is imported by the fixtures: the process that starts the workers needs none of it.
 """
 
 import gc
@@ -9,14 +11,13 @@ import os
 import random
 import signal
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from fleet import Fleet
-from memory import free_memory
-from pages import WatchedPage, page_or_skip
 
-from drake_nonstop.studies import results_folder
+if TYPE_CHECKING:
+    from fleet import Fleet
 
 # Why a test takes longer than `make test` can wait: the classes of `nightly`.
 CLASSES = {
@@ -73,6 +74,8 @@ def pytest_collection_finish() -> None:
 @pytest.fixture(scope="module", autouse=True)
 def little_memory() -> Iterator[None]:
     """After a module what its tests have left behind is freed, if it is much."""
+    from memory import free_memory
+
     yield
     free_memory()
 
@@ -84,8 +87,10 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def fleet(tmp_path_factory) -> Iterator[Fleet]:
+def fleet(tmp_path_factory) -> "Iterator[Fleet]":
     """Flights that all tests of all workers share."""
+    from fleet import Fleet
+
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent  # each worker has a folder of its own in it
@@ -98,12 +103,16 @@ def fleet(tmp_path_factory) -> Iterator[Fleet]:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Results without the drawing of their diagrams, which takes longer than a short flight."""
+    from drake_nonstop.studies import results_folder
+
     monkeypatch.setattr(results_folder, "draw_diagram", lambda diagram: "<svg/>")
 
 
 @pytest.fixture
 def watched():
     """A new page of a headless Chromium."""
+    from pages import WatchedPage, page_or_skip
+
     with page_or_skip() as page:
         yield WatchedPage(page)
 
@@ -111,5 +120,7 @@ def watched():
 @pytest.fixture
 def needs_browser():
     """For a test whose subject opens a browser of its own."""
+    from pages import page_or_skip
+
     with page_or_skip():
         pass

@@ -49,6 +49,7 @@ def test_errors_are_the_largest_of_any_sample_and_carrier(results):
     assert default["speed_error"] == pytest.approx(off, rel=1e-9)
 
 
+@pytest.mark.nightly("benchmarks")
 def test_a_run_that_diverges_is_reported(results):
     row = results["runs"][-1]
     assert "diverged" in row["stopped"]

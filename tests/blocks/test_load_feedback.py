@@ -133,7 +133,7 @@ def estimated(config, states):
     return np.array(shown)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly("studies")
 def test_errors_of_a_long_record_have_the_deviations_of_the_riccati_equation():
     config = EstimatedFeedbackConfig(
         position_noise=0.01,

@@ -100,7 +100,7 @@ def test_a_profile_follows_the_power_law():
 
 
 class TestGusts:
-    @pytest.mark.slow
+    @pytest.mark.nightly("studies")
     def test_deviation_correlation_and_independence_over_seeds(self):
         """Against E x_i(t) x_j(t + s) = δ_ij σ² exp(−|s|/τ)."""
         tau, lags = 50 / 15, np.array([0.0, 0.3, 1.0, 2.0])

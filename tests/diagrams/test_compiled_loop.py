@@ -98,7 +98,7 @@ MIXED = [
 ]
 
 
-@pytest.mark.parametrize("overrides", nightly_beyond(2, "engines", MIXED))
+@pytest.mark.parametrize("overrides", nightly_beyond(1, "engines", MIXED))
 def test_mixed_blocks_are_the_same(overrides):
     scenario = load_scenario("quintic", overrides)
     assert_equal(scenario, *traced(scenario, compiles=False))
@@ -470,7 +470,8 @@ def test_rows_for_many_times_are_what_the_ports_show(box, name, fields):
     assert any(np.ptp(values, axis=0).max() > 0.01 for values in rows)
 
 
-@pytest.mark.parametrize("seed", nightly_beyond(1, "engines", [39, 0, 1, 4]))
+@pytest.mark.nightly("engines")
+@pytest.mark.parametrize("seed", [39, 0, 1, 4])
 def test_drawn_blocks_and_up_to_16_carriers_are_the_same(seed):
     difference, signal = largest_difference(drawn_loop(seed))
     assert difference < 1e-9, signal

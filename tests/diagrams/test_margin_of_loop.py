@@ -280,6 +280,7 @@ OF_LOOPS = {
 }
 
 
+@pytest.mark.nightly("studies")
 @pytest.mark.parametrize(("overrides", "shares"), OF_LOOPS.values(), ids=OF_LOOPS)
 def test_shares_of_known_loops_are_these(overrides, shares):
     """Of four loops that have all shares between them; a share that is left out is 0."""

@@ -95,6 +95,7 @@ def commanded_jumps(run):
     return np.abs(moved - flown).max(axis=1)
 
 
+@pytest.mark.nightly("flights")
 def test_a_raised_bound_is_kept_after_its_time_and_reached_smoothly(monkeypatch, fleet):
     (run,) = live_runs(
         short(4.5), [(0.5, lambda page: page.SetSliderValue(live.BOUND, 0.88))], monkeypatch
