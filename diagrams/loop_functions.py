@@ -113,8 +113,9 @@ class LoopFunction:
         stacked = casadi.vertcat(*arguments, outside)
         checked = results[:-2] if is_whole else results  # not what tells of updates to be made
         norm = casadi.sumsqr(casadi.vertcat(*checked))
-        self._traced = [stacked], [*results, norm]
-        self.function = casadi.Function("loop", *self._traced)
+        results = [*results, norm]
+        self._not_short: tuple[casadi.SX, list[casadi.SX]] | None = (stacked, results)
+        self.function = casadi.Function("loop", [stacked], results)
         self.compiled: Compiled | None = None  # the same, as C
         self.tolerance = search.tolerance if search is not None else 0.0
         self._others = [] if search is None else search.functions
@@ -122,15 +123,14 @@ class LoopFunction:
         if is_whole:
             own = _NO_SEARCH if search is None else search.text
             self._besides = f"{own}#define FOUND_SIZE {FOUND_SIZE}\n{_FLY_SAMPLES}"
-        self._is_short = self._is_looked_for = self._is_tried = False
+        self._is_looked_for = self._is_tried = False  # in the cache, to compile it
 
     def shorten(self) -> None:
         """Computes what is the same in two places once; the numbers stay, to the bit."""
-        if not self._is_short:
-            arguments, results = self._traced
-            self._traced = arguments, casadi.cse(results)
-            self.function = casadi.Function("loop", *self._traced)
-        self._is_short = True
+        if self._not_short is not None:
+            stacked, results = self._not_short
+            self.function = casadi.Function("loop", [stacked], casadi.cse(results))
+            self._not_short = None
 
     def compile(self, builds: bool) -> None:
         """Takes C that is in the cache, or builds it."""

@@ -10,9 +10,9 @@ from typing import NamedTuple
 GOLDEN, OWN = "golden", "mutants"  # folders of tests
 _WHOLE = ("evals",)  # rooms that judge whole loops: the first ones after a fault's own room
 
+TIME_LIMIT = "time limit"  # what ends a stage that takes too long
 # What the end of a process by a signal says: these are what a fault does, others what was done to
 # the process, such as by the system where memory is short.
-TIME_LIMIT = "time limit"  # what ends a stage that takes too long
 _CRASHES = (signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGSEGV)
 # A file, or a test with what it is parametrized by.
 _SUMMARY = re.compile(r"^(?:FAILED|ERROR) (\S+?\.py(?:::[^\[\s]+(?:\[.*?\](?= - |$))?)?)", re.M)
