@@ -26,6 +26,19 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
+@pytest.fixture
+def use_compiler(tmp_path, monkeypatch):
+    """A function that makes a shell script the compiler."""
+
+    def use(script):
+        own = tmp_path / "own"
+        own.write_text(f"#!/bin/sh\n{script}\n")
+        own.chmod(0o755)
+        monkeypatch.setenv("CC", str(own))
+
+    return use
+
+
 def function(factor=2.0, name="f"):
     x = casadi.SX.sym("x", 2)
     return casadi.Function(name, [x], [casadi.vertcat(factor * casadi.sin(x[0]), x[1] ** 2)])
@@ -102,23 +115,16 @@ def test_an_entry_that_is_not_sound_is_built_again(folder, damage, tmp_path):
 
 
 @needs_compiler
-def test_a_version_that_is_no_utf_8_is_none_the_less_a_version(monkeypatch, tmp_path):
-    own = tmp_path / "own"
-    own.write_text(
-        "#!/bin/sh\n"
-        "[ $1 = --version ] && printf 'gcc \\251 FSF\\n' && exit 0\n"
-        f'exec {compiler()} "$@"\n'
-    )
-    own.chmod(0o755)
-    monkeypatch.setenv("CC", str(own))
+def test_a_version_that_is_no_utf_8_is_none_the_less_a_version(use_compiler):
+    version = "[ $1 = --version ] && printf 'gcc \\251 FSF\\n' && exit 0"
+    use_compiler(f'{version}\nexec {compiler()} "$@"')
     assert values(compiled([function()]).function)[1] == 1.5**2
 
 
-def test_a_compiler_that_does_not_answer_is_told_and_asked_once(monkeypatch, tmp_path):
-    own = tmp_path / "own"
-    own.write_text(f"#!/bin/sh\necho asked >> {tmp_path}/times\nexec sleep 60\n")
-    own.chmod(0o755)
-    monkeypatch.setenv("CC", str(own))
+def test_a_compiler_that_does_not_answer_is_told_and_asked_once(
+    use_compiler, monkeypatch, tmp_path
+):
+    use_compiler(f"echo asked >> {tmp_path}/times\nexec sleep 60")
     monkeypatch.setattr(compilation, "_VERSION_TIME_LIMIT", 0.5)
     with pytest.warns(ScenarioWarning, match=r"does not tell its version within 0\.5 s"):
         assert compiled([function()]) is None
@@ -159,23 +165,17 @@ def test_without_a_compiler_one_line_tells_it_once(monkeypatch):
         assert compiled([function()]) is None
 
 
-def test_a_compiler_that_fails_is_told(monkeypatch, tmp_path, folder):
-    failing = tmp_path / "failing"
-    failing.write_text("#!/bin/sh\n[ $1 = --version ] && exit 0\necho out of memory >&2\nexit 1\n")
-    failing.chmod(0o755)
-    monkeypatch.setenv("CC", str(failing))
-    with pytest.warns(ScenarioWarning, match=r"failing failed \(out of memory\)"):
+def test_a_compiler_that_fails_is_told(use_compiler, folder):
+    use_compiler("[ $1 = --version ] && exit 0\necho out of memory >&2\nexit 1")
+    with pytest.warns(ScenarioWarning, match=r"own failed \(out of memory\)"):
         made = compiled([function()])
     assert made is None
     assert not [*folder.glob("*.so")]
     assert not [*folder.glob(".new-*")]
 
 
-def test_a_compiler_that_makes_what_cannot_be_loaded_is_told(monkeypatch, tmp_path, folder):
-    other = tmp_path / "other"
-    other.write_text("#!/bin/sh\nwhile [ $# -gt 1 ]; do [ $1 = -o ] && echo no > $2; shift; done\n")
-    other.chmod(0o755)
-    monkeypatch.setenv("CC", str(other))
+def test_a_compiler_that_makes_what_cannot_be_loaded_is_told(use_compiler, folder):
+    use_compiler("while [ $# -gt 1 ]; do [ $1 = -o ] && echo no > $2; shift; done")
     with pytest.warns(ScenarioWarning, match="cannot be loaded"):
         made = compiled([function()])
     assert made is None
