@@ -108,27 +108,34 @@ class TurnRateSolver:
         wanted = (update.previous + weight * update.nominal) / (1 + weight)
         wanted = min(max(wanted, update.low), update.high)
 
+        def at(rate: float) -> tuple[NDArray, NDArray]:
+            return self.margins(update, np.array([rate]))
+
         def worst(rates: NDArray) -> NDArray:
             return self.margins(update, rates)[0].min(axis=0)
 
-        if worst(np.array([wanted]))[0] >= -FEASIBILITY_TOLERANCE:
+        margins, slowest = at(wanted)
+        if margins.min() >= -FEASIBILITY_TOLERANCE:
             is_kept = abs(wanted - update.previous) <= _TOLERANCE * update.previous
-            return self._answer(update, wanted, Outcome.KEPT if is_kept else Outcome.SOLVED)
+            outcome = Outcome.KEPT if is_kept else Outcome.SOLVED
+            return self._answer(wanted, outcome, margins, slowest)
         intervals = allowed_intervals(worst, update.low, update.high, previous)
         if intervals:
             nearest = [min(max(wanted, low), high) for low, high in intervals]
             rate = min(nearest, key=lambda rate: abs(rate - wanted))
-            return self._answer(update, rate, Outcome.SOLVED)
+            return self._answer(rate, Outcome.SOLVED, *at(rate))
         rates = np.append(np.geomspace(update.low, update.high, _RATES), previous)
         margins, _ = self.margins(update, rates)
         # As of other searches: the speeds first, and where they are kept what lacks the least.
         order = np.lexsort([margins.min(axis=0), np.minimum(margins[0], 0.0)])
         rate = float(rates[order[-1]])
         is_held = abs(rate - update.previous) <= _TOLERANCE * update.previous
-        return self._answer(update, rate, Outcome.HELD if is_held else Outcome.RELAXED)
+        return self._answer(rate, Outcome.HELD if is_held else Outcome.RELAXED, *at(rate))
 
-    def _answer(self, update: TurnUpdate, rate: float, outcome: Outcome) -> TurnAnswer:
-        margins, slowest = self.margins(update, np.array([rate]))
+    def _answer(
+        self, rate: float, outcome: Outcome, margins: NDArray, slowest: NDArray
+    ) -> TurnAnswer:
+        """The answer with a rate and its `margins`."""
         kinds = ["airspeed", *self._limits.kinds]
         missed = [
             kind
