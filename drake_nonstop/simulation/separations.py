@@ -87,16 +87,20 @@ def _pairs(*points: NDArray) -> Iterator[tuple[int, int, list[NDArray], list[NDA
     """The points (k, n, 3) of one (s, 1, 3) and of all that follow (s, m, 3), some steps at a time.
 
     With the first step and the number of the one. The last step of some is the first of the next.
-    The components are laid out apart, which is several times faster.
     """
     steps, count = points[0].shape[:2]
     at_once = max(2, _MOST_DISTANCES // count)
     for start in range(0, max(1, steps - 1), at_once - 1):
         some = slice(start, start + at_once)
-        parts = [np.moveaxis(np.moveaxis(part[some], 2, 0).copy(), 0, 2) for part in points]
+        parts = [_laid_apart(part[some]) for part in points]
         for i in range(count - 1):
             one = [part[:, i : i + 1] for part in parts]
             yield start, i, one, [part[:, i + 1 :] for part in parts]
+
+
+def _laid_apart(vectors: NDArray) -> NDArray:
+    """The same vectors (…, 3) with their components apart in memory: several times faster."""
+    return np.moveaxis(np.moveaxis(vectors, -1, 0).copy(), 0, -1)
 
 
 def _least_of_pairs(distances: Callable[..., NDArray], *points: NDArray) -> NDArray:
@@ -128,7 +132,7 @@ def _least_segment_distances(
     other = np.stack([c, d])
     starts = np.concatenate([one[:, interval], other[:, interval, pair]])
     ends = np.concatenate([one[:, interval + 1], other[:, interval + 1, pair]])
-    changes = ends - starts
+    starts, changes = _laid_apart(starts), _laid_apart(ends - starts)
     low, width = np.zeros(len(interval)), 1.0
     for _ in range(_REFINEMENTS):  # about the nearest of some instants in each interval
         shares = (low + width * np.linspace(0, 1, _PARTS + 1)[:, None]).clip(0, 1)
