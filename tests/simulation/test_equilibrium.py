@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 from helpers import nightly_beyond
 
+from drake_nonstop.diagrams.equilibrium import set_equilibrium
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.diagrams.plant_states import PlantStates
 from drake_nonstop.mechanics.signals import LoadReference, LoadState
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
@@ -85,3 +88,20 @@ BEYOND = [  # settings, and the blocks whose signals they make too large
 def test_a_value_that_is_not_finite_at_the_start_names_its_block(override, block, engine):
     with pytest.raises(ScenarioError, match=f"start = ({block}): it makes a value"):
         simulate(short(override, f"engine={engine}"))
+
+
+@pytest.mark.parametrize("scenario", ["paper_quintic", "aircraft_rest"])
+def test_a_load_at_its_equilibrium_stays_there_to_the_bit(scenario, monkeypatch):
+    nonstop = make_nonstop(load_scenario(scenario))
+    context = nonstop.CreateDefaultContext()
+    before = context.get_continuous_state_vector().CopyToVector()
+    looked, look = [], PlantStates.load_acceleration
+
+    def counted(states, trial):
+        looked.append(trial)
+        return look(states, trial)
+
+    monkeypatch.setattr(PlantStates, "load_acceleration", counted)
+    set_equilibrium(nonstop, context)
+    np.testing.assert_array_equal(context.get_continuous_state_vector().CopyToVector(), before)
+    assert len(looked) == 1
