@@ -314,6 +314,15 @@ def is_number(value: Any) -> bool:
         return False
 
 
+def finite(value: Any) -> Any:
+    """The value, with None for each number in its dictionaries and lists that is not finite."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _shown(value: Any) -> str:
     try:
         text = " ".join(str(value).split())

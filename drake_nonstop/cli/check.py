@@ -1,7 +1,6 @@
 """`drake-nonstop check`: whether a scenario's task can be flown, before it is."""
 
 import argparse
-import json
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
@@ -13,7 +12,7 @@ from drake_nonstop.simulation.aircraft_margins import (
     margins_table,
 )
 from drake_nonstop.simulation.task_check import check_task, task_dictionary, task_table
-from drake_nonstop.studies.files import replacing_files, require_writable
+from drake_nonstop.studies.files import replacing_files, require_writable, write_json
 from drake_nonstop.studies.results_folder import default_folder, require_no_other_run
 from drake_nonstop.visualization.check_figure import make_check_figure
 from drake_nonstop.visualization.figure_style import require_drawing
@@ -56,8 +55,7 @@ def _check(options: argparse.Namespace) -> int:
     require_writable(folder, files)
     with replacing_files(folder, files) as new:
         (new / _SCENARIO).write_text(dump_scenario(scenario), encoding="utf-8")
-        text = json.dumps(report, indent=2, allow_nan=False)
-        (new / _DATA).write_text(text + "\n", encoding="utf-8")
+        write_json(new / _DATA, report)
         for name, figure in figures.items():
             figure.savefig(new / name, dpi=150)
     print(task_table(found))

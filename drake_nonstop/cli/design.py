@@ -1,14 +1,13 @@
 """`drake-nonstop design`: formations of aircraft for a load, and scenarios that fly them."""
 
 import argparse
-import json
 import os
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.scenario.loading import dump_scenario
-from drake_nonstop.studies.files import read_regular, replacing_files, require_writable
+from drake_nonstop.studies.files import read_regular, replacing_files, require_writable, write_json
 from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
@@ -76,8 +75,7 @@ def _design(options: argparse.Namespace) -> int:
         found = design(request, progress)
     with replacing_files(folder, files) as new:
         (new / _REQUEST).write_text(text, encoding="utf-8")
-        report = json.dumps(design_dictionary(found), indent=2, allow_nan=False)
-        (new / _DATA).write_text(report + "\n", encoding="utf-8")
+        write_json(new / _DATA, design_dictionary(found))
         for formation in found.formations:
             path = new / f"{formation.scenario.name}.yaml"
             path.write_text(dump_scenario(formation.scenario), encoding="utf-8")

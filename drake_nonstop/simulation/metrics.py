@@ -18,6 +18,7 @@ from drake_nonstop.optimization.diagnostics import MissedLimits
 from drake_nonstop.simulation.outcome import find_warnings, judge
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.validation import finite
 from drake_nonstop.version import __version__
 
 _MOST_SENTENCES = 3  # of a list, in what is printed
@@ -35,7 +36,8 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     it and the turn radius are not meaningful where a carrier nearly stops. Turns and accelerations
     are measured over 0.1 s of the path: over less a carrier follows the ripple of its sampled
     reference. What was not measured, such as the solve times of a layer that solves nothing or the
-    delay of a reference without a governor, is None. The group `aircraft` is that of the simulated
+    delay of a reference without a governor, is None, and so is what is not finite, as of a run
+    that a block's NaN ended. The group `aircraft` is that of the simulated
     aircraft, see `AircraftQuantities`, and is missing where there are none. `outcome` is a
     `RunOutcome`, `reasons` and `warnings` are sentences.
     """
@@ -48,7 +50,7 @@ def compute_metrics(run: Run) -> dict[str, Any]:
         group = values
         for key in groups:
             group = group.setdefault(key, {})
-        group[name] = metric.measure(quantities)
+        group[name] = finite(metric.measure(quantities))
     if run.half_step is not None:
         values["half_step"] = run.half_step
     values["versions"] = {
@@ -157,7 +159,7 @@ class Metric:
         return value if self.scale == 1 or value is None else self.scale * value
 
 
-def _missed(limit: str) -> Callable[[RunQuantities], int]:
+def _missed(limit: str) -> Callable[[RunQuantities], float]:
     """How many updates miss the limit of that name."""
     return lambda run: run.missed_limits[limit]
 

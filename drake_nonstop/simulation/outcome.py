@@ -234,7 +234,7 @@ def find_warnings(run: RunQuantities) -> list[str]:
         if limit.outcome is None and (sentence := limit.complaint(run)) is not None
     ]
     unsolved = run.update_counts["relaxed"] + run.update_counts["held"]
-    if unsolved:
+    if unsolved > 0:  # and not NaN
         found.append(f"no xi and A kept the constraints at {unsolved} updates (relaxed, held)")
     return found
 

@@ -27,6 +27,7 @@ from drake_nonstop.simulation.separations import (
     least_carrier_distance,
     least_length,
 )
+from drake_nonstop.systems.tracing import NotFiniteError
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
@@ -292,12 +293,12 @@ class RunQuantities:
         return float(np.min(self.bounded_speeds - self.speed_bounds[:, None]))
 
     @cached_property
-    def missed_limits(self) -> dict[str, int]:
+    def missed_limits(self) -> dict[str, float]:
         """How many updates ended without keeping a limit of aircraft, by its name."""
         if "missed_limits" not in self.run.steps:
             return dict.fromkeys(MissedLimits._fields, 0)
         last = MissedLimits.view(self.run.steps["missed_limits"][-1])
-        return {name: int(count) for name, count in last._asdict().items()}
+        return {name: _count(count) for name, count in last._asdict().items()}
 
     @cached_property
     def carrier_separation(self) -> float:
@@ -349,7 +350,10 @@ class RunQuantities:
     @cached_property
     def measured_margin(self) -> float | None:
         """By how much a carrier was slower than planned, m/s; None: unknown."""
-        return largest_shortfall(self.run)
+        try:
+            return largest_shortfall(self.run)
+        except NotFiniteError:  # no speeds follow from such a reference
+            return None
 
     def share_of_bound(self, speed: float | None) -> float | None:
         """A speed (m/s) in units of the last bound; None where there is none."""
@@ -357,12 +361,12 @@ class RunQuantities:
         return None if speed is None or bound == 0 else speed / bound
 
     @cached_property
-    def update_counts(self) -> dict[str, int]:
+    def update_counts(self) -> dict[str, float]:
         """How many updates of the optimization layer there were, and how they ended."""
         if "diagnostics" not in self.run.steps:
             return dict.fromkeys(_UPDATE_COUNTS, 0)
         diagnostics = Diagnostics.view(self.run.steps["diagnostics"][-1])
-        return {name: int(getattr(diagnostics, name)) for name in _UPDATE_COUNTS}
+        return {name: _count(getattr(diagnostics, name)) for name in _UPDATE_COUNTS}
 
     @cached_property
     def solve_times(self) -> dict[str, float | None]:
@@ -385,6 +389,11 @@ class RunQuantities:
         intervals = np.diff(self.time)
         weights = np.concatenate([intervals, [0.0]]) + np.concatenate([[0.0], intervals])
         return float(np.sum(weights[condition]) / 2)
+
+
+def _count(value: float) -> float:
+    """A count in a signal as a whole number; one that is not finite as it is."""
+    return int(value) if math.isfinite(value) else float(value)
 
 
 def load_errors(run: Run) -> tuple[NDArray, NDArray]:

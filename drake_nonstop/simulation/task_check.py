@@ -23,6 +23,7 @@ from drake_nonstop.simulation.speed_check import (
     find_speed_remedies,
 )
 from drake_nonstop.simulation.task import Task, task_of
+from drake_nonstop.validation import finite
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,10 +105,6 @@ class TaskCheck:
 
 def _without(instant: FormationInstant) -> str:
     return "" if instant.controlled is None else f", and by {instant.free.rate:.2g} without control"
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def check_task(scenario: Scenario) -> TaskCheck:
@@ -218,7 +215,7 @@ def task_dictionary(found: TaskCheck) -> dict[str, Any]:
             "verdict": of_formation,
             "is_stable": formation.is_stable,
             "growth": formation.growth,
-            "growth_in_samples": _number(formation.sampled_growth),
+            "growth_in_samples": finite(formation.sampled_growth),
             "remedies": [*found.formation_remedies],
             "instants": [
                 {
@@ -226,8 +223,8 @@ def task_dictionary(found: TaskCheck) -> dict[str, Any]:
                     "frequency_rad_s": float(instant.parameters[0]),
                     "amplitude_N": float(instant.parameters[1]),
                     "rate_1_s": instant.controlled and instant.controlled.rate,
-                    "rate_in_samples_1_s": _number(instant.sampled.rate),
-                    "growth_in_a_turn_in_samples": _number(instant.sampled.in_turn),
+                    "rate_in_samples_1_s": finite(instant.sampled.rate),
+                    "growth_in_a_turn_in_samples": finite(instant.sampled.in_turn),
                     "rate_without_control_1_s": instant.free.rate,
                     "largest_multiplier": float(
                         abs((instant.controlled or instant.free).multipliers[0])

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from drake_nonstop.simulation.interruption import before_end
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, finite, require
 
 _NEW = ".new-"  # how the names of files and folders begin that are being written
 _YOUNGEST_STALE = 1.0  # s; a younger one may not be locked yet
@@ -247,9 +247,12 @@ def read_regular(path: Path) -> bytes:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Writes the data to a file, which replaces `path` once it is complete."""
+    """Writes the data to a file, which replaces `path` once it is complete.
+
+    Numbers that are not finite, which JSON does not have, are null.
+    """
     with replacing_file(path) as file:
-        file.write((json.dumps(data, indent=2) + "\n").encode())
+        file.write((json.dumps(finite(data), indent=2, allow_nan=False) + "\n").encode())
 
 
 def _cause(error: OSError | ValueError) -> str:

@@ -27,6 +27,7 @@ from drake_nonstop.studies.files import (
     read_regular,
     replacing_files,
     require_writable,
+    write_json,
 )
 from drake_nonstop.studies.journal import journalled_settings, own_code_of
 from drake_nonstop.validation import require, require_flags
@@ -183,8 +184,7 @@ def write_data(run: Run, folder: Path | str, own_code: str | None = None) -> dic
         metrics["versions"][_OWN_CODE] = own_code
     with replacing_files(folder, _DATA) as new:
         (new / SCENARIO).write_text(scenario, encoding="utf-8")
-        text = json.dumps(metrics, indent=2, allow_nan=False)
-        (new / _METRICS).write_text(text + "\n", encoding="utf-8")
+        write_json(new / _METRICS, metrics)
         write_signals(new / SIGNALS, run)
         write_steps(new / STEPS, run)
         is_other = _flight_in(folder) != _flight_in(new)

@@ -22,5 +22,5 @@ def make_shades(colours: list[str]) -> list[Colour]:
 
 
 def pick_shade(shades: list[Colour], share: float) -> Colour:
-    """The shade at a share of the range: the first at 0 and below, the last from 1 up."""
-    return shades[round(min(max(share, 0.0), 1.0) * (SHADES - 1))]
+    """The shade at a share of the range: the first at 0, below and at NaN, the last from 1 up."""
+    return shades[round(min(max(0.0, share), 1.0) * (SHADES - 1))]

@@ -62,7 +62,7 @@ def _draw_carrier_paths_zoomed(run: Run) -> Figure:
     speeds = carrier_speeds(run.signal("carrier_state")).min(axis=1)
     slowest = run.time[np.argmin(speeds)]
     turn = 2 * np.pi / max(abs(run.signal("parameters")[np.argmin(speeds), 0]), 1e-9)
-    shown = np.flatnonzero(np.abs(run.time - slowest) <= turn)
+    shown = np.flatnonzero(~(np.abs(run.time - slowest) > turn))  # all, where the turn is NaN
     figure, axes = _single()
     _draw_from_above(run, axes, shown)
     start, end = run.time[shown[[0, -1]]]

@@ -17,9 +17,12 @@ from drake_nonstop import (
     write_results,
 )
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
+from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE, MISSED_LIMITS_SIZE
+from drake_nonstop.simulation.metrics import metrics_table
 from drake_nonstop.simulation.signal_table import UnknownSignalError
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.visualization.replay import record_replay
+from drake_nonstop.visualization.run_figures import make_figure
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -57,6 +60,42 @@ def test_it_is_written_again_to_the_bit(stored, tmp_path):
     write_results(Run.load(folder), tmp_path, figures=False, replay=False)
     for name in ("scenario.yaml", "metrics.json", "signals.npz", "steps.npz"):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_run_is_written_whatever_its_signals_hold(value, stored, tmp_path):
+    run, _ = stored
+    counts = {"diagnostics": DIAGNOSTICS_SIZE, "missed_limits": MISSED_LIMITS_SIZE}
+    rows = len(run.steps["time"])
+    planned = dataclasses.replace(
+        run,
+        scenario=load_scenario("quintic", BRIEF),
+        steps={**run.steps, **{name: np.zeros((rows, size)) for name, size in counts.items()}},
+        stopped="a block made a NaN",
+    )
+    for kind in ("signals", "steps"):
+        for name in set(getattr(planned, kind)) - {"time"}:
+            values = np.array(getattr(planned, kind)[name])
+            values[-3:] = value
+            spoilt = {kind: {**getattr(planned, kind), name: values}}
+            with np.errstate(all="ignore"):
+                metrics = write_results(
+                    dataclasses.replace(planned, **spoilt), tmp_path, figures=False, replay=False
+                )
+            text = (tmp_path / "metrics.json").read_text()
+            assert json.loads(text, parse_constant=pytest.fail) == metrics, name
+            assert metrics["outcome"] == "stopped"
+            assert metrics_table(metrics)
+
+
+def test_pictures_show_what_is_finite(stored):
+    run, _ = stored
+    signals = dict(run.signals)
+    for name in ("optimization_layer.parameters", "optimization_layer.speed_bound"):
+        signals[name] = np.full_like(signals[name], np.nan)
+    spoilt = dataclasses.replace(run, signals=signals)
+    assert record_replay(spoilt)
+    assert make_figure(spoilt, "carrier_paths_zoomed").axes
 
 
 def test_the_signals_file_tells_names_units_and_frames(stored):

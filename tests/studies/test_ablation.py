@@ -38,6 +38,7 @@ from drake_nonstop.studies.ablation import runs as ablation_runs
 from drake_nonstop.studies.ablation.page import PAGE, Curves, write_page
 from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, FAILED, UNBUILDABLE
+from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import ScenarioError
 
 PLOTS = {"position_error.png", "slowest_speed.png", "tension_min.png"}
@@ -364,6 +365,30 @@ def test_a_diverged_variant_is_a_result(tmp_path):
     assert not (tmp_path / "bad" / "replay.html").exists()
     assert "bad,bad," in as_csv(rows)
     assert (tmp_path / "table.csv").read_text() == as_csv(rows)
+
+
+class NanLater(LeafBlock):
+    """Parameters that are NaN from an instant on."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareStateOutputPort("parameters", self.DeclareDiscreteState([2.0, 1.2]))
+        self.DeclarePeriodicDiscreteUpdateEvent(0.01, 0.01, self._update)
+
+    def _update(self, context, state):
+        state.set_value([2.0 if context.get_time() < 0.05 else np.nan, 1.2])
+
+
+def test_a_variant_that_makes_nan_is_a_result(tmp_path, serial_runs):
+    scenario = load_scenario("quintic", ["simulation_duration=0.1"])
+    _, row = ablate(scenario, {"nan": {"optimization_layer": NanLater}}, tmp_path, replay=False)
+    assert row.ending == DIVERGED
+    assert "optimization_layer made a value that is not finite" in row.message
+    assert row.metrics["optimizer"]["xi_final_rad_s"] is None
+    text = (tmp_path / "nan" / "metrics.json").read_text()
+    assert json.loads(text, parse_constant=pytest.fail) == row.metrics
+    with np.load(tmp_path / "nan" / "signals.npz") as signals:
+        assert 0.05 <= signals["time"][-1] < 0.1
 
 
 @pytest.mark.nightly("processes")
