@@ -61,8 +61,6 @@ def _export(options: argparse.Namespace) -> int:
     else:
         run = Run.load(options.run, trust=options.trust)
         require_writable_file(file)
-        remedy = "nothing was recorded of it; fly it for longer"
-        require(len(run.time) > 0, "run", options.run, remedy)
         write = write_mcap if options.to == "mcap" else write_rerun
         write(run, file)
     print(f"written: {file}")

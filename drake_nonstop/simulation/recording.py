@@ -54,7 +54,7 @@ MEMORY_LIMIT = 32e6  # bytes of signals in memory; with more of them all go to f
 STEP_TIME = "time"  # the name of the steps' times
 
 # What the metrics judge by the step, and where the optimization layer's updates show.
-_EVERY_STEP = (
+EVERY_STEP = (
     "load_state",
     "carrier_state",
     "aircraft_state",
@@ -75,7 +75,7 @@ RUN_SIGNALS = {
     "parameters": PARAMETERS_SIZE,
 }
 
-_AT_INSTANT = AT_SAMPLE * SIGNAL_PERIOD  # s, from a sample's time to what counts as its instant
+AT_INSTANT = AT_SAMPLE * SIGNAL_PERIOD  # s, from a sample's time to what counts as its instant
 _DOUBLE = 8  # bytes
 _PREFIX = "drake-nonstop-run-"  # of the temporary folders' names
 _LEAST_AGE = 60.0  # s, of an abandoned folder: a younger one may be about to be locked
@@ -205,7 +205,7 @@ class LogSignals:
         remedy = "advance a Simulator with this context first"
         require(len(times) > 0, "logs", "no samples", remedy)
         instants = np.round(times / SIGNAL_PERIOD)
-        is_instant = np.abs(times - SIGNAL_PERIOD * instants) < _AT_INSTANT
+        is_instant = np.abs(times - SIGNAL_PERIOD * instants) < AT_INSTANT
         return (
             np.where(is_instant, SIGNAL_PERIOD * instants, times),
             {name: samples[port] for name, port in self._signal_names.items()},
@@ -677,7 +677,17 @@ def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, 
     }
     return (
         {name: port for name, port in ports.items() if name != WALL_TIME},
-        {name: port for name, port in ports.items() if name in _EVERY_STEP},
+        {name: port for name, port in ports.items() if name in EVERY_STEP},
+    )
+
+
+def recorded_sizes(nonstop: Diagram) -> tuple[dict[str, int], dict[str, int]]:
+    """The sizes of the signals of a run, by "block.port", and of its steps, by their ports."""
+    sampled, stepped = _recorded_ports(nonstop)
+    names = _signal_names(nonstop, sampled)
+    return (
+        {name: sampled[port].size() for name, port in names.items()},
+        {name: port.size() for name, port in stepped.items()},
     )
 
 

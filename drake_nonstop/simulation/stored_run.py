@@ -6,13 +6,17 @@ the bit from run to run. `steps.npz` has the few signals at every step, and `run
 wall time, step and ending.
 """
 
+import io
 import json
+import lzma
 import os
+import struct
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +24,14 @@ from numpy.typing import NDArray
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.signal_layouts import Entry
 from drake_nonstop.scenario.loading import parse_scenario
-from drake_nonstop.simulation.run import Run, solve_times_of
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.recording import AT_INSTANT, EVERY_STEP, RUN_SIGNALS, recorded_sizes
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, solve_times_of
 from drake_nonstop.simulation.signal_table import SignalTable
 from drake_nonstop.validation import (
     ScenarioError,
     ScenarioWarning,
+    is_number,
     one_line,
     read_text,
     require,
@@ -34,9 +41,31 @@ SCENARIO, SIGNALS, STEPS = "scenario.yaml", "signals.npz", "steps.npz"
 
 _TIME, _ENTRIES, _RUN = "time", "entries", "run"
 _COLUMNS = ("signal", "column", *Entry._fields)  # of the entries
-# Of a `Run`, as they are.
-_FIELDS = ("wall_time", "is_steered", "stopped", "step", "unresolved", "half_step")
+# Of a `Run`, as they are, with their types.
+_FIELDS = {
+    "wall_time": (int, float),
+    "is_steered": bool,
+    "stopped": str,
+    "step": (int, float),
+    "unresolved": list,
+    "half_step": (dict, type(None)),
+}
 _OWN_BLOCKS = "has_own_blocks"
+_FACTS: dict[str, Any] = {**_FIELDS, _OWN_BLOCKS: bool}
+_REMEDY = f"put the files of one run there, or fly its {SCENARIO} again with `drake-nonstop run`"
+
+# What reading an archive may raise that is damaged, or has another kind of compression.
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    EOFError,
+    MemoryError,
+    RuntimeError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+)
 
 
 def write_signals(path: Path, run: Run) -> None:
@@ -57,47 +86,51 @@ def load_signals(folder: Path | str) -> SignalTable:
     """The signals of the run whose results are in a folder, without its scenario and its blocks.
 
     Raises:
-        ScenarioError: there are none, or they cannot be read.
+        ScenarioError: there are none, they cannot be read, or they are not those of one flight.
     """
     path = _path(folder) / SIGNALS
-    remedy = "there is no such file; give the folder of a run"
-    require(path.is_file(), "run", path, remedy)
     signals = _read(path)
-    time, rows = signals.pop(_TIME, None), signals.pop(_ENTRIES, None)
-    if time is None or not _is_numeric(time, 1):
-        raise _damaged(path, _TIME)
-    for name, values in signals.items():
-        if not _is_numeric(values, 2, len(time)):
-            raise _damaged(path, name)
-    if rows is None or rows.dtype.names != _COLUMNS:
-        raise _damaged(path, _ENTRIES)
+    time, rows = _taken_time(path, signals), signals.pop(_ENTRIES, np.zeros(0))
+    _require(rows.dtype.names == _COLUMNS, path, _ENTRIES, "is missing or damaged")
     entries = _entries(rows)
-    for name, own in entries.items():
-        if name not in signals or len(own) != signals[name].shape[1]:
-            raise _damaged(path, f"{_ENTRIES} of {name}")
+    for name in [*entries, *signals]:
+        _require(name in signals, path, name, "is missing")
+        own, columns = len(entries.get(name, ())), signals[name].shape[1]
+        _require(own == columns, path, f"{_ENTRIES} of {name}", f"has {own} rows of {columns}")
+    ports = {name.partition(".")[2]: name for name in signals}
+    _require("tensions" in ports, path, "tensions", "is missing")
+    n = signals[ports["tensions"]].shape[1]
+    _check_sizes(path, signals, {ports.get(port, port): k for port, k in _contract(n).items()})
     return SignalTable(time=time, signals=signals, entries=entries)
 
 
 def load_run(folder: Path | str, *, trust: bool = False) -> Run:
     """The run whose results are in a folder; see `Run.load`."""
     folder = _path(folder)
-    remedy = "give the folder of a run, with its scenario.yaml, signals.npz and steps.npz"
-    for name in (SCENARIO, SIGNALS, STEPS):
-        require((folder / name).is_file(), "run", folder / name, f"there is no such file; {remedy}")
-    scenario = parse_scenario(read_text(folder / SCENARIO, "run", remedy), "run", trust=trust)
+    scenario = _scenario(folder / SCENARIO, trust)
     table = load_signals(folder)
-    steps = _read(folder / STEPS)
-    facts = _facts(folder / STEPS, steps)
-    known = {name: facts[name] for name in _FIELDS}
-    has_own_blocks = facts[_OWN_BLOCKS]
-    _check_steps(folder, steps, len(scenario.system.attachments))
+    path = folder / STEPS
+    steps = _read(path)
+    facts = _taken_facts(path, steps)
+    time = _taken_time(path, steps)
+    _require(_are_one_flight(table.time, time), path, _TIME, f"is not that of {SIGNALS}")
+    n = len(scenario.system.attachments)
+    _check_sizes(path, steps, {k: v for k, v in _contract(n).items() if k in EVERY_STEP})
+    has_own_blocks = facts.pop(_OWN_BLOCKS)
     if has_own_blocks:
         text = f"run = {folder}: blocks that its scenario does not name were in the loop; its "
         warnings.warn(f"{text}diagram is that of the scenario", ScenarioWarning, stacklevel=3)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)  # they were told before it flew
         diagram = make_nonstop(scenario)
-    known["unresolved"] = tuple(known["unresolved"])
+    if not has_own_blocks:
+        for file, values, sizes in zip(
+            (SIGNALS, STEPS), (table.signals, steps), recorded_sizes(diagram), strict=True
+        ):
+            known = {name: size for name, size in sizes.items() if name in values}
+            _check_sizes(folder / file, values, known)
+    facts["unresolved"] = tuple(facts["unresolved"])
+    steps = {_TIME: time, **steps}
     return Run(
         scenario=scenario,
         diagram=diagram,
@@ -105,8 +138,26 @@ def load_run(folder: Path | str, *, trust: bool = False) -> Run:
         solve_times=solve_times_of(steps),
         replacements=None if has_own_blocks else {},
         **vars(table),
-        **known,
+        **facts,
     )
+
+
+def read_arrays(file: Path | BinaryIO) -> dict[str, NDArray]:
+    """The arrays of one of NumPy's archives, each taken only once its checksum is found right.
+
+    Raises:
+        ValueError: it cannot be read, for whatever reason.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return {
+                name.removesuffix(".npy"): np.lib.format.read_array(
+                    io.BytesIO(archive.read(name)), allow_pickle=False
+                )
+                for name in archive.namelist()
+            }
+    except _UNREADABLE as error:
+        raise ValueError(one_line(error)) from None
 
 
 def _path(folder: Any) -> Path:
@@ -114,44 +165,86 @@ def _path(folder: Any) -> Path:
     return Path(folder)
 
 
-def _is_numeric(values: NDArray, dimensions: int, count: int | None = None) -> bool:
-    """Whether it is of floats, of so many dimensions, and has as many rows as are asked for."""
-    is_shaped = values.ndim == dimensions and count in (None, len(values))
-    return is_shaped and values.dtype.kind == "f"
+def _require(condition: bool, path: Path, part: str, wrong: str) -> None:
+    """Raises ScenarioError where something is wrong with a part of a run's file."""
+    require(condition, f"{part} in {path.name}, run", path.parent, f"it {wrong}; {_REMEDY}")
 
 
-def _damaged(path: Path, part: str) -> ScenarioError:
-    remedy = "fly the scenario again, by `drake-nonstop run` with the folder's scenario.yaml"
-    return ScenarioError(f"run = {path}: its part {part} is missing or damaged; {remedy}")
+def _require_file(path: Path) -> None:
+    remedy = f"there is no such file; give the folder of a run, with {SCENARIO}, {SIGNALS}, {STEPS}"
+    require(path.is_file(), f"{path.name}, run", path.parent, remedy)
 
 
-def _facts(path: Path, steps: dict[str, NDArray]) -> dict[str, Any]:
+def _scenario(path: Path, trust: bool) -> Scenario:
+    _require_file(path)
+    try:
+        text = read_text(path, "text", "give a file that can be read")
+        return parse_scenario(text, "text", trust=trust)
+    except ScenarioError as error:
+        raise ScenarioError(f"{path.name}, run = {path.parent}: {error}") from None
+
+
+def _read(path: Path) -> dict[str, NDArray]:
+    _require_file(path)
+    try:
+        return read_arrays(path)
+    except ValueError as error:
+        remedy = f"it cannot be read ({error}); {_REMEDY}"
+        require(False, f"{path.name}, run", path.parent, remedy)
+        raise
+
+
+def _is_numeric(values: NDArray, dimensions: int) -> bool:
+    return values.ndim == dimensions and values.dtype.kind == "f"
+
+
+def _taken_time(path: Path, arrays: dict[str, NDArray]) -> NDArray:
+    """The instants (k,), s, which are taken out; what is left but texts and tables has k rows."""
+    time = arrays.pop(_TIME, np.zeros(0))
+    _require(_is_numeric(time, 1) and len(time) > 0, path, _TIME, "is missing or damaged")
+    is_increasing = bool(np.all(np.isfinite(time)) and np.all(np.diff(time) > 0))
+    _require(is_increasing, path, _TIME, "does not increase from instant to instant")
+    for name, values in arrays.items():
+        if name != _ENTRIES:
+            is_table = _is_numeric(values, 2) and len(values) == len(time)
+            _require(is_table, path, name, f"is not of {len(time)} rows of numbers, as {_TIME} is")
+    return time
+
+
+def _taken_facts(path: Path, steps: dict[str, NDArray]) -> dict[str, Any]:
     """What `_RUN` tells, which is taken out of the steps."""
     try:
-        facts: dict[str, Any] = json.loads(str(steps.pop(_RUN)))
-        is_whole = {*_FIELDS, _OWN_BLOCKS} <= facts.keys() and isinstance(facts["unresolved"], list)
-    except (KeyError, ValueError, AttributeError):
-        is_whole = False
-    if not is_whole:
-        raise _damaged(path, _RUN)
-    return facts
+        facts = json.loads(str(steps.pop(_RUN)))
+    except (KeyError, ValueError):
+        facts = None
+    is_whole = isinstance(facts, dict) and all(
+        name in facts and isinstance(facts[name], kind) for name, kind in _FACTS.items()
+    )
+    is_whole = is_whole and all(isinstance(item, str) for item in facts["unresolved"])
+    _require(is_whole, path, _RUN, "is missing or damaged")
+    step = facts["step"]
+    _require(is_number(step) and step >= 0, path, f"{_RUN}.step", f"is {step} s")
+    return {name: facts[name] for name in _FACTS}
 
 
-def _check_steps(folder: Path, steps: Mapping[str, NDArray], n: int) -> None:
-    """Raises ScenarioError where the steps are not those of a loop of n carriers."""
-    path = folder / STEPS
-    time = steps.get(_TIME)
-    if time is None or not _is_numeric(time, 1):
-        raise _damaged(path, _TIME)
-    for name in ("carrier_state", "tensions"):
-        if name not in steps:
-            raise _damaged(path, name)
-    for name, values in steps.items():
-        if not _is_numeric(values, 1 if name == _TIME else 2, len(time)):
-            raise _damaged(path, name)
-    carriers = steps["carrier_state"].shape[1] // 6
-    remedy = f"its steps are those of {carriers} carriers; put the files of one run into the folder"
-    require(carriers == n, f"run = {folder / SCENARIO}: system.attachments", n, remedy)
+def _are_one_flight(samples: NDArray, steps: NDArray) -> bool:
+    """Whether steps end at the samples' instants, and no later than the next would be."""
+    nearest = steps[np.searchsorted(steps, samples - AT_INSTANT).clip(max=len(steps) - 1)]
+    are_there = np.abs(nearest - samples) <= AT_INSTANT
+    return bool(np.all(are_there) and steps[-1] <= samples[-1] + SIGNAL_PERIOD + AT_INSTANT)
+
+
+def _contract(n: int) -> dict[str, int]:
+    """The sizes of the signals that every run of n carriers has."""
+    return {**RUN_SIGNALS, "carrier_state": 6 * n, "tensions": n}
+
+
+def _check_sizes(path: Path, values: Mapping[str, NDArray], sizes: Mapping[str, int]) -> None:
+    """Raises ScenarioError where values (k, size) are missing or of other sizes."""
+    for name, size in sizes.items():
+        _require(name in values, path, name, "is missing")
+        columns = values[name].shape[1]
+        _require(columns == size, path, name, f"has {columns} columns, not {size} as its loop has")
 
 
 def _write(
@@ -163,16 +256,6 @@ def _write(
             for name, values in arrays:
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                     np.lib.format.write_array(file, values, allow_pickle=False)
-
-
-def _read(path: Path) -> dict[str, NDArray]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return dict(archive)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ScenarioError(
-            f"run = {path}: it cannot be read ({one_line(error)}); fly the scenario again"
-        ) from None
 
 
 def _entry_table(run: Run) -> NDArray:

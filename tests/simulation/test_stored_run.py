@@ -2,10 +2,14 @@
 
 import dataclasses
 import json
+import random
+import shutil
+import zipfile
 from typing import ClassVar
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond, regular
 
 from drake_nonstop import (
     Run,
@@ -16,10 +20,14 @@ from drake_nonstop import (
     simulate,
     write_results,
 )
+from drake_nonstop.cli.exit_codes import BAD_INPUT
+from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE, MISSED_LIMITS_SIZE
+from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.simulation.metrics import metrics_table
 from drake_nonstop.simulation.signal_table import UnknownSignalError
+from drake_nonstop.simulation.stored_run import read_arrays
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import make_figure
@@ -161,18 +169,26 @@ def test_a_run_is_shown_in_one_line(stored):
     assert repr(stopped) == "<Run of quintic: 0.2 s, 27 signals, stopped: the run diverged>"
 
 
-def test_what_is_no_run_is_refused(stored, tmp_path):
-    _, folder = stored
-    with pytest.raises(ScenarioError, match=r"run = .*scenario.yaml: there is no such file; give"):
-        Run.load(tmp_path)
+@pytest.fixture
+def copied(stored, tmp_path):
+    """A copy of the folder, whose path is longer than what a sentence shows of a value."""
+    folder = tmp_path / ("long" * 30)
+    shutil.copytree(stored[1], folder)
+    return folder
+
+
+def test_what_is_no_run_is_refused(copied):
     for name in ("scenario.yaml", "signals.npz", "steps.npz"):
-        (tmp_path / name).write_bytes((folder / name).read_bytes())
-    (tmp_path / "steps.npz").write_bytes(b"nothing")
-    with pytest.raises(ScenarioError, match=r"steps.npz: it cannot be read"):
-        Run.load(tmp_path)
-    np.savez(tmp_path / "steps.npz", time=[0.0])
-    with pytest.raises(ScenarioError, match=r"steps.npz: its part run is missing .*fly"):
-        Run.load(tmp_path)
+        content = (copied / name).read_bytes()
+        (copied / name).write_bytes(b"nothing")
+        with pytest.raises(ScenarioError, match=rf"^{name}, run = \S+ .* give |fly its"):
+            Run.load(copied)
+        (copied / name).unlink()
+        with pytest.raises(
+            ScenarioError, match=rf"^{name}, run = \S+: there is no such file; give"
+        ):
+            Run.load(copied)
+        (copied / name).write_bytes(content)
     with pytest.raises(ScenarioError, match=r"run = 7: give the path"):
         Run.load(7)
 
@@ -189,35 +205,121 @@ def _facts(**changes):
     return _with("run", lambda text: np.array(json.dumps(json.loads(str(text)) | changes)))
 
 
+def _narrower(name):
+    """A signal and its entries without the last column."""
+
+    def damage(arrays):
+        rows = arrays["entries"]
+        last = np.flatnonzero(rows["signal"] == name)[-1]
+        arrays.update({name: arrays[name][:, :-1], "entries": np.delete(rows, last)})
+
+    return damage
+
+
+def _of_steps(chosen):
+    """Some of the steps only."""
+
+    def damage(arrays):
+        kept = {name: values[chosen] for name, values in arrays.items() if name != "run"}
+        arrays.update(kept)
+
+    return damage
+
+
 @pytest.mark.parametrize(
     ("file", "damage", "part"),
     [
         ("signals.npz", _without("time"), "time"),
+        ("signals.npz", _with("time", lambda time: time[:0]), "time"),
+        ("signals.npz", _with("time", lambda time: time[::-1]), "time"),
+        ("signals.npz", _with("time", lambda time: np.where(time > 0.1, np.nan, time)), "time"),
         ("signals.npz", _without("entries"), "entries"),
-        ("signals.npz", _with("entries", lambda rows: rows[:-1]), "entries of"),
+        ("signals.npz", _with("entries", lambda rows: rows[:-1]), r"entries of \S+"),
         ("signals.npz", _with("entries", lambda rows: np.arange(3.0)), "entries"),
         ("signals.npz", _with("time", lambda time: time[:-2]), r"\w+\.\w+"),
         ("signals.npz", _with("load_plant.load_state", np.ravel), "load_plant.load_state"),
         ("signals.npz", _with("cables.tensions", lambda v: v.astype(str)), "cables.tensions"),
-        ("signals.npz", _without("cables.tensions"), "entries of cables.tensions"),
+        ("signals.npz", _without("cables.tensions"), "cables.tensions"),
+        ("signals.npz", _narrower("load_plant.load_state"), "load_plant.load_state"),
+        ("signals.npz", _narrower("cables.tensions"), "carrier_dynamics.carrier_state"),
+        ("signals.npz", _narrower("internal_force.internal_force"), "internal_force.*"),
         ("steps.npz", _without("run"), "run"),
         ("steps.npz", _without("carrier_state"), "carrier_state"),
+        ("steps.npz", _without("load_state"), "load_state"),
         ("steps.npz", _with("time", lambda time: time[1:]), r"\w+"),
-        ("steps.npz", _with("carrier_state", lambda v: v[:, :18]), "system.attachments"),
+        ("steps.npz", _with("time", lambda time: time + 1e-4), "time"),
+        ("steps.npz", _of_steps(slice(None, None, -1)), "time"),
+        ("steps.npz", _of_steps([0, 1, -1]), "time"),
+        ("steps.npz", _with("carrier_state", lambda v: v[:, :18]), "carrier_state"),
+        ("steps.npz", _with("carrier_state", lambda v: v[:, :-1]), "carrier_state"),
+        ("steps.npz", _with("speed_bound", lambda v: v[:, :0]), "speed_bound"),
         ("steps.npz", _facts(unresolved=None), "run"),
+        ("steps.npz", _facts(unresolved=[7]), "run"),
+        ("steps.npz", _facts(wall_time="fast"), "run"),
+        ("steps.npz", _facts(step=-0.01), "run.step"),
+        ("steps.npz", _facts(step=np.nan), "run.step"),
         ("steps.npz", _with("run", lambda text: np.array("7")), "run"),
     ],
 )
-def test_a_damaged_part_is_named(file, damage, part, stored, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # a sentence with a long path is shortened
-    _, folder = stored
-    for name in ("scenario.yaml", "signals.npz", "steps.npz"):
-        (tmp_path / name).write_bytes((folder / name).read_bytes())
-    with np.load(tmp_path / file) as archive:
+def test_a_damaged_part_is_named(file, damage, part, copied):
+    with np.load(copied / file) as archive:
         arrays = dict(archive)
     damage(arrays)
-    np.savez(tmp_path / file, **arrays)
-    with pytest.raises(
-        ScenarioError, match=rf"(signals|steps|scenario)\.\w+: (its part )?({part})"
-    ):
-        Run.load(".")
+    np.savez(copied / file, **arrays)
+    with pytest.raises(ScenarioError, match=rf"^{part} in {file}, run = \S+: it .*; put .* fly"):
+        Run.load(copied)
+
+
+def test_the_parts_of_two_runs_do_not_go_together(copied):
+    scenario = load_scenario("quintic", [*BRIEF, CONSTANT])
+    scenario.system.attachments = regular(3).tolist()
+    (copied / "scenario.yaml").write_text(dump_scenario(scenario))
+    with pytest.raises(ScenarioError, match=r"^carrier_state in steps.npz, .* 24 columns, not 18 "):
+        Run.load(copied)
+
+
+def _spoilt(content, kind, seed):
+    """The content of a file with one of its bits turned round, or without its end."""
+    rng = random.Random(seed)
+    place = rng.randrange(len(content))
+    if kind == "cut":
+        return content[:place]
+    changed = bytearray(content)
+    changed[place] ^= 1 << rng.randrange(8)
+    return bytes(changed)
+
+
+SPOILT = [("flip", range(16)), ("cut", range(8)), ("flip", range(16, 400))]
+
+
+@pytest.mark.parametrize(("kind", "seeds"), nightly_beyond(2, "adversary", SPOILT))
+@pytest.mark.parametrize("name", ["signals.npz", "steps.npz"])
+def test_a_spoilt_archive_is_read_whole_or_refused(name, kind, seeds, stored, copied, capsys):
+    _, folder = stored
+    content = (folder / name).read_bytes()
+    whole = read_arrays(folder / name)
+    for seed in seeds:
+        (copied / name).write_bytes(_spoilt(content, kind, seed))
+        try:
+            arrays = read_arrays(copied / name)
+        except ValueError:
+            with pytest.raises(ScenarioError, match=rf"^{name}, run = \S+: it cannot be read \("):
+                Run.load(copied)
+            if seed % 20 == 0:
+                command = [
+                    "export",
+                    str(copied),
+                    "--to",
+                    "csv" if name == "signals.npz" else "mcap",
+                ]
+                assert main(command) == BAD_INPUT
+                assert capsys.readouterr().err.count("\n") == 1
+        else:
+            assert all(np.array_equal(arrays[key], whole[key]) for key in whole), seed
+
+
+def test_what_is_no_array_in_an_archive_is_refused(copied):
+    with zipfile.ZipFile(copied / "signals.npz", "a") as archive:
+        archive.writestr("README.txt", "hello")
+    with pytest.raises(ScenarioError, match=r"^signals.npz, run = \S+: it cannot be read"):
+        Run.load(copied)

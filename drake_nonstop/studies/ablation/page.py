@@ -7,7 +7,6 @@ from importlib import resources
 from pathlib import Path
 from string import Template
 from urllib.parse import quote
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import value_at
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.simulation.stored_run import read_arrays
 from drake_nonstop.studies.ablation.rows import (
     OUTCOME,
     POSITION_ERROR,
@@ -86,11 +86,9 @@ class Curves:
     @classmethod
     def load(cls, path: Path) -> "Curves":
         """The curves in a file; raises OSError, ValueError or KeyError where it has none."""
-        try:
-            with open_regular(path) as file, np.load(file) as arrays:
-                return cls(**{field.name: arrays[field.name] for field in fields(cls)})
-        except (BadZipFile, EOFError) as error:
-            raise ValueError(error) from None
+        with open_regular(path) as file:
+            arrays = read_arrays(file)
+        return cls(**{field.name: arrays[field.name] for field in fields(cls)})
 
 
 def write_page(
