@@ -19,7 +19,8 @@ _MIN_INTERVAL = 1e-6  # s, between two samples
 def read_samples(path: str | Path, field: str) -> list[list[float]]:
     """The rows of a CSV file, [t, x, y, z] or [t, x, y, z, roll, pitch, yaw] in s, m and rad.
 
-    Its first line names these columns, in this order. Empty lines are skipped.
+    Its first line names these columns, in this order. Empty lines are skipped. Errors do not show
+    what is in it: a scenario of somebody else may name any file.
 
     Args:
         path: the file.
@@ -40,8 +41,7 @@ def read_samples(path: str | Path, field: str) -> list[list[float]]:
         header in (COLUMNS[:4], COLUMNS),
         field,
         path,
-        f"give the columns {', '.join(COLUMNS[:4])} or {', '.join(COLUMNS)} in its first line, "
-        f"not {', '.join(header)[:60] or 'none'}",
+        f"give the columns {', '.join(COLUMNS[:4])} or {', '.join(COLUMNS)} in its first line",
     )
     for number, line in enumerate(lines[1:], start=2):
         if not any(line):
@@ -54,7 +54,7 @@ def read_samples(path: str | Path, field: str) -> list[list[float]]:
             len(rows[-1]) == len(header),
             field,
             path,
-            f"give {len(header)} numbers in line {number}, not {', '.join(line)[:60]}",
+            f"give {len(header)} numbers in line {number}",
         )
     sample_array(rows, field, path)
     return rows

@@ -236,7 +236,8 @@ def _are_one_flight(samples: NDArray, steps: NDArray) -> bool:
 
 def _contract(n: int) -> dict[str, int]:
     """The sizes of the signals that every run of n carriers has."""
-    return {**RUN_SIGNALS, "carrier_state": 6 * n, "tensions": n}
+    of_carriers = {"carrier_state": 6 * n, "tensions": n}
+    return {port: size or of_carriers[port] for port, size in RUN_SIGNALS.items()}
 
 
 def _check_sizes(path: Path, values: Mapping[str, NDArray], sizes: Mapping[str, int]) -> None:

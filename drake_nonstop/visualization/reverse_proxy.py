@@ -11,6 +11,7 @@ import os
 import socket
 import sys
 import threading
+from collections.abc import Sequence
 
 _LONGEST_HEAD = 1 << 16  # bytes, of a request
 _OWN_NAMES = ("localhost", "127.0.0.1", "[::1]")
@@ -31,15 +32,21 @@ def is_own(head: bytes) -> bool:
         head: the request line and the header, with the empty line after them.
     """
     request, *lines = head.decode("latin-1").split("\r\n")
-    cut = [line.lower().partition(":") for line in lines]
-    pairs = [(name.strip(), value.strip()) for name, _, value in cut]
+    cut = [line.partition(":") for line in lines]
+    pairs = [(name.strip().lower(), value.strip()) for name, _, value in cut]
     hosts = [value for name, value in pairs if name == "host"]
     origins = [value for name, value in pairs if name == "origin"]
-    if len(hosts) != 1 or not request.startswith(("GET ", "HEAD ")):
+    return request.startswith(("GET ", "HEAD ")) and are_own(hosts, origins)
+
+
+def are_own(hosts: Sequence[str], origins: Sequence[str]) -> bool:
+    """Whether a request's values of Host and Origin are those of a page at a local address."""
+    if len(hosts) != 1:
         return False
-    name, colon, port = hosts[0].rpartition(":")
-    is_local = hosts[0] in _OWN_NAMES or (colon and name in _OWN_NAMES and port.isdigit())
-    return bool(is_local) and all(origin == f"http://{hosts[0]}" for origin in origins)
+    host = hosts[0].lower()
+    name, colon, port = host.rpartition(":")
+    is_local = host in _OWN_NAMES or (colon and name in _OWN_NAMES and port.isdigit())
+    return bool(is_local) and all(origin.lower() == f"http://{host}" for origin in origins)
 
 
 async def _serve(host: str, port: int, sockets: list[socket.socket]) -> None:

@@ -270,6 +270,43 @@ def test_view_serves_the_replay_until_it_is_interrupted(tmp_path, capsys):
     assert address in capsys.readouterr().out
 
 
+def _status(port, path, host, *others):
+    """The status of the answer to a request."""
+    with socket.create_connection(("localhost", port), timeout=20) as connection:
+        lines = [f"GET {path} HTTP/1.1", f"Host: {host}", *others, "Connection: close", "", ""]
+        connection.sendall("\r\n".join(lines).encode())
+        return int(connection.recv(1000).split()[1])
+
+
+def test_view_answers_its_own_address_with_its_own_files(tmp_path, capfd):
+    folder, outside = tmp_path / "run", tmp_path / "outside"
+    for place in (folder / "figures", folder / "part", outside):
+        place.mkdir(parents=True)
+        (place / "page.txt").write_text("a page")
+    (outside / "index.html").write_text("not for others")
+    for link, target in {
+        "inner": folder / "figures",
+        "link.txt": outside / "page.txt",
+        "outer": outside,
+        "part/index.html": outside / "index.html",
+        "loop": folder / "loop",
+    }.items():
+        (folder / link).symlink_to(target)
+    with serve_folder(folder) as address:
+        port = int(address.rsplit(":", 1)[1])
+        own = f"localhost:{port}"
+        for host in (own, f"127.0.0.1:{port}", f"[::1]:{port}", "LOCALHOST"):
+            assert _status(port, "/figures/page.txt", host) == 200
+        for host in ("evil.example", f"localhost.evil.example:{port}", "0.0.0.0", ""):
+            assert _status(port, "/figures/page.txt", host) == 403
+        assert _status(port, "/figures/page.txt", own, "Origin: http://evil.example") == 403
+        assert _status(port, "/inner/page.txt", own) == 200
+        for path in ("/link.txt", "/outer/", "/outer/page.txt", "/part/", "/loop", "/a%00b"):
+            assert _status(port, path, own) == 404, path
+        assert _status(port, "/../outside/page.txt", own) == 404
+    assert "Traceback" not in capfd.readouterr().err
+
+
 def test_view_wants_a_folder_with_a_replay(tmp_path, capsys):
     assert main(["view", str(tmp_path)]) == 2
     assert "replay.html" in capsys.readouterr().err
