@@ -31,6 +31,7 @@ from pydrake.systems.framework import Context, Diagram
 from pydrake.systems.primitives import AffineSystem, Integrator
 
 from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.systems.block import title
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import maker_of
@@ -120,7 +121,7 @@ class PlantStates:
             )
         require(
             False,
-            f"{block.get_name()}.{signal}[{entry}]",
+            f"{title(block)}.{signal}[{entry}]",
             f"{shown[entry]:.6g}",
             f"its initial state was set to {value[entry]:.6g}; {remedy}",
         )
@@ -169,12 +170,12 @@ class PlantStates:
         if hasattr(block, "CalcLoadAcceleration"):
             acceleration = np.asarray(block.CalcLoadAcceleration(own), dtype=float)
             remedy = "correct CalcLoadAcceleration(context), which returns 6 numbers"
-            require(acceleration.shape == (6,), block.get_name(), type(block).__name__, remedy)
+            require(acceleration.shape == (6,), title(block), type(block).__name__, remedy)
         else:
             view = LoadState.view(self._shown[LOAD].rate(own))
             acceleration = np.concatenate([view.angular_velocity, view.velocity])
         if not np.all(np.isfinite(acceleration)):
-            raise NotFiniteError(block.get_name(), was_given=True)
+            raise NotFiniteError(title(block), was_given=True)
         return acceleration
 
     def acceleration_source(self, context: Context) -> str:
@@ -235,7 +236,7 @@ class PlantStates:
                 is_declared &= np.allclose(given, wanted, rtol=0, atol=_TOLERANCE)
             if not is_declared:
                 others.append(
-                    f"{block.get_name()} = {type(block).__name__}: new contexts of the diagram do "
+                    f"{title(block)} = {type(block).__name__}: new contexts of the diagram do "
                     "not start at its equilibrium, since the block's default state cannot be set; "
                     "call set_equilibrium(diagram, context) before each run, or give it a method "
                     f"{_DEFAULT_SETTERS[signal]}(value), or have its constructor declare "

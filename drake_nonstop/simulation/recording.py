@@ -39,7 +39,7 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import AT_SAMPLE, other_instants
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
-from drake_nonstop.systems.block import LOOP, LeafBlock
+from drake_nonstop.systems.block import LOOP, LeafBlock, title
 from drake_nonstop.systems.wiring import (
     HELD,
     maker_of,
@@ -316,9 +316,7 @@ def _signal_names(nonstop: Diagram, sampled: Mapping[str, OutputPort]) -> dict[s
     """The ports of a diagram by their names "block.port", with the block that makes the signal."""
     names = {}
     for port, maker in _makers(nonstop, sampled).items():
-        is_named = "@" not in maker.get_name()  # Drake names the others by where they are
-        name = maker.get_name().replace(".", "_") if is_named else type(maker).__name__
-        names[f"{name}.{port}"] = port
+        names[f"{title(maker).replace('.', '_')}.{port}"] = port
     return names
 
 

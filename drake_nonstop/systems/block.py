@@ -142,8 +142,8 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
             )
 
     def box(self) -> str:
-        """What error messages call the block: its name in the diagram."""
-        return self.get_name()
+        """What error messages call the block: as `title` does."""
+        return title(self)
 
     def DeclareVectorOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
         """As LeafSystem's.
@@ -182,10 +182,26 @@ class InnerBlock(LeafBlock):
     is_for_users = False
 
     def box(self) -> str:
-        """The name of the block in the loop that this is inside of, however deep."""
-        names = self.GetSystemPathname().split("::")
-        above = names.index(LOOP) if LOOP in names[:-1] else 0  # first comes an empty name
-        return names[above + 1]
+        """The name of the block in the loop that this is inside of, however deep.
+
+        In a diagram without a loop of that name it is those of all systems in between.
+        """
+        names = [_shown(name) for name in self.GetSystemPathname().split("::")[1:]]
+        if LOOP in names[:-1]:
+            return names[names.index(LOOP) + 1]
+        below = names[1:] if self.is_for_users else names[1:-1]
+        return ".".join(below) or (title(self) if names[0] == "_" else names[0])
+
+
+def title(system: System) -> str:
+    """What messages call a system: its name in its diagram, or its class where it has none."""
+    name = system.get_name()
+    return name if name and "@" not in name else type(system).__name__
+
+
+def _shown(name: str) -> str:
+    """A name in a path; of one that is Drake's, "module.Class@address", the class."""
+    return name.partition("@")[0].rpartition(".")[2] if "@" in name else name
 
 
 def is_converted(system: System) -> bool:

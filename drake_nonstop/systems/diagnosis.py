@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, LeafSystem, PortDataType, System
 
-from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.block import LeafBlock, title
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 
 
@@ -17,7 +17,7 @@ def raising_block(error: BaseException) -> str:
     for frame, line in traceback.walk_tb(error.__traceback__):
         block = frame.f_locals.get("self")
         if isinstance(block, LeafSystem):
-            name = block.box() if isinstance(block, LeafBlock) else block.get_name()
+            name = block.box() if isinstance(block, LeafBlock) else title(block)
             blamed = f"{name} ({Path(frame.f_code.co_filename).name}:{line}): "
     return blamed
 
@@ -33,12 +33,14 @@ def source_of_fault(error: NotFiniteError, nonstop: Diagram, context: Context) -
         nonstop: the diagram.
         context: its context at the instant of the error.
     """
-    if not error.was_given or not nonstop.HasSubsystemNamed(error.block):
+    shown = {system.get_name(): title(system) for system in nonstop.GetSystems()}
+    start = next((name for name in shown if shown[name] == error.block), None)
+    if not error.was_given or start is None:
         return error.block
     wires: dict[str, list[tuple[System, int]]] = {}
     for (reader, _), (source, port) in nonstop.connection_map().items():
         wires.setdefault(reader.get_name(), []).append((source, port))
-    waiting, seen = deque([error.block]), {error.block}
+    waiting, seen = deque([start]), {start}
     while waiting:
         block = waiting.popleft()
         unsound = [
@@ -46,8 +48,8 @@ def source_of_fault(error: NotFiniteError, nonstop: Diagram, context: Context) -
             for source, index in wires.get(block, [])
             if _is_unsound(source, index, nonstop, context)
         ]
-        if not unsound and block != error.block:
-            return block
+        if not unsound and block != start:
+            return shown[block]
         waiting += [name for name in unsound if name not in seen]
         seen.update(unsound)
     return error.block

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydrake.systems.framework import Context, Diagram, System
 
-from drake_nonstop.systems.block import DiagramBlock, is_converted
+from drake_nonstop.systems.block import DiagramBlock, is_converted, title
 from drake_nonstop.validation import ScenarioError
 
 
@@ -35,7 +35,7 @@ def potential_energy(system: System, context: Context) -> float:
 def _total(system: Any, context: Context, method: str) -> float:
     if is_converted(system):
         raise ScenarioError(
-            f"{system.get_name()} = {type(system).__name__}, converted or cloned: ask the loop "
+            f"{title(system)} = {type(system).__name__}, converted or cloned: ask the loop "
             "that it was made of, in a context of its own, after SetTimeStateAndParametersFrom"
         )
     is_own = isinstance(getattr(type(system), method), types.FunctionType)

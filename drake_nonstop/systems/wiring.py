@@ -14,6 +14,7 @@ from pydrake.systems.framework import (
     System,
 )
 
+from drake_nonstop.systems.block import title
 from drake_nonstop.validation import ScenarioError, listed, require
 
 OUTSIDE = "outside"  # what wires call the diagram's own input ports
@@ -361,7 +362,7 @@ def unconnected(diagram: Diagram, context: Context) -> str:
         for index, port in enumerate(input_names(block)):
             is_optional = port in optional_inputs(block)
             if not is_optional and (block.get_name(), index) not in connected:
-                return f"{block.get_name()}.{port} = not connected: {_connection_of(port)}"
+                return f"{title(block)}.{port} = not connected: {_connection_of(port)}"
     return ""
 
 
