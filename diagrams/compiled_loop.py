@@ -47,6 +47,7 @@ from drake_nonstop.systems.diagram_trace import (
     trace_content,
 )
 from drake_nonstop.systems.tracing import LARGEST
+from drake_nonstop.systems.wiring import require_context
 from drake_nonstop.validation import ScenarioError, require, require_known
 
 _MAX_STEPS = 20  # in a sample: all of them are in one trace
@@ -251,9 +252,9 @@ class CompiledLoop:
             largest: a value beyond it, in SI units, raises NotFiniteError.
 
         Raises:
-            ScenarioError: the context is at another time.
+            ScenarioError: the context is at another time, or that of another diagram.
         """
-        require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
+        self._require_start(context)
         return CompiledFlight(
             self._layout,
             self._functions,
@@ -264,8 +265,13 @@ class CompiledLoop:
             largest=largest,
         )
 
+    def _require_start(self, context: Context) -> None:
+        require_context("context", self.diagram, context)
+        require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
+
     def state_of(self, context: Context) -> NDArray:
         """The states (k,) of all blocks in a context of the diagram, as of `CompiledFlight`."""
+        require_context("context", self.diagram, context)
         return self._layout.state_of(context)
 
     @property
@@ -287,9 +293,9 @@ class CompiledLoop:
 
         Raises:
             ScenarioError: a block of the loop searches, or stands beside the trace; or the context
-                is at another time.
+                is at another time, or that of another diagram.
         """
-        require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
+        self._require_start(context)
         functions = self._derivatives
         return DerivativeFlight(
             self._layout, functions, self.control_period, self._schedule, context
@@ -333,7 +339,8 @@ class CompiledLoop:
             duration: s, a multiple of the control period.
 
         Raises:
-            ScenarioError: the duration is no such multiple, or the context is at another time.
+            ScenarioError: the duration is no such multiple, or the context is at another time, or
+                that of another diagram.
             NotFiniteError: a value is not finite, or is too large.
         """
         samples = self._samples_of(duration)

@@ -82,6 +82,7 @@ from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import (
     ScenarioError,
     ScenarioWarning,
+    called,
     one_line,
     require,
     require_flags,
@@ -777,7 +778,7 @@ def _made(field: str, make: Any, model: Model, besides: str) -> System:
     remedy = f"give a block's config, a function that takes the model and returns a system{besides}"
     require(callable(make), field, make, remedy)
     try:
-        block = make(model)
+        block = called(field, remedy, make, model)
     except SystemExit:
         remedy = "give a function that returns a system, and does not exit"
         raise ScenarioError(f"{field} = SystemExit: {remedy}") from None

@@ -8,6 +8,7 @@ import os
 import re
 import stat
 import sys
+import traceback
 import types
 import typing
 from collections.abc import Collection, Sequence
@@ -70,6 +71,22 @@ def require_installed(what: str, **packages: str) -> None:
         name = package.rpartition("[")[2].rstrip("]")
         quoted = package if name == package else f"'{package}'"  # from the shell
         require(is_installed, what, f"no {name}", f"install it, `pip install {quoted}`")
+
+
+def called(field: str, remedy: str, function: Any, *arguments: Any, **named: Any) -> Any:
+    """What a user's function returns.
+
+    Raises:
+        ScenarioError: it does not take these arguments.
+    """
+    try:
+        return function(*arguments, **named)
+    except TypeError as error:
+        if len([*traceback.walk_tb(error.__traceback__)]) > 1:  # it was called, and failed
+            raise
+        name = getattr(function, "__name__", type(function).__name__)
+        cause = message_of(error).partition("\n")[0]
+        raise _refusal(field, name, f"it cannot be called so ({cause}); {remedy}") from None
 
 
 def listed(field: str, value: Any, remedy: str) -> list[Any]:

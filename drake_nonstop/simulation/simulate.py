@@ -53,7 +53,7 @@ from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import innermost, input_names, nested, require_signals
-from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
+from drake_nonstop.validation import ScenarioError, ScenarioWarning, called, one_line, require
 
 # Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
 LoopMaker = Callable[..., Diagram]
@@ -170,7 +170,8 @@ def _simulate(
     builder.AddSystem(nonstop)
     recording = Recording(builder, nonstop)
     builder.AddNamedSystem("sample_instants", SampleInstants(control_period_of(nonstop)))
-    visualizers = [viewer(builder, nonstop, scenario) for viewer in viewers]
+    remedy = "give functions that take the builder, the loop's diagram and the scenario"
+    visualizers = [called("viewers", remedy, v, builder, nonstop, scenario) for v in viewers]
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
     recording.start(context)
@@ -354,7 +355,8 @@ def _loop(make_loop: LoopMaker, scenario: Scenario, replacements: dict[str, Any]
     """
     if make_loop is make_nonstop:
         replacements = {"at_equilibrium": False, **replacements}
-    nonstop = make_loop(scenario, **replacements)
+    remedy = "give a function that takes a scenario and replacements, as make_nonstop does"
+    nonstop = called("make_loop", remedy, make_loop, scenario, **replacements)
     require(
         isinstance(nonstop, Diagram), "make_loop", nonstop, "return a Diagram from the function"
     )

@@ -11,6 +11,7 @@ from typing import Any
 from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.systems.block import DiagramBlock, is_converted, title
+from drake_nonstop.systems.wiring import require_context
 from drake_nonstop.validation import ScenarioError
 
 
@@ -22,7 +23,8 @@ def kinetic_energy(system: System, context: Context) -> float:
     `CalcKineticEnergy` is Drake's and leaves blocks in Python out.
 
     Raises:
-        ScenarioError: a loop was converted or cloned, whose blocks have no such methods any more.
+        ScenarioError: a loop was converted or cloned, whose blocks have no such methods any more;
+            or the context is that of another system.
     """
     return _total(system, context, "CalcKineticEnergy")
 
@@ -38,6 +40,7 @@ def _total(system: Any, context: Context, method: str) -> float:
             f"{title(system)} = {type(system).__name__}, converted or cloned: ask the loop "
             "that it was made of, in a context of its own, after SetTimeStateAndParametersFrom"
         )
+    require_context("context", system, context)
     is_own = isinstance(getattr(type(system), method), types.FunctionType)
     if isinstance(system, Diagram) and (not is_own or isinstance(system, LoopDiagram)):
         return sum(

@@ -299,24 +299,29 @@ def require_signals(diagram: Diagram, sizes: Sizes, field: str) -> None:
 
 
 def require_own_context(field: str, diagram: Diagram, context: Context) -> None:
-    """Checks that a context is that of a diagram, and the diagram one of floats.
+    """As `require_context`, of what has to be a diagram of floats."""
+    remedy = "give a Diagram of floats, such as make_nonstop builds; converted ones cannot be set"
+    require(isinstance(diagram, Diagram), field, type(diagram).__name__, remedy)
+    require_context(field, diagram, context)
+
+
+def require_context(field: str, system: System, context: Context) -> None:
+    """Checks that a context is that of a system of floats.
 
     Drake's own functions end the process where they copy states of other sizes.
 
     Args:
         field: what the error calls it.
-        diagram: the diagram.
+        system: the system.
         context: what should be its context.
 
     Raises:
         ScenarioError: it is another one's.
     """
-    remedy = "give a Diagram of floats, such as make_nonstop builds; converted ones cannot be set"
-    require(isinstance(diagram, Diagram), field, type(diagram).__name__, remedy)
     remedy = "give a context, such as diagram.CreateDefaultContext()"
     require(isinstance(context, Context), field, type(context).__name__, remedy)
     try:
-        diagram.ValidateContext(context)
+        system.ValidateContext(context)
     except RuntimeError:
         raise ScenarioError(
             f"{field} = a context of another system: give that of the diagram, inside of "

@@ -4,23 +4,31 @@ import functools
 
 import numpy as np
 import pytest
-from helpers import Ports, nightly_beyond, vector_outputs, with_ports
+from helpers import Ports, model, nightly_beyond, vector_outputs, with_ports
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
 
 from drake_nonstop import (
+    CompiledLoop,
     ConstantParametersConfig,
     Layout,
+    LogSignals,
     PaperPhase,
     Part,
+    Run,
     SampleAndHold,
     ScenarioError,
     connect_by_name,
+    get_parameter,
+    kinetic_energy,
     load_scenario,
     make_blocks,
     make_nonstop,
+    parameters,
+    potential_energy,
     set_equilibrium,
+    set_parameter,
 )
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.systems.wiring import connections, input_names, output_names
@@ -208,6 +216,11 @@ def test_extra_block_is_made_of_a_class_with_its_config_and_of_a_config():
     assert type(nonstop.GetSubsystemByName("mine")) is PaperPhase
 
 
+class TwoArguments(LeafSystem):
+    def __init__(self, model, other):
+        super().__init__()
+
+
 LOST = with_ports({"wind_speed": 3}, {})
 
 
@@ -223,6 +236,14 @@ LOST = with_ports({"wind_speed": 3}, {})
         ({"extra": {3: PaperPhase}}, "extra = 3: name each block by a text without"),
         ({"extra": [PaperPhase]}, "extra = .*: give a mapping from names to blocks"),
         ({"extra": {"mine": 3.0}}, "extra mine = 3.0: give a block's config, a function"),
+        ({"extra": {"mine": lambda model, other: None}}, r"extra mine = <lambda>: it cannot be "),
+        (
+            {"phase": lambda model, other: PaperPhase(model)},
+            r"replacement phase = <lambda>: it cannot be called so \(.*argument: 'other'\); give a",
+        ),
+        ({"phase": lambda: None}, r"replacement phase = <lambda>: it cannot be called so \("),
+        ({"phase": TwoArguments}, r"replacement phase = TwoArguments: it cannot be called so \("),
+        ({"phase": Multiplexer}, r"replacement phase = Multiplexer: it cannot be called so \("),
         ({"extra": {"mine": lambda model: None}}, "extra mine = None: return a LeafSystem or"),
         (
             {"extra": {"mine": LOST}},
@@ -248,6 +269,14 @@ LOST = with_ports({"wind_speed": 3}, {})
 def test_what_does_not_fit_is_said_in_a_sentence(arguments, said):
     with pytest.raises(ScenarioError, match=f"^{said}"):
         make_nonstop(scenario(0.0), **arguments)
+
+
+def test_an_error_of_a_users_function_is_its_own():
+    def make(model):
+        return len(3)
+
+    with pytest.raises(TypeError, match="has no len"):
+        make_nonstop(scenario(0.0), phase=make)
 
 
 def test_the_remedy_for_an_unknown_input_works():
@@ -313,6 +342,44 @@ def test_the_equilibrium_says_which_signals_it_needs():
         "carrier_reference: export load_state (13), reference (22), carrier_state, "
         "carrier_reference by these names, as connect_by_name does"
     )
+
+
+def test_a_context_of_another_loop_is_refused_in_a_sentence():
+    made = scenario(0.01)
+    nonstop, other, outer = make_nonstop(made), make_nonstop(made), DiagramBuilder()
+    outer.AddSystem(make_nonstop(made))
+    loop = CompiledLoop(nonstop, made.simulator_config, made.control_period, samples=2)
+    logged = DiagramBuilder()
+    logs = LogSignals.AddToBuilder(logged, logged.AddSystem(make_nonstop(made)))
+    logged.Build()
+    takers = {
+        "set_equilibrium": lambda context: set_equilibrium(nonstop, context),
+        "parameters": lambda context: parameters(nonstop, context),
+        "get": lambda context: get_parameter(nonstop, context, "system.load_mass"),
+        "set": lambda context: set_parameter(nonstop, context, "system.load_mass", 1.1),
+        "kinetic": lambda context: kinetic_energy(nonstop, context),
+        "potential": lambda context: potential_energy(nonstop, context),
+        "of the loop": nonstop.EvalKineticEnergy,
+        "of a block": lambda context: kinetic_energy(
+            nonstop.GetSubsystemByName("load_plant"), context
+        ),
+        "state": loop.state_of,
+        "fly": loop.fly,
+        "run": lambda context: loop.run(context, 0.02),
+        "sensitivities": lambda context: loop.sensitivities(context, 0.02),
+        "logs": lambda context: Run.from_logs(logs, context, made),
+    }
+    contexts = [
+        other.CreateDefaultContext(),
+        outer.Build().CreateDefaultContext(),
+        PaperPhase(model()).CreateDefaultContext(),
+        None,
+    ]
+    for name, taker in takers.items():
+        for context in contexts:
+            with pytest.raises(ScenarioError, match=r"^\w+ = \w.*: give (a|that)") as error:
+                taker(context)
+            assert "\n" not in str(error.value), name
 
 
 def test_the_equilibrium_takes_no_context_of_another_system():

@@ -200,7 +200,11 @@ def test_a_loop_that_cannot_be_logged_is_refused(scenario):
     ):
         with pytest.raises(ScenarioError, match=f"^{said}: give a"):
             LogSignals.AddToBuilder(*arguments)
-    for make_loop, said in ((3, "3: give a function that"), (lambda scenario: 3, "3: return a")):
+    for make_loop, said in (
+        (3, "3: give a function that"),
+        (lambda scenario: 3, "3: return a"),
+        (lambda: 3, "<lambda>: it cannot be called so"),
+    ):
         with pytest.raises(ScenarioError, match=f"^make_loop = {said}"):
             simulate(scenario, make_loop=make_loop)
 
