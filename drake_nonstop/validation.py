@@ -189,7 +189,19 @@ def require_fields(path: str, config: Any) -> None:
     `path` is what error messages call the dataclass.
     """
     for field in fields_of(type(config)):
-        require_type(f"{path}.{field.name}", getattr(config, field.name, None), field.type)
+        name, part = f"{path}.{field.name}", optional_part(field.type)
+        value = getattr(config, field.name, None)
+        if part is not None and value is not None:
+            remedy = f"give an instance of {part.__name__}, or in YAML a mapping of its fields"
+            require(isinstance(value, part), name, value, remedy)
+        require_type(name, value, field.type)
+
+
+def optional_part(kind: Any) -> Any:
+    """The dataclass of a field that may be None instead; None where it is no such field."""
+    options = [option for option in typing.get_args(kind) if option is not types.NoneType]
+    is_optional = len(options) == 1 and len(typing.get_args(kind)) == 2
+    return options[0] if is_optional and dataclasses.is_dataclass(options[0]) else None
 
 
 def fields_of(schema: Any) -> Sequence[Any]:

@@ -30,6 +30,7 @@ from drake_nonstop.validation import (
     ScenarioError,
     fields_of,
     one_line,
+    optional_part,
     plain_value,
     require,
     require_known,
@@ -236,13 +237,6 @@ def _check_fields(name: str, tree: Any, schema: Any, *other_keys: str) -> None:
                 is_plain = not distributions.is_entry(value)
                 require(is_plain, path, "a distribution", remedy)
             require_type(path, distributions.with_means(path, value, kinds[key]), kinds[key])
-            part = _optional_part(kinds[key])
+            part = optional_part(kinds[key])
             if part is not None and value is not None:
                 _check_fields(path, value, part)
-
-
-def _optional_part(kind: Any) -> Any:
-    """The dataclass of a field that may be None instead; None where it is no such field."""
-    options = [option for option in typing.get_args(kind) if option is not types.NoneType]
-    is_optional = len(options) == 1 and len(typing.get_args(kind)) == 2
-    return options[0] if is_optional and dataclasses.is_dataclass(options[0]) else None

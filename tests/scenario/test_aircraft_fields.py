@@ -4,7 +4,13 @@ import pickle
 
 import pytest
 
-from drake_nonstop import ScenarioError, dump_scenario, load_scenario, parse_scenario
+from drake_nonstop import (
+    ScenarioError,
+    dump_scenario,
+    load_scenario,
+    make_nonstop,
+    parse_scenario,
+)
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.scenario.commented import commented_scenario
 from drake_nonstop.scenario.overrides import changed
@@ -41,6 +47,17 @@ def test_numbers_may_be_drawn():
     scenario = parse_scenario(text)
     assert parse_scenario(dump_scenario(scenario)) == scenario
     assert 5 < scenario.sampled().system.aircraft.mass < 7
+
+
+@pytest.mark.parametrize("owner", ["system", "simulated"])
+@pytest.mark.parametrize("value", ["", "rascal_110", 0, [], {}, {"model": "rascal_110"}, False])
+def test_what_is_no_aircraft_is_not_dumped(owner, value):
+    scenario = load_scenario("quintic")
+    getattr(scenario, owner).aircraft = value
+    said = rf"^{owner}\.aircraft = .*: give an instance of AircraftParameters, or in YAML"
+    for function in (dump_scenario, make_nonstop):
+        with pytest.raises(ScenarioError, match=said):
+            function(scenario)
 
 
 def test_overrides_set_single_fields_also_where_there_is_no_aircraft_yet():
