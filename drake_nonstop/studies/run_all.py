@@ -100,16 +100,19 @@ def _call_in(
     require(is_one, "executor", executor, "give one of concurrent.futures' kind, or None")
     name = type(executor).__name__
 
+    def broken(error: BrokenExecutor) -> ScenarioError:
+        return ScenarioError(
+            f"executor = {name}: its workers end or cannot be used ({one_line(error)}); give "
+            "another one, or none for processes that are replaced where they end"
+        )
+
     def answer_of(future: Future) -> Answer:
         try:
             return Answer(result=future.result())
         except ScenarioError as error:
             return Answer(error=message_of(error), is_bad_input=True)
         except BrokenExecutor as error:
-            raise ScenarioError(
-                f"executor = {name}: its workers end or cannot be used ({one_line(error)}); give "
-                "another one, or none for processes that are replaced where they end"
-            ) from None
+            raise broken(error) from None
         except Exception as error:
             return Answer(error=one_line(error))
 
@@ -120,6 +123,8 @@ def _call_in(
             while waiting and len(pending) < _MAX_PENDING:
                 try:
                     future = executor.submit(function, *arguments(waiting[0]))
+                except BrokenExecutor as error:  # as its calls tell, where they end first
+                    raise broken(error) from None
                 except RuntimeError as error:  # it is shut down
                     remedy = f"give one that takes calls ({one_line(error)})"
                     raise ScenarioError(f"executor = {name}: {remedy}") from None

@@ -203,6 +203,13 @@ class BrokenPool(Executor):
         return future
 
 
+class BrokenAtOnce(Executor):
+    """Its workers have ended before the call."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        raise BrokenExecutor("a worker has ended")
+
+
 def test_anything_but_an_executor_that_takes_calls_is_refused():
     closed = ThreadPoolExecutor(1)
     closed.shutdown()
@@ -211,6 +218,7 @@ def test_anything_but_an_executor_that_takes_calls_is_refused():
         (ThreadPoolExecutor, "give one of concurrent.futures"),
         (closed, "give one that takes calls"),
         (BrokenPool(), "its workers end or cannot be used"),
+        (BrokenAtOnce(), "its workers end or cannot be used"),
     ):
         with pytest.raises(ScenarioError, match="executor = ") as raised:
             results([1, 2], executor=executor)
