@@ -24,7 +24,7 @@ Parameters = Callable[[float], NDArray]  # [ξ (rad/s), A (N)] (2,) at a time in
 
 _MOST_GROWN = 1.0  # logarithm of what becomes of a deviation of 1, of a sound task
 _MOST_GROWN_IN_SAMPLES = 4.5  # likewise
-_SAMPLED = 4  # instants, at one of which the sampled loop is looked at
+_SAMPLED = 2  # instants, at one of which the sampled loop is looked at
 _GAIN_FACTORS = (2.0, 4.0, 8.0, 0.5, 0.25)
 _HALVINGS = 6  # of the range of A
 _LEAST_AMPLITUDE = 0.05  # of the nominal A
@@ -260,7 +260,8 @@ def find_formation_remedies(
     other attachments.
     """
     at = parameters or (lambda time: task.nominal)
-    times = sorted({0.0, found.worst.time, *(i.time for i in found.on_the_way[::3])})
+    others = {0.0, *(instant.time for instant in found.on_the_way[::3])}
+    times = [found.worst.time, *sorted(others - {found.worst.time})]
 
     def is_stable(task: Task, gains: Mapping[str, Any] | None = None, of_amplitude: float = 1.0):
         deviations = task.deviations()
