@@ -8,10 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from operator import attrgetter
+from typing import Any
 
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.simulation.separations import Spacing
 from drake_nonstop.validation import is_number
 
 _ROUNDING = 1e-3  # of a limit that a block aims at, by which it may be missed
@@ -46,16 +48,19 @@ class Limit:
     path: str  # in the scenario; one without such a field, or without a number there, has no limit
     sentence: str  # with {} for the quantity
     unit: str
-    measure: Callable[[RunQuantities], float | None]  # None: unknown
-    share_of: Callable[[RunQuantities], float] = lambda run: 1.0  # what the limit is a share of
+    measure: Callable[[Any], float | None]  # of a run's quantities; None: unknown
+    share_of: Callable[[Any], float] = lambda run: 1.0  # what the limit is a share of
     whole: str = ""  # the name of that
     is_least: bool = False  # a lower limit
     tolerance: float = 0.0  # of the limit
     outcome: RunOutcome | None = None  # of a run beyond it; None: a warning only
 
-    def complaint(self, run: RunQuantities) -> str | None:
-        """The sentence about a run beyond the limit; None for a run within it."""
-        stated = self._stated_in(run.run.scenario)
+    def complaint(self, run: Spacing) -> str | None:
+        """The sentence about a run beyond the limit; None for a run within it.
+
+        A limit of distances is one of a planned motion, too.
+        """
+        stated = self._stated_in(run.scenario)
         value = self.measure(run)
         if stated is None or value is None:
             return None
@@ -224,6 +229,12 @@ def _told(run: RunQuantities) -> str:
         f"{stall.lift:.3g} of at most {aircraft.max_lift:.3g}, and the airspeed "
         f"{stall.airspeed:.3g} m/s, with a stall speed of {stall_speed(aircraft):.3g} m/s"
     )
+
+
+def find_collisions(motion: Spacing) -> list[str]:
+    """A sentence about carriers, and one about cables, that come too close to each other."""
+    found = (limit.complaint(motion) for limit in LIMITS if limit.outcome is RunOutcome.COLLISION)
+    return [sentence for sentence in found if sentence is not None]
 
 
 def find_warnings(run: RunQuantities) -> list[str]:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -22,11 +21,7 @@ from drake_nonstop.optimization.diagnostics import Diagnostics, MissedLimits
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.planned_shortfall import largest_shortfall
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.separations import (
-    least_cable_distances,
-    least_carrier_distance,
-    least_length,
-)
+from drake_nonstop.simulation.separations import Spacing, least_length
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
@@ -45,7 +40,7 @@ class Stall(NamedTuple):
     airspeed: float  # m/s
 
 
-class RunQuantities:
+class RunQuantities(Spacing):
     """The quantities of a run that metrics are made from, each computed once.
 
     k is the number of steps, n that of the carriers.
@@ -53,6 +48,7 @@ class RunQuantities:
 
     def __init__(self, run: Run):
         self.run = run
+        self.scenario = run.scenario
 
     @cached_property
     def time(self) -> NDArray:
@@ -135,12 +131,6 @@ class RunQuantities:
     def system(self) -> SystemParameters:
         """The simulated load, cables and carriers."""
         return overridden(self.run.scenario.system, self.run.scenario.simulated)
-
-    @property
-    def reach(self) -> float:
-        """The distance of a carrier from the load, as `RunLimits` has it, m."""
-        radii = np.linalg.norm(self.system.attachments, axis=1)
-        return float(np.max(radii)) + self.system.cable_length
 
     @property
     def load_weight(self) -> float:
@@ -300,11 +290,6 @@ class RunQuantities:
         return {name: int(count) for name, count in last._asdict().items()}
 
     @cached_property
-    def carrier_separation(self) -> float:
-        """The least distance of two carriers, m, also between two steps."""
-        return least_carrier_distance(self.carrier_positions)
-
-    @cached_property
     def tensions(self) -> NDArray:
         """(k, n), N."""
         return self.run.steps["tensions"]
@@ -313,26 +298,6 @@ class RunQuantities:
     def slack_time(self) -> float:
         """For how long a cable was slack, s."""
         return self.duration_of(np.any(self.tensions <= 0, axis=1))
-
-    @cached_property
-    def cable_separations(self) -> NDArray:
-        """The least distance of each two cables (pairs,), m, also between two steps."""
-        return least_cable_distances(self.attachment_positions, self.carrier_positions)
-
-    @cached_property
-    def closest_cables_for_attachments(self) -> tuple[float, float]:
-        """The two cables that come closest for where they are attached, m.
-
-        Their least distance and the distance of their attachments, beyond which no two cables
-        can be apart. Cables that are attached at one point are left out.
-        """
-        attachments = np.array(self.system.attachments)
-        apart = np.array([np.linalg.norm(a - b) for a, b in combinations(attachments, 2)])
-        shares = np.divide(
-            self.cable_separations, apart, out=np.full(len(apart), np.inf), where=apart > 0
-        )
-        closest = np.argmin(shares)
-        return float(self.cable_separations[closest]), float(apart[closest])
 
     @cached_property
     def attachment_positions(self) -> NDArray:

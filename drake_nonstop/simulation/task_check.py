@@ -1,6 +1,7 @@
 """Whether a task can be flown: its speed bound, its formation, and what would help."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from drake_nonstop.simulation.formation import (
     find_formation,
     find_formation_remedies,
 )
+from drake_nonstop.simulation.planned_motion import PlannedMotion, find_motion_remedies
 from drake_nonstop.simulation.speed_check import (
     SpeedCheck,
     SpeedRemedy,
@@ -33,29 +35,39 @@ class TaskCheck:
         task: the task.
         speeds: what speeds it can be flown with.
         formation: at rest and at instants of the best plan.
+        motion: of carriers and cables along the best plan.
         speed_remedies: of a task that is infeasible, each tried.
-        formation_remedies: of an unstable formation, each tried.
+        formation_remedies: of an unstable formation, or of cables that do not pull, each tried.
+        motion_remedies: of carriers or cables that meet, each tried.
         flight: of aircraft along the best plan; None: there are none, or it is not known.
     """
 
     task: Task
     speeds: SpeedCheck
     formation: Formation
+    motion: PlannedMotion
     speed_remedies: tuple[SpeedRemedy, ...] = ()
     formation_remedies: tuple[str, ...] = ()
+    motion_remedies: tuple[str, ...] = ()
     flight: FlightOfPlan | None = None
 
     @property
     def is_sound(self) -> bool:
-        """Whether the bound is kept, the formation is stable, and aircraft keep their limits."""
+        """Whether the bound is kept, the formation stable, nothing collides, and aircraft fly."""
         is_flyable = self.flight is None or self.flight.is_flyable
-        return self.speeds.is_feasible and self.formation.is_stable and is_flyable
+        is_apart = not self.motion.collisions
+        return self.speeds.is_feasible and self.is_stable and is_apart and is_flyable
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the formation is stable, and all of its cables pull all the way."""
+        return self.formation.is_stable and self.motion.least_load.pulls_up
 
     @property
     def verdicts(self) -> tuple[str, ...]:
-        """A sentence about the speed bound, one about the formation, and one about aircraft."""
+        """A sentence about each: speed bound, formation, distances, and, if any, aircraft."""
         of_flight = [] if self.flight is None else [self.flight.verdict]
-        return self._of_speeds(), self._of_formation(), *of_flight
+        return self._of_speeds(), self._of_formation(), self._of_motion(), *of_flight
 
     def _of_speeds(self) -> str:
         found = self.speeds
@@ -80,7 +92,10 @@ class TaskCheck:
         )
 
     def _of_formation(self) -> str:
-        worst = self.formation.worst
+        worst, least = self.formation.worst, self.motion.least_load
+        helps = _of_remedies(self.formation_remedies)
+        if not least.pulls_up:
+            return f"formation = slack: {least.text}: it would have to push; {helps}"
         if self.formation.is_stable:
             growth = math.exp(self.formation.growth)
             change = "does not grow" if growth <= 1 else f"grows {growth:.3g} times at most"
@@ -91,15 +106,28 @@ class TaskCheck:
                     "not the package's may make the loop unstable, see `drake-nonstop stability`"
                 )
             return f"the formation is stable: a small deviation {change} on the way"
-        helps = "; or ".join(self.formation_remedies)
         how = f"{worst.rate:.2g} 1/s{_without(worst)}"
         if self.formation.is_lost_in_samples:
             times = math.exp(worst.sampled.in_turn)
             how = f"{times:.2g} times in a turn, in the samples of the controllers"
         return (
             f"formation = unstable: at t = {worst.time:.1f} s a small deviation grows by {how}; "
-            f"{'give ' + helps if helps else 'nothing that was tried helps'}"
+            f"{helps}"
         )
+
+    def _of_motion(self) -> str:
+        motion = self.motion
+        if motion.collisions:
+            met = "; ".join(motion.collisions)
+            return f"planned motion = too close: {met}; {_of_remedies(self.motion_remedies)}"
+        return (
+            f"carriers stay {motion.carrier_separation:.3g} m apart, and cables "
+            f"{motion.closest_cables_for_attachments[0]:.3g} m"
+        )
+
+
+def _of_remedies(remedies: Sequence[str]) -> str:
+    return f"give {'; or '.join(remedies)}" if remedies else "nothing that was tried helps"
 
 
 def _without(instant: FormationInstant) -> str:
@@ -110,8 +138,12 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def check_task(scenario: Scenario) -> TaskCheck:
+def check_task(scenario: Scenario, *, tries_remedies: bool = True) -> TaskCheck:
     """Whether a scenario's task can be flown, and what would help where it cannot.
+
+    Args:
+        scenario: of the task.
+        tries_remedies: whether what would help is looked for, which takes most of the time.
 
     Raises:
         ScenarioError: as of `task_of`.
@@ -124,18 +156,27 @@ def check_task(scenario: Scenario) -> TaskCheck:
         return task.nominal if plan is None else np.array(plan.values(time)[1:3])
 
     formation = find_formation(task, parameters)
+    scenario = scenario.sampled()
+    motion = PlannedMotion(scenario, task, plan)
+    least = motion.least_load
     remedies: list[SpeedRemedy] = []
-    if not speeds.is_feasible:
-        remedies = find_speed_remedies(task, speeds)
     stabilizing: list[str] = []
-    if not formation.is_stable:
-        stabilizing = find_formation_remedies(task, formation, parameters)
+    parting: list[str] = []
+    if tries_remedies and not speeds.is_feasible:
+        remedies = find_speed_remedies(task, speeds)
+    if tries_remedies and not (formation.is_stable and least.pulls_up):
+        worst = math.nan if least.pulls_up else least.time
+        stabilizing = find_formation_remedies(task, formation, parameters, worst=worst)
+    if tries_remedies and motion.collisions:
+        parting = find_motion_remedies(scenario, task)
     return TaskCheck(
         task=task,
         speeds=speeds,
         formation=formation,
+        motion=motion,
         speed_remedies=tuple(remedies),
         formation_remedies=tuple(stabilizing),
+        motion_remedies=tuple(parting),
         flight=flight_of_plan(task, speeds, flight_limits_of(scenario)),
     )
 
@@ -158,6 +199,7 @@ def task_table(found: TaskCheck) -> str:
         low, high = speeds.parameters.min(axis=0), speeds.parameters.max(axis=0)
         rows.append(("xi", f"{low[0]:.3g} to {high[0]:.3g} rad/s", ""))
         rows.append(("A", f"{low[1]:.3g} to {high[1]:.3g} N", ""))
+    rows += found.motion.rows
     loads = [(instant, instant.loads) for instant in formation.instants]
     instant, least = min(loads, key=lambda pair: pair[1].shares.min())
     cable = int(np.argmin(least.shares)) + 1
@@ -199,10 +241,12 @@ def _at(instant: FormationInstant, cable: int | None = None) -> str:
 def task_dictionary(found: TaskCheck) -> dict[str, Any]:
     """The same for a JSON file; keys end in their units."""
     speeds, formation = found.speeds, found.formation
-    of_speeds, of_formation, *_ = found.verdicts
+    of_speeds, of_formation, of_motion, *_ = found.verdicts
     has_bound = speeds.speed_bound > 0
     of_flight = {} if found.flight is None else {"flight": found.flight.dictionary}
     return of_flight | {
+        "distances": found.motion.dictionary
+        | {"verdict": of_motion, "remedies": [*found.motion_remedies]},
         "speed_bound": {
             "verdict": of_speeds,
             "is_feasible": speeds.is_feasible,
@@ -216,7 +260,7 @@ def task_dictionary(found: TaskCheck) -> dict[str, Any]:
         },
         "formation": {
             "verdict": of_formation,
-            "is_stable": formation.is_stable,
+            "is_stable": found.is_stable,
             "growth": formation.growth,
             "growth_in_samples": _number(formation.sampled_growth),
             "remedies": [*found.formation_remedies],

@@ -53,7 +53,7 @@ def make_check_figure(found: TaskCheck) -> Figure:
         frameon=False,
     )
     bound = "bound kept" if of_speeds.is_feasible else "bound cannot be kept"
-    stable = "formation stable" if found.formation.is_stable else "formation unstable"
+    stable = "formation stable" if found.is_stable else "formation unstable"
     return titled(figure, f"{found.task.name}: {bound}, {stable}")
 
 
