@@ -149,13 +149,18 @@ class PlannedMotion(Spacing):
     def dictionary(self) -> dict[str, Any]:
         """The same for a JSON file; keys end in their units."""
         between, attachments = self.closest_cables_for_attachments
+        least = self.least_load
         return {
             "are_apart": not self.collisions,
             "collisions": self.collisions,
             "carriers_min_m": self.carrier_separation,
             "cables_min_m": between,
             "attachments_of_these_cables_m": attachments,
-            "least_load": self.least_load._asdict(),
+            "least_share": least.share,
+            "least_share_at_s": least.time,
+            "least_share_cable": least.cable,
+            "least_share_elevation_rad": least.elevation,
+            "least_share_tension_N": least.tension,
         }
 
 

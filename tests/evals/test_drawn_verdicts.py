@@ -1,6 +1,8 @@
 """What `check` says of drawn tasks, beside a few flights; `tests/drawn_verdicts.py` flies many."""
 
-from drawn_verdicts import CANNOT, SOUND, UNKNOWN, contradicts, table, task_of_seed
+import pytest
+from drawn_verdicts import CANNOT, SOUND, UNKNOWN, contradicts, looked_at, table, task_of_seed
+from helpers import nightly_beyond
 
 
 def result(verdict, outcome):
@@ -30,3 +32,10 @@ def test_the_table_counts_each_pair():
     assert "| verdict | collision | ok |" in shown
     assert "| sound | 0 | 2 |" in shown
     assert "| cannot | 1 | 0 |" in shown
+
+
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [8, 1, 2, 4, 6, 7, 9, 11, 12, 13]))
+def test_no_flight_contradicts_what_is_said_of_its_task(seed):
+    found = looked_at(seed)
+    assert found["verdict"] != UNKNOWN
+    assert not contradicts(found), [*found["said"], *found["reasons"]]

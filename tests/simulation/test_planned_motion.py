@@ -93,7 +93,9 @@ def test_a_cable_that_would_have_to_push_is_told_with_what_makes_it_pull():
     (amplitude,) = (text for text in found.formation_remedies if "amplitude" in text)
     changed, task = planned(*PUSHING, "simulation_duration=4", amplitude)
     assert PlannedMotion(changed, task).least_load.pulls_up
-    assert not task_dictionary(found)["formation"]["is_stable"]
+    report = task_dictionary(found)
+    assert not report["formation"]["is_stable"]
+    assert report["distances"]["least_share"] == least.share
 
 
 def test_a_load_on_even_cables_has_known_shares():
