@@ -1,15 +1,19 @@
 """What became of a run: its outcome with the reasons, and what it is warned about.
 
-`LIMITS` has a row for each limit of a scenario that a run is held against.
+`LIMITS` has a row for each limit of a scenario that a run is held against; those that a layer is
+asked for are the rows of `optimization.limits`.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from operator import attrgetter
 
 from drake_nonstop.mechanics.aircraft import stall_speed
+from drake_nonstop.optimization.limits import LIMITS as ASKED
+from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.validation import is_number
@@ -27,6 +31,7 @@ class RunOutcome(str, Enum):
     COLLISION = "collision"  # carriers or cables came too close to each other
     CABLES_SLACK = "cables_slack"
     BOUND_MISSED = "bound_missed"  # a carrier was below ε
+    LIMIT_MISSED = "limit_missed"  # another limit that a block was asked for was not kept
     UNCONVERGED = "unconverged"  # the integrator's step does not resolve the results
     OK = "ok"
 
@@ -64,9 +69,10 @@ class Limit:
         if value >= limit - beyond if self.is_least else value <= limit + beyond:
             return None
         shown, bound = _told_apart(value, limit)
-        sentence = self.sentence.format(f"{shown} {self.unit}")
+        unit = f" {self.unit}" if self.unit else ""
+        sentence = self.sentence.format(f"{shown}{unit}")
         share = f"{stated:g} of {self.whole}, " if self.whole and math.isfinite(limit) else ""
-        return f"{sentence} ({self.path}: {share}{bound} {self.unit})"
+        return f"{sentence} ({self.path}: {share}{bound}{unit})"
 
     def _stated_in(self, scenario: Scenario) -> float | None:
         try:
@@ -147,42 +153,22 @@ LIMITS = (
         share_of=lambda run: run.load_weight,
         whole="the weight",
     ),
-    # What blocks aim at. They command it; what is simulated follows with an error.
+    # What blocks are asked for. They command it; what is simulated follows with an error.
     *(
-        limit
-        for box in ("optimization_layer", "force_distribution")
-        for limit in (
-            Limit(
-                path=f"{box}.min_tension",
-                sentence="a cable's tension fell to {}",
-                unit="N",
-                measure=lambda run: run.least_tension,
-                is_least=True,
-                tolerance=_ROUNDING,
-            ),
-            Limit(
-                path=f"{box}.max_tension",
-                sentence="a cable's tension rose to {}",
-                unit="N",
-                measure=lambda run: run.largest_tension,
-                tolerance=_ROUNDING,
-            ),
+        Limit(
+            path=f"{box}.{asked.field}",
+            outcome=RunOutcome.LIMIT_MISSED,
+            sentence=asked.sentence,
+            unit=asked.unit,
+            measure=partial(RunQuantities.extreme_of, limit=asked),
+            is_least=asked.is_least,
+            tolerance=_ROUNDING,
         )
-    ),
-    Limit(
-        path="optimization_layer.max_speed",
-        sentence="a carrier flew at {}",
-        unit="m/s",
-        measure=lambda run: run.peak_speed,
-        tolerance=_ROUNDING,
-    ),
-    Limit(
-        path="optimization_layer.min_separation",
-        sentence="two carriers came within {} of each other",
-        unit="m",
-        measure=lambda run: run.carrier_separation,
-        is_least=True,
-        tolerance=_ROUNDING,
+        for box, rows in (
+            ("optimization_layer", ASKED),
+            ("force_distribution", limits_of(Of.TENSION)),
+        )
+        for asked in rows
     ),
     Limit(
         path="carrier_dynamics.max_force",

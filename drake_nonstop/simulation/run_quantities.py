@@ -19,6 +19,7 @@ from drake_nonstop.mechanics.rotation import (
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Parameters, Pose
 from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics, MissedLimits
+from drake_nonstop.optimization.limits import Limit, Of
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.planned_shortfall import largest_shortfall
 from drake_nonstop.simulation.run import Run
@@ -290,6 +291,25 @@ class RunQuantities:
     def least_speed_above_bound(self) -> float:
         """The least of any carrier's speed, of `bounded_speeds`, minus ε, m/s."""
         return float(np.min(self.bounded_speeds - self.speed_bounds[:, None]))
+
+    def limited_by(self, limit: Limit) -> NDArray | None:
+        """What a limit holds for (k, c), in its unit, of carriers or pairs; None: unknown."""
+        if limit.of is Of.SEPARATION:
+            pairs = np.array(np.triu_indices(self.carrier_positions.shape[1], 1))
+            return in_chunks(
+                lambda at: _norms(at[:, pairs[0]] - at[:, pairs[1]]), self.carrier_positions
+            )
+        if limit.is_of_aircraft:
+            flight = self.flight if self.has_aircraft else None
+            return None if flight is None else limit.values(flight.aircraft, flight.needs)
+        return self.bounded_speeds if limit.of is Of.SPEED else self.tensions
+
+    def extreme_of(self, limit: Limit) -> float | None:
+        """What is the closest to a limit in the run, or the farthest beyond it; None: unknown."""
+        if limit.of is Of.SEPARATION:
+            return self.carrier_separation
+        values = self.limited_by(limit)
+        return None if values is None else float(values[limit.worst(values)])
 
     @cached_property
     def missed_limits(self) -> dict[str, int]:

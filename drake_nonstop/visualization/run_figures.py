@@ -11,9 +11,11 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
 
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
+from drake_nonstop.optimization.limits import Limit, asked
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import (
+    RunQuantities,
     attachment_positions,
     carrier_speeds,
     load_errors,
@@ -125,6 +127,25 @@ def _draw_aircraft(run: Run) -> Figure:
     return titled(figure, "Aircraft; dashed: stall, dotted: limits of the thrust")
 
 
+def _draw_limits(run: Run) -> Figure:
+    quantities = RunQuantities(run)
+    rows = asked_limits(run)
+    figure, panels = _stacked(len(rows))
+    for axes, (limit, stated) in zip(panels, rows, strict=True):
+        values = quantities.limited_by(limit)
+        assert values is not None
+        _plot_each(axes, run.steps["time"], values, "")
+        axes.axhline(stated, color="black", linestyle="--", linewidth=1)
+        axes.set_ylabel(f"{limit.words}{f' ({limit.unit})' if limit.unit else ''}")
+    return titled(figure, "What the layer is asked to keep within limits (dashed)")
+
+
+def asked_limits(run: Run) -> list[tuple[Limit, float]]:
+    """The limits that the run's layer is asked for, with their values, of what the run has."""
+    rows = asked(run.scenario.optimization_layer)
+    return [row for row in rows if has_aircraft(run) or not row[0].is_of_aircraft]
+
+
 def _draw_internal_force_parameters(run: Run) -> Figure:
     figure, (top, bottom) = _stacked(2)
     parameters = run.signal("parameters")
@@ -144,15 +165,20 @@ _FIGURES: tuple[Callable[[Run], Figure], ...] = (
     _draw_carrier_speeds,
     _draw_tensions,
     _draw_aircraft,
+    _draw_limits,
     _draw_internal_force_parameters,
 )
 FIGURE_NAMES = tuple(draw.__name__.removeprefix("_draw_") for draw in _FIGURES)
-_AIRCRAFT = "aircraft"  # the figure of runs that have some
+# Figures that some runs have, and whether a run is one of them.
+_SOME: dict[str, Callable[[Run], bool]] = {
+    "aircraft": has_aircraft,
+    "limits": lambda run: bool(asked_limits(run)),
+}
 
 
 def figure_names(run: Run) -> list[str]:
     """The figures that a run has, of `FIGURE_NAMES`."""
-    return [name for name in FIGURE_NAMES if name != _AIRCRAFT or has_aircraft(run)]
+    return [name for name in FIGURE_NAMES if name not in _SOME or _SOME[name](run)]
 
 
 def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:

@@ -9,6 +9,7 @@ from aircraft_runs import FREQUENCY, aircraft_run
 from drake_nonstop import load_scenario
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.mechanics.signals import AircraftState
+from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
@@ -135,7 +136,7 @@ def test_runs_without_aircraft_have_no_such_group(run):
 
 
 def test_the_figure_shows_each_aircraft_with_its_limits(run):
-    assert figure_names(run) == list(FIGURE_NAMES)
+    assert figure_names(run) == [name for name in FIGURE_NAMES if name != "limits"]
     figure = make_figure(run, "aircraft")
     lift, bank, thrust, airspeed = figure.axes
     state = AircraftState.view(run.steps["aircraft_state"])
@@ -151,6 +152,21 @@ def test_the_figure_shows_each_aircraft_with_its_limits(run):
     np.testing.assert_allclose(least, -0.034 * state.airspeed[:, 0] ** 2)
     np.testing.assert_allclose(most, 58 - 1.45 * state.airspeed[:, 0])
     assert [len(axes.lines) for axes in figure.axes] == [5, 4, 12, 5]  # stalls and limits
+
+
+def test_the_figure_of_limits_has_a_panel_for_each_that_is_asked_for(run):
+    layer = LimitsConfig(max_bank=0.6, max_speed=30.0, min_separation=20.0)
+    run.scenario.optimization_layer = layer
+    assert figure_names(run) == list(FIGURE_NAMES)
+    panels = make_figure(run, "limits").axes
+    assert [axes.get_ylabel() for axes in panels] == [
+        *("carrier speed (m/s)", "carriers apart (m)", "bank (rad)")
+    ]
+    assert [len(axes.lines) for axes in panels] == [4 + 1, 6 + 1, 4 + 1]
+    for axes, limit in zip(panels, (30.0, 20.0, 0.6), strict=True):
+        assert axes.lines[-1].get_ydata()[0] == limit
+    run.scenario.system.aircraft = None
+    assert len(make_figure(run, "limits").axes) == 2
 
 
 def test_a_flown_run_has_what_is_shown_and_no_carrier_forces():

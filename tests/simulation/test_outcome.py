@@ -7,6 +7,7 @@ from operator import attrgetter
 
 import numpy as np
 import pytest
+from aircraft_runs import aircraft_run
 from helpers import regular
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -24,9 +25,12 @@ from drake_nonstop import (
 )
 from drake_nonstop.blocks.carrier_dynamics import LoadedCarrierDynamicsConfig
 from drake_nonstop.blocks.force_distribution import BoundedTensionDistributionConfig
+from drake_nonstop.blocks.receding_horizon import RecedingHorizonOptimizerConfig
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.model.system import SystemParameters
-from drake_nonstop.optimization.problem_config import FLIGHT_LIMITS
+from drake_nonstop.optimization.limits import LIMITS as ASKED
+from drake_nonstop.optimization.limits import Of, limits_of
+from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.run_limits import check_limits
 from drake_nonstop.scenario.schema import Scenario
@@ -167,7 +171,10 @@ SENTENCES = {
     unresolved: "half the step",
     stopped: "the run diverged at t = 1.0000 s",
 }
-SEVERITY = ("stopped", "load_lost", "collision", "cables_slack", "bound_missed", "unconverged")
+SEVERITY = (
+    *("stopped", "load_lost", "collision", "cables_slack", "bound_missed", "limit_missed"),
+    "unconverged",
+)
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
@@ -229,7 +236,12 @@ def everything_stated():
     return made
 
 
-@pytest.mark.parametrize("limit", LIMITS, ids=lambda limit: limit.path)
+OF_AIRCRAFT = [f"optimization_layer.{limit.field}" for limit in limits_of(Of.FLIGHT)]
+
+
+@pytest.mark.parametrize(
+    "limit", [each for each in LIMITS if each.path not in OF_AIRCRAFT], ids=lambda limit: limit.path
+)
 def test_each_limit_is_kept_up_to_it_and_missed_beyond(limit):
     made = everything_stated()
     if limit.path == "limits.slack_time":
@@ -260,7 +272,7 @@ def test_both_numbers_can_be_told_apart():
     made = everything_stated()
     least = made.tensions.min()
     made.scenario.force_distribution.min_tension = 1.002 * least
-    (sentence,) = (s for s in compute_metrics(made.run())["warnings"] if "min_tension" in s)
+    (sentence,) = (s for s in compute_metrics(made.run())["reasons"] if "min_tension" in s)
     fell, stated = sentence.removesuffix(" N)").split(" N (force_distribution.min_tension: ")
     assert 0 < float(stated) - float(fell.rsplit(" ", 1)[1]) < 0.01 * least
 
@@ -271,8 +283,6 @@ def test_a_limit_that_a_blocks_config_states_has_a_row():
     rates = [f"max_{name}_rate" for name in ("frequency", "amplitude")]
     kept = {f"{box}.{name}" for box in ("optimization_layer", "phase") for name in rates}
     kept.add("optimization_layer.max_iterations")  # a number that is counted
-    # Of what a layer predicts; `aircraft.missed_limits` counts what is not kept.
-    kept |= {f"optimization_layer.{name}" for name in FLIGHT_LIMITS}
     kept.add("carrier_controller.max_bank")  # of the command, which the bank cannot overshoot
     for name, box in BOXES.items():
         for config in box.configs:
@@ -311,7 +321,38 @@ def test_a_bound_on_tensions_that_was_not_kept_is_said():
         simulate(load_scenario("quintic", ["simulation_duration=0.1", *swap]))
     )
     said = "a cable's tension fell to 2.85 N (force_distribution.min_tension: 2.9 N)"
-    assert metrics["warnings"] == [said]
+    assert (metrics["outcome"], metrics["reasons"][0]) == ("limit_missed", said)
+
+
+@pytest.mark.parametrize("limit", limits_of(Of.FLIGHT), ids=lambda limit: limit.field)
+def test_a_limit_of_aircraft_is_missed_by_what_they_flew(limit):
+    run = aircraft_run(3.0)
+    flown = RunQuantities(run).extreme_of(limit)
+    assert flown > 0
+    for factor, outcome in ((1.002, "ok"), (0.9995, "ok"), (0.998, "limit_missed")):
+        run.scenario.optimization_layer = RecedingHorizonOptimizerConfig(
+            speed_bound=1.0, **{limit.field: factor * flown}
+        )
+        metrics = compute_metrics(run)
+        assert metrics["outcome"] == outcome
+    (reason,) = metrics["reasons"]
+    assert reason.startswith(limit.sentence.partition(" {")[0])
+    assert f"(optimization_layer.{limit.field}: " in reason
+
+
+def test_the_climb_that_is_limited_is_that_through_the_air():
+    limit = next(limit for limit in ASKED if limit.name == "climb")
+    risen = RunQuantities(aircraft_run(3.0, wind=(0.0, 0.0, 2.0)))
+    state = risen.flight.state
+    rise = risen.carrier_velocities[..., 2] - 2.0
+    assert risen.extreme_of(limit) == pytest.approx(np.abs(np.arcsin(rise / state.airspeed)).max())
+
+
+def test_every_row_is_a_field_of_the_layers_whose_default_is_no_limit():
+    for limit in ASKED:
+        assert getattr(LimitsConfig(), limit.field) == limit.none
+        assert not limit.is_asked(LimitsConfig())
+    assert len({limit.name for limit in ASKED}) == len(ASKED)
 
 
 def short():
