@@ -36,10 +36,11 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
-    MISSED_LIMITS_SIZE,
     Outcome,
     count_missed,
     count_update,
+    missed_layout,
+    missed_limits_of,
 )
 from drake_nonstop.optimization.horizon_check import check_horizon
 from drake_nonstop.optimization.horizon_problem import (
@@ -138,7 +139,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     Ȧ (N/s), ξ̈ (rad/s³), Ä (N/s²), A⃛ (N/s³)]; `diagnostics` (7), the fields of `Diagnostics`,
     whose speed margin is the smallest of the whole horizon; `solve_time` (1) is the wall time in s
     that the last plan took; `speed_bound` (1) is the ε that was set or is commanded, in m/s;
-    `missed_limits` (5), the fields of `MissedLimits`.
+    `missed_limits` tells how many plans do not keep each limit that is asked for, of aircraft also
+    the bound; without any there is no such port.
 
     Parameters, the fields of `RecedingHorizonOptimizerConfig`:
         speed_bound: m/s, ε; of aircraft also "1.4 V_s"
@@ -222,9 +224,11 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
         self.declare_bound()
-        if model.aircraft is not None:
-            self._missed = self.DeclareDiscreteState(MISSED_LIMITS_SIZE)
+        self._counted = missed_limits_of(config, model)
+        if self._counted:
+            self._missed = self.DeclareDiscreteState(len(self._counted))
             self.DeclareStateOutputPort("missed_limits", self._missed)
+            self.signal_layouts = {"missed_limits": missed_layout(self._counted)}
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         self._sample_period = model.control_period or config.knot_spacing
         self._samples_per_plan = round(config.knot_spacing / self._sample_period)
@@ -328,7 +332,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             discrete_state.set_value(self._diagnostics, diagnostics)
             if self._missed is not None:
                 missed = context.get_discrete_state(self._missed).CopyToVector()
-                count_missed(missed, planned.missed)
+                count_missed(missed, self._counted, planned.missed)
                 discrete_state.set_value(self._missed, missed)
         discrete_state.set_value(self._plan, planned.state.flat())
         discrete_state.set_value(self._solve_time, [planned.solve_time])
@@ -399,7 +403,7 @@ class _Planned(NamedTuple):
     state: _PlanState
     outcome: Outcome
     slowest_speed: float  # m/s, along the plan
-    missed: set[str]  # of the names of `MissedLimits`
+    missed: set[str]  # names of limits, as of `missed_limits`
     solve_time: float  # s, of wall time
 
 

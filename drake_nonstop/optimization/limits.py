@@ -46,6 +46,7 @@ class Limit:
         largest: of the field, of a limit of aircraft.
         quantity: what the limit holds for, of needs of aircraft: its size counts.
         own_margins: where the margin is not that of the quantity's square.
+        margin_count: how many margins it has.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Limit:
     largest: float = math.inf
     quantity: Values | None = None
     own_margins: Margins | None = None
+    margin_count: int = 1
 
     @property
     def is_of_aircraft(self) -> bool:
@@ -94,7 +96,7 @@ class Limit:
 
     def margin_of_squares(self, squares: Any, limit: float) -> Any:
         """The margin of squared values: (value/limit)² − 1, or 1 − (value/limit)² of a largest."""
-        return self.side * (squares / limit**2 - 1)
+        return squares / limit**2 - 1 if self.is_least else 1 - squares / limit**2
 
     def slope_of_squares(self, limit: float) -> float:
         """That of `margin_of_squares`."""
@@ -228,6 +230,7 @@ LIMITS = (
         largest=1.0,
         quantity=_thrust_share,
         own_margins=_thrust_margins,
+        margin_count=2,
     ),
 )
 

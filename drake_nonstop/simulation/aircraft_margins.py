@@ -24,6 +24,7 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
     thrust_power,
 )
+from drake_nonstop.mechanics.planned_flight import FlightNeeds
 from drake_nonstop.mechanics.resting_orbit import CarrierOrbits, resting_orbits
 from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
 from drake_nonstop.mechanics.wind import MeanWind
@@ -57,19 +58,7 @@ _STILL_AIR = MeanWind(np.zeros(3))
 _LIMITS = FlightLimits()
 
 
-class AircraftNeeds(NamedTuple):
-    """What n aircraft need at k instants to move as given, and the thrust of their speed."""
-
-    airspeed: NDArray  # (k, n), m/s
-    lift: NDArray  # (k, n), C_L
-    bank: NDArray  # (k, n), rad, positive to the right
-    climb: NDArray  # (k, n), rad, of the path through the air
-    thrust: NDArray  # (k, n), N
-    thrust_min: NDArray  # (k, n), N
-    thrust_max: NDArray  # (k, n), N
-
-
-def aircraft_needs(aircraft: Aircraft, motion: CarrierOrbits, wind: NDArray) -> AircraftNeeds:
+def aircraft_needs(aircraft: Aircraft, motion: CarrierOrbits, wind: NDArray) -> FlightNeeds:
     """What aircraft need to move so, by the exact inverse of their dynamics.
 
     Args:
@@ -80,10 +69,14 @@ def aircraft_needs(aircraft: Aircraft, motion: CarrierOrbits, wind: NDArray) -> 
     force = needed_force(aircraft, motion.accelerations, motion.cable_forces)
     told = required_command(aircraft, force, motion.velocities, wind)
     frame = air_frame(motion.velocities - wind)
-    airspeed = frame.airspeed[..., 0]
-    least, most = thrust_limits(aircraft, airspeed)
-    climb = np.arcsin(frame.forward[..., 2].clip(-1, 1))
-    return AircraftNeeds(airspeed, told.lift, told.bank, climb, told.thrust, least, most)
+    return FlightNeeds(
+        airspeed=frame.airspeed[..., 0],
+        force=np.linalg.norm(force, axis=-1),
+        lift=told.lift,
+        bank=told.bank,
+        climb=np.arcsin(frame.forward[..., 2].clip(-1, 1)),
+        thrust=told.thrust,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +148,8 @@ class AircraftMargins:
         turn: s, after which the orbit repeats.
         phases: (k,) rad, ξ t over that time; the angle of a load that turns, where no internal
             force swings.
-        needs: at these phases.
+        needs: (k, n) each, at these phases.
+        thrust_limits: the least and the largest thrust at their airspeeds (k, n), N.
         limits: what they are held against.
         carrier_distance: (k,) m, of the closest two there.
         cable_distance: (k,) m, of the closest two there.
@@ -172,7 +166,8 @@ class AircraftMargins:
     margins: tuple[FlightMargin, ...]
     turn: float
     phases: NDArray
-    needs: AircraftNeeds
+    needs: FlightNeeds
+    thrust_limits: tuple[NDArray, NDArray]
     limits: FlightLimits
     carrier_distance: NDArray
     cable_distance: NDArray
@@ -428,18 +423,19 @@ class Quantity(NamedTuple):
 
 
 def quantities_of_each(
-    aircraft: Aircraft, needs: AircraftNeeds, limits: FlightLimits
+    aircraft: Aircraft, needs: FlightNeeds, limits: FlightLimits
 ) -> Iterator[Quantity]:
     """What each carrier needs, beside its limit."""
     carriers = [(i + 1,) for i in range(needs.lift.shape[1])]
     lift, airspeed = needs.lift / aircraft.max_lift, needs.airspeed / stall_speed(aircraft)
+    least, most = thrust_limits(aircraft, needs.airspeed)
     for name, unit, values, limit, is_upper in (
         ("C_L / C_Lmax", "", lift, limits.lift_share, True),
         ("airspeed / stall speed", "", airspeed, limits.speed_share, False),
         ("bank", "rad", np.abs(needs.bank), limits.bank, True),
         ("climb or descent", "rad", np.abs(needs.climb), limits.climb, True),
-        ("thrust", "N", needs.thrust, needs.thrust_max, True),
-        ("thrust", "N", needs.thrust, needs.thrust_min, False),
+        ("thrust", "N", needs.thrust, most, True),
+        ("thrust", "N", needs.thrust, least, False),
     ):
         yield Quantity(name, unit, values, limit, is_upper, carriers)
 
@@ -468,7 +464,7 @@ class _Orbit:
         self.limits = limits
         self._pairs = list(combinations(range(model.n), 2))
 
-    def at(self, phases: NDArray, wind: MeanWind) -> tuple[AircraftNeeds, list[Quantity]]:
+    def at(self, phases: NDArray, wind: MeanWind) -> tuple[FlightNeeds, list[Quantity]]:
         """What the aircraft need at phases (k,), rad, and all quantities that have limits."""
         model, pattern = self.model, self.model.pattern
         motion = resting_orbits(
@@ -534,6 +530,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         turn=2 * math.pi * orbit.turns / orbit.rate,
         phases=phases,
         needs=needs,
+        thrust_limits=thrust_limits(aircraft, needs.airspeed),
         limits=orbit.limits,
         carrier_distance=distances["carriers apart"],
         cable_distance=distances["cables apart"],

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.optimization.diagnostics import MissedLimits
+from drake_nonstop.optimization.diagnostics import BOUND
+from drake_nonstop.optimization.limits import LIMITS
 from drake_nonstop.simulation.outcome import find_warnings, judge
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
@@ -157,9 +158,9 @@ class Metric:
         return value if self.scale == 1 or value is None else self.scale * value
 
 
-def _missed(limit: str) -> Callable[[RunQuantities], int]:
-    """How many updates miss the limit of that name."""
-    return lambda run: run.missed_limits[limit]
+def _missed(limit: str) -> Callable[[RunQuantities], int | None]:
+    """How many updates miss the limit of that name; None: it is not counted."""
+    return lambda run: run.missed_limits.get(limit)
 
 
 METRICS = (
@@ -510,13 +511,17 @@ METRICS = (
     ),
     *(
         Metric(
-            path=f"aircraft.missed_limits.{name}",
+            path=f"{group}.missed_limits.{name}",
             measure=_missed(name),
-            label=f"updates that miss the limit of the {name}",
+            label=f"updates that miss the limit of the {name.replace('_', ' ')}",
             better=Better.LOWER,
-            needs_aircraft=True,
+            needs_aircraft=group == "aircraft",
         )
-        for name in MissedLimits._fields
+        for group, names in (
+            ("optimizer", [limit.name for limit in LIMITS if not limit.is_of_aircraft]),
+            ("aircraft", [BOUND, *(limit.name for limit in LIMITS if limit.is_of_aircraft)]),
+        )
+        for name in names
     ),
     Metric(
         path="optimizer.solve_time_ms.p50",

@@ -18,9 +18,10 @@ from drake_nonstop.mechanics.rotation import (
 )
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Parameters, Pose
 from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
-from drake_nonstop.optimization.diagnostics import Diagnostics, MissedLimits
-from drake_nonstop.optimization.limits import Limit, Of
+from drake_nonstop.optimization.diagnostics import Diagnostics
+from drake_nonstop.optimization.limits import Limit, Of, asked
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
+from drake_nonstop.simulation.limit_along import LimitAlong
 from drake_nonstop.simulation.planned_shortfall import largest_shortfall
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.separations import (
@@ -28,6 +29,7 @@ from drake_nonstop.simulation.separations import (
     least_carrier_distance,
     least_length,
 )
+from drake_nonstop.simulation.signal_table import UnknownSignalError
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
@@ -304,6 +306,15 @@ class RunQuantities:
             return None if flight is None else limit.values(flight.aircraft, flight.needs)
         return self.bounded_speeds if limit.of is Of.SPEED else self.tensions
 
+    @property
+    def limits(self) -> list[LimitAlong]:
+        """The limits that the layer is asked for, of what the run has."""
+        rows = [
+            (limit, stated, self.limited_by(limit))
+            for limit, stated in asked(self.run.scenario.optimization_layer)
+        ]
+        return [LimitAlong(row, at, self.time, v) for row, at, v in rows if v is not None]
+
     def extreme_of(self, limit: Limit) -> float | None:
         """What is the closest to a limit in the run, or the farthest beyond it; None: unknown."""
         if limit.of is Of.SEPARATION:
@@ -313,11 +324,16 @@ class RunQuantities:
 
     @cached_property
     def missed_limits(self) -> dict[str, int]:
-        """How many updates ended without keeping a limit of aircraft, by its name."""
-        if "missed_limits" not in self.run.steps:
-            return dict.fromkeys(MissedLimits._fields, 0)
-        last = MissedLimits.view(self.run.steps["missed_limits"][-1])
-        return {name: int(count) for name, count in last._asdict().items()}
+        """How many updates ended without keeping each limit that is counted, by its name."""
+        try:
+            columns = self.run.columns(["missed_limits"])
+        except UnknownSignalError:
+            return {}
+        return {
+            name.removeprefix("missed_limits."): int(counts[-1])
+            for name, counts in columns.items()
+            if name.startswith("missed_limits.")
+        }
 
     @cached_property
     def carrier_separation(self) -> float:

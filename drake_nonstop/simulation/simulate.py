@@ -144,13 +144,6 @@ def _simulate(
     remedy = f"give {DIAGRAM} or {COMPILED}, or None"
     require(engine in (None, DIAGRAM, COMPILED), "engine", engine, remedy)
     engine = engine or scenario.engine
-    schemes = GetIntegrationSchemes()
-    require(
-        scenario.simulator_config.integration_scheme in schemes,
-        "simulator_config.integration_scheme",
-        scenario.simulator_config.integration_scheme,
-        f"give one of {', '.join(schemes)}",
-    )
     remedy = "give a function that takes a scenario and returns a Diagram, such as make_nonstop"
     require(callable(make_loop), "make_loop", make_loop, remedy)
     remedy = "give a list of functions, such as [show_in(meshcat)]"
@@ -164,7 +157,7 @@ def _simulate(
     arguments = (
         replacements if make_loop is make_nonstop else {"make_loop": make_loop, **replacements}
     )
-    check_scene(scenario.scene)
+    check_simulation(scenario)
     nonstop = _loop(make_loop, scenario, replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
@@ -365,6 +358,18 @@ def _loop(make_loop: LoopMaker, scenario: Scenario, replacements: dict[str, Any]
     if not nonstop.get_name():
         nonstop.set_name(LOOP)
     return nonstop
+
+
+def check_simulation(scenario: Scenario) -> None:
+    """Raises ScenarioError for what a loop is built without and no run is flown with."""
+    schemes = GetIntegrationSchemes()
+    require(
+        scenario.simulator_config.integration_scheme in schemes,
+        "simulator_config.integration_scheme",
+        scenario.simulator_config.integration_scheme,
+        f"give one of {', '.join(schemes)}",
+    )
+    check_scene(scenario.scene)
 
 
 def with_chosen_step(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenStep:

@@ -16,13 +16,16 @@ from drake_nonstop.simulation.formation import (
     find_formation,
     find_formation_remedies,
 )
+from drake_nonstop.simulation.make_simulator import make_simulator
 from drake_nonstop.simulation.speed_check import (
     SpeedCheck,
     SpeedRemedy,
     check_speeds,
+    find_limit_remedies,
     find_speed_remedies,
 )
 from drake_nonstop.simulation.task import Task, task_of
+from drake_nonstop.systems.block import LOOP
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,6 +37,7 @@ class TaskCheck:
         speeds: what speeds it can be flown with.
         formation: at rest and at instants of the best plan.
         speed_remedies: of a task that is infeasible, each tried.
+        limit_remedies: of limits that the best plan misses while it keeps the bound, each tried.
         formation_remedies: of an unstable formation, each tried.
         flight: of aircraft along the best plan; None: there are none, or it is not known.
     """
@@ -42,20 +46,36 @@ class TaskCheck:
     speeds: SpeedCheck
     formation: Formation
     speed_remedies: tuple[SpeedRemedy, ...] = ()
+    limit_remedies: tuple[SpeedRemedy, ...] = ()
     formation_remedies: tuple[str, ...] = ()
     flight: FlightOfPlan | None = None
 
     @property
     def is_sound(self) -> bool:
-        """Whether the bound is kept, the formation is stable, and aircraft keep their limits."""
+        """Whether bound and limits are kept, the formation is stable, and aircraft can fly it."""
         is_flyable = self.flight is None or self.flight.is_flyable
-        return self.speeds.is_feasible and self.formation.is_stable and is_flyable
+        are_kept = self.speeds.is_feasible and not self.speeds.missed
+        return are_kept and self.formation.is_stable and is_flyable
 
     @property
     def verdicts(self) -> tuple[str, ...]:
-        """A sentence about the speed bound, one about the formation, and one about aircraft."""
+        """A sentence about the speed bound, the formation, and, if any, aircraft and limits."""
         of_flight = [] if self.flight is None else [self.flight.verdict]
-        return self._of_speeds(), self._of_formation(), *of_flight
+        of_limits = [self._of_limits()] if self.speeds.limits else []
+        return self._of_speeds(), self._of_formation(), *of_flight, *of_limits
+
+    def _of_limits(self) -> str:
+        missed = self.speeds.missed
+        if not missed:
+            return "all limits that the layer is asked for can be kept"
+        said = "; ".join(
+            f"optimization_layer.{each.limit.field} = {each.stated:g}: it cannot be kept: with the "
+            f"best plan of xi and A from {len(self.speeds.starts)} starts "
+            f"{each.limit.sentence.format(each.shown(each.worst))}, at {each.where}"
+            for each in missed
+        )
+        helps = "; or ".join(remedy.text for remedy in self.limit_remedies)
+        return f"{said}; {'give ' + helps if helps else 'nothing that was tried helps'}"
 
     def _of_speeds(self) -> str:
         found = self.speeds
@@ -114,9 +134,9 @@ def check_task(scenario: Scenario) -> TaskCheck:
     """Whether a scenario's task can be flown, and what would help where it cannot.
 
     Raises:
-        ScenarioError: as of `task_of`.
+        ScenarioError: as of `task_of`, and for what no run is flown with.
     """
-    task = task_of(scenario)
+    task = task_of(scenario, make_simulator(scenario).get_system().GetSubsystemByName(LOOP))
     speeds = check_speeds(task)
     plan = speeds.plan
 
@@ -127,6 +147,9 @@ def check_task(scenario: Scenario) -> TaskCheck:
     remedies: list[SpeedRemedy] = []
     if not speeds.is_feasible:
         remedies = find_speed_remedies(task, speeds)
+    of_limits: list[SpeedRemedy] = []
+    if speeds.is_feasible and speeds.missed:
+        of_limits = find_limit_remedies(task, speeds)
     stabilizing: list[str] = []
     if not formation.is_stable:
         stabilizing = find_formation_remedies(task, formation, parameters)
@@ -135,6 +158,7 @@ def check_task(scenario: Scenario) -> TaskCheck:
         speeds=speeds,
         formation=formation,
         speed_remedies=tuple(remedies),
+        limit_remedies=tuple(of_limits),
         formation_remedies=tuple(stabilizing),
         flight=flight_of_plan(task, speeds, flight_limits_of(scenario)),
     )
@@ -158,6 +182,9 @@ def task_table(found: TaskCheck) -> str:
         low, high = speeds.parameters.min(axis=0), speeds.parameters.max(axis=0)
         rows.append(("xi", f"{low[0]:.3g} to {high[0]:.3g} rad/s", ""))
         rows.append(("A", f"{low[1]:.3g} to {high[1]:.3g} N", ""))
+    for each in speeds.limits:
+        bound = f"{each.limit.field} {each.stated:g}"
+        rows.append((f"{each.limit.words} ({bound})", each.shown(each.worst), each.where))
     loads = [(instant, instant.loads) for instant in formation.instants]
     instant, least = min(loads, key=lambda pair: pair[1].shares.min())
     cable = int(np.argmin(least.shares)) + 1
@@ -199,44 +226,56 @@ def _at(instant: FormationInstant, cable: int | None = None) -> str:
 def task_dictionary(found: TaskCheck) -> dict[str, Any]:
     """The same for a JSON file; keys end in their units."""
     speeds, formation = found.speeds, found.formation
-    of_speeds, of_formation, *_ = found.verdicts
+    of_speeds, of_formation, *others = found.verdicts
     has_bound = speeds.speed_bound > 0
     of_flight = {} if found.flight is None else {"flight": found.flight.dictionary}
-    return of_flight | {
-        "speed_bound": {
-            "verdict": of_speeds,
-            "is_feasible": speeds.is_feasible,
-            "speed_bound_m_s": speeds.speed_bound,
-            "least_ratio": speeds.least if has_bound else None,
-            "least_at_s": speeds.least_at[0] if has_bound else None,
-            "least_carrier": speeds.least_at[1] if has_bound else None,
-            "ratios_of_starts": [*speeds.starts] if has_bound else [],
-            "tight_times_s": speeds.tight_times.tolist(),
-            "remedies": [remedy._asdict() for remedy in found.speed_remedies],
-        },
-        "formation": {
-            "verdict": of_formation,
-            "is_stable": formation.is_stable,
-            "growth": formation.growth,
-            "growth_in_samples": _number(formation.sampled_growth),
-            "remedies": [*found.formation_remedies],
-            "instants": [
-                {
-                    "time_s": instant.time,
-                    "frequency_rad_s": float(instant.parameters[0]),
-                    "amplitude_N": float(instant.parameters[1]),
-                    "rate_1_s": instant.controlled and instant.controlled.rate,
-                    "rate_in_samples_1_s": _number(instant.sampled.rate),
-                    "growth_in_a_turn_in_samples": _number(instant.sampled.in_turn),
-                    "rate_without_control_1_s": instant.free.rate,
-                    "largest_multiplier": float(
-                        abs((instant.controlled or instant.free).multipliers[0])
-                    ),
-                    "least_shares": instant.loads.shares.tolist(),
-                    "mean_shares": instant.loads.mean_shares.tolist(),
-                    "least_elevations_rad": instant.loads.elevations.tolist(),
-                }
-                for instant in formation.instants
-            ],
-        },
-    }
+    of_limits: dict[str, Any] = {}
+    if speeds.limits:
+        of_limits["limits"] = {
+            "verdict": others[-1],
+            "are_kept": not speeds.missed,
+            "remedies": [remedy._asdict() for remedy in found.limit_remedies],
+            "along_the_plan": [each.dictionary for each in speeds.limits],
+        }
+    return (
+        of_flight
+        | of_limits
+        | {
+            "speed_bound": {
+                "verdict": of_speeds,
+                "is_feasible": speeds.is_feasible,
+                "speed_bound_m_s": speeds.speed_bound,
+                "least_ratio": speeds.least if has_bound else None,
+                "least_at_s": speeds.least_at[0] if has_bound else None,
+                "least_carrier": speeds.least_at[1] if has_bound else None,
+                "ratios_of_starts": [*speeds.starts] if has_bound else [],
+                "tight_times_s": speeds.tight_times.tolist(),
+                "remedies": [remedy._asdict() for remedy in found.speed_remedies],
+            },
+            "formation": {
+                "verdict": of_formation,
+                "is_stable": formation.is_stable,
+                "growth": formation.growth,
+                "growth_in_samples": _number(formation.sampled_growth),
+                "remedies": [*found.formation_remedies],
+                "instants": [
+                    {
+                        "time_s": instant.time,
+                        "frequency_rad_s": float(instant.parameters[0]),
+                        "amplitude_N": float(instant.parameters[1]),
+                        "rate_1_s": instant.controlled and instant.controlled.rate,
+                        "rate_in_samples_1_s": _number(instant.sampled.rate),
+                        "growth_in_a_turn_in_samples": _number(instant.sampled.in_turn),
+                        "rate_without_control_1_s": instant.free.rate,
+                        "largest_multiplier": float(
+                            abs((instant.controlled or instant.free).multipliers[0])
+                        ),
+                        "least_shares": instant.loads.shares.tolist(),
+                        "mean_shares": instant.loads.mean_shares.tolist(),
+                        "least_elevations_rad": instant.loads.elevations.tolist(),
+                    }
+                    for instant in formation.instants
+                ],
+            },
+        }
+    )

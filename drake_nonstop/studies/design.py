@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.mechanics.aircraft import drawn_power, stall_speed
+from drake_nonstop.mechanics.aircraft import drawn_power, stall_speed, thrust_limits
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
+from drake_nonstop.mechanics.planned_flight import FlightNeeds
 from drake_nonstop.mechanics.signals import POSE_SIZE
 from drake_nonstop.model.pattern import EllipticCarouselConfig
 from drake_nonstop.optimization.formation_program import (
+    ASKED_MARGIN,
     LEANING,
     DesignLimits,
     FormationProgram,
@@ -22,12 +24,12 @@ from drake_nonstop.optimization.formation_program import (
     FormationVariables,
     LoadMotion,
 )
+from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.aircraft_margins import (
     AircraftMargins,
-    AircraftNeeds,
     FlightLimits,
     aircraft_margins,
     aircraft_needs,
@@ -67,7 +69,7 @@ _OTHER_MARGINS = {  # by the names of the program's rows
 }
 
 
-class Flight(NamedTuple):
+class FlightExtremes(NamedTuple):
     """What the aircraft of a formation need, over all carriers, phases and the load's way."""
 
     lift_share: float  # of C_Lmax, the largest
@@ -80,6 +82,7 @@ class Flight(NamedTuple):
     thrust_above: float  # of the range of thrust, left above, the least
     thrust_below: float  # left below
     power: float  # W, that an aircraft draws from its battery, the mean at rest
+    asked: tuple[float, ...] = ()  # of each limit that is asked for, what is closest to it
 
 
 class Break(NamedTuple):
@@ -124,7 +127,7 @@ class DesignedFormation:
     carriers: int
     phase_turns: int
     variables: FormationVariables
-    flight: Flight
+    flight: FlightExtremes
     distances: tuple[float, float]
     growth: float
     stall_speed: float
@@ -376,6 +379,7 @@ def design_task(request: DesignRequest, carriers: int, count: int = _KEY_INSTANT
             climb_margin=own.climb - request.climb,
             thrust_margin=request.thrust_reserve,
             separation=request.separation,
+            asked=tuple(asked(request, Of.FLIGHT)),
         ),
     )
 
@@ -399,7 +403,7 @@ def design_bounds(request: DesignRequest, carriers: int, kind: str) -> tuple[NDA
 
 def formation_needs(
     task: FormationTask, kind: str, x: FormationVariables, phases: int = _EXACT
-) -> Iterator[AircraftNeeds]:
+) -> Iterator[FlightNeeds]:
     """What all aircraft need at phases of a turn, for each motion."""
     n = task.load.carriers
     turn, places = (2 * np.pi * np.arange(k) / k for k in (phases, n))
@@ -442,13 +446,13 @@ def formation_shape(task: FormationTask, kind: str, x: FormationVariables) -> Fo
 
 def flight_of(
     task: FormationTask, kind: str, x: FormationVariables, phases: int = _EXACT
-) -> Flight:
+) -> FlightExtremes:
     """The extremes of what the aircraft need; the power is that of the first motion."""
     found = list(formation_needs(task, kind, x, phases))
-    needs = AircraftNeeds(*map(np.concatenate, zip(*found, strict=True)))
-    ranges = needs.thrust_max - needs.thrust_min
+    needs = FlightNeeds(*map(np.concatenate, zip(*found, strict=True)))
+    least, most = thrust_limits(task.aircraft, needs.airspeed)
     at_rest = found[0]
-    return Flight(
+    return FlightExtremes(
         lift_share=float(np.max(needs.lift)) / float(task.aircraft.max_lift),
         airspeed_min=float(np.min(needs.airspeed)),
         airspeed_max=float(np.max(needs.airspeed)),
@@ -456,9 +460,14 @@ def flight_of(
         climb=float(np.max(np.abs(needs.climb))),
         thrust_min=float(np.min(needs.thrust)),
         thrust_max=float(np.max(needs.thrust)),
-        thrust_above=float(np.min((needs.thrust_max - needs.thrust) / ranges)),
-        thrust_below=float(np.min((needs.thrust - needs.thrust_min) / ranges)),
+        thrust_above=float(np.min((most - needs.thrust) / (most - least))),
+        thrust_below=float(np.min((needs.thrust - least) / (most - least))),
         power=float(np.mean(drawn_power(task.aircraft, at_rest.thrust, at_rest.airspeed))),
+        asked=tuple(
+            float(values[limit.worst(values)])
+            for limit, _ in task.limits.asked
+            for values in [limit.values(task.aircraft, needs)]
+        ),
     )
 
 
@@ -470,21 +479,25 @@ class Missed(NamedTuple):
     text: str  # with its value
 
 
-def missed_limits(task: FormationTask, flight: Flight, reserve: float = 0.0) -> list[Missed]:
+def missed_limits(
+    task: FormationTask, flight: FlightExtremes, reserve: float = 0.0
+) -> list[Missed]:
     """What is beyond the limits, the farthest first; with a reserve of 1 beyond the margins."""
     rows = []
-    for name, value, limit, margin, side, unit in _rows_of(task, flight):
-        asked = limit - side * reserve * margin
-        beyond = side * (value - asked) / margin
+    count = len(flight.asked)
+    for k, (name, value, limit, margin, side, unit) in enumerate(_rows_of(task, flight)):
+        wanted_reserve = 1.0 if k < count else reserve  # what is asked for is no margin
+        least = limit - side * wanted_reserve * margin
+        beyond = side * (value - least) / margin
         if beyond > 1e-4:
             bound = "at most" if side > 0 else "at least"
-            found, wanted = (f"{number:.3g} {unit}".rstrip() for number in (value, asked))
+            found, wanted = (f"{number:.3g} {unit}".rstrip() for number in (value, least))
             text = f"{name} {found} ({bound} {wanted.removesuffix(_OF_RANGE)})"
             rows.append(Missed(beyond, name, text))
     return sorted(rows, reverse=True)
 
 
-def reserve_of(task: FormationTask, flight: Flight) -> float:
+def reserve_of(task: FormationTask, flight: FlightExtremes) -> float:
     """The least margin over what is asked of it: 1 where all are kept, 0 at a limit."""
     return min(
         side * (limit - value) / margin
@@ -493,9 +506,15 @@ def reserve_of(task: FormationTask, flight: Flight) -> float:
 
 
 def _rows_of(
-    task: FormationTask, flight: Flight
+    task: FormationTask, flight: FlightExtremes
 ) -> Iterator[tuple[str, float, float, float, int, str]]:
-    """Of each quantity: its name, value, limit and margin, the limit's side, and the unit."""
+    """Of each quantity: its name, value, limit and margin, the limit's side, and the unit.
+
+    Those of the limits that are asked for come first.
+    """
+    for (row, stated), value in zip(task.limits.asked, flight.asked, strict=True):
+        margin = ASKED_MARGIN * stated
+        yield row.words, value, stated - row.side * margin, margin, -row.side, row.unit
     limits, slowest = task.limits, float(stall_speed(task.aircraft))
     lift, speed = limits.lift_share, limits.speed_share
     airspeed = flight.airspeed_min / slowest
@@ -825,7 +844,7 @@ class _Search:
             return f"request.speed = {_down(value)} or less"
         return ""
 
-    def _smaller_margins(self, flight: Flight, apart: float, reserve: float) -> str:
+    def _smaller_margins(self, flight: FlightExtremes, apart: float, reserve: float) -> str:
         """The margins that the best formation keeps, in place of those that it misses."""
         if reserve < _CLOSE:
             return ""
@@ -889,7 +908,7 @@ def formation_scenario(
     carriers: int,
     phase_turns: int,
     x: FormationVariables,
-    flight: Flight,
+    flight: FlightExtremes,
 ) -> Scenario:
     """The scenario that flies a formation: at rest, along the request's displacement, at rest."""
     share = x.mass * GRAVITY / carriers

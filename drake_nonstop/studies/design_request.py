@@ -14,6 +14,7 @@ from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
 from drake_nonstop.model.system import checked_inertia
 from drake_nonstop.optimization.formation_program import KINDS
+from drake_nonstop.optimization.problem_config import AircraftLimits, check_flight_limits
 from drake_nonstop.scenario.overrides import require_override
 from drake_nonstop.scenario.schema import check_name
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
@@ -42,14 +43,7 @@ _MOST_STARTS = 100
 
 
 @dataclass(kw_only=True)
-class DesignRequest(StrictFields):
-    """Aircraft, load, wind and margins: what `design` finds formations for.
-
-    The attachments are a regular polygon about the load's centre of mass. The margins hold at rest
-    and on the way of the load, from rest to rest along `displacement`; the separation at rest in
-    still air.
-    """
-
+class _Asked(StrictFields):
     name: str = "formation"  # of the scenarios that are made
     description: str = ""
     aircraft: AircraftParameters = field(
@@ -75,6 +69,16 @@ class DesignRequest(StrictFields):
     thrust_reserve: float = 0.1  # of the range of thrust at an airspeed, kept at both of its ends
     starts: int = 4  # of the search for each number of carriers and kind
     seed: int = 0  # of the starts
+
+
+@dataclass(kw_only=True)
+class DesignRequest(AircraftLimits, _Asked):
+    """Aircraft, load, wind and margins: what `design` finds formations for.
+
+    The attachments are a regular polygon about the load's centre of mass. The margins, and the
+    limits of aircraft, hold at rest and on the way of the load, from rest to rest along
+    `displacement`; the separation at rest in still air.
+    """
 
     def check(self) -> Aircraft:
         """The aircraft, of a cable of the largest length.
@@ -138,12 +142,14 @@ class DesignRequest(StrictFields):
         require(1 <= self.starts <= _MOST_STARTS, "request.starts", self.starts, remedy)
         require_seed("request.seed", self.seed)
         checked_inertia("request.load_inertia", self.inertia)
-        return make_aircraft(
+        aircraft = make_aircraft(
             self.aircraft,
             cable_length=float(lengths[1]),
             gravity=GRAVITY,
             field="request.aircraft",
         )
+        check_flight_limits("request", self, aircraft)
+        return aircraft
 
     @property
     def inertia(self) -> list[list[float]]:

@@ -11,7 +11,6 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
 
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
-from drake_nonstop.optimization.limits import Limit, asked
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import (
@@ -23,6 +22,7 @@ from drake_nonstop.simulation.run_quantities import (
 )
 from drake_nonstop.visualization.decimation import extreme_samples
 from drake_nonstop.visualization.figure_style import LINE_STYLES, new_figure, titled
+from drake_nonstop.visualization.limits_figure import make_limits_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -128,22 +128,7 @@ def _draw_aircraft(run: Run) -> Figure:
 
 
 def _draw_limits(run: Run) -> Figure:
-    quantities = RunQuantities(run)
-    rows = asked_limits(run)
-    figure, panels = _stacked(len(rows))
-    for axes, (limit, stated) in zip(panels, rows, strict=True):
-        values = quantities.limited_by(limit)
-        assert values is not None
-        _plot_each(axes, run.steps["time"], values, "")
-        axes.axhline(stated, color="black", linestyle="--", linewidth=1)
-        axes.set_ylabel(f"{limit.words}{f' ({limit.unit})' if limit.unit else ''}")
-    return titled(figure, "What the layer is asked to keep within limits (dashed)")
-
-
-def asked_limits(run: Run) -> list[tuple[Limit, float]]:
-    """The limits that the run's layer is asked for, with their values, of what the run has."""
-    rows = asked(run.scenario.optimization_layer)
-    return [row for row in rows if has_aircraft(run) or not row[0].is_of_aircraft]
+    return make_limits_figure(RunQuantities(run).limits, "What is asked of the layer, dashed")
 
 
 def _draw_internal_force_parameters(run: Run) -> Figure:
@@ -172,7 +157,7 @@ FIGURE_NAMES = tuple(draw.__name__.removeprefix("_draw_") for draw in _FIGURES)
 # Figures that some runs have, and whether a run is one of them.
 _SOME: dict[str, Callable[[Run], bool]] = {
     "aircraft": has_aircraft,
-    "limits": lambda run: bool(asked_limits(run)),
+    "limits": lambda run: bool(RunQuantities(run).limits),
 }
 
 

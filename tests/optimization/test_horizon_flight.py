@@ -181,8 +181,8 @@ def test_margins_of_the_last_part_are_those_of_whole_orbits_above_a_resting_load
     ).needs
     aircraft = problem.model.aircraft
     shares = {name: (1 - TIGHTENING) * share for name, share in SHARES.items()}
-    half = (expected.thrust_max - expected.thrust_min) / 2
-    middle, half = expected.thrust_min + half, shares["max_thrust_share"] * half
+    least, most = thrust_limits(aircraft, expected.airspeed)
+    middle, half = (most + least) / 2, shares["max_thrust_share"] * (most - least) / 2
     weight = aircraft.mass * aircraft.gravity
     # The lift is limited by the norm of the whole force, which is stricter by some percent.
     lift = 1 - (expected.lift / (shares["max_lift_share"] * aircraft.max_lift)).max()

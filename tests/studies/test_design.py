@@ -8,6 +8,7 @@ import drawn_designs
 import numpy as np
 import pytest
 
+from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.simulation.aircraft_margins import aircraft_margins
 from drake_nonstop.studies import design as module
@@ -325,6 +326,23 @@ def test_drawn_requests_are_within_their_ranges():
 def test_a_request_that_cannot_be_used_is_refused_in_a_sentence(change, sentence):
     with pytest.raises(ScenarioError, match=re.escape(sentence)):
         read_request(None, [change])
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_limit_of_aircraft_that_is_asked_for_is_missed_beyond_it(windy, kept):
+    formation = windy.formations[0]
+    for limit in limits_of(Of.FLIGHT):
+        free = module.design_task(windy.request, 4)
+        at = dataclasses.replace(free, limits=free.limits._replace(asked=((limit, 1.0),)))
+        (flown,) = flight_of(at, "co_rotating", formation.variables).asked
+        value = flown * (1.001 if kept else 0.999)
+        if value > limit.largest:
+            continue
+        request = dataclasses.replace(windy.request, **{limit.field: value})
+        task = module.design_task(request, 4)
+        flight = flight_of(task, "co_rotating", formation.variables)
+        missed = [each.text for each in module.missed_limits(task, flight)]
+        assert any(text.startswith(limit.words) for text in missed) == (not kept)
 
 
 def test_a_load_that_no_loop_flies_is_refused_before_the_search():
