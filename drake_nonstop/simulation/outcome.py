@@ -221,7 +221,11 @@ def find_warnings(run: RunQuantities) -> list[str]:
     ]
     unsolved = run.update_counts["relaxed"] + run.update_counts["held"]
     if unsolved:
-        found.append(f"no xi and A kept the constraints at {unsolved} updates (relaxed, held)")
+        missed = [f"{name} at {count}" for name, count in run.missed_limits.items() if count]
+        of_limits = f"; missed were {', '.join(missed)}" if missed else ""
+        found.append(
+            f"no xi and A kept the constraints at {unsolved} updates (relaxed, held){of_limits}"
+        )
     return found
 
 
