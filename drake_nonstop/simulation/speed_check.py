@@ -123,17 +123,20 @@ def feasible_speeds(
     """The least speed (k, x, a), m/s, over an orbit, of constant ξ (k, x) and A (k, a) at times."""
     terms = _terms_along(problem, task, times)
     angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
-    shape = (10, 3, _PHASES, len(times), task.model.n, 1)
+    shape = (10, 3, _PHASES, len(times), task.model.n)
     polynomials = orbit_polynomials(terms, problem.axes, angles).reshape(shape)
-    values = polynomial_values(polynomials, amplitudes[:, None, :])
-    c, b, a, _ = speed_squares(
-        values, rest_length=problem.rest_length, compliance=problem.compliance
-    )
     least = []
-    for frequency in frequencies.T:
-        s = frequency[:, None, None] * amplitudes[:, None, :]
-        least.append((c + s * (2 * b + s * a)).min(axis=(0, 2)))
-    return np.sqrt(np.maximum(np.stack(least, axis=1), 0.0))
+    for amplitude in amplitudes.T:  # one by one: all of them at once take much memory
+        values = polynomial_values(polynomials, amplitude[:, None])
+        c, b, a, _ = (
+            part[:, :, None]
+            for part in speed_squares(
+                values, rest_length=problem.rest_length, compliance=problem.compliance
+            )
+        )
+        s = (frequencies * amplitude[:, None])[..., None]
+        least.append((c + s * (2 * b + s * a)).min(axis=(0, 3)))
+    return np.sqrt(np.maximum(np.stack(least, axis=2), 0.0))
 
 
 def _terms_along(problem: HorizonProblem, task: Task, times: NDArray) -> OrbitTerms:
