@@ -1,6 +1,7 @@
 """Plans of ξ and A over a receding horizon, for the box "Optimization Layer" of the figure."""
 
 import math
+import threading
 import time as clock
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -422,11 +423,11 @@ class _Effort(NamedTuple):
 _MOST_EFFORT = _Effort(4, (_ANEW, 1.1, 0.9))
 
 
-class _Planner:
+class _Planner(threading.local):
     """Makes plans; they depend on the arguments alone.
 
     The last one is kept: a loop that looks for its equilibrium asks for the same again and again.
-    So is what it knew of the motion, of which the next one needs most.
+    So is what it knew of the motion, of which the next one needs most. Each thread has its own.
     """
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig, name: Any):

@@ -1,6 +1,7 @@
 """Successive quadratic programs for the nonstop problem over a horizon."""
 
 import math
+import threading
 import weakref
 from dataclasses import replace
 from typing import NamedTuple
@@ -200,8 +201,11 @@ class HorizonSolver:
         return x
 
 
-class _StepProgram:
-    """The quadratic program of a step, which is built once and changed from step to step."""
+class _StepProgram(threading.local):
+    """The quadratic program of a step, which is built once and changed from step to step.
+
+    Each thread has its own, built of the same arguments.
+    """
 
     def __init__(self, solver: HorizonSolver):
         self._owner, self._problem = weakref.proxy(solver), solver.problem
