@@ -70,16 +70,14 @@ class HorizonSolver:
 
     Args:
         problem: what all plans share.
-        fixed: how many of the first coefficients are given; none: those of the config.
 
     Attributes:
         problem: as given.
         fixed: how many of the first coefficients are given.
     """
 
-    def __init__(self, problem: HorizonProblem, *, fixed: int | None = None):
-        self.problem = problem
-        self.fixed = problem.config.fixed_coefficients if fixed is None else fixed
+    def __init__(self, problem: HorizonProblem):
+        self.problem, self.fixed = problem, problem.config.fixed_coefficients
         count = problem.count
         free = np.arange(self.fixed, count)
         self._free = np.concatenate([free, count + free])  # among both splines' coefficients

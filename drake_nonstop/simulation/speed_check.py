@@ -277,12 +277,13 @@ def _planned(task: Task, *, most: int | None) -> list[_Planned]:
         problem = problem_of(task, config)
         if terms is None:
             terms = _terms_along(problem, task, fine)
+        nominal = Plan(0.0, 0.0, spacing, problem.nominal, problem.nominal_coefficients())
+        if task.changes_parameters and _ratios(problem, terms, fine, nominal, bound)[0].min() < 1:
+            # A layer then starts with others.
+            problem = problem_of(task, replace(config, fixed_coefficients=0))
         solver = HorizonSolver(problem)
         winds = np.array([task.planned_wind(time) for time in problem.times(0.0)])
         data = problem.data(0.0, 0.0, task.reference, bound, wind=winds)
-        nominal = problem.plan(data, problem.nominal_coefficients())
-        if task.changes_parameters and _ratios(problem, terms, fine, nominal, bound)[0].min() < 1:
-            solver = HorizonSolver(problem, fixed=0)  # a layer then starts with others
         for start in _starts(task, solver, data, intervals):
             answer = solver.solve(data, start, max_iterations=_MAX_ITERATIONS, tolerance=_TOLERANCE)
             plan = answer.plan

@@ -22,7 +22,7 @@ FLIGHTS = {
         "aircraft_transfer_rising_wind",
         [],
         0.04,
-        (BOUND, [13.0, 13.3, 13.6, 14.0]),
+        (BOUND, [11.0, 13.4, 13.6, 14.0]),
     ),
     "search": ("quintic", [ONE_SAMPLE, LOW], 0.05, BOUNDS),
     "snopt": (
