@@ -1,5 +1,6 @@
 """Cables: massless, tension-only spring-dampers between load and carriers."""
 
+import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rotation import absolute, cross, norm, rotation_matrix
@@ -72,3 +73,51 @@ def cables_elastic_energy(
     levers = attachments @ rotation_matrix(load.quaternion).T
     stretch = positive_part(norm(carriers.positions - load.position - levers) - rest_length)
     return (stiffness * stretch * stretch).sum(axis=0) / 2
+
+
+def forces_under_other_wrench(
+    forces: NDArray, levers: NDArray, wrench: NDArray, *, rest_length: float, stiffness: float
+) -> NDArray:
+    """Cable forces (k, n, 3), N, where a load has another wrench than its carriers pull for.
+
+    The carriers stay where they are, and the load moves and turns by the small δp and δφ at which
+    the cables hold it. With q = f/T of each cable, to first order,
+
+        δf = −(K_c q qᵀ + (T/ℓ)(I − q qᵀ)) (δp + δφ × r),   ℓ = L₀ + T/K_c,
+        Σ (f + δf) = F,   Σ (r × (f + δf) + (δφ × r) × f) = τ.
+
+    Own derivation.
+
+    Args:
+        forces: f (k, n, 3), N, that the carriers pull with, on the load, as all in one frame.
+        levers: r (k, n, 3) or (n, 3), m, from the load's centre of mass to the attachments.
+        wrench: [τ; F] (k, 6), which the cables have to make about the centre of mass.
+        rest_length: L₀, m.
+        stiffness: K_c, N/m; inf: the cables do not stretch, and the forces stay as they are.
+    """
+    if not np.isfinite(stiffness):
+        return forces
+    levers = np.broadcast_to(levers, forces.shape)
+    tensions = np.linalg.norm(forces, axis=-1, keepdims=True)[..., None]
+    along = forces[..., :, None] * forces[..., None, :] / tensions**2
+    across = np.eye(3) - along
+    lengths = rest_length + tensions / stiffness
+    springs = stiffness * along + tensions / lengths * across  # (k, n, 3, 3)
+    # How an attachment moves with [δφ; δp], (k, n, 3, 6); transposed, what wrench a force has.
+    moving = np.concatenate([-_skews(levers), np.broadcast_to(np.eye(3), springs.shape)], axis=-1)
+    present = wrenches_of(forces, levers)
+    restoring = np.einsum("kiab,kiac,kicd->kbd", moving, springs, moving)
+    restoring[:, :3, :3] -= np.einsum("kiab,kibc->kac", _skews(forces), _skews(levers))
+    moved = np.linalg.solve(restoring, (present - wrench)[..., None])
+    return forces - (springs @ moving @ moved[:, None])[..., 0]
+
+
+def wrenches_of(forces: NDArray, levers: NDArray) -> NDArray:
+    """The wrenches [τ; F] (..., 6) of forces (..., n, 3) at levers of that shape, in one frame."""
+    torques = np.cross(levers, forces).sum(axis=-2)
+    return np.concatenate([torques, forces.sum(axis=-2)], axis=-1)
+
+
+def _skews(vectors: NDArray) -> NDArray:
+    """The matrices (..., 3, 3) that multiply from the left by a cross product."""
+    return -np.cross(vectors[..., None, :], np.eye(3))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectoryConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
@@ -24,7 +25,9 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
     thrust_power,
 )
+from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
 from drake_nonstop.mechanics.resting_orbit import CarrierOrbits, resting_orbits
+from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model, overridden
@@ -217,7 +220,8 @@ def aircraft_margins(scenario: Scenario, **replacements: Any) -> AircraftMargins
 
     The orbit is that of the start: of the first ξ and A, above the load in its first pose, which
     turns about the vertical at its first rate and rests otherwise, in the steady wind, without
-    gusts and disturbances. Load, cables and aircraft are those of the simulated plant.
+    gusts and disturbances. The carriers fly the orbit of the load that the controllers believe in;
+    the aircraft and the load that they hold are those of the simulated plant.
 
     Args:
         scenario: with aircraft in its `system`.
@@ -305,10 +309,12 @@ def margins_of_loop(scenario: Scenario, nonstop: Diagram, context: Context) -> A
     reference, parameters = (
         nonstop.GetOutputPort(name).Eval(context) for name in ("reference", "parameters")
     )
+    simulated = _simulated(scenario)
     return margins_at_rest(
-        _simulated(scenario),
+        simulated,
         reference,
         parameters,
+        believed=_believed(scenario, simulated),
         wind=_mean_wind(scenario, nonstop, context),
         limits=flight_limits_of(scenario),
         name=scenario.name,
@@ -327,6 +333,28 @@ def _simulated(scenario: Scenario) -> Model:
     )
     _aircraft_of(model)
     return model
+
+
+def _believed(scenario: Scenario, simulated: Model) -> Model:
+    """What the carriers' orbits follow from: the controllers' model.
+
+    References above the measured load come to follow the simulated one, whose height is fed back.
+    """
+    if isinstance(scenario.carrier_trajectory, MeasuredCarrierTrajectoryConfig):
+        return simulated
+    if not simulated.overridden:
+        return simulated
+    return Model(scenario.system, scenario.pattern, scenario.control_period)
+
+
+def asked_load(believed: Model, simulated: Model) -> RigidLoad:
+    """The load that the carriers' orbits are for.
+
+    Above its desired position it is the believed one: a lighter load rises by what the cables
+    stretch less, which is too little for a controller to notice. To the side the cables hardly hold
+    it, and the controller comes to ask for what its drag needs.
+    """
+    return dataclasses.replace(believed.load, drag=simulated.load.drag)
 
 
 def _aircraft_of(model: Model) -> Aircraft:
@@ -361,6 +389,7 @@ def margins_at_rest(
     reference: NDArray,
     parameters: NDArray,
     *,
+    believed: Model | None = None,
     wind: MeanWind = _STILL_AIR,
     limits: FlightLimits = _LIMITS,
     name: str = "unnamed",
@@ -374,6 +403,7 @@ def margins_at_rest(
         model: of the simulated plant, with aircraft.
         reference: (22,) of the load, of which pose and angular velocity count.
         parameters: [ξ (rad/s), A (N)] (2,).
+        believed: what the controllers believe in place of it, whose orbit is flown; None: the same.
         wind: the steady wind.
         limits: what they are held against.
         name: of the scenario.
@@ -381,7 +411,7 @@ def margins_at_rest(
     Raises:
         ScenarioError: there are no aircraft, or the load turns about a horizontal axis.
     """
-    orbit = _Orbit(model, reference, parameters, limits)
+    orbit = _Orbit(model, believed or model, reference, parameters, limits)
     found = _margins(orbit, wind, name)
     if found.is_flyable or not np.any(wind.velocity):
         return found
@@ -447,7 +477,14 @@ def quantities_of_each(
 class _Orbit:
     """The orbit above a resting load; arguments as of `margins_at_rest`."""
 
-    def __init__(self, model: Model, reference: NDArray, parameters: NDArray, limits: FlightLimits):
+    def __init__(
+        self,
+        model: Model,
+        believed: Model,
+        reference: NDArray,
+        parameters: NDArray,
+        limits: FlightLimits,
+    ):
         turning = LoadReference.view(reference).angular_velocity
         require(
             np.max(np.abs(turning[:2])) < 1e-9,
@@ -456,7 +493,7 @@ class _Orbit:
             "give one that lets the load rest at first, or turns it about the vertical: there is "
             "no resting orbit",
         )
-        self.model, self.aircraft = model, _aircraft_of(model)
+        self.model, self.believed, self.aircraft = model, believed, _aircraft_of(model)
         self._reference, self._parameters = reference, parameters
         self._yaw_rate = float(turning[2])
         (frequency,), (amplitude,) = Parameters.view(parameters)
@@ -470,9 +507,34 @@ class _Orbit:
 
     def at(self, phases: NDArray, wind: MeanWind) -> tuple[AircraftNeeds, list[Quantity]]:
         """What the aircraft need at phases (k,), rad, and all quantities that have limits."""
-        model, pattern = self.model, self.model.pattern
-        motion = resting_orbits(
-            model.load,
+        motion = self._motion(phases, wind)
+        needs = aircraft_needs(self.aircraft, motion, wind.at(motion.positions))
+        of_each = quantities_of_each(self.aircraft, needs, self.limits)
+        return needs, [*of_each, *self._of_pairs(motion)]
+
+    def _motion(self, phases: NDArray, wind: MeanWind) -> CarrierOrbits:
+        """Of the carriers as the controllers lead them, and of the cables of the simulated load."""
+        model, believed = self.model, self.believed
+        if believed is model:
+            return self._orbits(model, model.load, phases, wind)
+        flown = self._orbits(believed, asked_load(believed, model), phases, wind)
+        held = self._orbits(model, model.load, phases, wind)
+        levers = held.cable_ends - Pose.view(self._reference).position
+        forces = forces_under_other_wrench(
+            flown.cable_forces,
+            levers,
+            wrenches_of(held.cable_forces, levers),
+            rest_length=model.cable_length,
+            stiffness=model.cable_stiffness,
+        )
+        return flown._replace(cable_forces=forces, cable_ends=held.cable_ends)
+
+    def _orbits(
+        self, model: Model, load: RigidLoad, phases: NDArray, wind: MeanWind
+    ) -> CarrierOrbits:
+        pattern = model.pattern
+        return resting_orbits(
+            load,
             self._reference,
             phases / self.rate,
             self._parameters,
@@ -487,9 +549,6 @@ class _Orbit:
             rest_length=model.cable_length,
             compliance=model.cable_compliance,
         )
-        needs = aircraft_needs(self.aircraft, motion, wind.at(motion.positions))
-        of_each = quantities_of_each(self.aircraft, needs, self.limits)
-        return needs, [*of_each, *self._of_pairs(motion)]
 
     def _of_pairs(self, motion: CarrierOrbits) -> Iterator[Quantity]:
         model = self.model

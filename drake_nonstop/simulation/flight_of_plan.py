@@ -1,11 +1,14 @@
 """What the aircraft of a task need on their way, along the plan that keeps the bound."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import thrust_limits
+from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
 from drake_nonstop.mechanics.nonstop import orbit_axes
 from drake_nonstop.mechanics.planned_flight import (
     FlightTerms,
@@ -13,12 +16,16 @@ from drake_nonstop.mechanics.planned_flight import (
     flight_along_reference,
     flight_needs,
     flight_products,
+    planned_cable_forces,
 )
+from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
+from drake_nonstop.model.system import Model
 from drake_nonstop.simulation.aircraft_margins import (
     AircraftNeeds,
     FlightLimits,
     FlightMargin,
+    asked_load,
     quantities_of_each,
 )
 from drake_nonstop.simulation.speed_check import SpeedCheck
@@ -65,20 +72,38 @@ class FlightOfPlan(NamedTuple):
         }
 
 
-def _height_of_carriers(task: Task) -> float:
+def _height_of_carriers(model: Model) -> float:
     """How far above their load the carriers are in the mean, m, where it rests without sway."""
-    model = task.flown
     weight = np.array([0, 0, 0, 0, 0, model.load_mass * model.gravity])
     forces = (model.pseudo_inverse @ weight + model.pattern.offset).reshape(-1, 3)
     return model.cable_length * float(np.mean(forces[:, 2] / np.linalg.norm(forces, axis=1)))
 
 
+def _terms_of(
+    task: Task, model: Model, load: RigidLoad, times: NDArray, winds: Sequence[NDArray]
+) -> FlightTerms:
+    """What the orbits of a model depend on besides the plan, at times (k,), s, with their winds."""
+    flat = [
+        flight_along_reference(
+            load,
+            task.reference(time),
+            wind,
+            pseudo_inverse=model.pseudo_inverse,
+            offset=model.pattern.offset,
+            attachments=model.attachments,
+        )
+        for time, wind in zip(times, winds, strict=True)
+    ]
+    return FlightTerms.view(np.array(flat))
+
+
 def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> FlightOfPlan | None:
     """The margins of a task's aircraft along its best plan, in the mean wind at their mean height.
 
-    The aircraft follow the plan exactly. None where there are no aircraft, the internal force has
-    other harmonics than the first, or a layer without a speed bound changes ξ and A: there is no
-    plan.
+    The aircraft follow the plan exactly, above the load that the controllers believe in, see
+    `asked_load`, and hold the simulated one. None where there are no aircraft, the internal force
+    has other harmonics than the first, or a layer without a speed bound changes ξ and A: there is
+    no plan.
 
     Args:
         task: what is flown.
@@ -86,22 +111,14 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
         limits: what the needs are held against.
     """
     model, pattern, aircraft = task.flown, task.flown.pattern, task.flown.aircraft
+    believed = model if task.is_above_load else task.model
     is_free = task.changes_parameters and task.limits.speed_bound == 0
     if aircraft is None or is_free or any(order != 1 for order in pattern.harmonics):
         return None
     times, plan = speeds.plan_times, speeds.plan
-    above = _height_of_carriers(task)
-    flat = [
-        flight_along_reference(
-            model.load,
-            task.reference(time),
-            task.wind_at(time, above),
-            pseudo_inverse=model.pseudo_inverse,
-            offset=pattern.offset,
-            attachments=model.attachments,
-        )
-        for time in times
-    ]
+    above = _height_of_carriers(believed)
+    winds = [task.wind_at(time, above) for time in times]
+    terms = _terms_of(task, believed, asked_load(believed, model), times, winds)
     values = np.zeros((len(times), PLANNED_SIZE))
     parts = PlannedParameters.view(values)
     if plan is None:
@@ -110,13 +127,25 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
     else:
         values[:] = [plan.values(time) for time in times]
     orbit = PlannedOrbit(*(getattr(parts, name)[:, 0] for name in PlannedOrbit._fields))
+    axes = orbit_axes(believed.pattern.basis, pattern.phases)
+    forces = None
+    if believed is not model:
+        held = _terms_of(task, model, model.load, times, winds).forces
+        forces = forces_under_other_wrench(
+            planned_cable_forces(terms, axes, orbit),
+            model.attachments,
+            wrenches_of(held, model.attachments),
+            rest_length=model.cable_length,
+            stiffness=model.cable_stiffness,
+        )
     products = flight_products(
         aircraft,
-        FlightTerms.view(np.array(flat)),
-        orbit_axes(pattern.basis, pattern.phases),
+        terms,
+        axes,
         orbit,
-        rest_length=model.cable_length,
-        compliance=model.cable_compliance,
+        rest_length=believed.cable_length,
+        compliance=believed.cable_compliance,
+        cable_forces=forces,
     )
     needed = flight_needs(aircraft, products)
     least, most = thrust_limits(aircraft, needed.airspeed)

@@ -2,9 +2,15 @@ import itertools
 
 import numpy as np
 import pytest
-from helpers import SHAPES, Motion, difference, rotation
+from helpers import SHAPES, Motion, difference, irregular, rotation
 
-from drake_nonstop.mechanics.cable import cable_forces_and_tensions, positive_part
+from drake_nonstop.mechanics.cable import (
+    cable_forces_and_tensions,
+    forces_under_other_wrench,
+    positive_part,
+    wrenches_of,
+)
+from drake_nonstop.mechanics.rotation import rotation_matrix
 
 LENGTH, STIFFNESS, DAMPING = 0.8, 500.0, 0.3
 CONSTANTS = {"rest_length": LENGTH, "stiffness": STIFFNESS, "damping": DAMPING}
@@ -87,3 +93,43 @@ def test_taut_cables_between_moving_load_and_moving_carriers(shape):
     np.testing.assert_allclose(tensions, expected, rtol=1e-12, atol=0)
     directions = cables(time) / lengths(time)[:, None]
     np.testing.assert_allclose(forces, expected[:, None] * directions, rtol=1e-11)
+
+
+@pytest.mark.parametrize("n", [3, 4, 7])
+def test_forces_under_another_wrench_are_those_of_a_load_that_has_moved_to_where_it_has_it(n):
+    rng = np.random.default_rng(n)
+    points = irregular(n) + np.array([0, 0, 0.1])
+    carriers = 1.05 * LENGTH * np.array([0, 0, 1.0]) + 1.4 * points + 0.05 * rng.normal(size=(n, 3))
+    state = np.concatenate([carriers.ravel(), np.zeros(3 * n)])
+    still = {**CONSTANTS, "damping": 0.0, "attachments": points}
+    rest = np.array([1.0, *np.zeros(12)])
+    forces, _ = cable_forces_and_tensions(rest, state, **still)
+
+    def error(size):
+        moved = rest.copy()
+        moved[1:7] = size * np.array([0.2, -0.1, 0.3, 0.2, -0.3, 0.1])  # half a turn, and a way
+        moved[:4] /= np.linalg.norm(moved[:4])
+        expected, _ = cable_forces_and_tensions(moved, state, **still)
+        levers = points @ rotation_matrix(moved[:4]).T
+        found = forces_under_other_wrench(
+            forces[None],
+            points,
+            wrenches_of(expected, levers)[None],
+            rest_length=LENGTH,
+            stiffness=STIFFNESS,
+        )
+        return np.max(np.abs(found[0] - expected)) / np.max(np.abs(forces - expected))
+
+    assert error(1e-3) < 0.02
+    assert error(1e-4) < 0.11 * error(1e-3)  # it is of the first order
+
+
+def test_forces_stay_as_they_are_under_their_own_wrench():
+    forces = np.random.default_rng(2).normal(size=(5, 4, 3)) + UP
+    points = irregular(4)
+    own = wrenches_of(forces, np.broadcast_to(points, forces.shape))
+    for stiffness in (STIFFNESS, np.inf):
+        found = forces_under_other_wrench(
+            forces, points, own, rest_length=LENGTH, stiffness=stiffness
+        )
+        np.testing.assert_allclose(found, forces, atol=1e-12)
