@@ -63,6 +63,9 @@ def _check(options: argparse.Namespace) -> int:
     print(task_table(found))
     for verdict in found.verdicts:
         print(verdict)
+    flown = found.flight or aircraft
+    if flown is not None and flown.ranges.cables.warning:
+        print(flown.ranges.cables.warning)
     if aircraft is not None:
         print(margins_table(aircraft))
         print(aircraft.verdict)

@@ -18,12 +18,14 @@ from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
     air_frame,
+    airspeed_over_loaded_stall,
     drawn_power,
     needed_force,
     required_command,
     stall_speed,
     thrust_limits,
     thrust_power,
+    thrust_share,
 )
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
 from drake_nonstop.mechanics.resting_orbit import CarrierOrbits, resting_orbits
@@ -33,6 +35,7 @@ from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model, overridden
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import Scenario, check
+from drake_nonstop.simulation.bowed_cables import BowedCables
 from drake_nonstop.simulation.separations import segment_distances
 from drake_nonstop.validation import require
 
@@ -87,6 +90,76 @@ def aircraft_needs(aircraft: Aircraft, motion: CarrierOrbits, wind: NDArray) -> 
     least, most = thrust_limits(aircraft, airspeed)
     climb = np.arcsin(frame.forward[..., 2].clip(-1, 1))
     return AircraftNeeds(airspeed, told.lift, told.bank, climb, told.thrust, least, most)
+
+
+class FlightRanges(NamedTuple):
+    """The least and the largest of what aircraft need, over all of them and all instants."""
+
+    lift_share: tuple[float, float]  # of C_Lmax
+    airspeed: tuple[float, float]  # m/s
+    over_stall: tuple[float, float]  # of the airspeed, over the stall speed without a cable
+    over_loaded_stall: tuple[float, float]  # over the one with cable and bank
+    bank: tuple[float, float]  # rad
+    climb: tuple[float, float]  # rad
+    thrust: tuple[float, float]  # N
+    thrust_share: tuple[float, float]  # of the largest one at that airspeed
+    cables: BowedCables
+
+    @classmethod
+    def of(
+        cls, aircraft: Aircraft, needs: AircraftNeeds, cable_forces: NDArray, attachments: NDArray
+    ) -> "FlightRanges":
+        """Those of needs (k, n), with the cables' forces (k, n, 3), N, and attachments (n, 3)."""
+        lift, airspeed, thrust = needs.lift, needs.airspeed, needs.thrust
+        values = (
+            lift / aircraft.max_lift,
+            airspeed,
+            airspeed / stall_speed(aircraft),
+            airspeed_over_loaded_stall(aircraft, airspeed, lift, thrust),
+            needs.bank,
+            needs.climb,
+            thrust,
+            thrust_share(aircraft, thrust, airspeed),
+        )
+        tensions = np.linalg.norm(cable_forces, axis=-1)
+        cables = BowedCables.of(aircraft, airspeed, tensions, attachments)
+        return cls(*((float(np.min(each)), float(np.max(each))) for each in values), cables)
+
+    @property
+    def lines(self) -> list[tuple[str, str]]:
+        """A name and a text for each line of a table."""
+        degrees = [math.degrees(angle) for angle in self.bank]
+        (least, most), (share, most_share) = self.thrust, self.thrust_share
+        return [
+            (
+                "airspeed",
+                f"{self.airspeed[0]:.1f} to {self.airspeed[1]:.1f} m/s, at least "
+                f"{self.over_stall[0]:.2f} of the stall speed, and "
+                f"{self.over_loaded_stall[0]:.2f} of that with cable and bank",
+            ),
+            (
+                "thrust",
+                f"{least:.1f} to {most:.1f} N, {100 * share:.0f} to {100 * most_share:.0f} % of "
+                "the largest",
+            ),
+            ("bank", f"{degrees[0]:.1f} to {degrees[1]:.1f} deg"),
+            ("real cables", self.cables.text),
+        ]
+
+    @property
+    def dictionary(self) -> dict[str, Any]:
+        """The same for a JSON file."""
+        return {
+            "lift_share": list(self.lift_share),
+            "airspeed_m_s": list(self.airspeed),
+            "airspeed_over_stall": list(self.over_stall),
+            "airspeed_over_loaded_stall": list(self.over_loaded_stall),
+            "bank_rad": list(self.bank),
+            "climb_rad": list(self.climb),
+            "thrust_N": list(self.thrust),
+            "thrust_share": list(self.thrust_share),
+            "cables": self.cables.dictionary,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +232,7 @@ class AircraftMargins:
         phases: (k,) rad, ξ t over that time; the angle of a load that turns, where no internal
             force swings.
         needs: at these phases.
+        ranges: of these, and what straight cables leave out.
         limits: what they are held against.
         carrier_distance: (k,) m, of the closest two there.
         cable_distance: (k,) m, of the closest two there.
@@ -176,6 +250,7 @@ class AircraftMargins:
     turn: float
     phases: NDArray
     needs: AircraftNeeds
+    ranges: FlightRanges
     limits: FlightLimits
     carrier_distance: NDArray
     cable_distance: NDArray
@@ -256,13 +331,7 @@ def margins_table(found: AircraftMargins) -> str:
         )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-    needs = found.needs
-    for name, values, unit in (
-        ("airspeed", needs.airspeed, "m/s"),
-        ("thrust", needs.thrust, "N"),
-        ("bank", np.degrees(needs.bank), "deg"),
-    ):
-        lines.append(f"{name:{widths[0]}}  {values.min():.1f} to {values.max():.1f} {unit}")
+    lines += [f"{name:{widths[0]}}  {text}" for name, text in found.ranges.lines]
     power = f"{found.propulsive_power:.0f} W of thrust, {found.drawn_power:.0f} W drawn"
     lines.append(f"{'mean power of each':{widths[0]}}  {power}")
     lines.append(f"{'a turn':{widths[0]}}  {found.turn:.2f} s")
@@ -273,7 +342,6 @@ def margins_table(found: AircraftMargins) -> str:
 
 def margins_dictionary(found: AircraftMargins) -> dict[str, Any]:
     """The same for a JSON file; keys end in their units, angles are in rad."""
-    needs = found.needs
     return {
         "scenario": found.scenario,
         "is_flyable": found.is_flyable,
@@ -282,16 +350,7 @@ def margins_dictionary(found: AircraftMargins) -> dict[str, Any]:
         "wind_m_s": found.wind.velocity.tolist(),
         "possible_share_of_wind": found.possible_wind,
         "margins": [margin.dictionary for margin in found.margins],
-        "ranges": {
-            name: [float(values.min()), float(values.max())]
-            for name, values in (
-                ("lift_share", needs.lift / found.max_lift),
-                ("airspeed_m_s", needs.airspeed),
-                ("bank_rad", needs.bank),
-                ("climb_rad", needs.climb),
-                ("thrust_N", needs.thrust),
-            )
-        },
+        "ranges": found.ranges.dictionary,
         "stall_speed_m_s": found.stall_speed,
         "power_of_thrust_mean_W": found.propulsive_power,
         "power_drawn_mean_W": found.drawn_power,
@@ -505,12 +564,15 @@ class _Orbit:
         self.limits = limits
         self._pairs = list(combinations(range(model.n), 2))
 
-    def at(self, phases: NDArray, wind: MeanWind) -> tuple[AircraftNeeds, list[Quantity]]:
-        """What the aircraft need at phases (k,), rad, and all quantities that have limits."""
+    def at(
+        self, phases: NDArray, wind: MeanWind
+    ) -> tuple[AircraftNeeds, list[Quantity], FlightRanges]:
+        """What the aircraft need at phases (k,), rad, all quantities that have limits, ranges."""
         motion = self._motion(phases, wind)
         needs = aircraft_needs(self.aircraft, motion, wind.at(motion.positions))
         of_each = quantities_of_each(self.aircraft, needs, self.limits)
-        return needs, [*of_each, *self._of_pairs(motion)]
+        ranges = FlightRanges.of(self.aircraft, needs, motion.cable_forces, self.model.attachments)
+        return needs, [*of_each, *self._of_pairs(motion)], ranges
 
     def _motion(self, phases: NDArray, wind: MeanWind) -> CarrierOrbits:
         """Of the carriers as the controllers lead them, and of the cables of the simulated load."""
@@ -573,7 +635,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
     """The margins in a wind, whatever they are."""
     count = _INSTANTS * orbit.turns
     phases = 2 * np.pi / _INSTANTS * np.arange(count)
-    needs, quantities = orbit.at(phases, wind)
+    needs, quantities, ranges = orbit.at(phases, wind)
     margins = [quantity.worst(phases) for quantity in quantities]
     distances = {quantity.name: quantity.values.min(axis=1) for quantity in quantities}
     step = phases[1]
@@ -581,7 +643,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         step /= _PARTS
         around = step * np.arange(1 - _PARTS, _PARTS)
         near = np.unique([margin.phase + around for margin in margins])
-        _, quantities = orbit.at(near, wind)
+        _, quantities, _ = orbit.at(near, wind)
         found = [quantity.worst(near) for quantity in quantities]
         margins = [min(pair, key=lambda m: m.margin) for pair in zip(margins, found, strict=True)]
     aircraft = orbit.aircraft
@@ -593,6 +655,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         turn=2 * math.pi * orbit.turns / orbit.rate,
         phases=phases,
         needs=needs,
+        ranges=ranges,
         limits=orbit.limits,
         carrier_distance=distances["carriers apart"],
         cable_distance=distances["cables apart"],

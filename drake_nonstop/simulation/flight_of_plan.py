@@ -25,6 +25,7 @@ from drake_nonstop.simulation.aircraft_margins import (
     AircraftNeeds,
     FlightLimits,
     FlightMargin,
+    FlightRanges,
     asked_load,
     quantities_of_each,
 )
@@ -37,6 +38,7 @@ class FlightOfPlan(NamedTuple):
 
     margins: tuple[FlightMargin, ...]  # phases are the plan's θ, from 0 to 2π
     times: tuple[float, ...]  # s, of each
+    ranges: FlightRanges  # of what they need, and what straight cables leave out
 
     @property
     def is_flyable(self) -> bool:
@@ -69,6 +71,7 @@ class FlightOfPlan(NamedTuple):
                 margin.dictionary | {"time_s": time}
                 for margin, time in zip(self.margins, self.times, strict=True)
             ],
+            "ranges": self.ranges.dictionary,
         }
 
 
@@ -128,11 +131,11 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
         values[:] = [plan.values(time) for time in times]
     orbit = PlannedOrbit(*(getattr(parts, name)[:, 0] for name in PlannedOrbit._fields))
     axes = orbit_axes(believed.pattern.basis, pattern.phases)
-    forces = None
+    forces = planned_cable_forces(terms, axes, orbit)
     if believed is not model:
         held = _terms_of(task, model, model.load, times, winds).forces
         forces = forces_under_other_wrench(
-            planned_cable_forces(terms, axes, orbit),
+            forces,
             model.attachments,
             wrenches_of(held, model.attachments),
             rest_length=model.cable_length,
@@ -156,4 +159,5 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
     return FlightOfPlan(
         tuple(quantity.worst(orbit.angle % (2 * math.pi)) for quantity in quantities),
         tuple(float(times[quantity.worst_place[0]]) for quantity in quantities),
+        FlightRanges.of(aircraft, needs, forces, model.attachments),
     )

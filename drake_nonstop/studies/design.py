@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.mechanics.aircraft import drawn_power, stall_speed
+from drake_nonstop.mechanics.aircraft import (
+    airspeed_over_loaded_stall,
+    drawn_power,
+    stall_speed,
+    thrust_share,
+)
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
 from drake_nonstop.mechanics.signals import POSE_SIZE
 from drake_nonstop.model.pattern import EllipticCarouselConfig
@@ -32,6 +37,7 @@ from drake_nonstop.simulation.aircraft_margins import (
     aircraft_margins,
     aircraft_needs,
 )
+from drake_nonstop.simulation.bowed_cables import BowedCables
 from drake_nonstop.simulation.formation import find_formation
 from drake_nonstop.simulation.run import RunStopped, StepCheck
 from drake_nonstop.simulation.task import task_of
@@ -73,10 +79,13 @@ class Flight(NamedTuple):
     lift_share: float  # of C_Lmax, the largest
     airspeed_min: float  # m/s
     airspeed_max: float  # m/s
+    over_loaded_stall: float  # of the airspeed, over the stall speed with cable and bank, the least
     bank: float  # rad, the largest, to either side
     climb: float  # rad, the largest, up or down
     thrust_min: float  # N
     thrust_max: float  # N
+    thrust_share_min: float  # of the largest thrust at that airspeed
+    thrust_share_max: float
     thrust_above: float  # of the range of thrust, left above, the least
     thrust_below: float  # left below
     power: float  # W, that an aircraft draws from its battery, the mean at rest
@@ -112,6 +121,7 @@ class DesignedFormation:
         variables: of the program, forces in shares of f₀.
         flight: what the aircraft need at rest and on the way.
         distances: m, the least of two carriers and of two cables, at rest.
+        cables: what its straight cables leave out, at rest.
         growth: 1/s, of a deviation of the load, the largest at rest and on the way.
         stall_speed: m/s.
         breaks: what breaks first as wind, load and speed grow.
@@ -126,6 +136,7 @@ class DesignedFormation:
     variables: FormationVariables
     flight: Flight
     distances: tuple[float, float]
+    cables: BowedCables
     growth: float
     stall_speed: float
     breaks: tuple[Break, ...]
@@ -447,15 +458,20 @@ def flight_of(
     found = list(formation_needs(task, kind, x, phases))
     needs = AircraftNeeds(*map(np.concatenate, zip(*found, strict=True)))
     ranges = needs.thrust_max - needs.thrust_min
-    at_rest = found[0]
+    at_rest, aircraft = found[0], task.aircraft._replace(cable_length=x.cable_length)
+    shares = thrust_share(aircraft, needs.thrust, needs.airspeed)
+    over_stall = airspeed_over_loaded_stall(aircraft, needs.airspeed, needs.lift, needs.thrust)
     return Flight(
         lift_share=float(np.max(needs.lift)) / float(task.aircraft.max_lift),
         airspeed_min=float(np.min(needs.airspeed)),
         airspeed_max=float(np.max(needs.airspeed)),
+        over_loaded_stall=float(np.min(over_stall)),
         bank=float(np.max(np.abs(needs.bank))),
         climb=float(np.max(np.abs(needs.climb))),
         thrust_min=float(np.min(needs.thrust)),
         thrust_max=float(np.max(needs.thrust)),
+        thrust_share_min=float(np.min(shares)),
+        thrust_share_max=float(np.max(shares)),
         thrust_above=float(np.min((needs.thrust_max - needs.thrust) / ranges)),
         thrust_below=float(np.min((needs.thrust - needs.thrust_min) / ranges)),
         power=float(np.mean(drawn_power(task.aircraft, at_rest.thrust, at_rest.airspeed))),
@@ -741,6 +757,7 @@ class _Search:
             variables=x,
             flight=flight,
             distances=_distances(margins),
+            cables=margins.ranges.cables,
             growth=max(instant.rate for instant in formation.instants),
             stall_speed=float(stall_speed(self.task.aircraft)),
             breaks=tuple(breaking_points(self.way, self.kind, x, self.turns)),
@@ -979,16 +996,20 @@ def _dictionary(found: Design, formation: DesignedFormation) -> dict[str, Any]:
         "airspeed_min_m_s": flight.airspeed_min,
         "airspeed_max_m_s": flight.airspeed_max,
         "airspeed_over_stall_min": flight.airspeed_min / formation.stall_speed,
+        "airspeed_over_loaded_stall_min": flight.over_loaded_stall,
         "bank_rad": flight.bank,
         "climb_rad": flight.climb,
         "thrust_min_N": flight.thrust_min,
         "thrust_max_N": flight.thrust_max,
+        "thrust_share_min": flight.thrust_share_min,
+        "thrust_share_max": flight.thrust_share_max,
         "thrust_share_left_above": flight.thrust_above,
         "thrust_share_left_below": flight.thrust_below,
         "power_drawn_W": formation.power,
         "energy_Wh_per_kg_km": formation.energy,
         "carriers_apart_m": formation.distances[0],
         "cables_apart_m": formation.distances[1],
+        "cables": formation.cables.dictionary,
         "growth_1_s": formation.growth,
         "breaks_first": [
             {
@@ -1007,8 +1028,8 @@ def design_table(found: Design) -> str:
     rows: list[Sequence[str]] = [
         (
             *("", "n", "kind", "L_c m", "C N", "A_r N", "A_t N", "B N", "kappa", "xi rad/s"),
-            *("C_L", "V m/s", "V / V_s", "bank", "climb", "thrust N", "apart m", "cables m"),
-            *("W", "Wh/kg km", "reserve"),
+            *("C_L", "V m/s", "V / V_s", "loaded", "bank", "climb", "thrust N", "T %"),
+            *("apart m", "cables m", "W", "Wh/kg km", "reserve"),
         )
     ]
     for f in found.formations:
@@ -1025,9 +1046,11 @@ def design_table(found: Design) -> str:
                 f"{flight.lift_share:.2f}",
                 f"{flight.airspeed_min:.1f}-{flight.airspeed_max:.1f}",
                 f"{flight.airspeed_min / f.stall_speed:.2f}",
+                f"{flight.over_loaded_stall:.2f}",
                 f"{math.degrees(flight.bank):.0f}",
                 f"{math.degrees(flight.climb):.0f}",
                 f"{flight.thrust_min:.1f}-{flight.thrust_max:.1f}",
+                f"{100 * flight.thrust_share_min:.0f}-{100 * flight.thrust_share_max:.0f}",
                 f"{f.distances[0]:.1f}",
                 f"{f.distances[1]:.2f}",
                 f"{f.power:.0f}",
@@ -1039,6 +1062,12 @@ def design_table(found: Design) -> str:
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     for f in found.formations:
         lines.append(f"{f.scenario.name}: breaks first at {', '.join(b.text for b in f.breaks)}")
+    lines += [f"{f.scenario.name}: real cables {f.cables.text}" for f in found.formations]
+    warned = [f for f in found.formations if f.cables.warning]
+    if warned:
+        names = ", ".join(f.scenario.name for f in warned)
+        most = max(warned, key=lambda f: f.cables.difference)
+        lines.append(f"{names}: {most.cables.warning}")
     lines += [
         f"{refusal.carriers} {refusal.kind}: {refusal.sentence}" for refusal in found.refusals
     ]

@@ -222,7 +222,31 @@ def test_the_table_has_a_line_for_each_margin():
     lines = margins_table(result).splitlines()
     assert all(any(m.name in line for line in lines) for m in result.margins)
     assert stall_speed(model(F150, 150.0).aircraft) == result.stall_speed
-    assert margins_dictionary(result)["is_flyable"]
+    told = margins_dictionary(result)
+    assert told["is_flyable"]
+    table, ranges = "\n".join(lines), told["ranges"]
+    # C_L / C_Lmax is 0.56; some of the force across the flight is the thrust's.
+    assert "1.62 of the stall speed, and 1.33 of that with cable and bank" in table
+    assert ranges["airspeed_over_loaded_stall"][0] == pytest.approx(1 / math.sqrt(0.56), rel=0.01)
+    used = result.needs.thrust / result.needs.thrust_max
+    assert ranges["thrust_share"] == pytest.approx([used.min(), used.max()])
+    assert "13 to 70 % of the largest" in table
+
+
+def test_what_straight_cables_leave_out_is_told():
+    cables = margins(model(F150, 150.0), 0.595).ranges.cables
+    assert 5.6 < cables.bow < 11  # 5.6 m at 15.3 m/s and 25 N
+    assert cables.shortening[0] < 0.6 < cables.shortening[1]
+    assert cables.load_width == pytest.approx(3.0)
+    assert cables.mass == pytest.approx(0.11, abs=0.005)
+    assert "differently, more than a hundredth of the load's width (0.03 m)" in cables.warning
+    thin = dataclasses.replace(RASCAL, cable_diameter=1e-4)
+    assert not margins(model(F150, 150.0, thin), 0.595).ranges.cables.warning
+    alike = margins(model(R60, 60.0), 0.4, yaw_rate=0.4).ranges.cables  # on level circles
+    assert alike.shortening[1] > 0.03 > 1e-3 > alike.difference
+    assert not alike.warning
+    in_wind = margins(model(R60, 60.0), 0.4, yaw_rate=0.4, wind=(5.0, 0.0, 0.0)).ranges.cables
+    assert in_wind.difference > 0.01
 
 
 # Of the plant only: at rest, in wind, beside a load that turns, and with other carriers.

@@ -164,9 +164,21 @@ def test_it_flies_its_way_within_what_is_printed(windy):
 def test_what_is_printed_and_drawn(windy):
     table = design_table(windy)
     lines = table.splitlines()
-    assert len(lines) == 7
+    assert len(lines) == 10
     assert len(re.findall("breaks first at wind", table)) == 3
+    assert len(re.findall("real cables bow by up to ", table)) == 3
+    (first, *others), thick = windy.formations, windy.formations[0].cables._replace(difference=1.0)
+    first = dataclasses.replace(first, cables=thick)
+    warned = design_table(dataclasses.replace(windy, formations=(first, *others)))
+    start = f"{first.scenario.name}: cables are simulated as straight: "
+    assert next(line for line in warned.splitlines() if "straight" in line).startswith(start)
     found = design_dictionary(windy)
+    for formation, told in zip(windy.formations, found["formations"], strict=True):
+        resting = aircraft_margins(formation.scenario).ranges  # the way asks for more
+        assert 1 < told["airspeed_over_loaded_stall_min"] <= resting.over_loaded_stall[0] + 1e-3
+        assert resting.thrust_share[1] - 1e-3 <= told["thrust_share_max"] < 1
+        assert told["thrust_share_min"] <= resting.thrust_share[0] + 1e-3
+        assert told["cables"] == resting.cables.dictionary
     assert found["is_feasible"] is True
     assert found["formations"][0]["power_drawn_W"] == windy.formations[0].power
     energy = 4 * windy.formations[0].flight.power / (3.6 * 10.0 * 1.25 / 2.1875)
