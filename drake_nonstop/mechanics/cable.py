@@ -143,7 +143,7 @@ def cable_bow(drag: NDArray, length: float | NDArray, tension: NDArray) -> NDArr
         length: L, m.
         tension: T (...,), N.
     """
-    return drag * length**2 / (16 * math.cbrt(4) * tension)
+    return drag * length**2 / (16 * 4 ** (1 / 3) * tension)
 
 
 def cable_shortening(drag: NDArray, length: float | NDArray, tension: NDArray) -> NDArray:

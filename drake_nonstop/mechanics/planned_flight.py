@@ -251,7 +251,7 @@ def flight_products(
     *,
     rest_length: Any,
     compliance: Any,
-    cable_forces: NDArray | None = None,
+    cable_forces: Any = None,
 ) -> FlightProducts:
     """The products (k, n) at k instants, of numbers or symbols.
 

@@ -92,6 +92,10 @@ def aircraft_needs(aircraft: Aircraft, motion: CarrierOrbits, wind: NDArray) -> 
     return AircraftNeeds(airspeed, told.lift, told.bank, climb, told.thrust, least, most)
 
 
+def _range(values: NDArray) -> tuple[float, float]:
+    return float(np.min(values)), float(np.max(values))
+
+
 class FlightRanges(NamedTuple):
     """The least and the largest of what aircraft need, over all of them and all instants."""
 
@@ -111,19 +115,18 @@ class FlightRanges(NamedTuple):
     ) -> "FlightRanges":
         """Those of needs (k, n), with the cables' forces (k, n, 3), N, and attachments (n, 3)."""
         lift, airspeed, thrust = needs.lift, needs.airspeed, needs.thrust
-        values = (
-            lift / aircraft.max_lift,
-            airspeed,
-            airspeed / stall_speed(aircraft),
-            airspeed_over_loaded_stall(aircraft, airspeed, lift, thrust),
-            needs.bank,
-            needs.climb,
-            thrust,
-            thrust_share(aircraft, thrust, airspeed),
-        )
         tensions = np.linalg.norm(cable_forces, axis=-1)
-        cables = BowedCables.of(aircraft, airspeed, tensions, attachments)
-        return cls(*((float(np.min(each)), float(np.max(each))) for each in values), cables)
+        return cls(
+            lift_share=_range(lift / aircraft.max_lift),
+            airspeed=_range(airspeed),
+            over_stall=_range(airspeed / stall_speed(aircraft)),
+            over_loaded_stall=_range(airspeed_over_loaded_stall(aircraft, airspeed, lift, thrust)),
+            bank=_range(needs.bank),
+            climb=_range(needs.climb),
+            thrust=_range(thrust),
+            thrust_share=_range(thrust_share(aircraft, thrust, airspeed)),
+            cables=BowedCables.of(aircraft, airspeed, tensions, attachments),
+        )
 
     @property
     def lines(self) -> list[tuple[str, str]]:
