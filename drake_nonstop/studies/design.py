@@ -458,9 +458,9 @@ def flight_of(
     found = list(formation_needs(task, kind, x, phases))
     needs = AircraftNeeds(*map(np.concatenate, zip(*found, strict=True)))
     ranges = needs.thrust_max - needs.thrust_min
-    at_rest, aircraft = found[0], task.aircraft._replace(cable_length=x.cable_length)
-    shares = thrust_share(aircraft, needs.thrust, needs.airspeed)
-    over_stall = airspeed_over_loaded_stall(aircraft, needs.airspeed, needs.lift, needs.thrust)
+    at_rest = found[0]
+    shares = thrust_share(task.aircraft, needs.thrust, needs.airspeed)
+    over_stall = airspeed_over_loaded_stall(task.aircraft, needs.airspeed, needs.lift, needs.thrust)
     return Flight(
         lift_share=float(np.max(needs.lift)) / float(task.aircraft.max_lift),
         airspeed_min=float(np.min(needs.airspeed)),
