@@ -52,19 +52,24 @@ from drake_nonstop.systems.diagram_trace import (
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import ScenarioError, require, require_known
 
-_MAX_STEPS = 20  # in a sample: all of them are in one trace
+_MAX_STEPS = 20  # in a sample: all of them are in one function of C
 _ROUNDING = 1e-9  # s, of a duration
 _STRETCH = 1.01  # of the longest step: a last one that is as much longer is one step
 
 
-def reason_against(diagram: Diagram, config: SimulatorConfig, control_period: float) -> str:
-    """Why a loop cannot be a `CompiledLoop`, in words; empty where it can."""
+def reason_against(
+    diagram: Diagram, config: SimulatorConfig, control_period: float, *, compiles: bool = True
+) -> str:
+    """Why a loop cannot be a `CompiledLoop`, in words; empty where it can.
+
+    As C it has a limit of the steps in a sample.
+    """
     if not control_period > 0:
         return f"control_period = {control_period:g}: it goes from sample to sample"
     if config.integration_scheme != "runge_kutta3" or config.use_error_control:
         return "simulator_config: it takes the steps of runge_kutta3 without error control"
     steps = math.ceil(control_period / config.max_step_size - 1e-9)
-    if steps > _MAX_STEPS:
+    if compiles and steps > _MAX_STEPS:
         return f"simulator_config.max_step_size: {steps} steps a sample, at most {_MAX_STEPS}"
     if diagram.num_input_ports() > 0:
         names = [diagram.get_input_port(k).get_name() for k in range(diagram.num_input_ports())]
@@ -184,7 +189,7 @@ class CompiledLoop:
         compiles: bool = True,
         samples: int | None = None,
     ):
-        reason = reason_against(diagram, config, control_period)
+        reason = reason_against(diagram, config, control_period, compiles=compiles)
         if reason:
             raise ScenarioError(f"{reason}; simulate its diagram, or change that")
         self.diagram, self.control_period = diagram, control_period
