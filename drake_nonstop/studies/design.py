@@ -59,6 +59,7 @@ _INSTANTS, _KEY_INSTANTS = 24, 6  # of the way
 _MOST_RESERVE = 2.0  # that is looked for
 _ROUND = 1.01  # of the reserve, since extremes lie between phases
 _CLOSE = 0.02  # of reserves that are the same
+_LEAST_POWER = 1.0  # W, that others are compared with: in an updraught aircraft need none
 _DOUBLINGS, _HALVINGS = 8, 20
 _OF_RANGE = " of its range"
 _OBSERVERS = (1.0, 0.7, 0.4)  # weights that are tried
@@ -638,7 +639,11 @@ class _Search:
                     continue  # of less power there is none
                 values = start
             start = values
-            found.append(self._described(values))
+            try:
+                found.append(self._described(values))
+            except ScenarioError as error:
+                fault = f"it cannot be judged: {message_of(error)}"
+                found.append(self._refused(values, fault=fault))
         return found
 
     def _of_least_power(self, program: FormationProgram, start: NDArray, least: float) -> NDArray:
@@ -647,7 +652,7 @@ class _Search:
         lower[-1] = least
         values = start
         for _ in range(2):
-            power = program.rows(start)[2]
+            power = max(program.rows(start)[2], _LEAST_POWER)
             values = program.solve(start, lower, self.upper, nothing, power_weight=1 / power)
             values = self._with_true_reserve(program, values, everywhere=True)
             lower[-1] += least - values[-1]

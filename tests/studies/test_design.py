@@ -7,6 +7,7 @@ import re
 import drawn_designs
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.simulation.aircraft_margins import aircraft_margins
@@ -320,7 +321,10 @@ def test_drawn_requests_are_within_their_ranges():
         ("load_inertia=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "positive definite"),
         ("carriers=[]", "request.carriers = []: give numbers of carriers, such as [3, 4]"),
         ("kinds=[flat]", "request.kinds"),
-        ("load_mass=-1", "request.load_mass = -1.0: give a finite number greater than zero"),
+        ("load_mass=-1", "request.load_mass = -1.0: give 0.001 to 100000 kg"),
+        ("load_radius=1e4", "request.load_radius = 10000.0: give 0.001 to 1000 m"),
+        ("wind=[0, 1e3, 0]", "request.wind = [0.0, 1000.0, 0.0]: give 0 to 100 m/s"),
+        ("load_drag=.nan", "request.load_drag = .nan: give a finite number"),
         ("load_mass=heavy", "request.load_mass = heavy: give a number"),
         ("cable_length=[90, 60]", "request.cable_length = [90.0, 60.0]: give the least and"),
         ("lift_share=0.95", "request.lift_share = 0.95: give a number above 0 and below 0.9"),
@@ -337,6 +341,41 @@ def test_drawn_requests_are_within_their_ranges():
 def test_a_request_that_cannot_be_used_is_refused_in_a_sentence(change, sentence):
     with pytest.raises(ScenarioError, match=re.escape(sentence)):
         read_request(None, [change])
+
+
+ODD = [
+    ["carriers=[4]", "kinds=[co_rotating]", "starts=1", "cable_length=[5000, 5000]", "speed=0"],
+    ["carriers=[4]", "kinds=[co_rotating]", "starts=1", "wind=[0, 0, 3]", "speed=0"],
+    *map(drawn_designs.draw_odd, range(60)),
+]
+
+
+@pytest.mark.parametrize("changes", nightly_beyond(2, "studies", ODD))
+@pytest.mark.usefixtures("unflown")
+def test_odd_requests_have_formations_or_a_reason_for_none(changes):
+    refusal = ""
+    try:
+        request = read_request(None, changes)
+        module._require_buildable(request)
+    except ScenarioError as error:
+        refusal = str(error)
+    if refusal:
+        assert re.fullmatch(r"request(\.[a-z_.]+(\[\d\])?)?(: | = ).*", refusal)
+    else:
+        found = found_for(changes, *request.kinds)
+        assert found.formations or found.refusals
+        assert found.verdict
+
+
+def test_what_cannot_be_judged_of_a_formation_is_its_refusal(unflown, monkeypatch):
+    def refuse(*_, **__):
+        raise ScenarioError("fastest mode = 894 rad/s: give softer cables")
+
+    monkeypatch.setattr(module, "find_formation", refuse)
+    found = found_for(["carriers=[3]", "cable_length=[60, 60]", "starts=1", "speed=0"])
+    assert {refusal.fault for refusal in found.refusals} == {
+        "it cannot be judged: fastest mode = 894 rad/s: give softer cables"
+    }
 
 
 def test_a_load_that_no_loop_flies_is_refused_before_the_search():
