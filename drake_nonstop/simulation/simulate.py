@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
@@ -21,6 +22,7 @@ from drake_nonstop.diagrams.box import is_of_package
 from drake_nonstop.diagrams.equilibrium import block_named, set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.diagrams.plant_states import PlantStates
+from drake_nonstop.scenario.proportions import out_of_proportion, warn_of_angles
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import AUTO, COMPILED, DIAGRAM, Scenario, check
 from drake_nonstop.simulation.aircraft_margins import margins_of_loop
@@ -225,6 +227,7 @@ def _simulate(
         PlantStates(nonstop).declare_defaults(nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
         if not is_second:  # it has been said
+            warn_of_angles(scenario)
             _warn_of_margins(scenario, nonstop, nonstop_context)
             _warn_of_growth(scenario, nonstop, nonstop_context)
         chosen = with_chosen_step(scenario, nonstop, nonstop_context)
@@ -392,15 +395,18 @@ def _loop(make_loop: LoopMaker, scenario: Scenario, replacements: dict[str, Any]
 
 def with_chosen_step(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenStep:
     """The scenario's `simulator_config`, or one with a shorter step, which a warning tells."""
-    with block_named(nonstop, context):
-        chosen = chosen_step(
-            scenario.simulator_config,
-            nonstop,
-            context,
-            control_period=scenario.control_period,
-            duration=scenario.simulation_duration,
-            length=scenario.system.cable_length,
-        )
+    try:
+        with block_named(nonstop, context):
+            chosen = chosen_step(
+                scenario.simulator_config,
+                nonstop,
+                context,
+                control_period=scenario.control_period,
+                duration=scenario.simulation_duration,
+                length=scenario.system.cable_length,
+            )
+    except ScenarioError as error:
+        raise ScenarioError("; ".join([str(error), *out_of_proportion(scenario)])) from None
     if chosen.reasons:
         warnings.warn(
             f"simulator_config.max_step_size = {scenario.simulator_config.max_step_size:g}: "
@@ -442,11 +448,22 @@ def _warn_of_growth(scenario: Scenario, nonstop: Diagram, context: Context) -> N
         warnings.warn(complaint, ScenarioWarning, stacklevel=4)
 
 
+_FOUR_DIGITS: Any = {"float_kind": "{:.4g}".format}
+
+
 def _cause_of_divergence(scenario: Scenario, nonstop: Diagram, time: float) -> str:
-    """Why a run may have diverged at a time in s."""
-    context = nonstop.CreateDefaultContext()
-    complaint = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
-    return complaint or "the loop may be unstable, or simulator_config.max_step_size too large"
+    """Why a run may have diverged at a time in s, and the gains with which it did."""
+    cause = "; ".join(out_of_proportion(scenario))
+    if not cause:
+        context = nonstop.CreateDefaultContext()
+        cause = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
+    cause = cause or "the loop may be unstable, or simulator_config.max_step_size too large"
+    gains = [
+        f"{block.get_name()}.{name} = {np.array2string(np.asarray(value), formatter=_FOUR_DIGITS)}"
+        for block in nested(nonstop, RUN_SIGNALS)[-1].GetSystems()
+        for name, value in getattr(block, "gains", {}).items()
+    ]
+    return f"{cause}; gains in use: {', '.join(gains)}" if gains else cause
 
 
 def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:
