@@ -294,12 +294,16 @@ class LoopConfig(Protocol):
 
     system: SystemParameters
     simulated: Any  # `SystemOverrides`
-    pattern: PatternConfig
     simulation_duration: float
     control_period: float
     reference_governor: ReferenceGovernorConfig | None
     optimization_layer: Any  # a config
     simulator_config: SimulatorConfig
+
+    @property
+    def pattern(self) -> PatternConfig:
+        """The periodic internal force."""
+        ...
 
     def sampled(self) -> Any:
         """What it is with numbers drawn for its distributions.

@@ -7,6 +7,7 @@ from pathlib import Path
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.proportions import warn_of_angles
 from drake_nonstop.simulation.aircraft_margins import (
     aircraft_margins,
     margins_dictionary,
@@ -42,6 +43,7 @@ def add_to(commands: Commands) -> None:
 
 def _check(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
+    warn_of_angles(scenario)
     require_drawing()
     folder = options.out or default_folder(Path("out") / "check" / scenario.name, scenario)
     require_no_other_run(folder, scenario)
@@ -68,6 +70,9 @@ def _check(options: argparse.Namespace) -> int:
     print(task_table(found))
     for verdict in found.verdicts:
         print(verdict)
+    flown = found.flight or aircraft
+    if flown is not None and flown.ranges.cables.warning:
+        print(flown.ranges.cables.warning)
     if aircraft is not None:
         print(margins_table(aircraft))
         print(aircraft.verdict)

@@ -221,7 +221,8 @@ def _trace(task: FormationTask, kind: str) -> TracedFunction:
         )
 
     sizes = [_SIZE, 2, _MOTION_SIZE]
-    return TracedFunction(needs, sizes, name=lambda: "design", largest=1e12, jacobian_of=0)
+    # The search tries speeds of km/s, too: any finite number will do.
+    return TracedFunction(needs, sizes, name=lambda: "design", largest=1e100, jacobian_of=0)
 
 
 class FormationProgram:

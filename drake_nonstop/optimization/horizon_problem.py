@@ -90,7 +90,8 @@ class HorizonConfig:
     amplitude_weight: float = 4.0  # w_A
     smoothing: float = 0.4  # τ, in intervals between knots
     slack_weight: float = 100.0  # ρ
-    fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
+    # The first of ξ and A: 4 for three continuous rates; 0: of a plan that nothing goes before.
+    fixed_coefficients: int = 4
     overshoot: float = 0.35  # of a carrier's velocity after a jump of the plan's, of that jump
     settling_time: float = 0.1  # s, of that overshoot
     orbit_tightening: float = 0.005  # of the speed of the nominal orbits, the least margin
@@ -323,12 +324,14 @@ class HorizonProblem:
         spacing = config.knot_spacing
         end = self.intervals * spacing
         count = self.intervals * config.instants
-        # The value at the start is given by the fixed coefficients: no instant is there.
-        self.instants = end / count * np.arange(1, count + 1)
+        # Where coefficients are fixed, so is the value at the start: no instant is there.
+        self._first_instant = 1 if config.fixed_coefficients else 0
+        self.instants = end / count * np.arange(self._first_instant, count + 1)
         self._instant_spacing = end / count
+        self._per_knot = count // self.intervals  # instants
+        count = len(self.instants)
         self._terminal_per_knot = config.terminal_instants
         back = np.arange(self._terminal_per_knot * config.terminal_knots)[::-1]
-        self._per_knot = count // self.intervals  # instants
         # Some of the instants, the same ones in each interval.
         self._terminal_at = count - 1 - back * self._per_knot // self._terminal_per_knot
         self.terminal_instants = self.instants[self._terminal_at]
@@ -336,6 +339,8 @@ class HorizonProblem:
         flown = max(math.ceil(self._per_knot / _FLIGHT_EVERY), min(_LEAST_FLIGHTS, self._per_knot))
         back = np.arange(flown * self.intervals)[::-1]
         self._flight_at = count - 1 - back * self._per_knot // flown
+        if self._first_instant == 0:
+            self._flight_at = np.append(0, self._flight_at)
         self._flights_per_knot = flown
         # What aircraft need on whole orbits is limited at the ends of the intervals.
         self._orbits_of = np.arange(1, config.terminal_knots + 1) * self._terminal_per_knot - 1
@@ -523,7 +528,7 @@ class HorizonProblem:
         knot = round(start_time / spacing)
         if abs(start_time - knot * spacing) > 1e-9 * max(1.0, start_time):
             return start_time + self.instants
-        counts = knot * self._per_knot + np.arange(1, len(self.instants) + 1)
+        counts = knot * self._per_knot + self._first_instant + np.arange(len(self.instants))
         return counts * (spacing / self._per_knot)
 
     def terminal_set(
@@ -756,7 +761,7 @@ class HorizonProblem:
         self._orbits = (len(self._orbits_of), phases, of_flight)
         orbits = math.prod(self._orbits)
         ends = len(terminal) * len(self._terminal_kinds) + orbits
-        pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).astype(int)
+        pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).clip(0).astype(int)
         slack_of_kind = (self.intervals + 1) * np.arange(3)
         of_terminal = self.intervals + slack_of_kind[np.minimum(self._terminal_kinds, 1)]
         of_tables = [

@@ -5,7 +5,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits, thrust_power
+from drake_nonstop.mechanics.aircraft import (
+    airspeed_over_loaded_stall,
+    stall_speed,
+    thrust_limits,
+    thrust_power,
+    thrust_share,
+)
 from drake_nonstop.mechanics.planned_flight import FlightNeeds
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, LoadReference
 from drake_nonstop.model.system import aircraft_in, overridden
@@ -96,6 +102,19 @@ class AircraftQuantities:
     def least_airspeed_over_stall(self) -> float:
         """Of any aircraft."""
         return float(np.min(self.airspeeds_over_stall))
+
+    @cached_property
+    def least_airspeed_over_loaded_stall(self) -> float:
+        """Of any aircraft, over the stall speed at its load factor, with cable and bank."""
+        lift, _, thrust, airspeed = self.state
+        ratios = airspeed_over_loaded_stall(self.aircraft, airspeed, lift, thrust)
+        return float(np.min(ratios))
+
+    @cached_property
+    def thrust_shares(self) -> tuple[float, float]:
+        """The least and the largest thrust of any aircraft, over the largest at its airspeed."""
+        shares = thrust_share(self.aircraft, self.state.thrust, self.state.airspeed)
+        return float(np.min(shares)), float(np.max(shares))
 
     @cached_property
     def largest_bank(self) -> float:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from drake_nonstop.simulation.aircraft_margins import (
     FlightLimits,
     FlightMargin,
+    FlightRanges,
     quantities_of_each,
 )
 from drake_nonstop.simulation.needs_along import NeedsAlong, planned_values
@@ -18,6 +19,7 @@ class FlightOfPlan(NamedTuple):
 
     margins: tuple[FlightMargin, ...]  # phases are the plan's θ, from 0 to 2π
     times: tuple[float, ...]  # s, of each
+    ranges: FlightRanges  # of what they need, and what straight cables leave out
 
     @property
     def is_flyable(self) -> bool:
@@ -50,15 +52,17 @@ class FlightOfPlan(NamedTuple):
                 margin.dictionary | {"time_s": time}
                 for margin, time in zip(self.margins, self.times, strict=True)
             ],
+            "ranges": self.ranges.dictionary,
         }
 
 
 def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> FlightOfPlan | None:
     """The margins of a task's aircraft along its best plan, in the mean wind at their mean height.
 
-    The aircraft follow the plan exactly. None where there are no aircraft, the internal force has
-    other harmonics than the first, or a layer without a speed bound changes ξ and A: there is no
-    plan.
+    The aircraft follow the plan exactly, above the load that the controllers believe in, see
+    `asked_load`, and hold the simulated one. None where there are no aircraft, the internal force
+    has other harmonics than the first, or a layer without a speed bound changes ξ and A: there is
+    no plan.
 
     Args:
         task: what is flown.
@@ -71,9 +75,12 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
         return None
     times = speeds.plan_times
     planned = planned_values(task, speeds.plan, times)
-    quantities = [*quantities_of_each(aircraft, NeedsAlong(task, times).needs(planned), limits)]
+    along = NeedsAlong(task, times)
+    needs, forces = along.needs(planned), along.cable_forces(planned)
+    quantities = [*quantities_of_each(aircraft, needs, limits)]
     angles = planned[:, 0] % (2 * math.pi)
     return FlightOfPlan(
         tuple(quantity.worst(angles) for quantity in quantities),
         tuple(float(times[quantity.worst_place[0]]) for quantity in quantities),
+        FlightRanges.of(aircraft, needs, forces, task.flown.attachments),
     )

@@ -57,22 +57,33 @@ class Limit:
     is_least: bool = False  # a lower limit
     tolerance: float = 0.0  # of the limit
     outcome: RunOutcome | None = None  # of a run beyond it; None: a warning only
+    default: float | None = None  # as stated, where the scenario leaves it open
+    aircraft_default: float | None = None  # of runs of aircraft, in `unit`
 
     def complaint(self, run: RunQuantities) -> str | None:
         """The sentence about a run beyond the limit; None for a run within it."""
-        stated = self._stated_in(run.run.scenario)
+        stated, limit = self._limit_of(run)
         value = self.measure(run)
-        if stated is None or value is None:
+        if limit is None or value is None:
             return None
-        limit = stated * self.share_of(run)
         beyond = self.tolerance * abs(limit) if math.isfinite(limit) else 0.0
         if value >= limit - beyond if self.is_least else value <= limit + beyond:
             return None
         shown, bound = _told_apart(value, limit)
         unit = f" {self.unit}" if self.unit else ""
         sentence = self.sentence.format(f"{shown}{unit}")
-        share = f"{stated:g} of {self.whole}, " if self.whole and math.isfinite(limit) else ""
+        is_share = self.whole and stated is not None and math.isfinite(limit)
+        share = f"{stated:g} of {self.whole}, " if is_share else ""
         return f"{sentence} ({self.path}: {share}{bound}{unit})"
+
+    def _limit_of(self, run: RunQuantities) -> tuple[float | None, float | None]:
+        """The limit as stated, None where it is that of aircraft, and in `unit`; None: no limit."""
+        stated = self._stated_in(run.run.scenario)
+        if stated is None and self.aircraft_default is not None and run.has_aircraft:
+            return None, self.aircraft_default
+        if stated is None:
+            stated = self.default
+        return stated, None if stated is None else stated * self.share_of(run)
 
     def _stated_in(self, scenario: Scenario) -> float | None:
         try:
@@ -91,6 +102,8 @@ LIMITS = (
         measure=lambda run: run.largest_position_error,
         share_of=lambda run: run.reach,
         whole="the reach",
+        default=0.2,
+        aircraft_default=1.0,
     ),
     Limit(
         path="limits.orientation_error",
@@ -98,6 +111,8 @@ LIMITS = (
         sentence="the load was turned by {} from its reference",
         unit="rad",
         measure=lambda run: run.largest_orientation_error,
+        default=0.8,
+        aircraft_default=math.radians(15.0),
     ),
     Limit(
         path="limits.carrier_distance",
@@ -132,6 +147,15 @@ LIMITS = (
         sentence="a carrier was below the bound for {}",
         unit="s",
         measure=lambda run: run.time_below_bound,
+    ),
+    Limit(
+        path="limits.saturated_share",
+        outcome=RunOutcome.LIMIT_MISSED,
+        sentence="commands of aircraft were at their limits for {} of the time",
+        unit="%",
+        measure=lambda run: run.saturated_share and 100 * run.saturated_share,
+        share_of=lambda run: 100.0,
+        whole="it",
     ),
     Limit(
         path="limits.speed",

@@ -140,17 +140,20 @@ def feasible_speeds(
     """The least speed (k, x, a), m/s, over an orbit, of constant ξ (k, x) and A (k, a) at times."""
     terms = _terms_along(problem, task, times)
     angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
-    shape = (10, 3, _PHASES, len(times), task.model.n, 1)
+    shape = (10, 3, _PHASES, len(times), task.model.n)
     polynomials = orbit_polynomials(terms, problem.axes, angles).reshape(shape)
-    values = polynomial_values(polynomials, amplitudes[:, None, :])
-    c, b, a, _ = speed_squares(
-        values, rest_length=problem.rest_length, compliance=problem.compliance
-    )
     least = []
-    for frequency in frequencies.T:
-        s = frequency[:, None, None] * amplitudes[:, None, :]
-        least.append((c + s * (2 * b + s * a)).min(axis=(0, 2)))
-    return np.sqrt(np.maximum(np.stack(least, axis=1), 0.0))
+    for amplitude in amplitudes.T:  # one by one: all of them at once take much memory
+        values = polynomial_values(polynomials, amplitude[:, None])
+        c, b, a, _ = (
+            part[:, :, None]
+            for part in speed_squares(
+                values, rest_length=problem.rest_length, compliance=problem.compliance
+            )
+        )
+        s = (frequencies * amplitude[:, None])[..., None]
+        least.append((c + s * (2 * b + s * a)).min(axis=(0, 3)))
+    return np.sqrt(np.maximum(np.stack(least, axis=2), 0.0))
 
 
 def _terms_along(problem: HorizonProblem, task: Task, times: NDArray) -> OrbitTerms:
@@ -335,12 +338,15 @@ def _planned(task: Task, *, most: int | None) -> list[_Planned]:
     for config in (coarse, whole):
         problem = problem_of(task, config)
         along = along or _Along(task, problem)
+        nominal = along.planned(
+            Plan(0.0, 0.0, spacing, problem.nominal, problem.nominal_coefficients())
+        )
+        if task.changes_parameters and not nominal.is_good:
+            # A layer then starts with others.
+            problem = problem_of(task, replace(config, fixed_coefficients=0))
         solver = HorizonSolver(problem)
         winds = np.array([task.planned_wind(time) for time in problem.times(0.0)])
         data = problem.data(0.0, 0.0, task.reference, bound, wind=winds)
-        nominal = along.planned(problem.plan(data, problem.nominal_coefficients()))
-        if task.changes_parameters and not nominal.is_good:
-            solver = HorizonSolver(problem, fixed=0)  # a layer then starts with others
         for start in _starts(task, solver, data, intervals):
             answer = solver.solve(data, start, max_iterations=_MAX_ITERATIONS, tolerance=_TOLERANCE)
             found.append(along.planned(answer.plan))

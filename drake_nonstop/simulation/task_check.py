@@ -208,7 +208,11 @@ def task_table(found: TaskCheck) -> str:
             rates.append(f"{instant.sampled.rate:+.3g} 1/s in samples, {times:.3g} times in a turn")
         rows.append((f"growth of a deviation, {name}", ", ".join(rates), _at(instant)))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+    lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+    if found.flight is not None:
+        of_flight = found.flight.ranges.lines
+        lines += [f"{name + ', on the way':{widths[0]}}  {text}" for name, text in of_flight]
+    return "\n".join(lines)
 
 
 def _share_of(speeds: SpeedCheck) -> str:

@@ -248,9 +248,9 @@ def test_the_terminal_set_keeps_the_limits_at_all_phases(name):
     assert terminal.amplitude_margins[k, j] == pytest.approx(margin, abs=2e-3)
 
 
-def best_plan(problem, reference, bound, **options):
+def best_plan(problem, reference, bound):
     data = problem.data(0.0, 0.0, reference, bound)
-    solver = HorizonSolver(problem, **options)
+    solver = HorizonSolver(problem)
     return data, solver.solve(data, solver.first_guess(data), max_iterations=30)
 
 

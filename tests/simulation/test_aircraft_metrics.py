@@ -75,6 +75,13 @@ def test_extremes_are_those_of_the_steps(run):
     assert aircraft["bank_max_rad"] == 0.8
     assert aircraft["airspeed_min_m_s"] == 9.0
     assert (aircraft["thrust_min_N"], aircraft["thrust_max_N"]) == (-9.0, 44.0)
+    shares = [force / (58 - 1.45 * state.airspeed[k, 0]) for k, force in ((400, -9), (500, 44))]
+    assert [aircraft["thrust_share_min"], aircraft["thrust_share_max"]] == pytest.approx(shares)
+    # What is carried at the instant of C_L = 1.33 is 1.33 / 1.4 of what stalls, and what T lifts.
+    lifted = state.thrust[100, 1] * np.sin((1.33 - 0.25) / 5) / (1.225 / 2 * 0.98)
+    carried = 1.33 + lifted / state.airspeed[100, 1] ** 2
+    ratio = aircraft["airspeed_over_loaded_stall_min"]
+    assert ratio == pytest.approx(np.sqrt(1.4 / carried))
 
 
 def test_the_bound_is_that_of_the_airspeed_and_missed_limits_are_counted():
@@ -123,8 +130,9 @@ def test_the_table_of_a_run_has_lines_of_aircraft():
     lines = metrics_table(compute_metrics(aircraft_run(11.0))).splitlines()
     assert lines[-3:] == [
         "aircraft                up to 0.561 of the largest lift, airspeed from 13.6 m/s "
-        "(1.62 x stall), bank up to 33.2 deg",
-        "thrust                  4.68 to 23.2 N, commands saturated for 0 % of the time",
+        "(1.62 x stall, 1.33 x stall with cable and bank), bank up to 33.2 deg",
+        "thrust                  4.68 to 23.2 N (13 to 70 % of the largest), commands saturated "
+        "for 0 % of the time",
         "power of an aircraft    225 W of thrust",
     ]
 
