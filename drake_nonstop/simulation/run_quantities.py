@@ -17,11 +17,14 @@ from drake_nonstop.mechanics.rotation import (
 )
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Parameters, Pose
 from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
-from drake_nonstop.optimization.diagnostics import Diagnostics, MissedLimits
+from drake_nonstop.optimization.diagnostics import Diagnostics
+from drake_nonstop.optimization.limits import Limit, Of, asked
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
+from drake_nonstop.simulation.limit_along import LimitAlong
 from drake_nonstop.simulation.planned_shortfall import largest_shortfall
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.separations import Spacing, least_length
+from drake_nonstop.simulation.signal_table import UnknownSignalError
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
@@ -281,13 +284,46 @@ class RunQuantities(Spacing):
         """The least of any carrier's speed, of `bounded_speeds`, minus ε, m/s."""
         return float(np.min(self.bounded_speeds - self.speed_bounds[:, None]))
 
+    def limited_by(self, limit: Limit) -> NDArray | None:
+        """What a limit holds for (k, c), in its unit, of carriers or pairs; None: unknown."""
+        if limit.of is Of.SEPARATION:
+            pairs = np.array(np.triu_indices(self.carrier_positions.shape[1], 1))
+            return in_chunks(
+                lambda at: _norms(at[:, pairs[0]] - at[:, pairs[1]]), self.carrier_positions
+            )
+        if limit.is_of_aircraft:
+            flight = self.flight if self.has_aircraft else None
+            return None if flight is None else limit.values(flight.aircraft, flight.needs)
+        return self.bounded_speeds if limit.of is Of.SPEED else self.tensions
+
+    @property
+    def limits(self) -> list[LimitAlong]:
+        """The limits that the layer is asked for, of what the run has."""
+        rows = [
+            (limit, stated, self.limited_by(limit))
+            for limit, stated in asked(self.run.scenario.optimization_layer)
+        ]
+        return [LimitAlong(row, at, self.time, v) for row, at, v in rows if v is not None]
+
+    def extreme_of(self, limit: Limit) -> float | None:
+        """What is the closest to a limit in the run, or the farthest beyond it; None: unknown."""
+        if limit.of is Of.SEPARATION:
+            return self.carrier_separation
+        values = self.limited_by(limit)
+        return None if values is None else float(values[limit.worst(values)])
+
     @cached_property
     def missed_limits(self) -> dict[str, int]:
-        """How many updates ended without keeping a limit of aircraft, by its name."""
-        if "missed_limits" not in self.run.steps:
-            return dict.fromkeys(MissedLimits._fields, 0)
-        last = MissedLimits.view(self.run.steps["missed_limits"][-1])
-        return {name: int(count) for name, count in last._asdict().items()}
+        """How many updates ended without keeping each limit that is counted, by its name."""
+        try:
+            columns = self.run.columns(["missed_limits"])
+        except UnknownSignalError:
+            return {}
+        return {
+            name.removeprefix("missed_limits."): int(counts[-1])
+            for name, counts in columns.items()
+            if name.startswith("missed_limits.")
+        }
 
     @cached_property
     def tensions(self) -> NDArray:

@@ -462,6 +462,20 @@ def test_what_is_not_known_is_said_in_one_sentence():
     assert len([w for w in said if "tightening" in str(w.message)]) == 1
 
 
+def test_the_orbits_of_the_margin_keep_a_largest_speed():
+    """Of 1.1 m/s on the nominal orbits: one that binds needs others, or there are none."""
+    auto = "optimization_layer.tightening=auto"
+
+    def margin(limit):
+        scenario = load_scenario("quintic", [auto, f"optimization_layer.max_speed={limit}"])
+        return make_nonstop(scenario, at_equilibrium=False).speed_margin.total
+
+    assert margin("2.0") == margin(".inf")
+    assert margin("1.15") > 1.5 * margin(".inf")
+    with pytest.warns(ScenarioWarning, match="no constant xi and A within bounds and limits have"):
+        margin("0.9")
+
+
 def test_a_layer_in_a_loop_aims_above_its_bound_by_the_margin():
     scenario = load_scenario(
         "three_carriers",
