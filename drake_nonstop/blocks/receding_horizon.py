@@ -66,6 +66,7 @@ from drake_nonstop.optimization.problem_config import (
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.diagram_trace import At, TracedAttempt
+from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
@@ -487,6 +488,8 @@ class _Planner(threading.local):
         known = self._last
         if known is None or known[0] != key:
             made = self._make(solver, data, start, scale, is_new, effort)
+            if not np.all(np.isfinite(made[0].coefficients)):
+                raise NotFiniteError(problem.name())
             if is_first:
                 slacks = judge.slacks(judge.margins(judged, made[0].coefficients))
                 if slacks.max() > PLAN_TOLERANCE:

@@ -78,7 +78,10 @@ Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time i
 
 @dataclass(kw_only=True)
 class HorizonConfig:
-    """The horizon, its cost and its constraints; with those of a `LimitsConfig`."""
+    """The horizon, its cost and its constraints; with those of a `LimitsConfig`.
+
+    With `fixed_coefficients` 0 the problem is one of a plan that has no predecessor.
+    """
 
     horizon: float = 0.0  # s; 0: nearly two turns, at least 15 intervals between knots
     knot_spacing: float = 0.0  # s, also the time between two plans; 0: an eighth of a turn
@@ -90,8 +93,7 @@ class HorizonConfig:
     amplitude_weight: float = 4.0  # w_A
     smoothing: float = 0.4  # τ, in intervals between knots
     slack_weight: float = 100.0  # ρ
-    # The first of ξ and A: 4 for three continuous rates; 0: of a plan that nothing goes before.
-    fixed_coefficients: int = 4
+    fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
     overshoot: float = 0.35  # of a carrier's velocity after a jump of the plan's, of that jump
     settling_time: float = 0.1  # s, of that overshoot
     orbit_tightening: float = 0.005  # of the speed of the nominal orbits, the least margin
