@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from pydrake.systems.framework import System
 
-from drake_nonstop.mechanics.signal_layouts import Layout
+from drake_nonstop.mechanics.signal_layouts import Layout, SomeOf
 from drake_nonstop.model.system import Model
 from drake_nonstop.validation import require
 
@@ -83,10 +83,17 @@ class Box:
         }
 
     def required_and_optional(
-        self, model: Model
+        self, model: Model, block: System
     ) -> tuple[dict[str, int | None], dict[str, int | None]]:
-        """The signals that its block has to make and those that it may make, with their sizes."""
+        """The signals that a block of it has to make and those that it may make, with their sizes.
+
+        A block may make some parts of a `SomeOf`.
+        """
         sizes = self.sizes(model.n, model.m)
+        for signal, own in getattr(block, "signal_layouts", {}).items():
+            layout = self.signals.get(signal)
+            if isinstance(layout, SomeOf) and {*own.parts} <= {*layout.parts}:
+                sizes[signal] = own.count(model.n, model.m)
         optional = {signal: sizes.pop(signal) for signal in self.optional}
         return sizes, optional
 

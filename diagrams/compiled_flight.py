@@ -10,9 +10,16 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, PortDataType, System
 
+from drake_nonstop.diagrams.block_events import SteppedBlock, sample_times
 from drake_nonstop.diagrams.loop_functions import Evaluation, LoopFunctions, Reading
 from drake_nonstop.diagrams.loop_layout import LoopLayout, discrete_state_of
-from drake_nonstop.systems.diagram_trace import FOUND_SIZE, QUANTITIES, ROWS, gives_rows
+from drake_nonstop.systems.diagram_trace import (
+    FOUND_SIZE,
+    QUANTITIES,
+    ROWS,
+    gives_rows,
+    updates_in_trace,
+)
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
 
@@ -55,24 +62,22 @@ class CompiledFlight:
         self._at_sample = None if at_sample is None else Evaluation(at_sample, compiles)
         self._whole = None if whole is None else Evaluation(whole, compiles)
         self._no_answers = np.zeros(FOUND_SIZE + layout.answers_size)
-        diagram = layout.diagram
         self._state, self._parameters = layout.state_of(context), layout.parameters_of(context)
         self._sources = sources_of(layout, context)
         self._systems = [*layout.numbers]
         self._outside = _Outside([] if whole is None else whole.readings, self._sources, period)
         self.samples = 0
-        self._simulators = {}
+        self._stepped: dict[System, SteppedBlock] = {}
+        self._watched = [_watched(layout, block, context) for block in layout.of_users]
         self._fixed: dict[tuple[System, int], Any] = {}
         self._abstract: list[tuple[Any, tuple[System, int]]] = []  # inputs that are no vectors
         self._asked: dict[Any, Context] = {}
         for block in (*layout.held, *layout.attempting):
-            block_context = block.CreateDefaultContext()
-            own = diagram.GetSubsystemContext(block, context)
-            block_context.SetTimeStateAndParametersFrom(own)
+            block_context = own_context(layout, block, context)
             for k in range(block.num_input_ports()):
                 self._fix(block, block_context, k)
             if block in layout.held:
-                self._simulators[block] = Simulator(block, block_context)
+                self._stepped[block] = SteppedBlock(block, block_context)
             else:
                 self._asked[block] = block_context
 
@@ -93,11 +98,16 @@ class CompiledFlight:
         return self._sources[self._layout.numbers[maker]].value(index, at)
 
     def start(self) -> tuple[NDArray, NDArray]:
-        """The loop's `signals` (size,) and `step_signals` (size,) after the initialization."""
+        """The loop's `signals` (size,) and `step_signals` (size,) after the initialization.
+
+        Raises:
+            NotFiniteError: a value is not finite, or is too large.
+            NotCompilableError: as of `advance`.
+        """
         self._state, read, *_ = self._call(self._at_start)
         self._give(read)
-        for simulator in self._simulators.values():
-            simulator.Initialize()
+        for block in (*self._stepped.values(), *self._watched):
+            block.start()
         for leaf, context in self._asked.items():
             self._set(leaf, context, self._state)
             Simulator(leaf, context).Initialize()
@@ -119,8 +129,16 @@ class CompiledFlight:
         Raises:
             ScenarioError: `samples` is below 1.
             NotFiniteError: a value is not finite, or is too large.
+            NotCompilableError: a block does what it has not declared, or has events that are not
+                flown.
         """
         require(samples >= 1, "samples", samples, "give 1 or more")
+        shown = self._advance(samples)
+        for block in self._watched:
+            block.watch_to(self.time)
+        return shown
+
+    def _advance(self, samples: int) -> tuple[NDArray, NDArray]:
         if self.samples == 0:
             self._state, signals, step_signals = self._call(self._after_sample)
         elif self._whole is None:
@@ -174,11 +192,11 @@ class CompiledFlight:
         before = self._state
         assert self._at_sample is not None
         self._state, read, holds, _ = self._call(self._at_sample)
-        for simulator in self._simulators.values():
-            simulator.AdvanceTo(self.time)
+        for block in self._stepped.values():
+            block.advance_to(self.time)
         self._give(read)
-        for simulator in self._simulators.values():
-            simulator.AdvancePendingEvents()
+        for block in self._stepped.values():
+            block.update()
         for leaf, is_made in zip(self._asked, holds, strict=True):
             if not is_made:
                 self._state[self._layout.places[leaf]] = self._asked_for(leaf, before)
@@ -220,11 +238,11 @@ class CompiledFlight:
     @property
     def time(self) -> float:
         """That of the last sample, s."""
-        return time_of(self.samples, self._period)
+        return sample_times(self.samples, self._period)
 
     def times_of(self, samples: NDArray) -> NDArray:
         """Those of samples by their numbers (k,), s."""
-        return time_of(samples, self._period)
+        return sample_times(samples, self._period)
 
     def seconds_of_functions(self, samples: int) -> float:
         """As of `CompiledLoop`; the flight stays where it is."""
@@ -254,9 +272,9 @@ class CompiledFlight:
             state: that of another sample, as of `state`, where no blocks are beside the trace.
         """
         self._layout.write_state(context, self._state if state is None else state)
-        for block, simulator in self._simulators.items():
+        for block, stepped in self._stepped.items():
             own = self._layout.diagram.GetMutableSubsystemContext(block, context)
-            own.SetStateAndParametersFrom(simulator.get_context())
+            own.SetStateAndParametersFrom(stepped.context)
 
     def _give(self, read: NDArray) -> None:
         """Gives blocks that are about to make an update what they read."""
@@ -270,7 +288,7 @@ class CompiledFlight:
             start = end
 
     def _call(self, function: Evaluation) -> list[NDArray]:
-        now, ahead = self.time, time_of(self.samples + 1, self._period)
+        now, ahead = self.time, sample_times(self.samples + 1, self._period)
         outside = [self._value(reading, now, ahead) for reading in function.readings]
         own = self._state, self._parameters, np.array([now])
         return self._evaluated(function, *own, *outside)
@@ -290,21 +308,33 @@ class CompiledFlight:
             at = ahead if offset == self._period else now + offset
             return self._sources[number].value(output, at)
         block = self._systems[number]
-        return block.get_output_port(output).Eval(self._simulators[block].get_context())
+        return block.get_output_port(output).Eval(self._stepped[block].context)
 
 
-def time_of(samples: Any, period: float) -> Any:
-    """The time of a sample, or of an array of samples, by its number, s.
+def _watched(layout: LoopLayout, block: System, context: Context) -> SteppedBlock:
+    """A user's own block that is not stepped by itself, to look for events; its inputs stay."""
+    own, in_loop = own_context(layout, block, context), layout.diagram.GetSubsystemContext
+    for k in range(block.num_input_ports()):
+        if layout.wires.source(block, k) is not None:
+            port = block.get_input_port(k)
+            port.FixValue(own, port.Eval(in_loop(block, context)))
+    watched = SteppedBlock(block, own, is_held=False, may_update=updates_in_trace(block))
+    if block not in layout.outside:
+        watched.require_declared(layout.reads_of(block))
+    return watched
 
-    To the bit as Drake has it of events that begin with a period.
-    """
-    return (period + (samples - 1) * period) * (samples > 0)
+
+def own_context(layout: LoopLayout, block: System, context: Context) -> Context:
+    """A context of a block by itself, with time, state and parameters of the loop's."""
+    own = block.CreateDefaultContext()
+    own.SetTimeStateAndParametersFrom(layout.diagram.GetSubsystemContext(block, context))
+    return own
 
 
 def sources_of(layout: LoopLayout, context: Context) -> dict[int, "_Source"]:
     """What is known beforehand of a loop, by the numbers of its systems, in a context of it."""
     return {
-        layout.numbers[block]: _Source(block, layout.diagram.GetSubsystemContext(block, context))
+        layout.numbers[block]: _Source(block, own_context(layout, block, context))
         for block in (*layout.outside - {*layout.held}, *layout.knowing)
     }
 
@@ -314,13 +344,11 @@ class _Source:
 
     Args:
         block: what is evaluated.
-        context: its own; a copy is evaluated, since to set the time of a whole loop's is slow.
+        context: its own, by itself: to set the time of a whole loop's is slow.
     """
 
     def __init__(self, block: Any, context: Context):
-        self._block = block
-        self._context = block.CreateDefaultContext()
-        self._context.SetTimeStateAndParametersFrom(context)
+        self._block, self._context = block, context
         self._time = math.nan
         self._known: dict[int | str, Any] = {}  # at that time
 
@@ -397,14 +425,14 @@ class _Outside:
         """
         if not self._first <= first < self._end:
             self._first, self._end = first, first + min(most, _MOST_SAMPLES)
-            self._times = time_of(np.arange(first, self._end), self._period)
+            self._times = sample_times(np.arange(first, self._end), self._period)
             self._rows = self._made()
         chosen = slice(first - self._first, first - self._first + most)
         return self._times[chosen], self._rows[chosen]
 
     def _made(self) -> NDArray:
         """Each source is evaluated once at each time."""
-        after = time_of(np.arange(self._first + 1, self._end + 1), self._period)
+        after = sample_times(np.arange(self._first + 1, self._end + 1), self._period)
         columns: list[Any] = [None] * len(self._readings)
         for number in dict.fromkeys(reading.system for reading in self._readings):
             own = [k for k, reading in enumerate(self._readings) if reading.system == number]

@@ -24,6 +24,8 @@ from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, PortDataType, System
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
+from drake_nonstop.diagrams.block_events import timing_complaint
+from drake_nonstop.diagrams.box import is_of_package
 from drake_nonstop.diagrams.compiled_flight import CompiledFlight
 from drake_nonstop.diagrams.loop_derivatives import (
     DerivativeFlight,
@@ -45,24 +47,30 @@ from drake_nonstop.systems.diagram_trace import (
     is_traceable,
     leaves,
     trace_content,
+    updates_in_trace,
 )
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.systems.wiring import require_context
 from drake_nonstop.validation import ScenarioError, require, require_known
 
-_MAX_STEPS = 20  # in a sample: all of them are in one trace
+_MAX_STEPS = 20  # in a sample: all of them are in one function of C
 _ROUNDING = 1e-9  # s, of a duration
 _STRETCH = 1.01  # of the longest step: a last one that is as much longer is one step
 
 
-def reason_against(diagram: Diagram, config: SimulatorConfig, control_period: float) -> str:
-    """Why a loop cannot be a `CompiledLoop`, in words; empty where it can."""
+def reason_against(
+    diagram: Diagram, config: SimulatorConfig, control_period: float, *, compiles: bool = True
+) -> str:
+    """Why a loop cannot be a `CompiledLoop`, in words; empty where it can.
+
+    As C it has a limit of the steps in a sample.
+    """
     if not control_period > 0:
         return f"control_period = {control_period:g}: it goes from sample to sample"
     if config.integration_scheme != "runge_kutta3" or config.use_error_control:
         return "simulator_config: it takes the steps of runge_kutta3 without error control"
     steps = math.ceil(control_period / config.max_step_size - 1e-9)
-    if steps > _MAX_STEPS:
+    if compiles and steps > _MAX_STEPS:
         return f"simulator_config.max_step_size: {steps} steps a sample, at most {_MAX_STEPS}"
     if diagram.num_input_ports() > 0:
         names = [diagram.get_input_port(k).get_name() for k in range(diagram.num_input_ports())]
@@ -71,9 +79,9 @@ def reason_against(diagram: Diagram, config: SimulatorConfig, control_period: fl
     for block in diagram.GetSystems():
         if is_traceable(block):
             for leaf in leaves(block):
-                own = _period_of(leaf)
-                if own not in (None, control_period):
-                    return f"control_period = {control_period:g}: {block.get_name()} has {own:g}"
+                complaint = _complaint_of_trace(leaf, control_period)
+                if complaint:
+                    return f"{block.get_name()} = {type(block).__name__}: {complaint}"
             continue
         if block.num_input_ports() == 0:
             is_known = block.CreateDefaultContext().is_stateless()
@@ -81,6 +89,9 @@ def reason_against(diagram: Diagram, config: SimulatorConfig, control_period: fl
             is_known = _is_held(block, wires)
         if not is_known:
             return f"{block.get_name()} = {type(block).__name__}: it has no equations to be traced"
+        complaint = timing_complaint(block, control_period)
+        if complaint:
+            return f"{block.get_name()} = {type(block).__name__}: {complaint}"
         for k in range(block.num_input_ports()):
             source, port = wires.source(block, k), block.get_input_port(k)
             is_vector = port.get_data_type() == PortDataType.kVectorValued
@@ -89,14 +100,17 @@ def reason_against(diagram: Diagram, config: SimulatorConfig, control_period: fl
     return ""
 
 
-def _period_of(leaf: Any) -> float | None:
-    """The period, s, of a leaf's own updates, as far as it is known."""
+def _complaint_of_trace(leaf: Any, control_period: float) -> str:
+    """Why the trace of a leaf has not its updates; empty where it may have."""
     if isinstance(leaf, SampleAndHold):
-        return leaf.period
-    if not (hasattr(leaf, "traced_update") or hasattr(leaf, "traced_attempt")):
-        return None
+        period = leaf.period
+        return "" if period == control_period else f"it samples every {period:g} s"
     timing = leaf.GetUniquePeriodicDiscreteUpdateAttribute()
-    return None if timing is None else timing.period_sec()
+    if not updates_in_trace(leaf):
+        return "" if timing is None else "it has discrete updates, and no traced_update"
+    if timing is None and not is_of_package(leaf):  # the package's may have unrestricted ones
+        return "it has no discrete updates, or several timings of them"
+    return timing_complaint(leaf, control_period, at_each=True)
 
 
 def _schedule(period: float, shown: int, longest: float) -> list[Step]:
@@ -176,7 +190,7 @@ class CompiledLoop:
         compiles: bool = True,
         samples: int | None = None,
     ):
-        reason = reason_against(diagram, config, control_period)
+        reason = reason_against(diagram, config, control_period, compiles=compiles)
         if reason:
             raise ScenarioError(f"{reason}; simulate its diagram, or change that")
         self.diagram, self.control_period = diagram, control_period

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
-from drake_nonstop.diagrams.compiled_flight import sources_of, time_of
+from drake_nonstop.diagrams.block_events import sample_times
+from drake_nonstop.diagrams.compiled_flight import sources_of
 from drake_nonstop.diagrams.loop_functions import Evaluation, LoopFunction, Symbols, Traced
 from drake_nonstop.diagrams.loop_layout import LoopLayout
 from drake_nonstop.diagrams.loop_trace import LoopTrace, Step
@@ -146,7 +147,7 @@ class DerivativeFlight:
             NotFiniteError: a value is not finite, or is too large.
         """
         _, update, rates = self._functions
-        now, ahead = (time_of(self.samples + k, self._period) for k in (0, 1))
+        now, ahead = (sample_times(self.samples + k, self._period) for k in (0, 1))
         x, dx = self.state, slopes
         if self.samples > 0:
             x, dx = self._moved(update, x, now, dx, changes)

@@ -4,13 +4,23 @@ import itertools
 from collections.abc import Iterable
 from typing import Any
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortDataType, System
 
-from drake_nonstop.systems.diagram_trace import Wires, is_traceable, knows_beforehand, leaves
+from drake_nonstop.diagrams.box import is_of_package
+from drake_nonstop.systems.diagram_trace import (
+    At,
+    Instant,
+    Wires,
+    is_traceable,
+    knows_beforehand,
+    leaves,
+)
 from drake_nonstop.systems.parameters import NumericParameters
 from drake_nonstop.systems.port_state import set_state_values, state_values
+from drake_nonstop.systems.tracing import object_array
 
 
 class LoopLayout:
@@ -33,6 +43,7 @@ class LoopLayout:
         with_parameters: those with numeric parameters.
         parameter_sizes: of what their traces take of these.
         knowing: those that know quantities beforehand, see `systems.diagram_trace.At.known`.
+        of_users: the systems that are a user's own, of those that are evaluated or traced.
         read: the inputs that are given to blocks which make updates themselves: block and number.
     """
 
@@ -67,6 +78,10 @@ class LoopLayout:
             len(_parameters_of(leaf, own(leaf))) for leaf in self.with_parameters
         ]
         self.knowing = [leaf for leaf in self.leaves if knows_beforehand(leaf)]
+        self.of_users = [
+            *(b for b in self.outside - {*self.held} if not is_of_package(b)),
+            *(b for b in self.leaves if hasattr(b, "traced_output") and not is_of_package(b)),
+        ]
         self.read = [
             (block, k)
             for block in [*self.held, *self.attempting]
@@ -112,6 +127,38 @@ class LoopLayout:
             for name, shape in shapes.items():
                 names += [f"{box}.{name}{list(at) or ''}" for at in np.ndindex(shape)]
         return names
+
+    def reads_of(self, leaf: Any) -> dict[int, tuple[bool, list[int]]]:
+        """What a traced leaf's outputs read, by numbers: whether the time, and which inputs."""
+        symbols: dict[Any, casadi.SX] = {}
+        parameters = dict(zip(self.with_parameters, self.parameter_sizes, strict=True))
+
+        def symbol(system: System, name: int | str, size: int) -> NDArray:
+            return object_array(symbols.setdefault((system, name), casadi.SX.sym("u", size)))
+
+        class OfSymbols(Instant):
+            def output(self, system: System, index: int) -> NDArray:
+                return symbol(system, index, system.get_output_port(index).size())
+
+        instant = OfSymbols(
+            self.wires,
+            {leaf: [symbol(leaf, f"x{k}", n) for k, n in enumerate(self.state_sizes[leaf])]},
+            {leaf: symbol(leaf, "p", parameters.get(leaf, 0))},
+            symbol(leaf, "t", 1),
+            symbol,
+            self.is_outside,
+        )
+        sources = {k: self.wires.source(leaf, k) for k in range(leaf.num_input_ports())}
+        found = {}
+        for k in range(leaf.num_output_ports()):
+            port = leaf.get_output_port(k)
+            if port.get_data_type() != PortDataType.kVectorValued:
+                continue
+            values = leaf.traced_output(port.get_name(), At(instant, leaf))
+            shown = casadi.SX(casadi.vertcat(*values))
+            read = {s for s, values in symbols.items() if casadi.depends_on(shown, values)}
+            found[k] = (leaf, "t") in read, [i for i, s in sources.items() if s in read]
+        return found
 
     def _path(self, leaf: System) -> str:
         inside = leaf.GetSystemPathname().removeprefix(self.diagram.GetSystemPathname())

@@ -295,12 +295,16 @@ class LoopConfig(Protocol):
 
     system: SystemParameters
     simulated: Any  # `SystemOverrides`
-    pattern: PatternConfig
     simulation_duration: float
     control_period: float
     reference_governor: ReferenceGovernorConfig | None
     optimization_layer: Any  # a config
     simulator_config: SimulatorConfig
+
+    @property
+    def pattern(self) -> PatternConfig:
+        """The periodic internal force."""
+        ...
 
     def sampled(self) -> Any:
         """What it is with numbers drawn for its distributions.
@@ -473,8 +477,9 @@ def _made_parts(
         make = _constructor(name, entry) if is_dataclass(entry) else entry
         model = watched[name] = WatchedModel(simulated if box.is_simulated else believed)
         blocks[name] = _made(f"replacement {name}", make, model, ", or None to leave the box out")
-        made = wiring.check_outputs(name, blocks[name], *box.required_and_optional(believed))
         _check_layouts(name, blocks[name])
+        contract = box.required_and_optional(believed, blocks[name])
+        made = wiring.check_outputs(name, blocks[name], *contract)
         _check_others(name, blocks[name], made.keys() - box.signals.keys(), sizes)
     for name, entry in _checked_extra(extra).items():
         model = watched[name] = WatchedModel(believed)

@@ -1,189 +1,302 @@
-"""The public names, in the order of the figure.
+"""The public names, in the order of the figure: each is written here, and nowhere else.
 
-What a run is, the boxes and what they can be swapped for, and how they are put together, simulated
-and judged. `drake_nonstop` has them all.
+What a run is, how its boxes are put together, simulated, judged and watched, and what each box can
+be. `drake_nonstop` has them all. They are written out for type checkers.
 """
 
-import sys
-from typing import TYPE_CHECKING, Any
+# isort: off
+# This is the order of the reference.
 
-from drake_nonstop.blocks.load_trajectory import LoadTrajectory
-from drake_nonstop.blocks.reference_governor import ReferenceGovernor, ReferenceGovernorConfig
-from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.diagrams.compiled_flight import CompiledFlight
-from drake_nonstop.diagrams.compiled_loop import CompiledLoop
-from drake_nonstop.diagrams.compiled_system import CompiledSystem
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
-from drake_nonstop.diagrams.loop_derivatives import DerivativeFlight, Sensitivities
-from drake_nonstop.diagrams.nonstop import BOXES, make_blocks, make_nonstop
-from drake_nonstop.diagrams.parameters import (
-    LoopParameter,
-    get_parameter,
-    parameters,
-    set_parameter,
-)
-from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
-from drake_nonstop.mechanics.signal_layouts import Layout, Part
-from drake_nonstop.model.aircraft import AircraftParameters
-from drake_nonstop.model.pattern import (
-    CarouselConfig,
-    ConstantSpreadConfig,
-    EllipticCarouselConfig,
-    HamiltonianCycleConfig,
-    LinearPatternConfig,
-    SpreadCarouselConfig,
-)
-from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.optimization.diagnostics import Outcome
+# What a run is.
+from drake_nonstop.scenario.schema import Scenario as Scenario
 from drake_nonstop.scenario.loading import (
-    dump_scenario,
-    load_scenario,
-    parse_scenario,
-    scenario_names,
+    load_scenario as load_scenario,
+    parse_scenario as parse_scenario,
+    dump_scenario as dump_scenario,
+    scenario_names as scenario_names,
 )
-from drake_nonstop.scenario.run_limits import RunLimits
-from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.run_limits import RunLimits as RunLimits
+from drake_nonstop.model.aircraft import AircraftParameters as AircraftParameters
+from drake_nonstop.model.system import SystemParameters as SystemParameters
+from drake_nonstop.model.pattern import (
+    HamiltonianCycleConfig as HamiltonianCycleConfig,
+    CarouselConfig as CarouselConfig,
+    SpreadCarouselConfig as SpreadCarouselConfig,
+    EllipticCarouselConfig as EllipticCarouselConfig,
+    ConstantSpreadConfig as ConstantSpreadConfig,
+    LinearPatternConfig as LinearPatternConfig,
+)
+from drake_nonstop.model.system import Model as Model
+from drake_nonstop.blocks.load_trajectory import LoadTrajectory as LoadTrajectory
+from drake_nonstop.blocks.reference_governor import (
+    ReferenceGovernor as ReferenceGovernor,
+    ReferenceGovernorConfig as ReferenceGovernorConfig,
+)
+from drake_nonstop.mechanics.reference_preview import (
+    ReferencePreview as ReferencePreview,
+    continued_reference as continued_reference,
+)
+from drake_nonstop.optimization.diagnostics import Outcome as Outcome
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold as SampleAndHold
+from drake_nonstop.systems.point_forces import PointForces as PointForces
+from drake_nonstop.systems.block import LeafBlock as LeafBlock
+from drake_nonstop.systems.traced_block import TracedBlock as TracedBlock
+from drake_nonstop.mechanics.signal_layouts import Layout as Layout, Part as Part
+
+# Put together, simulated, judged.
+from drake_nonstop.diagrams.nonstop import make_nonstop as make_nonstop, make_blocks as make_blocks
+from drake_nonstop.systems.wiring import connect_by_name as connect_by_name
+from drake_nonstop.diagrams.compiled_loop import CompiledLoop as CompiledLoop
+from drake_nonstop.diagrams.compiled_flight import CompiledFlight as CompiledFlight
+from drake_nonstop.diagrams.compiled_system import CompiledSystem as CompiledSystem
+from drake_nonstop.diagrams.loop_derivatives import (
+    DerivativeFlight as DerivativeFlight,
+    Sensitivities as Sensitivities,
+)
+from drake_nonstop.diagrams.equilibrium import set_equilibrium as set_equilibrium
+from drake_nonstop.diagrams.parameters import (
+    set_parameter as set_parameter,
+    get_parameter as get_parameter,
+    parameters as parameters,
+    LoopParameter as LoopParameter,
+)
+from drake_nonstop.simulation.simulate import simulate as simulate
 from drake_nonstop.simulation.aircraft_margins import (
-    AircraftMargins,
-    FlightMargin,
-    aircraft_margins,
+    aircraft_margins as aircraft_margins,
+    AircraftMargins as AircraftMargins,
+    FlightMargin as FlightMargin,
 )
-from drake_nonstop.simulation.make_gym_env import make_gym_env
-from drake_nonstop.simulation.make_simulator import make_simulator
-from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.outcome import RunOutcome
-from drake_nonstop.simulation.recording import LogSignals
-from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
-from drake_nonstop.simulation.simulate import simulate, verify_step
-from drake_nonstop.studies.ablation import ablate, read_grid
-from drake_nonstop.studies.design import Design, DesignedFormation, design
-from drake_nonstop.studies.design_request import DesignRequest, read_request
-from drake_nonstop.studies.journal import StudyInterrupted
-from drake_nonstop.studies.results_folder import write_results
-from drake_nonstop.studies.run_all import SerialExecutor
-from drake_nonstop.studies.sweep import Sweep, SweepInterrupted, sweep
-from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, read_sweep
-from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.energy import LoopDiagram, kinetic_energy, potential_energy
-from drake_nonstop.systems.point_forces import PointForces
-from drake_nonstop.systems.traced_block import TracedBlock
-from drake_nonstop.systems.wiring import connect_by_name
-from drake_nonstop.validation import ScenarioError, ScenarioWarning
-from drake_nonstop.version import __version__
-from drake_nonstop.visualization.drawing import draw_diagram
-from drake_nonstop.visualization.geometry import AddGeometry, NonstopGeometry
-from drake_nonstop.visualization.live import run_live
-from drake_nonstop.visualization.meshcat_server import start_meshcat
-from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer, show_in
-from drake_nonstop.visualization.progress import RunProgress, TaskProgress
-from drake_nonstop.visualization.replay import record_replay
-from drake_nonstop.visualization.rich_display import diagram_html, run_html, sweep_html
+from drake_nonstop.simulation.make_simulator import make_simulator as make_simulator
+from drake_nonstop.simulation.make_gym_env import make_gym_env as make_gym_env
+from drake_nonstop.simulation.simulate import verify_step as verify_step
+from drake_nonstop.simulation.run import StepAction as StepAction, StepCheck as StepCheck
+from drake_nonstop.simulation.recording import LogSignals as LogSignals
+from drake_nonstop.simulation.run import (
+    Run as Run,
+    RunStopped as RunStopped,
+    RunInterrupted as RunInterrupted,
+)
+from drake_nonstop.simulation.metrics import compute_metrics as compute_metrics
+from drake_nonstop.systems.energy import (
+    kinetic_energy as kinetic_energy,
+    potential_energy as potential_energy,
+)
+from drake_nonstop.simulation.outcome import RunOutcome as RunOutcome
+from drake_nonstop.studies.results_folder import write_results as write_results
+from drake_nonstop.studies.ablation import ablate as ablate, read_grid as read_grid
+from drake_nonstop.studies.design import design as design
+from drake_nonstop.studies.design_request import (
+    read_request as read_request,
+    DesignRequest as DesignRequest,
+)
+from drake_nonstop.studies.design import Design as Design, DesignedFormation as DesignedFormation
+from drake_nonstop.studies.sweep import sweep as sweep
+from drake_nonstop.studies.sweep_spec import read_sweep as read_sweep, SweepSpec as SweepSpec
+from drake_nonstop.studies.run_all import SerialExecutor as SerialExecutor
+from drake_nonstop.studies.sweep_spec import PlannedRun as PlannedRun
+from drake_nonstop.studies.sweep import Sweep as Sweep, SweepInterrupted as SweepInterrupted
+from drake_nonstop.studies.journal import StudyInterrupted as StudyInterrupted
+from drake_nonstop.visualization.drawing import draw_diagram as draw_diagram
 
-__all__ = [  # noqa: RUF022 - in the order of the figure
-    # what a run is
-    "Scenario",
-    "load_scenario",
-    "parse_scenario",
-    "dump_scenario",
-    "scenario_names",
-    "RunLimits",
-    "AircraftParameters",
-    "SystemParameters",
-    "HamiltonianCycleConfig",
-    "CarouselConfig",
-    "SpreadCarouselConfig",
-    "EllipticCarouselConfig",
-    "ConstantSpreadConfig",
-    "LinearPatternConfig",
-    "Model",
-    "LoadTrajectory",
-    "ReferenceGovernor",
-    "ReferenceGovernorConfig",
-    "ReferencePreview",
-    "continued_reference",
-    "Outcome",
-    "SampleAndHold",
-    "PointForces",
-    "LeafBlock",
-    "TracedBlock",
-    "Layout",
-    "Part",
-    # put together, simulated, judged
-    "make_nonstop",
-    "make_blocks",
-    "connect_by_name",
-    "CompiledLoop",
-    "CompiledFlight",
-    "CompiledSystem",
-    "DerivativeFlight",
-    "Sensitivities",
-    "set_equilibrium",
-    "set_parameter",
-    "get_parameter",
-    "parameters",
-    "LoopParameter",
-    "simulate",
-    "aircraft_margins",
-    "AircraftMargins",
-    "FlightMargin",
-    "make_simulator",
-    "make_gym_env",
-    "verify_step",
-    "StepAction",
-    "StepCheck",
-    "LogSignals",
-    "Run",
-    "RunStopped",
-    "RunInterrupted",
-    "compute_metrics",
-    "kinetic_energy",
-    "potential_energy",
-    "RunOutcome",
-    "write_results",
-    "ablate",
-    "read_grid",
-    "design",
-    "read_request",
-    "DesignRequest",
-    "Design",
-    "DesignedFormation",
-    "sweep",
-    "read_sweep",
-    "SweepSpec",
-    "SerialExecutor",
-    "PlannedRun",
-    "Sweep",
-    "SweepInterrupted",
-    "StudyInterrupted",
-    "draw_diagram",
-    # watched
-    "AddGeometry",
-    "NonstopGeometry",
-    "NonstopVisualizer",
-    "show_in",
-    "SceneConfig",
-    "start_meshcat",
-    "run_live",
-    "record_replay",
-    "RunProgress",
-    "TaskProgress",
-    "ScenarioError",
-    "ScenarioWarning",
-    "__version__",
-]
+# Watched, and what is raised.
+from drake_nonstop.visualization.geometry import (
+    AddGeometry as AddGeometry,
+    NonstopGeometry as NonstopGeometry,
+)
+from drake_nonstop.visualization.nonstop_visualizer import (
+    NonstopVisualizer as NonstopVisualizer,
+    show_in as show_in,
+)
+from drake_nonstop.scenario.scene_config import SceneConfig as SceneConfig
+from drake_nonstop.visualization.meshcat_server import start_meshcat as start_meshcat
+from drake_nonstop.visualization.live import run_live as run_live
+from drake_nonstop.visualization.replay import record_replay as record_replay
+from drake_nonstop.visualization.progress import (
+    RunProgress as RunProgress,
+    TaskProgress as TaskProgress,
+)
+from drake_nonstop.validation import (
+    ScenarioError as ScenarioError,
+    ScenarioWarning as ScenarioWarning,
+)
 
-# Every block that a box can be, and its config: blocks are listed in their own modules alone.
-for _block in (block for box in BOXES.values() for block in box.variants):
-    for _name in (_block.__name__, f"{_block.__name__}Config"):
-        globals()[_name] = getattr(sys.modules[_block.__module__], _name)
-        __all__ += [_name]
+# `load_trajectory`
+from drake_nonstop.blocks.load_trajectory import (
+    RestToRest as RestToRest,
+    RestToRestConfig as RestToRestConfig,
+    ConstantVelocityMove as ConstantVelocityMove,
+    ConstantVelocityMoveConfig as ConstantVelocityMoveConfig,
+    Waypoints as Waypoints,
+    WaypointsConfig as WaypointsConfig,
+    Circle as Circle,
+    CircleConfig as CircleConfig,
+    SampledTrajectory as SampledTrajectory,
+    SampledTrajectoryConfig as SampledTrajectoryConfig,
+    SteadyTurn as SteadyTurn,
+    SteadyTurnConfig as SteadyTurnConfig,
+    PlannedTurn as PlannedTurn,
+    PlannedTurnConfig as PlannedTurnConfig,
+)
+
+# `load_feedback`
+from drake_nonstop.blocks.load_feedback import (
+    IdealFeedback as IdealFeedback,
+    IdealFeedbackConfig as IdealFeedbackConfig,
+    DesiredStateFeedback as DesiredStateFeedback,
+    DesiredStateFeedbackConfig as DesiredStateFeedbackConfig,
+    DesiredAttitudeFeedback as DesiredAttitudeFeedback,
+    DesiredAttitudeFeedbackConfig as DesiredAttitudeFeedbackConfig,
+    NoisyFeedback as NoisyFeedback,
+    NoisyFeedbackConfig as NoisyFeedbackConfig,
+    EstimatedFeedback as EstimatedFeedback,
+    EstimatedFeedbackConfig as EstimatedFeedbackConfig,
+)
+
+# `wrench_controller`
+from drake_nonstop.blocks.wrench_controller import (
+    WrenchController as WrenchController,
+    WrenchControllerConfig as WrenchControllerConfig,
+    PaperWrenchController as PaperWrenchController,
+    PaperWrenchControllerConfig as PaperWrenchControllerConfig,
+    GeometricPd as GeometricPd,
+    GeometricPdConfig as GeometricPdConfig,
+    TunedWrenchController as TunedWrenchController,
+    TunedWrenchControllerConfig as TunedWrenchControllerConfig,
+)
+
+# `optimization_layer`
+from drake_nonstop.blocks.receding_horizon import (
+    RecedingHorizonOptimizer as RecedingHorizonOptimizer,
+    RecedingHorizonOptimizerConfig as RecedingHorizonOptimizerConfig,
+)
+from drake_nonstop.blocks.optimization_layer import (
+    NonstopOptimizer as NonstopOptimizer,
+    NonstopOptimizerConfig as NonstopOptimizerConfig,
+)
+from drake_nonstop.blocks.turn_rate_optimizer import (
+    TurnRateOptimizer as TurnRateOptimizer,
+    TurnRateOptimizerConfig as TurnRateOptimizerConfig,
+)
+from drake_nonstop.blocks.optimization_layer import (
+    ConstantParameters as ConstantParameters,
+    ConstantParametersConfig as ConstantParametersConfig,
+)
+
+# `phase`
+from drake_nonstop.blocks.phase import (
+    ShapedPhase as ShapedPhase,
+    ShapedPhaseConfig as ShapedPhaseConfig,
+    AccumulatedPhase as AccumulatedPhase,
+    AccumulatedPhaseConfig as AccumulatedPhaseConfig,
+    PaperPhase as PaperPhase,
+    PaperPhaseConfig as PaperPhaseConfig,
+)
+
+# `internal_force`
+from drake_nonstop.blocks.internal_force import (
+    PlannedInternalForce as PlannedInternalForce,
+    PlannedInternalForceConfig as PlannedInternalForceConfig,
+    InternalForceTrajectory as InternalForceTrajectory,
+    InternalForceTrajectoryConfig as InternalForceTrajectoryConfig,
+)
+
+# `force_distribution`
+from drake_nonstop.blocks.force_distribution import (
+    CableForceDistribution as CableForceDistribution,
+    CableForceDistributionConfig as CableForceDistributionConfig,
+    BoundedTensionDistribution as BoundedTensionDistribution,
+    BoundedTensionDistributionConfig as BoundedTensionDistributionConfig,
+)
+
+# `carrier_trajectory`
+from drake_nonstop.blocks.carrier_trajectory import (
+    CarrierTrajectory as CarrierTrajectory,
+    CarrierTrajectoryConfig as CarrierTrajectoryConfig,
+    InextensibleCarrierTrajectory as InextensibleCarrierTrajectory,
+    InextensibleCarrierTrajectoryConfig as InextensibleCarrierTrajectoryConfig,
+    MeasuredCarrierTrajectory as MeasuredCarrierTrajectory,
+    MeasuredCarrierTrajectoryConfig as MeasuredCarrierTrajectoryConfig,
+)
+
+# `carrier_controller`
+from drake_nonstop.blocks.carrier_controller import (
+    FeedforwardCarrierPid as FeedforwardCarrierPid,
+    FeedforwardCarrierPidConfig as FeedforwardCarrierPidConfig,
+    CarrierPid as CarrierPid,
+    CarrierPidConfig as CarrierPidConfig,
+    TunedCarrierPid as TunedCarrierPid,
+    TunedCarrierPidConfig as TunedCarrierPidConfig,
+    TunedFeedforwardCarrierPid as TunedFeedforwardCarrierPid,
+    TunedFeedforwardCarrierPidConfig as TunedFeedforwardCarrierPidConfig,
+    LoadedCarrierPid as LoadedCarrierPid,
+    LoadedCarrierPidConfig as LoadedCarrierPidConfig,
+)
+from drake_nonstop.blocks.fixed_wing_controller import (
+    FixedWingController as FixedWingController,
+    FixedWingControllerConfig as FixedWingControllerConfig,
+)
+
+# `carrier_dynamics`
+from drake_nonstop.blocks.carrier_dynamics import (
+    CarrierDynamics as CarrierDynamics,
+    CarrierDynamicsConfig as CarrierDynamicsConfig,
+    LoadedCarrierDynamics as LoadedCarrierDynamics,
+    LoadedCarrierDynamicsConfig as LoadedCarrierDynamicsConfig,
+    FixedWingDynamics as FixedWingDynamics,
+    FixedWingDynamicsConfig as FixedWingDynamicsConfig,
+)
+from drake_nonstop.blocks.jsbsim_carriers import (
+    JsbsimCarriers as JsbsimCarriers,
+    JsbsimCarriersConfig as JsbsimCarriersConfig,
+)
+from drake_nonstop.blocks.carrier_dynamics import (
+    IdealCarriers as IdealCarriers,
+    IdealCarriersConfig as IdealCarriersConfig,
+)
+
+# `cables`
+from drake_nonstop.blocks.cables import (
+    Cables as Cables,
+    CablesConfig as CablesConfig,
+    IndividualCables as IndividualCables,
+    IndividualCablesConfig as IndividualCablesConfig,
+)
+
+# `load_disturbance`
+from drake_nonstop.blocks.load_disturbance import (
+    NoDisturbance as NoDisturbance,
+    NoDisturbanceConfig as NoDisturbanceConfig,
+    DisturbanceForce as DisturbanceForce,
+    DisturbanceForceConfig as DisturbanceForceConfig,
+)
+
+# `wind`
+from drake_nonstop.blocks.wind import (
+    StillAir as StillAir,
+    StillAirConfig as StillAirConfig,
+    SteadyWind as SteadyWind,
+    SteadyWindConfig as SteadyWindConfig,
+    WindProfile as WindProfile,
+    WindProfileConfig as WindProfileConfig,
+    GustyWind as GustyWind,
+    GustyWindConfig as GustyWindConfig,
+)
+
+# `load_plant`
+from drake_nonstop.blocks.load_plant import (
+    LoadPlant as LoadPlant,
+    LoadPlantConfig as LoadPlantConfig,
+    MultibodyLoadPlant as MultibodyLoadPlant,
+    MultibodyLoadPlantConfig as MultibodyLoadPlantConfig,
+)
 
 # How notebooks show them: figures are drawn in a room above that of runs.
-for _shown, _html in ((Run, run_html), (Sweep, sweep_html), (LoopDiagram, diagram_html)):
+from drake_nonstop.systems.energy import LoopDiagram as _LoopDiagram
+from drake_nonstop.visualization import rich_display as _rich_display
+
+for _shown, _html in (
+    (Run, _rich_display.run_html),
+    (Sweep, _rich_display.sweep_html),
+    (_LoopDiagram, _rich_display.diagram_html),
+):
     setattr(_shown, "_repr_html_", _html)  # noqa: B010 - for type checkers it is no attribute
-
-if TYPE_CHECKING:
-
-    def __getattr__(name: str) -> Any:
-        """Any block or config, for type checkers, which do not run the loop above."""

@@ -73,6 +73,38 @@ def draw(seed: int) -> DesignRequest:
     return read_request(None, changes)
 
 
+_ODD = {
+    "load_mass": ["0", "-1", "1e-4", "0.01", "1e4", "1e9", ".nan", ".inf"],
+    "load_radius": ["0", "1e-4", "0.01", "900", "1e4", ".nan"],
+    "load_drag": ["-1", "0", "1e3", "1e9", ".nan"],
+    "cable_length": ["[1, 1]", "[5000, 5000]", "[1, 5000]", "[200, 60]", "[0, 1]", "[.nan, 60]"],
+    "cable_stiffness": ["0", "1e-3", "0.1", "1e6", "1e9", "-1"],
+    "cable_damping": ["-1", "0", "1e5", "1e9"],
+    "wind": ["[0, 0, 3]", "[0, 0, -3]", "[-15, 0, 0]", "[90, 0, 0]", "[0, 1e9, 0]", "[.nan, 0, 0]"],
+    "displacement": ["[0, 0, 50]", "[0, 0, -1]", "[0, 0, 0]", "[1e-6, 0, 0]", "[1e9, 0, 0]"],
+    "speed": ["0", "-1", "1e-9", "30", "1e9", ".nan"],
+    "separation": ["0", "1e-6", "100", "1e9", ".nan"],
+    "lift_share": ["0", "1e-9", "0.899", "0.9", ".nan"],
+    "speed_share": ["1.2", "1.2001", "10", ".inf"],
+    "bank": ["0", "1e-9", "0.87", ".nan"],
+    "climb": ["1e-9", "0.52", "1"],
+    "thrust_reserve": ["0", "1e-9", "0.499", "0.5"],
+    "aircraft.mass": ["0", "1e-3", "1e3", ".nan"],
+    "aircraft.cable_diameter": ["0", "1e-9", "0.1", "10"],
+    "aircraft.max_thrust": ["[0, 0, 0]", "[1, 0, 0]", "[1e9, 0, 0]", "[-1, 0, 0]"],
+    "load_inertia": ["[[0, 0, 0], [0, 0, 0], [0, 0, 0]]", "[[1, 0, 0], [0, 1, 0], [0, 0, 9]]"],
+}
+
+
+def draw_odd(seed: int) -> list[str]:
+    """Changes of a request of which one to three are zero, huge, tiny, negative or no number."""
+    rng = np.random.default_rng([3434, seed])
+    names = rng.choice(list(_ODD), size=int(rng.integers(1, 4)), replace=False)
+    odd = [f"{name}={rng.choice(_ODD[name])}" for name in names]
+    kind = rng.choice(KINDS)
+    return [f"carriers=[{rng.integers(3, 7)}]", f"kinds=[{kind}]", "starts=1", *odd]
+
+
 def flown_beside_printed(formation: DesignedFormation) -> dict[str, Any]:
     """The outcome of a flight, and each extreme as flown and as printed."""
     flown, printed = fly(formation.scenario), formation.flight

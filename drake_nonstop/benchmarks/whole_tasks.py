@@ -15,6 +15,7 @@ from drake_nonstop.blocks.phase import ShapedPhaseConfig
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
+from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.whole_task import plan_task
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
@@ -136,7 +137,7 @@ def _offline(task: Task, config: HorizonConfig) -> Row:
     planned = np.array([best.plan.values(instant) for instant in times])
     problem = HorizonProblem(task.model, task.limits, config, lambda: OFFLINE)
     terms = np.array([problem.terms_at(task.reference(instant)) for instant in times])
-    speeds = np.sqrt(problem.squares_along(OrbitTerms.view(terms), planned))
+    speeds = problem.values_along(Of.SPEED, OrbitTerms.view(terms), planned)
     bound = task.limits.speed_bound
     return {
         **_costs(planned[:, 1:3] / task.nominal, planned, task.nominal, config),

@@ -331,16 +331,16 @@ class _Flights(InnerBlock):
         names = (self._command, self._pull, self._wind)
         command, pull, wind = (port.Eval(context) for port in names)
         shown = state[(3 + len(state)) // 2 :]
+        flight = self._flight
         if number == 0:
-            self._flight = _Flight(self._hangar)
-            shown = self._flight.start(self._start.Eval(context), pull, wind)
+            flight = self._flight = _Flight(self._hangar)
+            shown = flight.start(self._start.Eval(context), pull, wind)
         else:
-            self._require_own(number, steps)
+            self._require_own(flight, number, steps)
             if abs(time - began) < step / 2:  # where a run goes on from its end
                 return
             remedy = f"{_REASON}; set no time during a flight, or start it again by set_equilibrium"
             require(abs(time - began - step) < step / 2, f"time of {_SELF}", time, remedy)
-        flight = self._flight
         assert flight is not None
         try:
             after = flight.advance(command, pull, wind)
@@ -352,9 +352,8 @@ class _Flights(InnerBlock):
             np.concatenate([[flight.number, flight.steps, time], shown, after])
         )
 
-    def _require_own(self, number: float, steps: float) -> None:
+    def _require_own(self, flight: _Flight | None, number: float, steps: float) -> None:
         """Raises ScenarioError where the aircraft are not those of the context."""
-        flight = self._flight
         if flight is None or (flight.number, flight.steps) != (number, steps):
             raise ScenarioError(
                 f"{_SELF}: this context was copied, and its aircraft have flown on with another "

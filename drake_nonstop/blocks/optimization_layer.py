@@ -35,11 +35,12 @@ from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
-    MISSED_LIMITS_SIZE,
     Diagnostics,
     Outcome,
     count_missed,
     count_update,
+    missed_layout,
+    missed_limits_of,
     update_count,
 )
 from drake_nonstop.optimization.gradual_change import limit_step, raised_bound, step_towards
@@ -137,10 +138,10 @@ class NonstopOptimizer(SpeedBoundLayer):
     (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest speed minus the
     untightened ε (m/s)], the fields of `Diagnostics`; `solve_time` (1) is the wall time in s that
     the last update took, from its inputs to its answer; `speed_bound` (1) is the ε that was set or
-    is commanded, in m/s. With aircraft there are `wind_estimate` (3, m/s, in W), which may be left
-    unconnected in still air, and `missed_limits` (5), the fields of `MissedLimits`: how many
-    updates ended without keeping each. All outputs are state or parameters: nothing feeds through
-    but a command to the `speed_bound`.
+    is commanded, in m/s. With aircraft there is `wind_estimate` (3, m/s, in W), which may be left
+    unconnected in still air. `missed_limits` tells how many updates ended without keeping each
+    limit that is asked for, of aircraft also the bound; without any there is no such port. All
+    outputs are state or parameters: nothing feeds through but a command to the `speed_bound`.
 
     Parameters, the fields of `NonstopOptimizerConfig`:
         speed_bound: m/s, ε; of aircraft also "1.4 V_s"
@@ -209,9 +210,11 @@ class NonstopOptimizer(SpeedBoundLayer):
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
         self.declare_bound()
-        if model.aircraft is not None:
-            self._missed = self.DeclareDiscreteState(MISSED_LIMITS_SIZE)
+        self._counted = missed_limits_of(config, model)
+        if self._counted:
+            self._missed = self.DeclareDiscreteState(len(self._counted))
             self.DeclareStateOutputPort("missed_limits", self._missed)
+            self.signal_layouts = {"missed_limits": missed_layout(self._counted)}
         # Offset = period: with offset 0 the periodic event would repeat the first one.
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         # An event at each sample of the controllers, of which every `_samples_per_update`-th is an
@@ -370,7 +373,9 @@ class NonstopOptimizer(SpeedBoundLayer):
         count_update(diagnostics, outcome, slowest_speed - bound)
         if self._missed is not None:
             missed = context.get_discrete_state(self._missed).CopyToVector()
-            count_missed(missed, self.solver.problem(data).missed_kinds(parameters))
+            if outcome > Outcome.SOLVED:
+                kinds = self.solver.problem(data).missed_kinds(parameters)
+                count_missed(missed, self._counted, kinds)
             discrete_state.set_value(self._missed, missed)
         discrete_state.set_value(self._state, parameters)
         discrete_state.set_value(self._diagnostics, diagnostics)

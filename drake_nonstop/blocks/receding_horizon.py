@@ -1,8 +1,9 @@
 """Plans of ξ and A over a receding horizon, for the box "Optimization Layer" of the figure."""
 
 import math
+import threading
 import time as clock
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import casadi
@@ -36,10 +37,11 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
-    MISSED_LIMITS_SIZE,
     Outcome,
     count_missed,
     count_update,
+    missed_layout,
+    missed_limits_of,
 )
 from drake_nonstop.optimization.horizon_check import check_horizon
 from drake_nonstop.optimization.horizon_problem import (
@@ -64,6 +66,7 @@ from drake_nonstop.optimization.problem_config import (
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.diagram_trace import At, TracedAttempt
+from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
@@ -96,7 +99,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     which `reference_preview` tells ahead, and the wrench that moves the load along it in still air.
     Where no preview is connected, or `preview` is false, the motion goes on as it does. The plan is
     written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`. The first plan
-    starts with the initial ξ and A where these keep the constraints, and else with others.
+    starts with the initial ξ and A where these keep the constraints, from the start itself on, and
+    else with others.
 
     The speeds of aircraft are those through the air, in the wind that `wind_estimate` tells at the
     time of a plan, taken as steady; not connected, or `wind` is false: in still air. What they need
@@ -138,7 +142,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     Ȧ (N/s), ξ̈ (rad/s³), Ä (N/s²), A⃛ (N/s³)]; `diagnostics` (7), the fields of `Diagnostics`,
     whose speed margin is the smallest of the whole horizon; `solve_time` (1) is the wall time in s
     that the last plan took; `speed_bound` (1) is the ε that was set or is commanded, in m/s;
-    `missed_limits` (5), the fields of `MissedLimits`.
+    `missed_limits` tells how many plans do not keep each limit that is asked for, of aircraft also
+    the bound; without any there is no such port.
 
     Parameters, the fields of `RecedingHorizonOptimizerConfig`:
         speed_bound: m/s, ε; of aircraft also "1.4 V_s"
@@ -222,9 +227,11 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
         self.declare_bound()
-        if model.aircraft is not None:
-            self._missed = self.DeclareDiscreteState(MISSED_LIMITS_SIZE)
+        self._counted = missed_limits_of(config, model)
+        if self._counted:
+            self._missed = self.DeclareDiscreteState(len(self._counted))
             self.DeclareStateOutputPort("missed_limits", self._missed)
+            self.signal_layouts = {"missed_limits": missed_layout(self._counted)}
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         self._sample_period = model.control_period or config.knot_spacing
         self._samples_per_plan = round(config.knot_spacing / self._sample_period)
@@ -328,7 +335,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             discrete_state.set_value(self._diagnostics, diagnostics)
             if self._missed is not None:
                 missed = context.get_discrete_state(self._missed).CopyToVector()
-                count_missed(missed, planned.missed)
+                count_missed(missed, self._counted, planned.missed)
                 discrete_state.set_value(self._missed, missed)
         discrete_state.set_value(self._plan, planned.state.flat())
         discrete_state.set_value(self._solve_time, [planned.solve_time])
@@ -399,7 +406,7 @@ class _Planned(NamedTuple):
     state: _PlanState
     outcome: Outcome
     slowest_speed: float  # m/s, along the plan
-    missed: set[str]  # of the names of `MissedLimits`
+    missed: set[str]  # names of limits, as of `missed_limits`
     solve_time: float  # s, of wall time
 
 
@@ -422,18 +429,19 @@ class _Effort(NamedTuple):
 _MOST_EFFORT = _Effort(4, (_ANEW, 1.1, 0.9))
 
 
-class _Planner:
+class _Planner(threading.local):
     """Makes plans; they depend on the arguments alone.
 
     The last one is kept: a loop that looks for its equilibrium asks for the same again and again.
-    So is what it knew of the motion, of which the next one needs most.
+    So is what it knew of the motion, of which the next one needs most. Each thread has its own.
     """
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig, name: Any):
         self._model, self._config, self._name = model, config, name
-        self._solver: tuple[bytes, HorizonSolver] | None = None
+        # By the number of fixed coefficients: that of the config, or 0.
+        self._solvers: dict[int, tuple[bytes, HorizonSolver]] = {}
+        self._data: dict[int, tuple[HorizonSolver, ReferencePreview, HorizonData]] = {}
         self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome, float]] | None = None
-        self._data: tuple[HorizonSolver, ReferencePreview, HorizonData] | None = None
 
     def plan(
         self,
@@ -449,7 +457,7 @@ class _Planner:
         Where it takes too much time the last one stays, judged by what is known now.
         """
         began = clock.perf_counter()
-        solver = self._solver_for(numbers)
+        solver = self._solver_for(numbers, self._config.fixed_coefficients)
         problem, spacing = solver.problem, self._config.knot_spacing
         start_time = spacing * np.floor(time / spacing + 1e-6)
         is_first = last.scale == _NO_PLAN
@@ -462,13 +470,16 @@ class _Planner:
             shifted = before.shifted(knots) if knots > 0 else before
             ratio = (last.nominal / numbers.nominal)[:, None]
             angle, start = shifted.start_angle, ratio * shifted.coefficients
-        data = problem.data(
-            start_time, angle, reference, speed_bound, self._known(solver, reference), wind
-        )
-        self._data = solver, reference, data
+        given = start_time, angle, reference, speed_bound, wind
+        data = self._data_for(solver, *given)
+        judging, judged = solver, data
+        if is_first:  # nothing has to go on: the carriers start wherever the plan does
+            judging = self._solver_for(numbers, 0)
+            judged = self._data_for(judging, *given)
+        judge = judging.problem
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, LEAST_START_SCALE)
-        arrays = data.flat_terms, data.flat_flight, start, numbers.beliefs
+        arrays = judged.flat_terms, judged.flat_flight, start, numbers.beliefs
         effort = _MOST_EFFORT
         if not is_new and last.slack > PLAN_TOLERANCE:
             effort = effort.after_relaxed(round(start_time / spacing))
@@ -477,11 +488,13 @@ class _Planner:
         known = self._last
         if known is None or known[0] != key:
             made = self._make(solver, data, start, scale, is_new, effort)
-            if is_first and not made[0].is_feasible:
-                # Nothing has to go on: the carriers start wherever the plan does.
-                free = HorizonSolver(problem, fixed=0)
-                made = self._make(free, data, start, scale, is_new, effort)
-            squares = problem.speeds(data, made[0].coefficients).squares
+            if not np.all(np.isfinite(made[0].coefficients)):
+                raise NotFiniteError(problem.name())
+            if is_first:
+                slacks = judge.slacks(judge.margins(judged, made[0].coefficients))
+                if slacks.max() > PLAN_TOLERANCE:
+                    made = self._make(judging, judged, start, scale, is_new, effort)
+            squares = judge.speeds(judged, made[0].coefficients).squares
             self._last = known = key, (*made, math.sqrt(squares.min()))
         answer, outcome, slowest = known[1]
         coefficients, slack = answer.coefficients, answer.slack
@@ -497,18 +510,29 @@ class _Planner:
         solve_time = clock.perf_counter() - began
         if solve_time > self._config.time_limit and not is_first:
             state, outcome, coefficients, slack = last, Outcome.HELD, start, math.inf
-            slowest = math.sqrt(problem.speeds(data, start).squares.min())
+            slowest = math.sqrt(judge.speeds(judged, start).squares.min())
         missed: set[str] = set()
         if slack > PLAN_TOLERANCE:
-            margins = problem.margins(data, coefficients)
-            missed = problem.missed(margins, PLAN_TOLERANCE)
+            margins = judge.margins(judged, coefficients)
+            missed = judge.missed(margins, PLAN_TOLERANCE)
         return _Planned(state, outcome, slowest, missed, solve_time)
 
-    def _known(self, solver: HorizonSolver, reference: ReferencePreview) -> HorizonData | None:
-        """The last plan's data, where they are of the same motion and beliefs."""
-        known = self._data
+    def _data_for(
+        self,
+        solver: HorizonSolver,
+        start_time: float,
+        angle: float,
+        reference: ReferencePreview,
+        speed_bound: float,
+        wind: NDArray,
+    ) -> HorizonData:
+        """The data of a plan, with what the last one's tell of the same motion and beliefs."""
+        known = self._data.get(solver.fixed)
         is_same = known is not None and known[0] is solver and known[1] is reference
-        return known[2] if known is not None and is_same else None
+        last = known[2] if known is not None and is_same else None
+        data = solver.problem.data(start_time, angle, reference, speed_bound, last, wind)
+        self._data[solver.fixed] = solver, reference, data
+        return data
 
     def _make(
         self,
@@ -551,18 +575,19 @@ class _Planner:
         is_kept = np.array_equal(answer.coefficients, start)
         return answer, Outcome.KEPT if is_kept else Outcome.SOLVED
 
-    def _solver_for(self, numbers: LayerNumbers) -> HorizonSolver:
+    def _solver_for(self, numbers: LayerNumbers, fixed: int) -> HorizonSolver:
+        """The solver of plans whose first coefficients are fixed, so many of them."""
         key = numbers.beliefs.tobytes()
-        known = self._solver
+        known = self._solvers.get(fixed)
         if known is None or known[0] != key:
             problem = HorizonProblem(
                 self._model,
                 self._config,
-                self._config,
+                replace(self._config, fixed_coefficients=fixed),
                 self._name,
                 beliefs=Beliefs.view(numbers.beliefs),
             )
-            self._solver = known = key, HorizonSolver(problem)
+            self._solvers[fixed] = known = key, HorizonSolver(problem)
         return known[1]
 
 

@@ -20,8 +20,8 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig
+from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.optimization.problem_config import (
-    FLIGHT_LIMITS,
     LimitsConfig,
     with_fields_of,
     with_stated_bound,
@@ -188,7 +188,8 @@ def governed(
     )
     less = "give a lower speed_bound, or wider bounds of frequency and amplitude"
     if model.aircraft is not None:
-        less += f", higher ones of {', '.join(FLIGHT_LIMITS)}, or less wind"
+        fields = ", ".join(limit.field for limit in limits_of(Of.FLIGHT))
+        less += f", higher ones of {fields}, or less wind"
     if len(found.not_at_rest):
         warnings.warn(
             f"{_FIELD} = {type(config).__name__.removesuffix('Config')}: from "

@@ -1,8 +1,7 @@
 """The variant of box "Optimization Layer" for a load that turns with its aircraft."""
 
-import math
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues
@@ -22,16 +21,18 @@ from drake_nonstop.model.block_parameters import (
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
-    MISSED_LIMITS_SIZE,
     count_missed,
     count_update,
+    missed_layout,
+    missed_limits_of,
 )
 from drake_nonstop.optimization.flight_limits import FlightLimits
 from drake_nonstop.optimization.problem_config import (
-    FLIGHT_LIMITS,
+    AircraftLimits,
     SpeedBound,
     check_flight_limits,
     check_speed_bound,
+    require_limit,
     with_stated_bound,
 )
 from drake_nonstop.optimization.turn_rate import TurnRateSolver, TurnUpdate
@@ -39,7 +40,6 @@ from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.validation import (
     StrictFields,
-    is_number,
     require,
     require_array,
     require_non_negative,
@@ -52,17 +52,20 @@ _FIXED = (*AIRCRAFT_NUMBERS, "cable_stiffness", OFFSET)
 
 
 @dataclass(kw_only=True)
-class TurnRateOptimizerConfig(StrictFields):
-    """The bound on the airspeed, the limits of the aircraft, and the rate of the turn."""
-
+class _Turn(StrictFields):
     speed_bound: SpeedBound = 10.0  # m/s, ε; also "1.4 V_s"
     tightening: float = 0.01  # the solver aims at (1 + tightening) ε
     frequency: float = 0.4  # rad/s, ξ at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 2.0])  # rad/s
     max_frequency_rate: float = 0.005  # rad/s²
+
+
+@dataclass(kw_only=True)
+class TurnRateOptimizerConfig(AircraftLimits, _Turn):
+    """The bound on the airspeed, the limits of the aircraft, and the rate of the turn."""
+
     max_lift_share: float = 0.85  # of C_Lmax, what aircraft need at most
     max_bank: float = 0.85  # rad, of aircraft, to either side
-    max_climb: float = math.inf  # rad, of aircraft, up or down
     max_thrust_share: float = 1.0  # of the range of an aircraft's thrust, about its middle
     anchor_weight: float = 0.0  # of the distance from the initial ξ
     orbit_points: int = 16  # phases of a turn at which all this holds
@@ -101,8 +104,8 @@ class TurnRateOptimizer(LeafBlock):
     `reference` (22), `wrench` and `wrench_rate` (6, [torque; force]), in W; `wind_estimate` (3,
     m/s) in W, which may be left unconnected in still air; `parameters` (2) = [ξ (rad/s), 0];
     `diagnostics` (7), the fields of `Diagnostics`; `solve_time` (1) is the wall time in s of the
-    last update; `speed_bound` (1) is ε in m/s; `missed_limits` (5), the fields of `MissedLimits`.
-    All outputs are state or parameters.
+    last update; `speed_bound` (1) is ε in m/s; `missed_limits` tells how many updates ended without
+    keeping the bound, and each limit that is asked for. All outputs are state or parameters.
 
     Parameters, the fields of `TurnRateOptimizerConfig`:
         speed_bound: m/s, ε; also "1.4 V_s"
@@ -144,7 +147,8 @@ class TurnRateOptimizer(LeafBlock):
         self._state = self.DeclareDiscreteState([config.frequency, 0.0])
         self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
         self._solve_time = self.DeclareDiscreteState(1)
-        self._missed = self.DeclareDiscreteState(MISSED_LIMITS_SIZE)
+        self._counted = missed_limits_of(config, model)
+        self._missed = self.DeclareDiscreteState(len(self._counted))
         self.DeclareStateOutputPort("parameters", self._state)
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
@@ -157,6 +161,7 @@ class TurnRateOptimizer(LeafBlock):
             {self.all_parameters_ticket()},
         )
         self.DeclareStateOutputPort("missed_limits", self._missed)
+        self.signal_layouts = {"missed_limits": missed_layout(self._counted)}
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         self._sample_period = model.control_period or config.period
         self._samples_per_update = round(config.period / self._sample_period)
@@ -199,7 +204,7 @@ class TurnRateOptimizer(LeafBlock):
         diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
         count_update(diagnostics, answer.outcome, answer.slowest_speed - bound)
         missed = context.get_discrete_state(self._missed).CopyToVector()
-        count_missed(missed, answer.missed)
+        count_missed(missed, self._counted, answer.missed)
         discrete_state.set_value(self._state, [answer.rate, 0.0])
         discrete_state.set_value(self._diagnostics, diagnostics)
         discrete_state.set_value(self._solve_time, [solve_time])
@@ -207,21 +212,13 @@ class TurnRateOptimizer(LeafBlock):
 
 
 def _check(model: Model, config: TurnRateOptimizerConfig) -> None:
-    values = asdict(config)
     require_positive(BOX, frequency=config.frequency, period=config.period)
     require_non_negative(BOX, tightening=config.tightening, anchor_weight=config.anchor_weight)
     require(config.tightening < 1, f"{BOX}.tightening", config.tightening, "give less than 1")
     require_period(f"{BOX}.period", config.period)
     check_speed_bound(BOX, config.speed_bound)
-    for name in ("max_frequency_rate", *FLIGHT_LIMITS):
-        value = values[name]
-        require(
-            (is_number(value) and value > 0) or value == math.inf,
-            f"{BOX}.{name}",
-            value,
-            "give a number greater than 0, or .inf for no limit",
-        )
-    check_flight_limits(BOX, config, model)
+    require_limit(BOX, "max_frequency_rate", config.max_frequency_rate, 0.0)
+    check_flight_limits(BOX, config, model.aircraft)
     bounds = config.frequency_bounds
     low, high = require_array(f"{BOX}.frequency_bounds", bounds, [2], "lower, upper")
     require(

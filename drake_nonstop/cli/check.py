@@ -6,6 +6,7 @@ from pathlib import Path
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.proportions import warn_of_angles
 from drake_nonstop.simulation.aircraft_margins import (
     aircraft_margins,
     margins_dictionary,
@@ -16,9 +17,11 @@ from drake_nonstop.studies.files import replacing_files, require_writable, write
 from drake_nonstop.studies.results_folder import default_folder, require_no_other_run
 from drake_nonstop.visualization.check_figure import make_check_figure
 from drake_nonstop.visualization.figure_style import require_drawing
+from drake_nonstop.visualization.limits_figure import make_limits_figure
 from drake_nonstop.visualization.margins_figure import make_aircraft_margins_figure
 
 _SCENARIO, _DATA, _TASK, _AIRCRAFT = "scenario.yaml", "check.json", "task.png", "check.png"
+_LIMITS = "limits.png"
 
 
 def add_to(commands: Commands) -> None:
@@ -26,10 +29,10 @@ def add_to(commands: Commands) -> None:
     parser = commands.add_parser(
         "check",
         help="whether a task can be flown: its speed bound, its formation, its aircraft",
-        description="Looks for a plan of xi and A that keeps the speed bound over the whole task, "
-        "tells whether the formation is stable, at rest and on its way, and whether aircraft can "
-        "fly the orbit of the resting load; of what fails it tries what helps. Takes seconds, or "
-        "a minute where something fails.",
+        description="Looks for a plan of xi and A that keeps the speed bound and the limits of the "
+        "layer over the whole task, tells whether the formation is stable, at rest and on its way, "
+        "and whether aircraft can fly the orbit of the resting load; of what fails it tries what "
+        "helps. Takes seconds, or a minute where something fails.",
         epilog=f"Exit codes: 0 where the task is sound, {FAILED} where it is not, "
         f"{BAD_INPUT} for bad input.",
     )
@@ -39,6 +42,7 @@ def add_to(commands: Commands) -> None:
 
 def _check(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
+    warn_of_angles(scenario)
     require_drawing()
     folder = options.out or default_folder(Path("out") / "check" / scenario.name, scenario)
     require_no_other_run(folder, scenario)
@@ -50,6 +54,9 @@ def _check(options: argparse.Namespace) -> int:
         report |= margins_dictionary(aircraft)
         report["is_sound"] = found.is_sound and aircraft.is_flyable
         figures[_AIRCRAFT] = make_aircraft_margins_figure(aircraft)
+    if found.speeds.limits:
+        title = f"{scenario.name}: what is asked of the layer, dashed, along the plan"
+        figures[_LIMITS] = make_limits_figure(found.speeds.limits, title)
     report |= task_dictionary(found)
     files = (_SCENARIO, _DATA, *figures)
     require_writable(folder, files)
@@ -61,6 +68,9 @@ def _check(options: argparse.Namespace) -> int:
     print(task_table(found))
     for verdict in found.verdicts:
         print(verdict)
+    flown = found.flight or aircraft
+    if flown is not None and flown.ranges.cables.warning:
+        print(flown.ranges.cables.warning)
     if aircraft is not None:
         print(margins_table(aircraft))
         print(aircraft.verdict)

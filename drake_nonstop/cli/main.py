@@ -25,6 +25,8 @@ def main(arguments: list[str] | None = None) -> int:
     if arguments is not None:
         with handling_signals() as interruption, guarded_output() as (out, _):
             return _finished(_main(arguments, interruption), interruption, out)
+    import drake_nonstop.studies.one_blas_thread  # noqa: F401
+
     open_closed_streams()
     with handling_signals() as interruption, guarded_output() as (out, err):
         interruption.watch()

@@ -20,9 +20,9 @@ def add_to(commands: Commands) -> None:
         "stability",
         help="Floquet multipliers of the loop around a resting load, and margins",
         description="Linearizes the loop around a resting load at some 60 to 110 settings, in a "
-        "process per core: about two minutes on two cores with four points as carriers, and "
-        "several with four aircraft, which have more states. Interrupted, the same command "
-        "continues.",
+        "process per core: one or two minutes on two cores. The loop as it is comes first; a "
+        "setting with which it cannot be built is a row that says so. Interrupted, the same "
+        "command continues.",
     )
     parser.set_defaults(action=_stability)
     add_study(parser, "out/stability/NAME")
@@ -36,7 +36,15 @@ def _stability(options: argparse.Namespace) -> int:
     fine_step = min(_FINE_STEP, scenario.simulator_config.max_step_size)
     fine = changed(scenario, [f"simulator_config.max_step_size={fine_step}"], trust=options.trust)
     with TaskProgress() as progress:
-        found, found_finely = find_stability(scenario, fine, progress=progress)
+        found = find_stability(scenario, progress)
+    verdict = "stable" if found.is_stable else "unstable"
+    print(
+        f"largest multiplier     {found.largest:.4g} in a turn of {found.period:.3g} s "
+        f"({found.rate:+.3g} 1/s): {verdict}",
+        flush=True,  # the rest takes a minute
+    )
+    with TaskProgress() as progress:
+        found_finely = find_stability(fine, progress)
         margins = find_margins(scenario, progress, folder=folder, restart=options.restart)
     write_json(
         folder / "stability.json",
@@ -52,11 +60,6 @@ def _stability(options: argparse.Namespace) -> int:
     )
     with replacing_file(folder / "stability.png") as file:
         make_margins_figure(scenario.name, margins).savefig(file, format="png", dpi=150)
-    verdict = "stable" if found.is_stable else "unstable"
-    print(
-        f"largest multiplier     {found.largest:.4g} in a turn of {found.period:.3g} s "
-        f"({found.rate:+.3g} 1/s): {verdict}"
-    )
     print(
         f"with steps of {fine_step * 1e3:g} ms     {found_finely.largest:.4g}: "
         f"{'stable' if found_finely.is_stable else 'unstable'}"
@@ -73,19 +76,26 @@ def _stability(options: argparse.Namespace) -> int:
         name = f"{margin.name}, {margin.unit}"
         range_ = _stable_range(margin) if found.is_stable else "unstable here"
         print(f"{name:22} {margin.nominal:.4g}, {range_}")
+        for value, reason in margin.refused.items():
+            print(f"{'':22} {value:.4g} is refused: {reason}")
     print(f"results: {folder}")
     return 0
 
 
 def _stable_range(margin: Margin) -> str:
     """From where to where the loop is stable, as far as values of the parameter were tried."""
+    if margin.nominal in margin.refused:
+        return "refused here"
     ends = [
         f"{value:.4g}" if edge is None else f"{edge:.4g}"
         for edge, value in ((margin.low, margin.values[0]), (margin.high, margin.values[-1]))
     ]
     untried = [
-        f"{side} that not tried"
-        for side, edge in (("below", margin.low), ("above", margin.high))
+        f"{side} that {'refused' if any(map(is_beyond, margin.refused)) else 'not tried'}"
+        for side, edge, is_beyond in (
+            ("below", margin.low, margin.values[0].__gt__),
+            ("above", margin.high, margin.values[-1].__lt__),
+        )
         if edge is None
     ]
     return f"stable from {' to '.join(ends)}{''.join(f', {text}' for text in untried)}"

@@ -219,10 +219,40 @@ def thrust_limits(aircraft: Aircraft, airspeed: NDArray) -> tuple[NDArray, NDArr
     )
 
 
+def thrust_share(aircraft: Aircraft, thrust: NDArray, airspeed: NDArray) -> NDArray:
+    """T/T_max (...,) of T (...,), N, at airspeeds (...,), m/s; floats.
+
+    It is negative where the propeller brakes, and 1 where the airspeed leaves no thrust at all.
+    """
+    _, most = thrust_limits(aircraft, airspeed)
+    return np.divide(thrust, most, out=np.ones(np.shape(thrust)), where=most > _ROUNDING)
+
+
 def stall_speed(aircraft: Aircraft) -> NDArray | float:
     """V_s = √(2 m g/(ρ S C_Lmax)), m/s, without a cable's force."""
     weight = aircraft.mass * aircraft.gravity
     return np.sqrt(2 * weight / (aircraft.air_density * aircraft.wing_area * aircraft.max_lift))
+
+
+def airspeed_over_loaded_stall(
+    aircraft: Aircraft, airspeed: NDArray, lift: NDArray, thrust: NDArray
+) -> NDArray:
+    """V/(V_s √n) (...,): the airspeed over the stall speed at the present load factor n; floats.
+
+    n = (q S C_L + T sin α)/(m g) is the force across the flight through the air over the weight. It
+    counts what the cable pulls, and what the bank takes. Where nothing is carried the ratio is
+    large, and finite.
+
+    Args:
+        aircraft: the parameters.
+        airspeed: V (...,), m/s.
+        lift: C_L (...,).
+        thrust: T (...,), N.
+    """
+    angle = angle_of_attack(aircraft, lift)
+    across = pressure_force(aircraft, airspeed) * lift + thrust * np.sin(angle)
+    load_factor = across / (aircraft.mass * aircraft.gravity)
+    return airspeed / (stall_speed(aircraft) * np.sqrt(np.maximum(load_factor, _LEAST)))
 
 
 def is_stalled(aircraft: Aircraft, aircraft_state: NDArray) -> NDArray:

@@ -1,9 +1,18 @@
-"""Cables: massless, tension-only spring-dampers between load and carriers."""
+"""Cables: massless, tension-only spring-dampers between load and carriers.
 
+They are straight. What that leaves out of cables with drag and mass is told by `cable_bow`,
+`cable_shortening` and `cable_mass`.
+"""
+
+import math
+
+import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rotation import absolute, cross, norm, rotation_matrix
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
+
+_CABLE_DENSITY = 970.0  # kg/m³, of Dyneema
 
 
 def positive_part(a: NDArray) -> NDArray:
@@ -72,3 +81,79 @@ def cables_elastic_energy(
     levers = attachments @ rotation_matrix(load.quaternion).T
     stretch = positive_part(norm(carriers.positions - load.position - levers) - rest_length)
     return (stiffness * stretch * stretch).sum(axis=0) / 2
+
+
+def forces_under_other_wrench(
+    forces: NDArray, levers: NDArray, wrench: NDArray, *, rest_length: float, stiffness: float
+) -> NDArray:
+    """Cable forces (k, n, 3), N, where a load has another wrench than its carriers pull for.
+
+    The carriers stay where they are, and the load moves and turns by the small δp and δφ at which
+    the cables hold it. With q = f/T of each cable, to first order,
+
+        δf = −(K_c q qᵀ + (T/ℓ)(I − q qᵀ)) (δp + δφ × r),   ℓ = L₀ + T/K_c,
+        Σ (f + δf) = F,   Σ (r × (f + δf) + (δφ × r) × f) = τ.
+
+    Own derivation.
+
+    Args:
+        forces: f (k, n, 3), N, that the carriers pull with, on the load, as all in one frame.
+        levers: r (k, n, 3) or (n, 3), m, from the load's centre of mass to the attachments.
+        wrench: [τ; F] (k, 6), which the cables have to make about the centre of mass.
+        rest_length: L₀, m.
+        stiffness: K_c, N/m; inf: the cables do not stretch, and the forces stay as they are.
+    """
+    if not np.isfinite(stiffness):
+        return forces
+    levers = np.broadcast_to(levers, forces.shape)
+    tensions = np.linalg.norm(forces, axis=-1, keepdims=True)[..., None]
+    along = forces[..., :, None] * forces[..., None, :] / tensions**2
+    across = np.eye(3) - along
+    lengths = rest_length + tensions / stiffness
+    springs = stiffness * along + tensions / lengths * across  # (k, n, 3, 3)
+    # How an attachment moves with [δφ; δp], (k, n, 3, 6); transposed, what wrench a force has.
+    moving = np.concatenate([-_skews(levers), np.broadcast_to(np.eye(3), springs.shape)], axis=-1)
+    present = wrenches_of(forces, levers)
+    restoring = np.einsum("kiab,kiac,kicd->kbd", moving, springs, moving)
+    restoring[:, :3, :3] -= np.einsum("kiab,kibc->kac", _skews(forces), _skews(levers))
+    moved = np.linalg.solve(restoring, (present - wrench)[..., None])
+    return forces - (springs @ moving @ moved[:, None])[..., 0]
+
+
+def wrenches_of(forces: NDArray, levers: NDArray) -> NDArray:
+    """The wrenches [τ; F] (..., 6) of forces (..., n, 3) at levers of that shape, in one frame."""
+    torques = np.cross(levers, forces).sum(axis=-2)
+    return np.concatenate([torques, forces.sum(axis=-2)], axis=-1)
+
+
+def _skews(vectors: NDArray) -> NDArray:
+    """The matrices (..., 3, 3) that multiply from the left by a cross product."""
+    return -np.cross(vectors[..., None, :], np.eye(3))
+
+
+def cable_bow(drag: NDArray, length: float | NDArray, tension: NDArray) -> NDArray:
+    """How far drag bows a taut cable from its chord (...,), m: w_d L²/(16 ∛4 T).
+
+    The cable is carried by an end that moves and hangs on one that rests: its velocity grows
+    linearly, and the drag on its length with the square, up to w_d. It bows farthest at 0.63 of its
+    length; under w_d everywhere it would bow by w_d L²/(8 T). Own derivation, for small bows.
+
+    Args:
+        drag: w_d = ½ ρ C_D d V² (...,), N/m, at the end that moves.
+        length: L, m.
+        tension: T (...,), N.
+    """
+    return drag * length**2 / (16 * 4 ** (1 / 3) * tension)
+
+
+def cable_shortening(drag: NDArray, length: float | NDArray, tension: NDArray) -> NDArray:
+    """By how much the chord of a cable is shorter (...,), m: 9/14 L (w_d L/(12 T))².
+
+    Bow, arguments and source as of `cable_bow`.
+    """
+    return 9 / 14 * length * (drag * length / (12 * tension)) ** 2
+
+
+def cable_mass(diameter: float | NDArray, length: float | NDArray) -> float | NDArray:
+    """The mass of a cable of Dyneema, kg: 970 kg/m³ π d²/4 L, with d and L in m."""
+    return _CABLE_DENSITY * math.pi / 4 * diameter**2 * length

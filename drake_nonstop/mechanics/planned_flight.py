@@ -251,6 +251,7 @@ def flight_products(
     *,
     rest_length: Any,
     compliance: Any,
+    cable_forces: Any = None,
 ) -> FlightProducts:
     """The products (k, n) at k instants, of numbers or symbols.
 
@@ -261,10 +262,23 @@ def flight_products(
         orbit: at the instants.
         rest_length: L₀, m.
         compliance: 1/K_c, m/N.
+        cable_forces: (k, n, 3), N, in L, on the load, that pull at the aircraft in place of the
+            planned ones; None: those.
     """
     cables = {"rest_length": rest_length, "compliance": compliance}
     up = _instants_last(terms.up)
-    return _products(_flight(aircraft, terms, axes, orbit, **cables), up)
+    flight = _flight(aircraft, terms, axes, orbit, **cables)
+    if cable_forces is not None:
+        flight = flight._replace(needed=flight.needed + _by_component(cable_forces) - flight.force)
+    return _products(flight, up)
+
+
+def planned_cable_forces(
+    terms: FlightTerms, axes: tuple[NDArray, NDArray], orbit: PlannedOrbit
+) -> NDArray:
+    """The cables' f (k, n, 3), N, in L, of numbers; arguments as of `flight_products`."""
+    angle, amplitude = orbit.angle[:, None, None], orbit.amplitude[:, None, None]
+    return terms.forces + amplitude * (np.cos(angle) * axes[0] + np.sin(angle) * axes[1])
 
 
 def _products(flight: _Flight, up: NDArray) -> FlightProducts:

@@ -73,32 +73,45 @@ def parts_of_turn(turn: float, period: float, about: float) -> tuple[int, int]:
     return samples, max(1, round(turn / (samples * period)))
 
 
-def growth(loops: Sequence[SampledLoop], samples: int) -> float:
-    """By how much a deviation grows in a turn, in which each loop lasts for so many samples.
+def interpolated(values: NDArray, turns: NDArray) -> NDArray:
+    """A function (k, s, s) of even phases of a turn, at other ones (l,), in turns.
+
+    By trigonometric interpolation, whose error for a smooth function is near rounding.
+    """
+    count = len(values)
+    spectrum = np.fft.rfft(values.reshape(count, -1), axis=0) / count
+    orders = np.arange(len(spectrum))
+    weights = np.where((orders == 0) | (2 * orders == count), 1.0, 2.0)
+    waves = np.exp(2j * np.pi * np.outer(turns, orders)) * weights
+    return (waves @ spectrum).real.reshape(len(turns), *values.shape[1:])
+
+
+def growth(transitions: NDArray) -> float:
+    """By how much a deviation grows in a turn of these maps (l, s, s) from sample to sample.
 
     The largest magnitude of the Floquet multipliers.
     """
-    turn = np.eye(len(loops[0].transition))
-    for loop in loops:
-        turn = np.linalg.matrix_power(loop.transition, samples) @ turn
+    turn = np.eye(transitions.shape[1])
+    for transition in transitions:
+        turn = transition @ turn
     return float(np.max(np.abs(np.linalg.eigvals(turn)), initial=0.0))
 
 
-def growth_in_turn(loops: Sequence[SampledLoop], samples: int, scale: NDArray) -> float:
+def growth_in_turn(transitions: NDArray, scale: NDArray) -> float:
     """By how much a deviation of the first states grows at most, from some phase on, within a turn.
 
-    Loops and samples are as of `growth`; `scale` (k,) weighs the first k states, which begin off
-    while all others do not, and whose size is the largest singular value.
+    Maps are as of `growth`; `scale` (k,) weighs the first k states, which begin off while all
+    others do not, and whose size is the largest singular value.
     """
-    k, largest = len(scale), 1.0
-    for first in range(0, len(loops), max(1, len(loops) // _STARTS)):
-        state = np.zeros((len(loops[0].transition), k))
-        state[:k] = np.diag(1 / scale)
-        for loop in (*loops[first:], *loops[:first]):
-            for _ in range(samples):
-                state = loop.transition @ state
-            largest = max(largest, float(np.linalg.norm(scale[:, None] * state[:k], 2)))
-    return largest
+    count, k = len(transitions), len(scale)
+    firsts = np.arange(0, count, max(1, count // _STARTS))
+    state = np.zeros((len(firsts), transitions.shape[1], k))
+    state[:, :k] = np.diag(1 / scale)
+    sizes = []
+    for sample in range(count):
+        state = transitions[(firsts + sample) % count] @ state
+        sizes.append(scale[:, None] * state[:, :k])
+    return float(np.max(np.linalg.norm(sizes, 2, axis=(-2, -1)), initial=1.0))
 
 
 def responses(

@@ -132,6 +132,15 @@ class Layout:
         return sum(part.base for part in self.parts if part.per == per)
 
 
+class SomeOf(Layout):
+    """Parts of which a block makes some: its own `signal_layouts` say which."""
+
+    @property
+    def size(self) -> str:
+        """In words."""
+        return "some"
+
+
 def numbered_entries(signal: str, size: int) -> tuple[Entry, ...]:
     """The entries of a signal of which no layout is known."""
     names = [signal] if size == 1 else [f"{signal}.{i + 1}" for i in range(size)]

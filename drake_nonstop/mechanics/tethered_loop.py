@@ -95,6 +95,14 @@ class Orbit(NamedTuple):
     third_rates: NDArray  # (n, 3), N/s³
     velocities: NDArray  # (n, 3), m/s
 
+    def later(self, time: float) -> tuple[NDArray, NDArray]:
+        """The forces and their rates a short time (s) later, by Taylor's series."""
+        half, third = time * time / 2, time**3 / 6
+        return (
+            self.forces + time * self.rates + half * self.second_rates + third * self.third_rates,
+            self.rates + time * self.second_rates + half * self.third_rates,
+        )
+
 
 class Inputs(NamedTuple):
     """The places of the inputs of `tethered_loop`'s loop."""
@@ -146,7 +154,11 @@ def tethered_loop(
     the snap s; a feedforward that stands still is behind by j τ, that of the third order by s τ²/2,
     none at all by a + j τ. The cables' forces are
 
-        δf_i = (K_c q qᵀ + (T/ℓ)(I − q qᵀ)) (δp_i − e_p − e_R × b_i) + B_c q qᵀ (their rates).
+        δf_i = (K_c q qᵀ + (T/ℓ)(I − q qᵀ) + B_c q q̇ᵀ) (δp_i − e_p − e_R × b_i)
+             + B_c q qᵀ (their rates),
+
+    with q and T in the middle of the sample: commands are half a sample behind them, which takes
+    damping away from what oscillates across a cable that turns.
 
     Left out are products of deviations and the reference's own turning. Own derivation.
 
@@ -164,7 +176,6 @@ def tethered_loop(
     """
     n = len(orbit.forces)
     size = 3 * n
-    tension = np.linalg.norm(orbit.forces, axis=1)
     # The state: errors of the load, carriers, their integrals, those of the controller, samples of
     # the delay, the estimate; then what is held in a sample: reference, its acceleration that is
     # missing, the feedforward that is, the jerk that is, the planned snap, desired forces, and
@@ -218,10 +229,13 @@ def tethered_loop(
         M[velocity, at["desired_force"]] = unit / carriers.mass
     M[e_omega, at["disturbance"]] = np.hstack([inverse, np.zeros((3, 3))])
     M[e_v, at["disturbance"]] = np.hstack([np.zeros((3, 3)), eye / load.mass])
-    for i, (b, f, T) in enumerate(zip(cables.attachments, orbit.forces, tension, strict=True)):
+    middle = zip(cables.attachments, *orbit.later(period / 2), strict=True)
+    for i, (b, f, f_rate) in enumerate(middle):
+        T = np.linalg.norm(f)
         along = np.outer(f, f) / T**2
         length = cables.rest_length + T / cables.stiffness
         spring = cables.stiffness * along + T / length * (eye - along)
+        spring += cables.damping * np.outer(f, (eye - along) @ f_rate) / T**2
         own = slice(position.start + 3 * i, position.start + 3 * i + 3)
         own_rate = slice(velocity.start + 3 * i, velocity.start + 3 * i + 3)
         force = np.zeros((3, ends[-1]))  # δf_i by the state

@@ -1,12 +1,14 @@
 """How the updates of the optimization layer ended, and how often."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.signal_layouts import Layout, Part
+from drake_nonstop.mechanics.signal_layouts import Layout, Part, SomeOf
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.limits import LIMITS, asked
 
 
 class Outcome(IntEnum):
@@ -36,31 +38,13 @@ class Diagnostics(NamedTuple):
         return cls(*[values[..., i] for i in range(DIAGNOSTICS_SIZE)])
 
 
-class MissedLimits(NamedTuple):
-    """The entries of the signal `missed_limits` (5): numbers, or logs (k,).
-
-    How many updates ended with a plan that does not keep the bound on the airspeed, or a limit of
-    the aircraft.
-    """
-
-    airspeed: NDArray | float
-    lift: NDArray | float
-    bank: NDArray | float
-    climb: NDArray | float
-    thrust: NDArray | float
-
-    @classmethod
-    def view(cls, values: NDArray) -> "MissedLimits":
-        """The entries (...) of an array (..., 5)."""
-        return cls(*[values[..., i] for i in range(MISSED_LIMITS_SIZE)])
-
-
-MISSED_LIMITS_SIZE = len(MissedLimits._fields)
 DIAGNOSTICS_SIZE = len(Diagnostics._fields)
 DIAGNOSTICS = Layout(
     *(Part(name, "1", "m/s" if name == "speed_margin" else "") for name in Diagnostics._fields)
 )
-MISSED_LIMITS = Layout(*(Part(name, "1") for name in MissedLimits._fields))
+# What `missed_limits` may count: plans that miss the bound, of aircraft, or a limit, by its name.
+BOUND = "airspeed"
+MISSED_LIMITS = SomeOf(*(Part(name, "1") for name in (BOUND, *(limit.name for limit in LIMITS))))
 _PLACES = {name: place for place, name in enumerate(Diagnostics._fields)}
 
 
@@ -72,10 +56,30 @@ def count_update(diagnostics: NDArray, outcome: Outcome, speed_margin: float) ->
     diagnostics[_PLACES["speed_margin"]] = speed_margin
 
 
-def count_missed(missed: NDArray, kinds: Collection[str]) -> None:
-    """Adds an update that misses limits of these names to the vector `missed_limits`, in place."""
-    for kind in set(kinds):
-        missed[MissedLimits._fields.index(kind)] += 1
+def missed_limits_of(config: Any, model: Model) -> tuple[str, ...]:
+    """The entries of a layer's `missed_limits`: the limits that it is asked for, by their names.
+
+    Of aircraft also the bound on the airspeed; it comes first.
+    """
+    bound = () if model.aircraft is None else (BOUND,)
+    return (*bound, *(limit.name for limit, _ in asked(config)))
+
+
+def missed_layout(names: Sequence[str]) -> Layout:
+    """That of a `missed_limits` with these entries."""
+    return Layout(*(Part(name, "1") for name in names))
+
+
+def count_missed(missed: NDArray, names: Sequence[str], kinds: Collection[str]) -> None:
+    """Adds an update that misses limits of some kinds to `missed_limits`, in place.
+
+    Args:
+        missed: one entry for each of the names.
+        names: as of `missed_limits_of`.
+        kinds: those that are missed; others than the names do not count.
+    """
+    for kind in {*kinds} & {*names}:
+        missed[names.index(kind)] += 1
 
 
 def update_count(diagnostics: NDArray) -> int:

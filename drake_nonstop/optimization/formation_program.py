@@ -27,6 +27,8 @@ from drake_nonstop.mechanics.aircraft import (
 )
 from drake_nonstop.mechanics.cable import positive_part
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
+from drake_nonstop.mechanics.planned_flight import FlightNeeds
+from drake_nonstop.optimization.limits import Limit
 from drake_nonstop.systems.tracing import TracedFunction
 
 LEANING, CO_ROTATING = "leaning", "co_rotating"
@@ -88,6 +90,7 @@ class DesignLimits(NamedTuple):
     climb_margin: float  # rad
     thrust_margin: float  # of the range of thrust at that airspeed, at either end
     separation: float  # m, of carriers
+    asked: tuple[tuple[Limit, float], ...] = ()  # rows of the table of limits, with their values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +131,7 @@ NEEDS = (
 )
 # Of a distance that is asked for, below it, and of a run's limit, above it: a whole margin.
 _SEPARATION_MARGIN, _REACH_MARGIN = 0.2, 0.1
+ASKED_MARGIN = 0.1  # likewise, of a limit that is asked for
 _LEAST_SHARE = 0.3  # of f₀, that a cable always carries
 _LARGEST_ANGLE = 0.55  # rad, of attack; a command stays at 0.6
 _FINE = 24  # phases of a turn
@@ -141,7 +145,10 @@ _CROSSING, _CROSSING_MARGIN = 0.85, 0.015
 
 
 def _trace(task: FormationTask, kind: str) -> TracedFunction:
-    """`NEEDS` of the variables, [azimuth, phase], and a `LoadMotion` (12,)."""
+    """`NEEDS` of the variables, [azimuth, phase], and a `LoadMotion` (12,).
+
+    After them the margins of the limits that are asked for.
+    """
     is_leaning = kind == LEANING
 
     def needs(values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
@@ -178,6 +185,19 @@ def _trace(task: FormationTask, kind: str) -> TracedFunction:
         frame = air_frame(velocity)
         airspeed = frame.airspeed[..., 0]
         least, most = thrust_limits(aircraft, airspeed)
+        needed = FlightNeeds(
+            airspeed=airspeed,
+            force=np.sqrt((force * force).sum(axis=-1)),
+            lift=told.lift,
+            bank=told.bank,
+            climb=np.arcsin(frame.forward[..., 2]),
+            thrust=told.thrust,
+        )
+        asked = [
+            margin
+            for limit, value in task.limits.asked
+            for margin in limit.margins(aircraft, needed, value)
+        ]
         # Beyond the command's largest angle, where the command alone would not change.
         along = (force * frame.forward).sum(axis=-1)
         across = np.sqrt((force * force).sum(axis=-1) - along * along + 1e-9)
@@ -196,11 +216,13 @@ def _trace(task: FormationTask, kind: str) -> TracedFunction:
                 told.thrust,
                 drawn_power(aircraft, told.thrust, airspeed),
                 orbit.positions.ravel(),
+                *asked,
             ]
         )
 
     sizes = [_SIZE, 2, _MOTION_SIZE]
-    return TracedFunction(needs, sizes, name=lambda: "design", largest=1e12, jacobian_of=0)
+    # The search tries speeds of km/s, too: any finite number will do.
+    return TracedFunction(needs, sizes, name=lambda: "design", largest=1e100, jacobian_of=0)
 
 
 class FormationProgram:
@@ -249,7 +271,12 @@ class FormationProgram:
             for step in places[1 : n // 2 + 1]
             for angle in (between if is_leaning else between[:1])
         ]
-        names = np.repeat([name for name, *_ in self._limits()], len(self._samples))
+        self._asked = [
+            limit.words for limit, _ in task.limits.asked for _ in range(limit.margin_count)
+        ]
+        names = np.repeat(
+            [*(name for name, *_ in self._limits()), *self._asked], len(self._samples)
+        )
         apart = np.repeat([_APART, _APART_REACH, _CABLES], len(self._neighbours))
         self.row_names: NDArray = np.concatenate([names, apart])
 
@@ -271,8 +298,11 @@ class FormationProgram:
         ]
 
     def needs(self, values: NDArray) -> tuple[NDArray, NDArray]:
-        """`NEEDS` (k, 12) of all samples, and their gradients (k, 12, 10)."""
-        found = np.empty((len(self._samples), len(NEEDS)))
+        """`NEEDS` (k, 12) of all samples, and their gradients (k, 12, 10).
+
+        After them the margins of the limits that are asked for.
+        """
+        found = np.empty((len(self._samples), len(NEEDS) + len(self._asked)))
         gradients = np.empty((*found.shape, _SIZE))
         for k, (angles, motion) in enumerate(self._samples):
             found[k], gradients[k] = self.trace(values, angles, motion)
@@ -286,6 +316,10 @@ class FormationProgram:
             column = NEEDS.index(name)
             rows.append(sign * (needs[:, column] - limit) / margin)
             gradients.append(sign * slopes[:, column] / margin)
+        for column in range(len(NEEDS), needs.shape[1]):
+            # Margins of squares: by a share of the limit they change by twice of that.
+            rows.append(1 + needs[:, column] / (2 * ASKED_MARGIN))
+            gradients.append(slopes[:, column] / (2 * ASKED_MARGIN))
         distances, changes, clearances, clearance_changes = self._beside(values)
         reach = self.task.load.radius + values[5]
         share = self.task.limits.carrier_distance
@@ -328,7 +362,8 @@ class FormationProgram:
             places, changes, leans, lean_changes, ends = [], [], [], [], []
             for angles in pair:
                 found, gradient = self.trace(values, angles, rest)
-                place, change = found[-3:].copy(), gradient[-3:].copy()
+                at = slice(NEEDS.index("x"), len(NEEDS))
+                place, change = found[at].copy(), gradient[at].copy()
                 end = radius * np.array([math.cos(angles[0]), math.sin(angles[0])])
                 lean = (place[:2] - end) / place[2]
                 places.append(place)

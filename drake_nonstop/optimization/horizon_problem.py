@@ -48,7 +48,9 @@ from drake_nonstop.mechanics.signals import (
     PlannedParameters,
 )
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.diagnostics import BOUND
 from drake_nonstop.optimization.flight_limits import FlightLimits
+from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.margins import ConstraintMargins
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
 from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
@@ -76,7 +78,10 @@ Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time i
 
 @dataclass(kw_only=True)
 class HorizonConfig:
-    """The horizon, its cost and its constraints; with those of a `LimitsConfig`."""
+    """The horizon, its cost and its constraints; with those of a `LimitsConfig`.
+
+    With `fixed_coefficients` 0 the problem is one of a plan that has no predecessor.
+    """
 
     horizon: float = 0.0  # s; 0: nearly two turns, at least 15 intervals between knots
     knot_spacing: float = 0.0  # s, also the time between two plans; 0: an eighth of a turn
@@ -321,12 +326,14 @@ class HorizonProblem:
         spacing = config.knot_spacing
         end = self.intervals * spacing
         count = self.intervals * config.instants
-        # The value at the start is given by the fixed coefficients: no instant is there.
-        self.instants = end / count * np.arange(1, count + 1)
+        # Where coefficients are fixed, so is the value at the start: no instant is there.
+        self._first_instant = 1 if config.fixed_coefficients else 0
+        self.instants = end / count * np.arange(self._first_instant, count + 1)
         self._instant_spacing = end / count
+        self._per_knot = count // self.intervals  # instants
+        count = len(self.instants)
         self._terminal_per_knot = config.terminal_instants
         back = np.arange(self._terminal_per_knot * config.terminal_knots)[::-1]
-        self._per_knot = count // self.intervals  # instants
         # Some of the instants, the same ones in each interval.
         self._terminal_at = count - 1 - back * self._per_knot // self._terminal_per_knot
         self.terminal_instants = self.instants[self._terminal_at]
@@ -334,6 +341,8 @@ class HorizonProblem:
         flown = max(math.ceil(self._per_knot / _FLIGHT_EVERY), min(_LEAST_FLIGHTS, self._per_knot))
         back = np.arange(flown * self.intervals)[::-1]
         self._flight_at = count - 1 - back * self._per_knot // flown
+        if self._first_instant == 0:
+            self._flight_at = np.append(0, self._flight_at)
         self._flights_per_knot = flown
         # What aircraft need on whole orbits is limited at the ends of the intervals.
         self._orbits_of = np.arange(1, config.terminal_knots + 1) * self._terminal_per_knot - 1
@@ -521,7 +530,7 @@ class HorizonProblem:
         knot = round(start_time / spacing)
         if abs(start_time - knot * spacing) > 1e-9 * max(1.0, start_time):
             return start_time + self.instants
-        counts = knot * self._per_knot + np.arange(1, len(self.instants) + 1)
+        counts = knot * self._per_knot + self._first_instant + np.arange(len(self.instants))
         return counts * (spacing / self._per_knot)
 
     def terminal_set(
@@ -627,18 +636,35 @@ class HorizonProblem:
             **self._cables,
         )
 
-    def squares_along(self, terms: OrbitTerms, planned: NDArray) -> NDArray:
-        """The squared speeds (k, n) at k instants, of the plan's values (k, 8) there."""
+    def values_along(self, of: Of, terms: OrbitTerms, planned: NDArray) -> NDArray:
+        """Speeds, tensions or separations (k, c) at k instants, of the plan's values (k, 8) there.
+
+        In m/s, N or m, of the carriers, the cables or the pairs of carriers.
+        """
         values = PlannedParameters.view(planned)
-        return planned_speeds(
+        angle, amplitude = values.angle[:, 0], values.amplitude[:, 0]
+        if of is Of.SEPARATION:
+            return np.sqrt(
+                planned_gaps(
+                    terms,
+                    self.axes,
+                    angle,
+                    amplitude,
+                    attachments=self.model.attachments,
+                    pairs=self._pairs,
+                    **self._cables,
+                )[0]
+            )
+        found = planned_speeds(
             terms,
             self.axes,
-            values.angle[:, 0],
+            angle,
             values.frequency[:, 0],
-            values.amplitude[:, 0],
+            amplitude,
             values.amplitude_rate[:, 0],
             **self._cables,
-        ).squares
+        )
+        return np.sqrt(found.squares if of is Of.SPEED else found.tension_squares)
 
     def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
         """The constraints about coefficients (2, N)."""
@@ -646,8 +672,7 @@ class HorizonProblem:
         limits, bound, unit = self._limits, data.speed_bound, math.sqrt(data.speed_unit)
         margins = limits.of_speeds(speeds.squares, bound, unit)
         gradients = [speeds.gradients / unit**2]
-        if limits.limit_high_speeds:
-            gradients.append(-speeds.gradients / limits.max_speed**2)
+        gradients += [factor * speeds.gradients for factor in limits.speed_factors]
         if limits.limit_tensions:
             margins += limits.of_tensions(speeds.tension_squares)
             by_angle, by_amplitude = speeds.tension_gradients
@@ -703,11 +728,8 @@ class HorizonProblem:
         return slacks
 
     def missed(self, margins: NDArray, tolerance: float) -> set[str]:
-        """What margins (r,) miss by more than a tolerance, of the names of `MissedLimits`."""
-        if self.model.aircraft is None:
-            return set()
-        numbers = self._name_of[np.flatnonzero(~(margins >= -tolerance))]
-        return {self._names[number] for number in set(numbers.tolist())} - {""}
+        """What margins (r,) miss by more than a tolerance, by the names of `missed_limits`."""
+        return {*self._names[~(margins >= -tolerance)].tolist()} - {""}
 
     @property
     def slack_count(self) -> int:
@@ -727,9 +749,9 @@ class HorizonProblem:
         others together.
         """
         limits, n, count = self._limits, self.model.n, len(self.instants)
-        others = n * (int(limits.limit_high_speeds) + len(limits.tension_factors))
-        if self._separation is not None:
-            others += self._pairs.shape[1]
+        pairs = limits.separation_kinds
+        sizes = [n] * (len(limits.kinds) - 1) + [self._pairs.shape[1]] * len(pairs)
+        others = sum(sizes)
         of_flight = n * len(self._flight_limits.kinds)
         tables = [Table(np.arange(count), n + others), Table(self._flight_at, of_flight)]
         self._tables = tuple(table for table in tables if table.width)
@@ -741,7 +763,7 @@ class HorizonProblem:
         self._orbits = (len(self._orbits_of), phases, of_flight)
         orbits = math.prod(self._orbits)
         ends = len(terminal) * len(self._terminal_kinds) + orbits
-        pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).astype(int)
+        pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).clip(0).astype(int)
         slack_of_kind = (self.intervals + 1) * np.arange(3)
         of_terminal = self.intervals + slack_of_kind[np.minimum(self._terminal_kinds, 1)]
         of_tables = [
@@ -765,16 +787,20 @@ class HorizonProblem:
         self._widths = np.concatenate(
             [np.repeat([t.width for t in tables], [t.size for t in tables]), np.zeros(ends, int)]
         )
-        names = [*self._flight_limits.kinds, "airspeed", ""]
-        own = np.repeat(np.arange(len(names) - 2), n)
-        bound, other = len(names) - 2, len(names) - 1
-        of_instant = np.repeat([bound, other], [n, others])
-        self._names = names
-        self._name_of = np.concatenate(
+        # Of the terminal set, what does not depend on ξ is one margin, of any limit of these.
+        fast = len(limits.speed_factors)
+        apart = [*limits.kinds[1 + fast :], *pairs]
+        terminal_names = [
+            BOUND,
+            limits.kinds[1] if fast == 1 else "",
+            apart[0] if len(apart) == 1 else "",
+        ]
+        own = np.repeat(self._flight_limits.kinds, n)
+        self._names = np.concatenate(
             [
-                np.tile(of_instant, count),
+                np.tile(np.repeat([*limits.kinds, *pairs], [n, *sizes]), count),
                 np.tile(own, len(self._flight_at)),
-                np.repeat(np.where(self._terminal_kinds == 0, bound, other), len(terminal)),
+                np.repeat(np.array(terminal_names)[self._terminal_kinds], len(terminal)),
                 np.tile(own, len(self._orbits_of) * phases),
             ]
         )

@@ -1,6 +1,7 @@
 """Successive quadratic programs for the nonstop problem over a horizon."""
 
 import math
+import threading
 import weakref
 from dataclasses import replace
 from typing import NamedTuple
@@ -69,16 +70,14 @@ class HorizonSolver:
 
     Args:
         problem: what all plans share.
-        fixed: how many of the first coefficients are given; none: those of the config.
 
     Attributes:
         problem: as given.
         fixed: how many of the first coefficients are given.
     """
 
-    def __init__(self, problem: HorizonProblem, *, fixed: int | None = None):
-        self.problem = problem
-        self.fixed = problem.config.fixed_coefficients if fixed is None else fixed
+    def __init__(self, problem: HorizonProblem):
+        self.problem, self.fixed = problem, problem.config.fixed_coefficients
         count = problem.count
         free = np.arange(self.fixed, count)
         self._free = np.concatenate([free, count + free])  # among both splines' coefficients
@@ -200,8 +199,11 @@ class HorizonSolver:
         return x
 
 
-class _StepProgram:
-    """The quadratic program of a step, which is built once and changed from step to step."""
+class _StepProgram(threading.local):
+    """The quadratic program of a step, which is built once and changed from step to step.
+
+    Each thread has its own, built of the same arguments.
+    """
 
     def __init__(self, solver: HorizonSolver):
         self._owner, self._problem = weakref.proxy(solver), solver.problem

@@ -4,9 +4,12 @@ A margin is negative where its constraint is not fulfilled: ‖v_i‖²/ε² −
 of the other constraints, each with its tightened limit.
 """
 
-import numpy as np
+import math
+
 from numpy.typing import NDArray
 
+from drake_nonstop.optimization.diagnostics import BOUND
+from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.optimization.problem_config import LimitsConfig, limit_tightening
 
 FEASIBILITY_TOLERANCE = 1e-6  # on a margin
@@ -27,57 +30,60 @@ class ConstraintMargins:
 
     def __init__(self, config: LimitsConfig, speed_count: int):
         tightening = limit_tightening(config)
-        larger, smaller = 1 + tightening, 1 - tightening
-        self.max_speed = smaller * config.max_speed
-        self._min_tension = larger * config.min_tension
-        self._max_tension = smaller * config.max_tension
-        self.min_separation = larger * config.min_separation
+        rows = [(limit, limit.tightened(config, tightening)) for limit, _ in asked(config)]
+        self._speeds, self._tensions, self._separations = (
+            [row for row in rows if row[0].of is of] for of in (Of.SPEED, Of.TENSION, Of.SEPARATION)
+        )
+        self.max_speed = min((value for _, value in self._speeds), default=math.inf)
+        self.min_separation = max((value for _, value in self._separations), default=0.0)
         self.speed_count = speed_count
 
     @property
     def limit_tensions(self) -> bool:
         """Whether tensions have a limit."""
-        return self._min_tension > 0 or bool(np.isfinite(self._max_tension))
+        return bool(self._tensions)
+
+    @property
+    def speed_factors(self) -> list[float]:
+        """The slopes of the margins of speeds by their squares, for each limit but the bound."""
+        return [limit.slope_of_squares(value) for limit, value in self._speeds]
 
     @property
     def tension_factors(self) -> list[float]:
         """The slopes of the margins of tensions by their squares, for each limit of theirs."""
-        factors = []
-        if self._min_tension > 0:
-            factors.append(1 / self._min_tension**2)
-        if np.isfinite(self._max_tension):
-            factors.append(-1 / self._max_tension**2)
-        return factors
+        return [limit.slope_of_squares(value) for limit, value in self._tensions]
+
+    @property
+    def kinds(self) -> list[str]:
+        """The names of the limits of `of_speeds`, the bound first, then of `of_tensions`."""
+        return [BOUND, *(limit.name for limit, _ in self._speeds + self._tensions)]
+
+    @property
+    def separation_kinds(self) -> list[str]:
+        """The names of the limits of separations."""
+        return [limit.name for limit, _ in self._separations]
 
     @property
     def limit_high_speeds(self) -> bool:
-        """Whether speeds have to stay below `max_speed`, too."""
-        return bool(np.isfinite(self.max_speed))
+        """Whether speeds have a limit besides the bound."""
+        return bool(self._speeds)
 
     def of_speeds(
         self, squares: NDArray, speed_bound: NDArray | float, speed_unit: NDArray | float
     ) -> list[NDArray]:
         """The margins (k, p) of squared speeds (k, p), for each enabled limit of theirs."""
         margins = [(squares - speed_bound * speed_bound) / (speed_unit * speed_unit)]
-        if self.limit_high_speeds:
-            margins.append(1 - squares / self.max_speed**2)
-        return margins
+        return margins + [row.margin_of_squares(squares, value) for row, value in self._speeds]
 
     def of_tensions(self, tension_squares: NDArray) -> list[NDArray]:
         """The margins (k, p) of squared tensions (k, p), for each limit of theirs."""
-        margins = []
-        if self._min_tension > 0:
-            margins.append(tension_squares / self._min_tension**2 - 1)
-        if np.isfinite(self._max_tension):
-            margins.append(1 - tension_squares / self._max_tension**2)
-        return margins
+        return [row.margin_of_squares(tension_squares, value) for row, value in self._tensions]
 
     def worse_of_each_speed(self, margins: NDArray) -> NDArray:
         """The worse margin (speed_count,) of each speed, which may have limits on either side."""
         count = self.speed_count
-        if not self.limit_high_speeds:
-            return margins[:count]
-        return np.minimum(margins[:count], margins[count : 2 * count])
+        limits = 1 + len(self._speeds)
+        return margins[: limits * count].reshape(limits, count).min(axis=0)
 
     def infeasibility_order(self, margins: NDArray) -> tuple[float, float]:
         """What is larger for the better one of two infeasible points, see `least_infeasible`."""

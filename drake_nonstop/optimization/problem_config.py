@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
 from drake_nonstop.model.block_parameters import AUTO
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.limits import LIMITS, Limit, Of, limits_of
 from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import (
@@ -23,7 +24,6 @@ from drake_nonstop.validation import (
 
 LEAST_BOUND = 1e-3  # m/s, unless there is none at all: margins are relative to the bound
 _UNCOMPUTED = 0.02  # the tightening of what has no margin computed for it
-FLIGHT_LIMITS = ("max_lift_share", "max_bank", "max_climb", "max_thrust_share")
 _Config = TypeVar("_Config")
 _SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
@@ -35,9 +35,17 @@ else:
 
 
 @dataclass(kw_only=True)
-class LimitsConfig(StrictFields):
-    """The bound, the nominal ξ and A, and what limits them and the carriers' flight."""
+class AircraftLimits(StrictFields):
+    """What limits the flight of aircraft: the rows of `optimization.limits` that are of them."""
 
+    max_lift_share: float = math.inf  # of C_Lmax, what aircraft need at most
+    max_bank: float = math.inf  # rad, of aircraft, to either side
+    max_climb: float = math.inf  # rad, of aircraft, up or down
+    max_thrust_share: float = math.inf  # of the range of an aircraft's thrust, about its middle
+
+
+@dataclass(kw_only=True)
+class _BoundAndLimits(StrictFields):
     speed_bound: SpeedBound = 0.2  # m/s, ε; of aircraft also "1.4 V_s"
     tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε; "auto": computed
     speed_margin: float = 0.0  # m/s above ε that "auto" aims at; 0: computed for the loop
@@ -52,10 +60,11 @@ class LimitsConfig(StrictFields):
     min_tension: float = 0.0  # N; 0: any
     max_tension: float = math.inf  # N
     min_separation: float = 0.0  # m, of two carriers over a whole orbit; 0: any
-    max_lift_share: float = math.inf  # of C_Lmax, what aircraft need at most
-    max_bank: float = math.inf  # rad, of aircraft, to either side
-    max_climb: float = math.inf  # rad, of aircraft, up or down
-    max_thrust_share: float = math.inf  # of the range of an aircraft's thrust, about its middle
+
+
+@dataclass(kw_only=True)
+class LimitsConfig(AircraftLimits, _BoundAndLimits):
+    """The bound, the nominal ξ and A, and what limits them and the carriers' flight."""
 
 
 @dataclass(kw_only=True)
@@ -159,10 +168,11 @@ def limit_tightening(config: Any) -> float:
 
 
 def highest_speed_bound(config: LimitsConfig) -> float:
-    """The speed bound (m/s) that `max_speed` leaves no room above."""
-    if not _has_margin(config) or config.max_speed == math.inf:
-        return config.max_speed / _least_ratio(config)
-    limit = (1 - limit_tightening(config)) * config.max_speed
+    """The speed bound (m/s) that limits of the speeds leave no room above."""
+    most = min(limit.stated(config) for limit in limits_of(Of.SPEED))
+    if not _has_margin(config) or most == math.inf:
+        return most / _least_ratio(config)
+    limit = (1 - limit_tightening(config)) * most
     own, margin = config.speed_bound, config.speed_margin
     return limit - margin if own == 0 or own + margin > limit else limit / (1 + margin / own)
 
@@ -187,8 +197,7 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
         tightening=limit_tightening(config),
         speed_margin=config.speed_margin,
         model_error=config.model_error,
-        min_tension=config.min_tension,
-        min_separation=config.min_separation,
+        **{limit.field: limit.stated(config) for limit in LIMITS if limit.is_least},
     )
     require(config.model_error < 1, f"{box}.model_error", config.model_error, "give less than 1")
     remedy = f"give {box}.tightening: {AUTO}, which alone aims at it, or leave it out"
@@ -198,7 +207,7 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
     require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)
-    check_flight_limits(box, config, model)
+    check_flight_limits(box, config, model.aircraft)
     for name, start, bounds in (
         ("frequency", config.frequency, config.frequency_bounds),
         ("amplitude", config.amplitude, amplitude_range(config, model)),
@@ -237,7 +246,7 @@ def check_problem(box: str, config: NonstopProblemConfig, model: Model) -> None:
 
 
 def _check_ratios(box: str, config: LimitsConfig) -> None:
-    for name in ("min_tension", "max_tension", "max_speed", "min_separation", "speed_bound"):
+    for name in (*(limit.field for limit in LIMITS), "speed_bound"):
         value = getattr(config, name)
         require(
             value <= LARGEST or value == math.inf,
@@ -247,34 +256,40 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
         )
     tightening = limit_tightening(config)
     require(tightening < 1, f"{box}.tightening", config.tightening, "give less than 1")
-    least_ratio = _least_ratio(config)
-    for name, least in (
-        ("max_frequency_rate", 0.0),
-        ("max_amplitude_rate", 0.0),
-        ("max_speed", tightened_bound(config, config.speed_bound) / (1 - tightening)),
-        ("max_tension", least_ratio * config.min_tension),
-        *((name, 0.0) for name in FLIGHT_LIMITS),
-    ):
-        value = getattr(config, name)
-        require(
-            (is_number(value) and value > least) or value == math.inf,
-            f"{box}.{name}",
-            value,
-            f"give a number greater than {least:g}, or .inf for no limit",
-        )
+    for name in ("max_frequency_rate", "max_amplitude_rate"):
+        require_limit(box, name, getattr(config, name), 0.0)
+    for limit in LIMITS:
+        if not (limit.is_least or limit.is_of_aircraft):
+            require_limit(box, limit.field, limit.stated(config), _least_room(limit, config))
 
 
-def check_flight_limits(box: str, config: Any, model: Model) -> None:
-    """Raises ScenarioError for the first limit of aircraft, of `FLIGHT_LIMITS`, that cannot be."""
-    for name in FLIGHT_LIMITS:
-        value = getattr(config, name)
+def _least_room(limit: Limit, config: LimitsConfig) -> float:
+    """What a largest value has to be above, for the sake of least ones of the same quantity."""
+    if limit.of is Of.SPEED:
+        bound = tightened_bound(config, config.speed_bound)
+        return bound / (1 - limit_tightening(config))
+    least = [each.stated(config) for each in limits_of(limit.of) if each.is_least]
+    return _least_ratio(config) * max(least, default=0.0)
+
+
+def require_limit(box: str, name: str, value: Any, least: float) -> None:
+    """Raises ScenarioError for a largest value, of a config's `box`, that is not above `least`."""
+    remedy = f"give a number greater than {least:g}, or .inf for no limit"
+    is_above = (is_number(value) and value > least) or value == math.inf
+    require(is_above, f"{box}.{name}", value, remedy)
+
+
+def check_flight_limits(box: str, config: AircraftLimits, aircraft: Aircraft | None) -> None:
+    """Raises ScenarioError for the first limit of aircraft that cannot be."""
+    for limit in limits_of(Of.FLIGHT):
+        value = getattr(config, limit.field)
+        require_limit(box, limit.field, value, 0.0)
         if value == math.inf:
             continue
         remedy = "it limits aircraft, and system.aircraft is none; give .inf for no limit"
-        require(model.aircraft is not None, f"{box}.{name}", value, remedy)
-        most = 1.0 if name.endswith("share") else math.pi / 2
-        remedy = f"give at most {most:.4g}, or .inf for no limit"
-        require(value <= most, f"{box}.{name}", value, remedy)
+        require(aircraft is not None, f"{box}.{limit.field}", value, remedy)
+        remedy = f"give at most {limit.largest:.4g}, or .inf for no limit"
+        require(value <= limit.largest, f"{box}.{limit.field}", value, remedy)
 
 
 def _check_choices(box: str, config: NonstopProblemConfig) -> None:

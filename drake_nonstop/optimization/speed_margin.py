@@ -177,7 +177,7 @@ def speed_margin(
     first = shares = shares_at(chosen, margin)
     for _ in range(_REPEATS):
         if not is_kept:
-            cause = "no constant xi and A within their bounds have them"
+            cause = "no constant xi and A within bounds and limits have them"
             break
         if shares.total <= margin:
             return shares
@@ -215,7 +215,7 @@ class _Task:
         self.model, self.limits, self.motion = model, limits, motion
         horizon = timed(HorizonConfig(), limits.frequency, model.control_period)
         problem = HorizonProblem(model, limits, horizon, lambda: "speed margin")
-        self.axes = problem.axes
+        self.axes, self._max_speed = problem.axes, problem.max_speed
         before, now, after = (
             OrbitTerms.view(np.array([problem.terms_at(row) for row in rows]))
             for rows in motion.references
@@ -235,18 +235,20 @@ class _Task:
     def parameters_for(self, speed: float) -> tuple[NDArray, bool]:
         """[ξ, A] (2,) nearest to the nominal ones that keep a speed (m/s) over the task.
 
-        Also whether they do: where none within the bounds do, they are those that come closest.
+        And the limits of speeds from above. Also whether they do: where none within the bounds do,
+        they are those that come closest.
         """
         low, high = amplitude_range(self.limits, self.model)
         amplitudes = np.linspace(low, high, _AMPLITUDES)
         amplitudes = np.sort(np.append(amplitudes, self.limits.amplitude))
         some = OrbitTerms(*(part[::_SPARSE] for part in self.terms))
-        least, *_ = product_limits(
-            some, self.axes, amplitudes, speed, math.inf, phase_count=_PHASES, **self.cables
+        least, most, *_ = product_limits(
+            some, self.axes, amplitudes, speed, self._max_speed, phase_count=_PHASES, **self.cables
         )
         products = least.max(axis=0)
         frequencies = np.maximum(products / amplitudes, self.limits.frequency)
-        frequencies = np.minimum(frequencies, self.limits.frequency_bounds[1])
+        highest = np.minimum(most.min(axis=0) / amplitudes, self.limits.frequency_bounds[1])
+        frequencies = np.minimum(frequencies, highest)
         change = (frequencies / self.limits.frequency - 1) ** 2
         change += _AMPLITUDE_WEIGHT * (amplitudes / self.limits.amplitude - 1) ** 2
         change += 1e3 * np.maximum(products / (amplitudes * frequencies) - 1, 0)

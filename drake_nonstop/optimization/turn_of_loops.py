@@ -12,13 +12,13 @@ from drake_nonstop.mechanics.sampled_loop import (
     SampledLoop,
     growth,
     growth_in_turn,
+    interpolated,
     parts_of_turn,
 )
 from drake_nonstop.mechanics.tethered_loop import Cables, Carriers, Estimator, Orbit, tethered_loop
 from drake_nonstop.model.system import Model
 
-_LOOPS = 60  # about as many phases the loop is linearized: steps of forces between them count
-_SEEMS_TO_GROW = 0.05  # per s
+_LOOPS = 60  # phases, of which speeds are looked at
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,6 +48,7 @@ class TurnOfLoops(NamedTuple):
     orbits: list[Orbit]
     loops: list[SampledLoop]
     samples: int  # that each of them lasts
+    transitions: NDArray  # (l, s, s), the maps from sample to sample of the turn
     rate: float  # 1/s, at which a deviation grows from turn to turn, the largest one
 
     def growth_in_turn(self, radius: float) -> float:
@@ -56,7 +57,7 @@ class TurnOfLoops(NamedTuple):
         An attitude's size is that of the distance it makes at the radius in m.
         """
         scale = np.repeat([radius, 1.0], 3)
-        return math.log(growth_in_turn(self.loops, self.samples, scale))
+        return math.log(growth_in_turn(self.transitions, scale))
 
 
 def turn_of_loops(
@@ -66,11 +67,13 @@ def turn_of_loops(
     feedback: Feedback,
     frequency: float,
     orbit: Callable[[float], Orbit],
+    *,
+    phases: int = _LOOPS,
 ) -> TurnOfLoops:
     """The loop of load, cables, carriers and controllers along the orbits.
 
-    It is linearized at some 60 phases; where it seems to grow, at every sample, since forces that
-    step from phase to phase move what is lightly damped.
+    Growth is that of the maps between the phases, too: forces that step from phase to phase move
+    what is lightly damped.
 
     Args:
         model: what the controllers believe.
@@ -79,6 +82,7 @@ def turn_of_loops(
         feedback: the wrench controller's.
         frequency: ξ, rad/s.
         orbit: that at a phase in rad.
+        phases: about as many, at which the loop is linearized.
     """
     cables = Cables(
         attachments=plant.attachments,
@@ -89,27 +93,25 @@ def turn_of_loops(
     )
     turn = 2 * math.pi / frequency
 
-    def at_phases(about: float) -> TurnOfLoops:
-        samples, count = parts_of_turn(turn, feedback.period, about)
-        orbits = [orbit(2 * math.pi * i / count) for i in range(count)]
-        loops = [
-            tethered_loop(
-                plant.load,
-                cables,
-                carriers,
-                feedback.gains,
-                along,
-                pseudo_inverse=model.pseudo_inverse,
-                period=feedback.period,
-                delay=feedback.delay,
-                is_measured=feedback.is_measured,
-                estimator=feedback.estimator,
-            )
-            for along in orbits
-        ]
-        return TurnOfLoops(orbits, loops, samples, math.log(growth(loops, samples)) / turn)
-
-    found = at_phases(_LOOPS)
-    if found.samples == 1 or found.rate < _SEEMS_TO_GROW:
-        return found
-    return at_phases(turn / feedback.period)
+    samples, count = parts_of_turn(turn, feedback.period, phases)
+    orbits = [orbit(2 * math.pi * i / count) for i in range(count)]
+    loops = [
+        tethered_loop(
+            plant.load,
+            cables,
+            carriers,
+            feedback.gains,
+            along,
+            pseudo_inverse=model.pseudo_inverse,
+            period=feedback.period,
+            delay=feedback.delay,
+            is_measured=feedback.is_measured,
+            estimator=feedback.estimator,
+        )
+        for along in orbits
+    ]
+    whole = max(1, round(turn / feedback.period))
+    maps = np.stack([loop.transition for loop in loops])
+    transitions = interpolated(maps, np.arange(whole) / whole)
+    rate = math.log(growth(transitions)) / (whole * feedback.period)
+    return TurnOfLoops(orbits, loops, samples, transitions, rate)

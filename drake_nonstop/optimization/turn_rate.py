@@ -19,7 +19,7 @@ from drake_nonstop.mechanics.planned_flight import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.amplitude_intervals import allowed_intervals
-from drake_nonstop.optimization.diagnostics import Outcome
+from drake_nonstop.optimization.diagnostics import BOUND, Outcome
 from drake_nonstop.optimization.flight_limits import FlightLimits
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 
@@ -48,7 +48,7 @@ class TurnAnswer(NamedTuple):
     rate: float  # rad/s
     outcome: Outcome
     slowest_speed: float  # m/s, predicted, through the air
-    missed: list[str]  # names of `MissedLimits`
+    missed: list[str]  # names of limits, as of `missed_limits`
 
 
 class TurnRateSolver:
@@ -136,7 +136,7 @@ class TurnRateSolver:
         self, rate: float, outcome: Outcome, margins: NDArray, slowest: NDArray
     ) -> TurnAnswer:
         """The answer with a rate and its `margins`."""
-        kinds = ["airspeed", *self._limits.kinds]
+        kinds = [BOUND, *self._limits.kinds]
         missed = [
             kind
             for kind, margin in zip(kinds, margins[:, 0], strict=True)

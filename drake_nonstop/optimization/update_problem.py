@@ -117,15 +117,18 @@ class UpdateProblem:
         return margins.copy(), jacobian.copy()
 
     def missed_kinds(self, x: NDArray) -> list[str]:
-        """The names of `MissedLimits` that aircraft do not keep at x."""
-        traced = self._traced
-        if traced.model.aircraft is None:
-            return []
-        margins = self._margins_and_worst(x)[0]
-        count, kinds = traced.constraints.speed_count, traced.flight_limits.kinds
-        flight = margins[len(margins) - count * len(kinds) :].reshape(len(kinds), count)
-        worst = zip(["airspeed", *kinds], [margins[:count].min(), *flight.min(axis=1)], strict=True)
-        return [kind for kind, least in worst if least < -FEASIBILITY_TOLERANCE]
+        """The names of the limits that are not kept at x, as of `missed_limits`."""
+        constraints = self._traced.constraints
+        kinds = [*constraints.kinds, *self._traced.flight_limits.kinds]
+        worst = self._margins_and_worst(x)[0].reshape(len(kinds), constraints.speed_count)
+        missed = [
+            kind
+            for kind, least in zip(kinds, worst.min(axis=1), strict=True)
+            if least < -FEASIBILITY_TOLERANCE
+        ]
+        if self._separation_margin(x) < -FEASIBILITY_TOLERANCE:
+            missed += constraints.separation_kinds
+        return missed
 
     def margins_on_grid(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
         """The worst margin (k, q) of the speeds, and that of all else, with limits of aircraft.

@@ -13,17 +13,22 @@ class RunLimits(StrictFields):
     The reach is the distance of the load's farthest attachment from its centre of mass plus the
     length of a cable, both as simulated; shares of it suit cables of 0.8 m and of 60 m alike. The
     weight is that of the simulated load. There is no limit where a distance is 0, or another .inf.
+    Where the carriers are aircraft the load's errors have other default limits: a fifth of a reach
+    of 150 m is no transport.
     """
 
     # Beyond one of these the outcome is not ok. The reach is the distance of the load's farthest
-    # attachment from its centre of mass plus the length of a cable.
+    # attachment from its centre of mass plus the length of a cable. A load is lost beyond
+    # position_error (of the reach; left out 0.2, with aircraft 1 m) and orientation_error (rad;
+    # left out 0.8, with aircraft 0.26, which is 15 deg) from its reference.
 
-    position_error: float = 0.2  # of the reach; a load farther from its reference is lost
-    orientation_error: float = 0.8  # rad; a load turned farther from its reference is lost
     carrier_distance: float = 0.05  # of the reach; two carriers that come closer collide
     cable_distance: float = 0.05  # of two cables' attachments; cables that come closer collide
     slack_time: float = 0.0  # s, for which a cable may be slack
     time_below_bound: float = 0.0  # s, for which a carrier may be below ε
+    saturated_share: float = 0.1  # of the time with a command of an aircraft at its limit
+    position_error: float | None = None  # of the reach; default 0.2, with aircraft 1 m
+    orientation_error: float | None = None  # rad; default 0.8, with aircraft 0.26 (15 deg)
 
     # Beyond one of these the model is not plausible, which is warned about.
 
@@ -35,7 +40,8 @@ class RunLimits(StrictFields):
 def check_limits(limits: RunLimits) -> None:
     """Raises ScenarioError for the first limit that cannot be one."""
     for name, value in vars(limits).items():
-        if not name.endswith("_distance"):
+        has_default = name in ("position_error", "orientation_error") and value is None
+        if not (name.endswith("_distance") or has_default):
             require(
                 (is_number(value) and value >= 0) or value == math.inf,
                 f"limits.{name}",

@@ -115,21 +115,40 @@ class _Common(StrictFields):
     ) = field(default_factory=HamiltonianCycleConfig)
 
 
-# A field for each box of the figure, of the configs of the blocks that it can be. Type checkers
-# cannot know these fields, so that for them the class and its decorator are of any type.
-_dataclass: Any = dataclass(kw_only=True)
-_Boxes: Any = dataclasses.make_dataclass(
-    "_Boxes",
-    [
-        (name, functools.reduce(operator.or_, box.configs), field(default_factory=box.configs[0]))
-        for name, box in BOXES.items()
-    ],
-    bases=(_Common,),
-    kw_only=True,
-)
+if typing.TYPE_CHECKING:
+
+    @dataclass(kw_only=True)
+    class _Boxes(_Common):
+        """The boxes, for type checkers: of any type, since a config may be the user's own."""
+
+        load_trajectory: Any = None
+        load_feedback: Any = None
+        wrench_controller: Any = None
+        optimization_layer: Any = None
+        phase: Any = None
+        internal_force: Any = None
+        force_distribution: Any = None
+        carrier_trajectory: Any = None
+        carrier_controller: Any = None
+        carrier_dynamics: Any = None
+        cables: Any = None
+        load_disturbance: Any = None
+        wind: Any = None
+        load_plant: Any = None
+
+else:  # a field for each box of the figure, of the configs of the blocks that it can be
+    _Boxes = dataclasses.make_dataclass(
+        "_Boxes",
+        [
+            (n, functools.reduce(operator.or_, box.configs), field(default_factory=box.configs[0]))
+            for n, box in BOXES.items()
+        ],
+        bases=(_Common,),
+        kw_only=True,
+    )
 
 
-@_dataclass
+@dataclass(kw_only=True)
 class Scenario(_Boxes):
     """The system, a config per box of the figure, and how to simulate them.
 
@@ -147,14 +166,16 @@ class Scenario(_Boxes):
             require_current(name, f"Scenario.{name}", value)
         return super().__new__(cls)
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        require_current(name, f"Scenario.{name}", value)
-        super().__setattr__(name, value)
+    if not typing.TYPE_CHECKING:  # with these type checkers would take any name for a field
 
-    def __getattr__(self, name: str) -> Any:
-        """Raises AttributeError for what is no attribute."""
-        remedy = _FORMER_FIELDS.get(name, f"there is no {name}")
-        raise AttributeError(f"Scenario.{name}: {remedy}", name=name, obj=self)
+        def __setattr__(self, name: str, value: Any) -> None:
+            require_current(name, f"Scenario.{name}", value)
+            super().__setattr__(name, value)
+
+        def __getattr__(self, name: str) -> Any:
+            """Raises AttributeError for what is no attribute."""
+            remedy = _FORMER_FIELDS.get(name, f"there is no {name}")
+            raise AttributeError(f"Scenario.{name}: {remedy}", name=name, obj=self)
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):

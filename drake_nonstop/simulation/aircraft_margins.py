@@ -13,23 +13,30 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectoryConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
     air_frame,
+    airspeed_over_loaded_stall,
     drawn_power,
     needed_force,
     required_command,
     stall_speed,
     thrust_limits,
     thrust_power,
+    thrust_share,
 )
+from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
+from drake_nonstop.mechanics.planned_flight import FlightNeeds
 from drake_nonstop.mechanics.resting_orbit import CarrierOrbits, resting_orbits
+from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model, overridden
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import Scenario, check
+from drake_nonstop.simulation.bowed_cables import BowedCables
 from drake_nonstop.simulation.separations import segment_distances
 from drake_nonstop.validation import require
 
@@ -57,19 +64,7 @@ _STILL_AIR = MeanWind(np.zeros(3))
 _LIMITS = FlightLimits()
 
 
-class AircraftNeeds(NamedTuple):
-    """What n aircraft need at k instants to move as given, and the thrust of their speed."""
-
-    airspeed: NDArray  # (k, n), m/s
-    lift: NDArray  # (k, n), C_L
-    bank: NDArray  # (k, n), rad, positive to the right
-    climb: NDArray  # (k, n), rad, of the path through the air
-    thrust: NDArray  # (k, n), N
-    thrust_min: NDArray  # (k, n), N
-    thrust_max: NDArray  # (k, n), N
-
-
-def aircraft_needs(aircraft: Aircraft, motion: CarrierOrbits, wind: NDArray) -> AircraftNeeds:
+def aircraft_needs(aircraft: Aircraft, motion: CarrierOrbits, wind: NDArray) -> FlightNeeds:
     """What aircraft need to move so, by the exact inverse of their dynamics.
 
     Args:
@@ -80,10 +75,87 @@ def aircraft_needs(aircraft: Aircraft, motion: CarrierOrbits, wind: NDArray) -> 
     force = needed_force(aircraft, motion.accelerations, motion.cable_forces)
     told = required_command(aircraft, force, motion.velocities, wind)
     frame = air_frame(motion.velocities - wind)
-    airspeed = frame.airspeed[..., 0]
-    least, most = thrust_limits(aircraft, airspeed)
-    climb = np.arcsin(frame.forward[..., 2].clip(-1, 1))
-    return AircraftNeeds(airspeed, told.lift, told.bank, climb, told.thrust, least, most)
+    return FlightNeeds(
+        airspeed=frame.airspeed[..., 0],
+        force=np.linalg.norm(force, axis=-1),
+        lift=told.lift,
+        bank=told.bank,
+        climb=np.arcsin(frame.forward[..., 2].clip(-1, 1)),
+        thrust=told.thrust,
+    )
+
+
+def _range(values: NDArray) -> tuple[float, float]:
+    return float(np.min(values)), float(np.max(values))
+
+
+class FlightRanges(NamedTuple):
+    """The least and the largest of what aircraft need, over all of them and all instants."""
+
+    lift_share: tuple[float, float]  # of C_Lmax
+    airspeed: tuple[float, float]  # m/s
+    over_stall: tuple[float, float]  # of the airspeed, over the stall speed without a cable
+    over_loaded_stall: tuple[float, float]  # over the one with cable and bank
+    bank: tuple[float, float]  # rad
+    climb: tuple[float, float]  # rad
+    thrust: tuple[float, float]  # N
+    thrust_share: tuple[float, float]  # of the largest one at that airspeed
+    cables: BowedCables
+
+    @classmethod
+    def of(
+        cls, aircraft: Aircraft, needs: FlightNeeds, cable_forces: NDArray, attachments: NDArray
+    ) -> "FlightRanges":
+        """Those of needs (k, n), with the cables' forces (k, n, 3), N, and attachments (n, 3)."""
+        lift, airspeed, thrust = needs.lift, needs.airspeed, needs.thrust
+        tensions = np.linalg.norm(cable_forces, axis=-1)
+        return cls(
+            lift_share=_range(lift / aircraft.max_lift),
+            airspeed=_range(airspeed),
+            over_stall=_range(airspeed / stall_speed(aircraft)),
+            over_loaded_stall=_range(airspeed_over_loaded_stall(aircraft, airspeed, lift, thrust)),
+            bank=_range(needs.bank),
+            climb=_range(needs.climb),
+            thrust=_range(thrust),
+            thrust_share=_range(thrust_share(aircraft, thrust, airspeed)),
+            cables=BowedCables.of(aircraft, airspeed, tensions, attachments),
+        )
+
+    @property
+    def lines(self) -> list[tuple[str, str]]:
+        """A name and a text for each line of a table."""
+        degrees = [math.degrees(angle) for angle in self.bank]
+        (least, most), (share, most_share) = self.thrust, self.thrust_share
+        return [
+            (
+                "airspeed",
+                f"{self.airspeed[0]:.1f} to {self.airspeed[1]:.1f} m/s, at least "
+                f"{self.over_stall[0]:.2f} of the stall speed, and "
+                f"{self.over_loaded_stall[0]:.2f} of that with cable and bank",
+            ),
+            (
+                "thrust",
+                f"{least:.1f} to {most:.1f} N, {100 * share:.0f} to {100 * most_share:.0f} % of "
+                "the largest",
+            ),
+            ("bank", f"{degrees[0]:.1f} to {degrees[1]:.1f} deg"),
+            ("real cables", self.cables.text),
+        ]
+
+    @property
+    def dictionary(self) -> dict[str, Any]:
+        """The same for a JSON file."""
+        return {
+            "lift_share": list(self.lift_share),
+            "airspeed_m_s": list(self.airspeed),
+            "airspeed_over_stall": list(self.over_stall),
+            "airspeed_over_loaded_stall": list(self.over_loaded_stall),
+            "bank_rad": list(self.bank),
+            "climb_rad": list(self.climb),
+            "thrust_N": list(self.thrust),
+            "thrust_share": list(self.thrust_share),
+            "cables": self.cables.dictionary,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +227,9 @@ class AircraftMargins:
         turn: s, after which the orbit repeats.
         phases: (k,) rad, ξ t over that time; the angle of a load that turns, where no internal
             force swings.
-        needs: at these phases.
+        needs: (k, n) each, at these phases.
+        thrust_limits: the least and the largest thrust at their airspeeds (k, n), N.
+        ranges: of these, and what straight cables leave out.
         limits: what they are held against.
         carrier_distance: (k,) m, of the closest two there.
         cable_distance: (k,) m, of the closest two there.
@@ -172,7 +246,9 @@ class AircraftMargins:
     margins: tuple[FlightMargin, ...]
     turn: float
     phases: NDArray
-    needs: AircraftNeeds
+    needs: FlightNeeds
+    thrust_limits: tuple[NDArray, NDArray]
+    ranges: FlightRanges
     limits: FlightLimits
     carrier_distance: NDArray
     cable_distance: NDArray
@@ -217,7 +293,8 @@ def aircraft_margins(scenario: Scenario, **replacements: Any) -> AircraftMargins
 
     The orbit is that of the start: of the first ξ and A, above the load in its first pose, which
     turns about the vertical at its first rate and rests otherwise, in the steady wind, without
-    gusts and disturbances. Load, cables and aircraft are those of the simulated plant.
+    gusts and disturbances. The carriers fly the orbit of the load that the controllers believe in;
+    the aircraft and the load that they hold are those of the simulated plant.
 
     Args:
         scenario: with aircraft in its `system`.
@@ -252,13 +329,7 @@ def margins_table(found: AircraftMargins) -> str:
         )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-    needs = found.needs
-    for name, values, unit in (
-        ("airspeed", needs.airspeed, "m/s"),
-        ("thrust", needs.thrust, "N"),
-        ("bank", np.degrees(needs.bank), "deg"),
-    ):
-        lines.append(f"{name:{widths[0]}}  {values.min():.1f} to {values.max():.1f} {unit}")
+    lines += [f"{name:{widths[0]}}  {text}" for name, text in found.ranges.lines]
     power = f"{found.propulsive_power:.0f} W of thrust, {found.drawn_power:.0f} W drawn"
     lines.append(f"{'mean power of each':{widths[0]}}  {power}")
     lines.append(f"{'a turn':{widths[0]}}  {found.turn:.2f} s")
@@ -269,7 +340,6 @@ def margins_table(found: AircraftMargins) -> str:
 
 def margins_dictionary(found: AircraftMargins) -> dict[str, Any]:
     """The same for a JSON file; keys end in their units, angles are in rad."""
-    needs = found.needs
     return {
         "scenario": found.scenario,
         "is_flyable": found.is_flyable,
@@ -278,16 +348,7 @@ def margins_dictionary(found: AircraftMargins) -> dict[str, Any]:
         "wind_m_s": found.wind.velocity.tolist(),
         "possible_share_of_wind": found.possible_wind,
         "margins": [margin.dictionary for margin in found.margins],
-        "ranges": {
-            name: [float(values.min()), float(values.max())]
-            for name, values in (
-                ("lift_share", needs.lift / found.max_lift),
-                ("airspeed_m_s", needs.airspeed),
-                ("bank_rad", needs.bank),
-                ("climb_rad", needs.climb),
-                ("thrust_N", needs.thrust),
-            )
-        },
+        "ranges": found.ranges.dictionary,
         "stall_speed_m_s": found.stall_speed,
         "power_of_thrust_mean_W": found.propulsive_power,
         "power_drawn_mean_W": found.drawn_power,
@@ -305,10 +366,12 @@ def margins_of_loop(scenario: Scenario, nonstop: Diagram, context: Context) -> A
     reference, parameters = (
         nonstop.GetOutputPort(name).Eval(context) for name in ("reference", "parameters")
     )
+    simulated = _simulated(scenario)
     return margins_at_rest(
-        _simulated(scenario),
+        simulated,
         reference,
         parameters,
+        believed=_believed(scenario, simulated),
         wind=_mean_wind(scenario, nonstop, context),
         limits=flight_limits_of(scenario),
         name=scenario.name,
@@ -327,6 +390,28 @@ def _simulated(scenario: Scenario) -> Model:
     )
     _aircraft_of(model)
     return model
+
+
+def _believed(scenario: Scenario, simulated: Model) -> Model:
+    """What the carriers' orbits follow from: the controllers' model.
+
+    References above the measured load come to follow the simulated one, whose height is fed back.
+    """
+    if isinstance(scenario.carrier_trajectory, MeasuredCarrierTrajectoryConfig):
+        return simulated
+    if not simulated.overridden:
+        return simulated
+    return Model(scenario.system, scenario.pattern, scenario.control_period)
+
+
+def asked_load(believed: Model, simulated: Model) -> RigidLoad:
+    """The load that the carriers' orbits are for.
+
+    Above its desired position it is the believed one: a lighter load rises by what the cables
+    stretch less, which is too little for a controller to notice. To the side the cables hardly hold
+    it, and the controller comes to ask for what its drag needs.
+    """
+    return dataclasses.replace(believed.load, drag=simulated.load.drag)
 
 
 def _aircraft_of(model: Model) -> Aircraft:
@@ -361,6 +446,7 @@ def margins_at_rest(
     reference: NDArray,
     parameters: NDArray,
     *,
+    believed: Model | None = None,
     wind: MeanWind = _STILL_AIR,
     limits: FlightLimits = _LIMITS,
     name: str = "unnamed",
@@ -374,6 +460,7 @@ def margins_at_rest(
         model: of the simulated plant, with aircraft.
         reference: (22,) of the load, of which pose and angular velocity count.
         parameters: [ξ (rad/s), A (N)] (2,).
+        believed: what the controllers believe in place of it, whose orbit is flown; None: the same.
         wind: the steady wind.
         limits: what they are held against.
         name: of the scenario.
@@ -381,7 +468,7 @@ def margins_at_rest(
     Raises:
         ScenarioError: there are no aircraft, or the load turns about a horizontal axis.
     """
-    orbit = _Orbit(model, reference, parameters, limits)
+    orbit = _Orbit(model, believed or model, reference, parameters, limits)
     found = _margins(orbit, wind, name)
     if found.is_flyable or not np.any(wind.velocity):
         return found
@@ -428,18 +515,19 @@ class Quantity(NamedTuple):
 
 
 def quantities_of_each(
-    aircraft: Aircraft, needs: AircraftNeeds, limits: FlightLimits
+    aircraft: Aircraft, needs: FlightNeeds, limits: FlightLimits
 ) -> Iterator[Quantity]:
     """What each carrier needs, beside its limit."""
     carriers = [(i + 1,) for i in range(needs.lift.shape[1])]
     lift, airspeed = needs.lift / aircraft.max_lift, needs.airspeed / stall_speed(aircraft)
+    least, most = thrust_limits(aircraft, needs.airspeed)
     for name, unit, values, limit, is_upper in (
         ("C_L / C_Lmax", "", lift, limits.lift_share, True),
         ("airspeed / stall speed", "", airspeed, limits.speed_share, False),
         ("bank", "rad", np.abs(needs.bank), limits.bank, True),
         ("climb or descent", "rad", np.abs(needs.climb), limits.climb, True),
-        ("thrust", "N", needs.thrust, needs.thrust_max, True),
-        ("thrust", "N", needs.thrust, needs.thrust_min, False),
+        ("thrust", "N", needs.thrust, most, True),
+        ("thrust", "N", needs.thrust, least, False),
     ):
         yield Quantity(name, unit, values, limit, is_upper, carriers)
 
@@ -447,7 +535,14 @@ def quantities_of_each(
 class _Orbit:
     """The orbit above a resting load; arguments as of `margins_at_rest`."""
 
-    def __init__(self, model: Model, reference: NDArray, parameters: NDArray, limits: FlightLimits):
+    def __init__(
+        self,
+        model: Model,
+        believed: Model,
+        reference: NDArray,
+        parameters: NDArray,
+        limits: FlightLimits,
+    ):
         turning = LoadReference.view(reference).angular_velocity
         require(
             np.max(np.abs(turning[:2])) < 1e-9,
@@ -456,7 +551,7 @@ class _Orbit:
             "give one that lets the load rest at first, or turns it about the vertical: there is "
             "no resting orbit",
         )
-        self.model, self.aircraft = model, _aircraft_of(model)
+        self.model, self.believed, self.aircraft = model, believed, _aircraft_of(model)
         self._reference, self._parameters = reference, parameters
         self._yaw_rate = float(turning[2])
         (frequency,), (amplitude,) = Parameters.view(parameters)
@@ -468,11 +563,39 @@ class _Orbit:
         self.limits = limits
         self._pairs = list(combinations(range(model.n), 2))
 
-    def at(self, phases: NDArray, wind: MeanWind) -> tuple[AircraftNeeds, list[Quantity]]:
-        """What the aircraft need at phases (k,), rad, and all quantities that have limits."""
-        model, pattern = self.model, self.model.pattern
-        motion = resting_orbits(
-            model.load,
+    def at(
+        self, phases: NDArray, wind: MeanWind
+    ) -> tuple[FlightNeeds, list[Quantity], FlightRanges]:
+        """What the aircraft need at phases (k,), rad, all quantities that have limits, ranges."""
+        motion = self._motion(phases, wind)
+        needs = aircraft_needs(self.aircraft, motion, wind.at(motion.positions))
+        of_each = quantities_of_each(self.aircraft, needs, self.limits)
+        ranges = FlightRanges.of(self.aircraft, needs, motion.cable_forces, self.model.attachments)
+        return needs, [*of_each, *self._of_pairs(motion)], ranges
+
+    def _motion(self, phases: NDArray, wind: MeanWind) -> CarrierOrbits:
+        """Of the carriers as the controllers lead them, and of the cables of the simulated load."""
+        model, believed = self.model, self.believed
+        if believed is model:
+            return self._orbits(model, model.load, phases, wind)
+        flown = self._orbits(believed, asked_load(believed, model), phases, wind)
+        held = self._orbits(model, model.load, phases, wind)
+        levers = held.cable_ends - Pose.view(self._reference).position
+        forces = forces_under_other_wrench(
+            flown.cable_forces,
+            levers,
+            wrenches_of(held.cable_forces, levers),
+            rest_length=model.cable_length,
+            stiffness=model.cable_stiffness,
+        )
+        return flown._replace(cable_forces=forces, cable_ends=held.cable_ends)
+
+    def _orbits(
+        self, model: Model, load: RigidLoad, phases: NDArray, wind: MeanWind
+    ) -> CarrierOrbits:
+        pattern = model.pattern
+        return resting_orbits(
+            load,
             self._reference,
             phases / self.rate,
             self._parameters,
@@ -487,9 +610,6 @@ class _Orbit:
             rest_length=model.cable_length,
             compliance=model.cable_compliance,
         )
-        needs = aircraft_needs(self.aircraft, motion, wind.at(motion.positions))
-        of_each = quantities_of_each(self.aircraft, needs, self.limits)
-        return needs, [*of_each, *self._of_pairs(motion)]
 
     def _of_pairs(self, motion: CarrierOrbits) -> Iterator[Quantity]:
         model = self.model
@@ -514,7 +634,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
     """The margins in a wind, whatever they are."""
     count = _INSTANTS * orbit.turns
     phases = 2 * np.pi / _INSTANTS * np.arange(count)
-    needs, quantities = orbit.at(phases, wind)
+    needs, quantities, ranges = orbit.at(phases, wind)
     margins = [quantity.worst(phases) for quantity in quantities]
     distances = {quantity.name: quantity.values.min(axis=1) for quantity in quantities}
     step = phases[1]
@@ -522,7 +642,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         step /= _PARTS
         around = step * np.arange(1 - _PARTS, _PARTS)
         near = np.unique([margin.phase + around for margin in margins])
-        _, quantities = orbit.at(near, wind)
+        _, quantities, _ = orbit.at(near, wind)
         found = [quantity.worst(near) for quantity in quantities]
         margins = [min(pair, key=lambda m: m.margin) for pair in zip(margins, found, strict=True)]
     aircraft = orbit.aircraft
@@ -534,6 +654,8 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         turn=2 * math.pi * orbit.turns / orbit.rate,
         phases=phases,
         needs=needs,
+        thrust_limits=thrust_limits(aircraft, needs.airspeed),
+        ranges=ranges,
         limits=orbit.limits,
         carrier_distance=distances["carriers apart"],
         cable_distance=distances["cables apart"],

@@ -5,10 +5,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits, thrust_power
-from drake_nonstop.mechanics.signals import AircraftState, LoadReference
+from drake_nonstop.mechanics.aircraft import (
+    airspeed_over_loaded_stall,
+    stall_speed,
+    thrust_limits,
+    thrust_power,
+    thrust_share,
+)
+from drake_nonstop.mechanics.planned_flight import FlightNeeds
+from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, LoadReference
 from drake_nonstop.model.system import aircraft_in, overridden
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.signal_table import UnknownSignalError
 
 _MOVING = 1e-6  # m/s, of the load's reference; slower it rests
 _J_PER_KG_M = 1 / 3.6  # in Wh per kg and km
@@ -41,6 +49,30 @@ class AircraftQuantities:
         """Lift coefficient, bank, thrust and airspeed, (k, n) each."""
         return AircraftState.view(self.run.steps["aircraft_state"])
 
+    @cached_property
+    def needs(self) -> FlightNeeds:
+        """What limits of aircraft hold for, (k, n) each, as it was flown; forces are not known.
+
+        The climb is that through the air, of winds that change linearly between samples.
+        """
+        rise = CarrierStates.view(self.run.steps["carrier_state"]).velocities[..., 2]
+        try:
+            vertical = self.run.signal("wind")[:, 2::3]
+        except UnknownSignalError:
+            vertical = np.zeros((len(self.run.time), rise.shape[1]))
+        if np.any(vertical):
+            at, times = self.run.steps["time"], self.run.time
+            rise = rise - np.stack([np.interp(at, times, w) for w in vertical.T], axis=1)
+        state = self.state
+        return FlightNeeds(
+            airspeed=state.airspeed,
+            force=np.full(rise.shape, np.nan),
+            lift=state.lift,
+            bank=state.bank,
+            climb=np.arcsin((rise / np.maximum(state.airspeed, _MOVING)).clip(-1, 1)),
+            thrust=state.thrust,
+        )
+
     @property
     def lift_shares(self) -> NDArray:
         """The lift coefficients (k, n), with that of gusts, over the largest."""
@@ -70,6 +102,19 @@ class AircraftQuantities:
     def least_airspeed_over_stall(self) -> float:
         """Of any aircraft."""
         return float(np.min(self.airspeeds_over_stall))
+
+    @cached_property
+    def least_airspeed_over_loaded_stall(self) -> float:
+        """Of any aircraft, over the stall speed at its load factor, with cable and bank."""
+        lift, _, thrust, airspeed = self.state
+        ratios = airspeed_over_loaded_stall(self.aircraft, airspeed, lift, thrust)
+        return float(np.min(ratios))
+
+    @cached_property
+    def thrust_shares(self) -> tuple[float, float]:
+        """The least and the largest thrust of any aircraft, over the largest at its airspeed."""
+        shares = thrust_share(self.aircraft, self.state.thrust, self.state.airspeed)
+        return float(np.min(shares)), float(np.max(shares))
 
     @cached_property
     def largest_bank(self) -> float:

@@ -9,20 +9,26 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.analysis import SimulatorConfig
+from pydrake.systems.analysis import Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.diagrams.block_events import NotCompilableError, sample_times
+from drake_nonstop.diagrams.box import is_of_package
 from drake_nonstop.diagrams.compiled_loop import CompiledFlight, CompiledLoop, reason_against
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor
 from drake_nonstop.simulation.recording import Recording, RecordingError
-from drake_nonstop.simulation.run import SIGNAL_PERIOD
+from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
 from drake_nonstop.simulation.short_flights import RestorableState, SavedState
+from drake_nonstop.systems.block import release
 from drake_nonstop.systems.tracing import LARGEST
+from drake_nonstop.systems.wiring import maker_of
 from drake_nonstop.validation import ScenarioWarning, one_line
 
 NOT_COMPILED = "engine = compiled"  # how the warning begins that tells why
 _ROUNDING = 1e-9  # s, of instants
+_SAME = 1e-9  # of 1 + a signal's largest value: what both engines show
+_COMPARED = 3  # samples, of loops with a user's own blocks
 _UNUSUAL = 1e-3 * LARGEST  # a value beyond it may become one that a block of the diagram refuses
 
 
@@ -48,7 +54,7 @@ def compiled_loop_of(
     reason = f"{steering[0]} need the steps of Drake's Simulator" if steering else ""
     reason = reason or reason_against(nonstop, config, period) or _reason_against_period(period)
     if reason:
-        _tell(f"{reason};")
+        tell_not_compiled(f"{reason};")
         return None
     samples = int(scenario.simulation_duration / period)
     return recorded_loop(nonstop, recording, config, period, samples=samples)
@@ -84,10 +90,10 @@ def recorded_loop(
     )
 
 
-def _tell(reason: str) -> None:
-    """Warns of what is not compiled."""
+def tell_not_compiled(reason: str, stacklevel: int = 5) -> None:
+    """Warns of what is not compiled, at a level of the stack as `warnings.warn` counts it."""
     message = f"{NOT_COMPILED}: {reason} the diagram is simulated instead"
-    warnings.warn(message, ScenarioWarning, stacklevel=5)
+    warnings.warn(message, ScenarioWarning, stacklevel=stacklevel)
 
 
 def _reason_against_period(period: float) -> str:
@@ -123,10 +129,17 @@ class CompiledRun:
         recording: takes the signals.
         context: the root context at the start, with the loop's states and parameters.
         ending: the loop's blocks that may end the run, see `simulate`.
+        compared: of another diagram of the loop, which the first samples are compared with, for
+            what a user's own blocks may have declared falsely; None: there are no such blocks.
     """
 
     def __init__(
-        self, loop: CompiledLoop, recording: Recording, context: Context, ending: Sequence[Any]
+        self,
+        loop: CompiledLoop,
+        recording: Recording,
+        context: Context,
+        ending: Sequence[Any],
+        compared: Simulator | None = None,
     ):
         self._loop, self._recording, self._context = loop, recording, context
         self._start = loop.diagram.CreateDefaultContext()
@@ -141,6 +154,7 @@ class CompiledRun:
         self._signal_ends = np.arange(1, loop.shown_per_sample + 1) / loop.shown_per_sample
         self._recorded = 0, self._flight.state  # samples, and the state after them
         self._end = 0.0  # s, of what is recorded
+        self._compared, self._expected = compared, np.zeros((0, 0))
 
     def saved_state(self) -> "RestorableState":
         """The state of the last sample, for a flight of the diagram from there."""
@@ -167,13 +181,19 @@ class CompiledRun:
 
         Returns:
             Whether anything was flown and recorded.
+
+        Raises:
+            NotCompilableError: a block does what it has not declared: all of the flight is wrong.
         """
         period = self._loop.control_period
         samples = int((duration + _ROUNDING) / period)
         if samples == 0:
             return False
         try:
+            if self._compared is not None:
+                self._expected = self._rows_of(self._compared, min(samples, _COMPARED))
             signals, steps = self._flight.start()
+            self._compare(signals[None])
             self._recording.add([0.0], signals[None], [0.0], steps[None])
             self._recorded = 0, self._flight.state
             monitor.has_ended = self._is_over(steps[None]) is not None
@@ -182,11 +202,11 @@ class CompiledRun:
                 to_save = math.ceil((saves_at() - self._flight.time) / period)
                 most = min(samples - self._flight.samples, max(1, to_save))
                 ends = self._advance(monitor, duration, most)
-        except RecordingError:
+        except (RecordingError, NotCompilableError):
             raise
         except Exception as error:  # whatever blocks may raise: the diagram does again, at its step
             is_begun = self._go_back()
-            _tell(f"{one_line(error)}; from t = {self._flight.time:g} s on")
+            tell_not_compiled(f"{one_line(error)}; from t = {self._flight.time:g} s on")
             self._end = self._flight.time
             if not is_begun:
                 if self._recording.has_steps:
@@ -204,6 +224,7 @@ class CompiledRun:
         """Flies and records samples, not more than so many; whether the run ends with them."""
         first, period = self._flight.samples, self._loop.control_period
         signals, steps = self._flight.advance(samples)
+        self._compare(signals)
         begins = self._flight.times_of(np.arange(first, self._flight.samples))[:, None]
         ends = np.append(begins[1:, 0], self._flight.time)
         if abs(ends[-1] - duration) < _ROUNDING:
@@ -225,6 +246,47 @@ class CompiledRun:
         self._recorded, self._end = (self._flight.samples, self._flight.state), float(ends[-1])
         return monitor.ends(self._end)
 
+    def _rows_of(self, simulator: Simulator, samples: int) -> NDArray:
+        """The signals (instants, size) of some samples of a diagram, as `CompiledFlight` has them.
+
+        Args:
+            simulator: of a diagram like the loop's.
+            samples: so many, and the start.
+        """
+        diagram, context = simulator.get_system(), simulator.get_mutable_context()
+        context.SetTimeStateAndParametersFrom(self._start)
+        simulator.Initialize()
+        period, rows = self._loop.control_period, []
+        for instant in np.arange(samples * len(self._signal_ends) + 1) / len(self._signal_ends):
+            whole = int(instant)
+            simulator.AdvanceTo(sample_times(whole, period) + (instant - whole) * period)
+            ports = map(diagram.GetOutputPort, self._loop.signals)
+            rows.append(np.concatenate([port.Eval(context) for port in ports]))
+        release(diagram)
+        return np.array(rows)
+
+    def _compare(self, signals: NDArray) -> None:
+        """Compares the next rows of signals (instants, size) with those of the diagram.
+
+        Raises:
+            NotCompilableError: they differ; it names a user's own block, where one shows it.
+        """
+        if not len(self._expected):
+            return
+        now, self._expected = np.split(self._expected, [len(signals)])
+        ends = np.cumsum([*self._loop.signals.values()])[:-1]
+        for shown, row in zip(signals, now, strict=False):
+            pairs = zip(*(np.split(values, ends) for values in (shown, row)), strict=True)
+            wrong = [
+                name
+                for name, (values, expected) in zip(self._loop.signals, pairs, strict=True)
+                if name != WALL_TIME and not _is_same(values, expected)
+            ]
+            makers = [maker_of(self._loop.diagram, name) for name in wrong]
+            found = [*zip(wrong, makers, strict=True)]
+            for name, maker in sorted(found, key=lambda one: is_of_package(one[1])):
+                raise NotCompilableError(maker, f"compiled, {name} is not what its diagram shows")
+
     def _is_over(self, steps: NDArray) -> int | None:
         """The first step after which a block ends the run."""
         for k, shown in enumerate(steps if self._ending else ()):
@@ -245,3 +307,9 @@ class CompiledRun:
             for _ in range(samples):
                 self._flight.advance()
         return samples > 0
+
+
+def _is_same(values: NDArray, expected: NDArray) -> bool:
+    """Whether both engines show the same."""
+    tolerance = _SAME * (1 + np.abs(expected).max(initial=0.0))
+    return np.allclose(values, expected, rtol=0, atol=tolerance, equal_nan=True)

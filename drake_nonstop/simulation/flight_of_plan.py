@@ -3,24 +3,13 @@
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from drake_nonstop.mechanics.aircraft import thrust_limits
-from drake_nonstop.mechanics.nonstop import orbit_axes
-from drake_nonstop.mechanics.planned_flight import (
-    FlightTerms,
-    PlannedOrbit,
-    flight_along_reference,
-    flight_needs,
-    flight_products,
-)
-from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
 from drake_nonstop.simulation.aircraft_margins import (
-    AircraftNeeds,
     FlightLimits,
     FlightMargin,
+    FlightRanges,
     quantities_of_each,
 )
+from drake_nonstop.simulation.needs_along import NeedsAlong, planned_values
 from drake_nonstop.simulation.speed_check import SpeedCheck
 from drake_nonstop.simulation.task import Task
 
@@ -30,6 +19,7 @@ class FlightOfPlan(NamedTuple):
 
     margins: tuple[FlightMargin, ...]  # phases are the plan's θ, from 0 to 2π
     times: tuple[float, ...]  # s, of each
+    ranges: FlightRanges  # of what they need, and what straight cables leave out
 
     @property
     def is_flyable(self) -> bool:
@@ -62,69 +52,35 @@ class FlightOfPlan(NamedTuple):
                 margin.dictionary | {"time_s": time}
                 for margin, time in zip(self.margins, self.times, strict=True)
             ],
+            "ranges": self.ranges.dictionary,
         }
-
-
-def _height_of_carriers(task: Task) -> float:
-    """How far above their load the carriers are in the mean, m, where it rests without sway."""
-    model = task.flown
-    weight = np.array([0, 0, 0, 0, 0, model.load_mass * model.gravity])
-    forces = (model.pseudo_inverse @ weight + model.pattern.offset).reshape(-1, 3)
-    return model.cable_length * float(np.mean(forces[:, 2] / np.linalg.norm(forces, axis=1)))
 
 
 def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> FlightOfPlan | None:
     """The margins of a task's aircraft along its best plan, in the mean wind at their mean height.
 
-    The aircraft follow the plan exactly. None where there are no aircraft, the internal force has
-    other harmonics than the first, or a layer without a speed bound changes ξ and A: there is no
-    plan.
+    The aircraft follow the plan exactly, above the load that the controllers believe in, see
+    `asked_load`, and hold the simulated one. None where there are no aircraft, the internal force
+    has other harmonics than the first, or a layer without a speed bound changes ξ and A: there is
+    no plan.
 
     Args:
         task: what is flown.
         speeds: with its best plan; without one ξ and A are the nominal ones.
         limits: what the needs are held against.
     """
-    model, pattern, aircraft = task.flown, task.flown.pattern, task.flown.aircraft
-    is_free = task.changes_parameters and task.limits.speed_bound == 0
-    if aircraft is None or is_free or any(order != 1 for order in pattern.harmonics):
+    is_free = task.changes_parameters and speeds.plan is None
+    aircraft = task.flown.aircraft
+    if aircraft is None or is_free or any(o != 1 for o in task.flown.pattern.harmonics):
         return None
-    times, plan = speeds.plan_times, speeds.plan
-    above = _height_of_carriers(task)
-    flat = [
-        flight_along_reference(
-            model.load,
-            task.reference(time),
-            task.wind_at(time, above),
-            pseudo_inverse=model.pseudo_inverse,
-            offset=pattern.offset,
-            attachments=model.attachments,
-        )
-        for time in times
-    ]
-    values = np.zeros((len(times), PLANNED_SIZE))
-    parts = PlannedParameters.view(values)
-    if plan is None:
-        parts.frequency[:], parts.amplitude[:] = task.nominal
-        parts.angle[:] = times[:, None] * task.limits.frequency
-    else:
-        values[:] = [plan.values(time) for time in times]
-    orbit = PlannedOrbit(*(getattr(parts, name)[:, 0] for name in PlannedOrbit._fields))
-    products = flight_products(
-        aircraft,
-        FlightTerms.view(np.array(flat)),
-        orbit_axes(pattern.basis, pattern.phases),
-        orbit,
-        rest_length=model.cable_length,
-        compliance=model.cable_compliance,
-    )
-    needed = flight_needs(aircraft, products)
-    least, most = thrust_limits(aircraft, needed.airspeed)
-    needs = AircraftNeeds(
-        needed.airspeed, needed.lift, needed.bank, needed.climb, needed.thrust, least, most
-    )
+    times = speeds.plan_times
+    planned = planned_values(task, speeds.plan, times)
+    along = NeedsAlong(task, times)
+    needs, forces = along.needs(planned), along.cable_forces(planned)
     quantities = [*quantities_of_each(aircraft, needs, limits)]
+    angles = planned[:, 0] % (2 * math.pi)
     return FlightOfPlan(
-        tuple(quantity.worst(orbit.angle % (2 * math.pi)) for quantity in quantities),
+        tuple(quantity.worst(angles) for quantity in quantities),
         tuple(float(times[quantity.worst_place[0]]) for quantity in quantities),
+        FlightRanges.of(aircraft, needs, forces, task.flown.attachments),
     )

@@ -24,7 +24,7 @@ Parameters = Callable[[float], NDArray]  # [ξ (rad/s), A (N)] (2,) at a time in
 
 _MOST_GROWN = 1.0  # logarithm of what becomes of a deviation of 1, of a sound task
 _MOST_GROWN_IN_SAMPLES = 4.5  # likewise
-_SAMPLED = 4  # instants, at one of which the sampled loop is looked at
+_SAMPLED = 2  # instants, at one of which the sampled loop is looked at
 _GAIN_FACTORS = (2.0, 4.0, 8.0, 0.5, 0.25)
 _HALVINGS = 6  # of the range of A
 _LEAST_AMPLITUDE = 0.05  # of the nominal A
@@ -97,6 +97,30 @@ class Formation(NamedTuple):
         return max(self.instants, key=lambda instant: instant.rate)
 
 
+def held_forces(
+    model: Model, reference: NDArray, wind: NDArray | None = None
+) -> tuple[NDArray, NDArray]:
+    """The cables' forces (3n,), N, in L, without the orbits' waves, and R_LW (3, 3).
+
+    Args:
+        model: of load, cables and pattern.
+        reference: (22,) of the load.
+        wind: at the load (3,), m/s, in W; None: there is none.
+    """
+    state = reference[:LOAD_STATE_SIZE]
+    wrench, rate = wrench_and_rate(
+        model.load,
+        state,
+        reference,
+        np.zeros(WRENCH_SIZE),
+        np.zeros(WIND_SIZE) if wind is None else wind,
+        feedforward=1.0,
+        **NO_FEEDBACK,
+    )
+    R_LW, _, wrench_L, _ = in_load_frame(state, wrench, rate)
+    return model.pseudo_inverse @ wrench_L + model.pattern.offset, R_LW
+
+
 def cable_loads(
     model: Model, reference: NDArray, parameters: NDArray, wind: NDArray | None = None
 ) -> CableLoads:
@@ -109,23 +133,11 @@ def cable_loads(
         wind: at the load (3,), m/s, in W.
     """
     pattern = model.pattern
-    state = reference[:LOAD_STATE_SIZE]
-    calm = np.zeros(WIND_SIZE)
-    wrench, rate = wrench_and_rate(
-        model.load,
-        state,
-        reference,
-        np.zeros(WRENCH_SIZE),
-        calm if wind is None else wind,
-        feedforward=1.0,
-        **NO_FEEDBACK,
-    )
-    R_LW, _, wrench_L, _ = in_load_frame(state, wrench, rate)
+    held, R_LW = held_forces(model, reference, wind)
     values, _ = internal_force(
         parameters, _ANGLES[:, None], phases=pattern.phases, orders=pattern.orders
     )
-    forces = model.pseudo_inverse @ wrench_L + pattern.offset + values @ pattern.basis.T
-    forces = forces.reshape(len(_ANGLES), model.n, 3) @ R_LW
+    forces = (held + values @ pattern.basis.T).reshape(len(_ANGLES), model.n, 3) @ R_LW
     vertical = forces[..., 2]
     shares = vertical * model.n / (model.load_mass * model.gravity)
     elevations = np.arctan2(vertical, np.hypot(forces[..., 0], forces[..., 1]))
@@ -252,21 +264,32 @@ def growth_complaint(task: Task, duration: float, *, in_samples: bool = False) -
 
 
 def find_formation_remedies(
-    task: Task, found: Formation, parameters: Parameters | None = None
+    task: Task, found: Formation, parameters: Parameters | None = None, *, worst: float = math.nan
 ) -> list[str]:
-    """What makes an unstable formation stable, at rest and where it is least so: each was tried.
+    """What makes a formation stable with all cables pulling, where it is worst: each was tried.
 
     Those are a smaller A, an offset in the null space that evens the shares out, other gains, and
     other attachments.
+
+    Args:
+        task: what is flown.
+        found: its formation.
+        parameters: as of `find_formation`.
+        worst: a time in s that counts, too; NaN: none.
     """
     at = parameters or (lambda time: task.nominal)
-    times = sorted({0.0, found.worst.time, *(i.time for i in found.on_the_way[::3])})
+    first = [time for time in (worst, found.worst.time) if math.isfinite(time)]
+    others = {0.0, *(instant.time for instant in found.on_the_way[::3])}
+    times = [*first, *sorted(others - {*first})]
 
     def is_stable(task: Task, gains: Mapping[str, Any] | None = None, of_amplitude: float = 1.0):
         deviations = task.deviations()
         used = task.effective_gains if gains is None else gains
         for time in times:
             parameters = at(time) * np.array([1.0, of_amplitude])
+            loads = cable_loads(task.flown, task.reference(time), parameters, task.wind)
+            if not np.min(loads.shares) > 0:
+                return False
             in_samples = found.growth < _MOST_GROWN
             instant = formation_at(task, deviations, time, parameters, used, in_samples=in_samples)
             grown = max(0.0, instant.sampled.rate) * task.duration + instant.sampled.in_turn

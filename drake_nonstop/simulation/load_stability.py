@@ -17,6 +17,7 @@ from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rigid_load import RigidLoad, load_state_rate
 from drake_nonstop.mechanics.rotation import quaternion_product, skew
+from drake_nonstop.mechanics.sampled_loop import interpolated
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -320,7 +321,7 @@ def _monodromy(jacobians: NDArray, period: float, fastest: float) -> NDArray:
     gauss = math.sqrt(3) / 6
     starts = np.arange(count) / count
     first, second = (
-        _interpolated(scaled, starts + (0.5 + side) / count) for side in (-gauss, gauss)
+        interpolated(scaled, starts + (0.5 + side) / count) for side in (-gauss, gauss)
     )
     exponent = step / 2 * (first + second)
     exponent += math.sqrt(3) / 12 * step**2 * (second @ first - first @ second)
@@ -330,16 +331,6 @@ def _monodromy(jacobians: NDArray, period: float, fastest: float) -> NDArray:
             maps = np.concatenate([maps, np.eye(size)[None]])
         maps = maps[1::2] @ maps[::2]
     return maps[0]
-
-
-def _interpolated(values: NDArray, turns: NDArray) -> NDArray:
-    """A function (k, s, s) of even phases of a turn, at other ones (l,), in turns."""
-    count = len(values)
-    spectrum = np.fft.rfft(values.reshape(count, -1), axis=0) / count
-    orders = np.arange(len(spectrum))
-    weights = np.where((orders == 0) | (2 * orders == count), 1.0, 2.0)
-    waves = np.exp(2j * np.pi * np.outer(turns, orders)) * weights
-    return (waves @ spectrum).real.reshape(len(turns), *values.shape[1:])
 
 
 def _exponentials(matrices: NDArray) -> NDArray:

@@ -12,7 +12,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.monitor import SampleInstants
 from drake_nonstop.simulation.recording import control_period_of
-from drake_nonstop.simulation.simulate import with_chosen_step
+from drake_nonstop.simulation.simulate import check_simulation, with_chosen_step
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import require
 
@@ -45,6 +45,7 @@ def make_simulator(
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")
     scenario, replacements = replaced(scenario, replacements)
     scenario, _ = sample(scenario, generator)
+    check_simulation(scenario)
     nonstop = make_nonstop(scenario, **replacements)
     config = with_chosen_step(scenario, nonstop, nonstop.CreateDefaultContext()).config
     builder = DiagramBuilder()

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.optimization.diagnostics import MissedLimits
+from drake_nonstop.optimization.diagnostics import BOUND
+from drake_nonstop.optimization.limits import LIMITS
 from drake_nonstop.simulation.outcome import find_warnings, judge
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
@@ -159,9 +160,9 @@ class Metric:
         return value if self.scale == 1 or value is None else self.scale * value
 
 
-def _missed(limit: str) -> Callable[[RunQuantities], float]:
-    """How many updates miss the limit of that name."""
-    return lambda run: run.missed_limits[limit]
+def _missed(limit: str) -> Callable[[RunQuantities], float | None]:
+    """How many updates miss the limit of that name; None: it is not counted."""
+    return lambda run: run.missed_limits.get(limit)
 
 
 METRICS = (
@@ -421,7 +422,15 @@ METRICS = (
         label="least airspeed over the stall speed",
         better=Better.HIGHER,
         needs_aircraft=True,
-        run_text=RunText(line="aircraft", text="({:.3g} x stall)", separator=" "),
+        run_text=RunText(line="aircraft", text="({:.3g} x stall", separator=" "),
+    ),
+    Metric(
+        path="aircraft.airspeed_over_loaded_stall_min",
+        measure=lambda run: run.flight.least_airspeed_over_loaded_stall,
+        label="least airspeed over the stall speed with cable and bank",
+        better=Better.HIGHER,
+        needs_aircraft=True,
+        run_text=RunText(line="aircraft", text="{:.3g} x stall with cable and bank)"),
     ),
     Metric(
         path="aircraft.bank_max_rad",
@@ -448,6 +457,25 @@ METRICS = (
         unit="N",
         needs_aircraft=True,
         run_text=RunText(line="thrust", text="{:.3g} {unit}", separator=" to "),
+    ),
+    Metric(
+        path="aircraft.thrust_share_min",
+        measure=lambda run: run.flight.thrust_shares[0],
+        label="least share of the thrust",
+        unit="%",
+        scale=100,
+        needs_aircraft=True,
+        run_text=RunText(line="thrust", text="{:.3g}", separator=" ("),
+    ),
+    Metric(
+        path="aircraft.thrust_share_max",
+        measure=lambda run: run.flight.thrust_shares[1],
+        label="largest share of the thrust",
+        unit="%",
+        scale=100,
+        better=Better.LOWER,
+        needs_aircraft=True,
+        run_text=RunText(line="thrust", text="{:.3g} {unit} of the largest)", separator=" to "),
     ),
     Metric(
         path="aircraft.saturated_share",
@@ -512,13 +540,17 @@ METRICS = (
     ),
     *(
         Metric(
-            path=f"aircraft.missed_limits.{name}",
+            path=f"{group}.missed_limits.{name}",
             measure=_missed(name),
-            label=f"updates that miss the limit of the {name}",
+            label=f"updates that miss the limit of the {name.replace('_', ' ')}",
             better=Better.LOWER,
-            needs_aircraft=True,
+            needs_aircraft=group == "aircraft",
         )
-        for name in MissedLimits._fields
+        for group, names in (
+            ("optimizer", [limit.name for limit in LIMITS if not limit.is_of_aircraft]),
+            ("aircraft", [BOUND, *(limit.name for limit in LIMITS if limit.is_of_aircraft)]),
+        )
+        for name in names
     ),
     Metric(
         path="optimizer.solve_time_ms.p50",

@@ -1,17 +1,23 @@
 """What became of a run: its outcome with the reasons, and what it is warned about.
 
-`LIMITS` has a row for each limit of a scenario that a run is held against.
+`LIMITS` has a row for each limit of a scenario that a run is held against; those that a layer is
+asked for are the rows of `optimization.limits`.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from operator import attrgetter
+from typing import Any
 
 from drake_nonstop.mechanics.aircraft import stall_speed
+from drake_nonstop.optimization.limits import LIMITS as ASKED
+from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.simulation.separations import Spacing
 from drake_nonstop.validation import is_number
 
 _ROUNDING = 1e-3  # of a limit that a block aims at, by which it may be missed
@@ -27,6 +33,7 @@ class RunOutcome(str, Enum):
     COLLISION = "collision"  # carriers or cables came too close to each other
     CABLES_SLACK = "cables_slack"
     BOUND_MISSED = "bound_missed"  # a carrier was below ε
+    LIMIT_MISSED = "limit_missed"  # another limit that a block was asked for was not kept
     UNCONVERGED = "unconverged"  # the integrator's step does not resolve the results
     OK = "ok"
 
@@ -46,27 +53,42 @@ class Limit:
     path: str  # in the scenario; one without such a field, or without a number there, has no limit
     sentence: str  # with {} for the quantity
     unit: str
-    measure: Callable[[RunQuantities], float | None]  # None: unknown
-    share_of: Callable[[RunQuantities], float] = lambda run: 1.0  # what the limit is a share of
+    measure: Callable[[Any], float | None]  # of a run's quantities; None: unknown
+    share_of: Callable[[Any], float] = lambda run: 1.0  # what the limit is a share of
     whole: str = ""  # the name of that
     is_least: bool = False  # a lower limit
     tolerance: float = 0.0  # of the limit
     outcome: RunOutcome | None = None  # of a run beyond it; None: a warning only
+    default: float | None = None  # as stated, where the scenario leaves it open
+    aircraft_default: float | None = None  # of runs of aircraft, in `unit`
 
-    def complaint(self, run: RunQuantities) -> str | None:
-        """The sentence about a run beyond the limit; None for a run within it."""
-        stated = self._stated_in(run.run.scenario)
+    def complaint(self, run: Spacing) -> str | None:
+        """The sentence about a run beyond the limit; None for a run within it.
+
+        A limit of distances is one of a planned motion, too.
+        """
+        stated, limit = self._limit_of(run)
         value = self.measure(run)
-        if stated is None or value is None:
+        if limit is None or value is None:
             return None
-        limit = stated * self.share_of(run)
         beyond = self.tolerance * abs(limit) if math.isfinite(limit) else 0.0
         if value >= limit - beyond if self.is_least else value <= limit + beyond:
             return None
         shown, bound = _told_apart(value, limit)
-        sentence = self.sentence.format(f"{shown} {self.unit}")
-        share = f"{stated:g} of {self.whole}, " if self.whole and math.isfinite(limit) else ""
-        return f"{sentence} ({self.path}: {share}{bound} {self.unit})"
+        unit = f" {self.unit}" if self.unit else ""
+        sentence = self.sentence.format(f"{shown}{unit}")
+        is_share = self.whole and stated is not None and math.isfinite(limit)
+        share = f"{stated:g} of {self.whole}, " if is_share else ""
+        return f"{sentence} ({self.path}: {share}{bound}{unit})"
+
+    def _limit_of(self, run: Any) -> tuple[float | None, float | None]:
+        """The limit as stated, None where it is that of aircraft, and in `unit`; None: no limit."""
+        stated = self._stated_in(run.scenario)
+        if stated is None and self.aircraft_default is not None and run.has_aircraft:
+            return None, self.aircraft_default
+        if stated is None:
+            stated = self.default
+        return stated, None if stated is None else stated * self.share_of(run)
 
     def _stated_in(self, scenario: Scenario) -> float | None:
         try:
@@ -85,6 +107,8 @@ LIMITS = (
         measure=lambda run: run.largest_position_error,
         share_of=lambda run: run.reach,
         whole="the reach",
+        default=0.2,
+        aircraft_default=1.0,
     ),
     Limit(
         path="limits.orientation_error",
@@ -92,6 +116,8 @@ LIMITS = (
         sentence="the load was turned by {} from its reference",
         unit="rad",
         measure=lambda run: run.largest_orientation_error,
+        default=0.8,
+        aircraft_default=math.radians(15.0),
     ),
     Limit(
         path="limits.carrier_distance",
@@ -128,6 +154,15 @@ LIMITS = (
         measure=lambda run: run.time_below_bound,
     ),
     Limit(
+        path="limits.saturated_share",
+        outcome=RunOutcome.LIMIT_MISSED,
+        sentence="commands of aircraft were at their limits for {} of the time",
+        unit="%",
+        measure=lambda run: run.saturated_share and 100 * run.saturated_share,
+        share_of=lambda run: 100.0,
+        whole="it",
+    ),
+    Limit(
         path="limits.speed",
         sentence="not plausible: a carrier flew at {}",
         unit="m/s",
@@ -147,42 +182,22 @@ LIMITS = (
         share_of=lambda run: run.load_weight,
         whole="the weight",
     ),
-    # What blocks aim at. They command it; what is simulated follows with an error.
+    # What blocks are asked for. They command it; what is simulated follows with an error.
     *(
-        limit
-        for box in ("optimization_layer", "force_distribution")
-        for limit in (
-            Limit(
-                path=f"{box}.min_tension",
-                sentence="a cable's tension fell to {}",
-                unit="N",
-                measure=lambda run: run.least_tension,
-                is_least=True,
-                tolerance=_ROUNDING,
-            ),
-            Limit(
-                path=f"{box}.max_tension",
-                sentence="a cable's tension rose to {}",
-                unit="N",
-                measure=lambda run: run.largest_tension,
-                tolerance=_ROUNDING,
-            ),
+        Limit(
+            path=f"{box}.{asked.field}",
+            outcome=RunOutcome.LIMIT_MISSED,
+            sentence=asked.sentence,
+            unit=asked.unit,
+            measure=partial(RunQuantities.extreme_of, limit=asked),
+            is_least=asked.is_least,
+            tolerance=_ROUNDING,
         )
-    ),
-    Limit(
-        path="optimization_layer.max_speed",
-        sentence="a carrier flew at {}",
-        unit="m/s",
-        measure=lambda run: run.peak_speed,
-        tolerance=_ROUNDING,
-    ),
-    Limit(
-        path="optimization_layer.min_separation",
-        sentence="two carriers came within {} of each other",
-        unit="m",
-        measure=lambda run: run.carrier_separation,
-        is_least=True,
-        tolerance=_ROUNDING,
+        for box, rows in (
+            ("optimization_layer", ASKED),
+            ("force_distribution", limits_of(Of.TENSION)),
+        )
+        for asked in rows
     ),
     Limit(
         path="carrier_dynamics.max_force",
@@ -226,6 +241,12 @@ def _told(run: RunQuantities) -> str:
     )
 
 
+def find_collisions(motion: Spacing) -> list[str]:
+    """A sentence about carriers, and one about cables, that come too close to each other."""
+    found = (limit.complaint(motion) for limit in LIMITS if limit.outcome is RunOutcome.COLLISION)
+    return [sentence for sentence in found if sentence is not None]
+
+
 def find_warnings(run: RunQuantities) -> list[str]:
     """What is not as it should be in a run and decides no outcome, a sentence each."""
     found = [
@@ -235,7 +256,11 @@ def find_warnings(run: RunQuantities) -> list[str]:
     ]
     unsolved = run.update_counts["relaxed"] + run.update_counts["held"]
     if unsolved > 0:  # and not NaN
-        found.append(f"no xi and A kept the constraints at {unsolved} updates (relaxed, held)")
+        missed = [f"{name} at {count}" for name, count in run.missed_limits.items() if count > 0]
+        of_limits = f"; missed were {', '.join(missed)}" if missed else ""
+        found.append(
+            f"no xi and A kept the constraints at {unsolved} updates (relaxed, held){of_limits}"
+        )
     return found
 
 

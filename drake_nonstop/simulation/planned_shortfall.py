@@ -17,6 +17,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
+from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
 from drake_nonstop.simulation.signal_table import UnknownSignalError
@@ -55,7 +56,7 @@ def largest_shortfall(run: Run) -> float | None:
     flown = np.linalg.norm(states.velocities, axis=-1)
     # The first values are not those of a plan that has begun.
     terms = problem.all_terms(references[1:], STILL_AIR)
-    planned_speed = np.sqrt(problem.squares_along(OrbitTerms.view(terms), planned[1:]))
+    planned_speed = problem.values_along(Of.SPEED, OrbitTerms.view(terms), planned[1:])
     wanted = planned_speed.copy()
     if len(wanted) > _SETTLING + len(_AHEAD):
         # Where a plan jumps, as where the reference's jerk does, what it was before.

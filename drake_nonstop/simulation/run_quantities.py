@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -18,15 +17,14 @@ from drake_nonstop.mechanics.rotation import (
 )
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Parameters, Pose
 from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
-from drake_nonstop.optimization.diagnostics import Diagnostics, MissedLimits
+from drake_nonstop.optimization.diagnostics import Diagnostics
+from drake_nonstop.optimization.limits import Limit, Of, asked
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
+from drake_nonstop.simulation.limit_along import LimitAlong
 from drake_nonstop.simulation.planned_shortfall import largest_shortfall
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.separations import (
-    least_cable_distances,
-    least_carrier_distance,
-    least_length,
-)
+from drake_nonstop.simulation.separations import Spacing, least_length
+from drake_nonstop.simulation.signal_table import UnknownSignalError
 from drake_nonstop.systems.tracing import NotFiniteError
 
 # The entries of the signal `diagnostics` that count updates.
@@ -46,7 +44,7 @@ class Stall(NamedTuple):
     airspeed: float  # m/s
 
 
-class RunQuantities:
+class RunQuantities(Spacing):
     """The quantities of a run that metrics are made from, each computed once.
 
     k is the number of steps, n that of the carriers.
@@ -54,6 +52,7 @@ class RunQuantities:
 
     def __init__(self, run: Run):
         self.run = run
+        self.scenario = run.scenario
 
     @cached_property
     def time(self) -> NDArray:
@@ -136,12 +135,6 @@ class RunQuantities:
     def system(self) -> SystemParameters:
         """The simulated load, cables and carriers."""
         return overridden(self.run.scenario.system, self.run.scenario.simulated)
-
-    @property
-    def reach(self) -> float:
-        """The distance of a carrier from the load, as `RunLimits` has it, m."""
-        radii = np.linalg.norm(self.system.attachments, axis=1)
-        return float(np.max(radii)) + self.system.cable_length
 
     @property
     def load_weight(self) -> float:
@@ -292,18 +285,46 @@ class RunQuantities:
         """The least of any carrier's speed, of `bounded_speeds`, minus ε, m/s."""
         return float(np.min(self.bounded_speeds - self.speed_bounds[:, None]))
 
-    @cached_property
-    def missed_limits(self) -> dict[str, float]:
-        """How many updates ended without keeping a limit of aircraft, by its name."""
-        if "missed_limits" not in self.run.steps:
-            return dict.fromkeys(MissedLimits._fields, 0)
-        last = MissedLimits.view(self.run.steps["missed_limits"][-1])
-        return {name: _count(count) for name, count in last._asdict().items()}
+    def limited_by(self, limit: Limit) -> NDArray | None:
+        """What a limit holds for (k, c), in its unit, of carriers or pairs; None: unknown."""
+        if limit.of is Of.SEPARATION:
+            pairs = np.array(np.triu_indices(self.carrier_positions.shape[1], 1))
+            return in_chunks(
+                lambda at: _norms(at[:, pairs[0]] - at[:, pairs[1]]), self.carrier_positions
+            )
+        if limit.is_of_aircraft:
+            flight = self.flight if self.has_aircraft else None
+            return None if flight is None else limit.values(flight.aircraft, flight.needs)
+        return self.bounded_speeds if limit.of is Of.SPEED else self.tensions
+
+    @property
+    def limits(self) -> list[LimitAlong]:
+        """The limits that the layer is asked for, of what the run has."""
+        rows = [
+            (limit, stated, self.limited_by(limit))
+            for limit, stated in asked(self.run.scenario.optimization_layer)
+        ]
+        return [LimitAlong(row, at, self.time, v) for row, at, v in rows if v is not None]
+
+    def extreme_of(self, limit: Limit) -> float | None:
+        """What is the closest to a limit in the run, or the farthest beyond it; None: unknown."""
+        if limit.of is Of.SEPARATION:
+            return self.carrier_separation
+        values = self.limited_by(limit)
+        return None if values is None else float(values[limit.worst(values)])
 
     @cached_property
-    def carrier_separation(self) -> float:
-        """The least distance of two carriers, m, also between two steps."""
-        return least_carrier_distance(self.carrier_positions)
+    def missed_limits(self) -> dict[str, float]:
+        """How many updates ended without keeping each limit that is counted, by its name."""
+        try:
+            columns = self.run.columns(["missed_limits"])
+        except UnknownSignalError:
+            return {}
+        return {
+            name.removeprefix("missed_limits."): _count(counts[-1])
+            for name, counts in columns.items()
+            if name.startswith("missed_limits.")
+        }
 
     @cached_property
     def tensions(self) -> NDArray:
@@ -314,26 +335,6 @@ class RunQuantities:
     def slack_time(self) -> float:
         """For how long a cable was slack, s."""
         return self.duration_of(np.any(self.tensions <= 0, axis=1))
-
-    @cached_property
-    def cable_separations(self) -> NDArray:
-        """The least distance of each two cables (pairs,), m, also between two steps."""
-        return least_cable_distances(self.attachment_positions, self.carrier_positions)
-
-    @cached_property
-    def closest_cables_for_attachments(self) -> tuple[float, float]:
-        """The two cables that come closest for where they are attached, m.
-
-        Their least distance and the distance of their attachments, beyond which no two cables
-        can be apart. Cables that are attached at one point are left out.
-        """
-        attachments = np.array(self.system.attachments)
-        apart = np.array([np.linalg.norm(a - b) for a, b in combinations(attachments, 2)])
-        shares = np.divide(
-            self.cable_separations, apart, out=np.full(len(apart), np.inf), where=apart > 0
-        )
-        closest = np.argmin(shares)
-        return float(self.cable_separations[closest]), float(apart[closest])
 
     @cached_property
     def attachment_positions(self) -> NDArray:

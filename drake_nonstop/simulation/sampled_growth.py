@@ -26,6 +26,8 @@ from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.optimization.turn_of_loops import turn_of_loops
 from drake_nonstop.simulation.task import Task
 
+_PHASES = 24  # of a turn, about, at which the loop is linearized
+
 
 class SampledGrowth(NamedTuple):
     """How deviations of the load grow; NaN: the loop is not known, or cables do not stretch."""
@@ -63,6 +65,7 @@ def sampled_growth(
         feedback,
         float(parameters[0]),
         lambda angle: _orbit(task, reference, angle, parameters),
+        phases=_PHASES,
     )
     radius = float(np.linalg.norm(task.flown.attachments, axis=1).max())
     return SampledGrowth(found.rate, found.growth_in_turn(radius))

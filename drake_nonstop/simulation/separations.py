@@ -1,13 +1,74 @@
 """How far carriers and cables are apart."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.scenario.schema import Scenario
+
 _MOST_DISTANCES = 2**13  # between two of many, at once: this bounds the memory
 _PARTS, _REFINEMENTS = 8, 4  # of an interval between two steps, in search of a least distance
+
+
+class Spacing(ABC):
+    """How close carriers and cables of a motion come, a run's or a planned one.
+
+    Attributes:
+        scenario: whose limits the motion is held against.
+    """
+
+    scenario: Scenario
+
+    @property
+    @abstractmethod
+    def system(self) -> SystemParameters:
+        """The load, cables and carriers that move."""
+
+    @property
+    @abstractmethod
+    def carrier_positions(self) -> NDArray:
+        """At each step (k, n, 3), in W, m."""
+
+    @property
+    @abstractmethod
+    def attachment_positions(self) -> NDArray:
+        """Where the cables are attached to the load at each step (k, n, 3), in W, m."""
+
+    @property
+    def reach(self) -> float:
+        """The distance of a carrier from the load, as `RunLimits` has it, m."""
+        radii = np.linalg.norm(self.system.attachments, axis=1)
+        return float(np.max(radii)) + self.system.cable_length
+
+    @cached_property
+    def carrier_separation(self) -> float:
+        """The least distance of two carriers, m, also between two steps."""
+        return least_carrier_distance(self.carrier_positions)
+
+    @cached_property
+    def cable_separations(self) -> NDArray:
+        """The least distance of each two cables (pairs,), m, also between two steps."""
+        return least_cable_distances(self.attachment_positions, self.carrier_positions)
+
+    @cached_property
+    def closest_cables_for_attachments(self) -> tuple[float, float]:
+        """The two cables that come closest for where they are attached, m.
+
+        Their least distance and the distance of their attachments, beyond which no two cables
+        can be apart. Cables that are attached at one point are left out.
+        """
+        attachments = np.array(self.system.attachments)
+        apart = np.array([np.linalg.norm(a - b) for a, b in combinations(attachments, 2)])
+        shares = np.divide(
+            self.cable_separations, apart, out=np.full(len(apart), np.inf), where=apart > 0
+        )
+        closest = np.argmin(shares)
+        return float(self.cable_separations[closest]), float(apart[closest])
 
 
 def closest_carriers(positions: NDArray) -> NDArray:

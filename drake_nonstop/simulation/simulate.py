@@ -2,11 +2,13 @@
 
 import contextlib
 import dataclasses
+import functools
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
@@ -15,13 +17,16 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
+from drake_nonstop.diagrams.block_events import NotCompilableError
+from drake_nonstop.diagrams.box import is_of_package
 from drake_nonstop.diagrams.equilibrium import block_named, set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.diagrams.plant_states import PlantStates
+from drake_nonstop.scenario.proportions import out_of_proportion, warn_of_angles
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import AUTO, COMPILED, DIAGRAM, Scenario, check
 from drake_nonstop.simulation.aircraft_margins import margins_of_loop
-from drake_nonstop.simulation.compiled_run import CompiledRun, compiled_loop_of
+from drake_nonstop.simulation.compiled_run import CompiledRun, compiled_loop_of, tell_not_compiled
 from drake_nonstop.simulation.formation import growth_complaint
 from drake_nonstop.simulation.interruption import ALL, Interruption, current_interruption
 from drake_nonstop.simulation.monitor import Monitor, SampleInstants
@@ -49,7 +54,7 @@ from drake_nonstop.simulation.step_check import (
 )
 from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_half_the_step
 from drake_nonstop.simulation.task import task_of_loop
-from drake_nonstop.systems.block import LOOP
+from drake_nonstop.systems.block import LOOP, release
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import innermost, input_names, nested, require_signals
@@ -107,7 +112,8 @@ def simulate(
     """
     with current_interruption() as interruption, interruption.patient(1):
         try:
-            run = _simulate(
+            fly = functools.partial(
+                _simulate,
                 scenario,
                 interruption,
                 progress,
@@ -115,9 +121,14 @@ def simulate(
                 after_step,
                 check_step,
                 make_nonstop if make_loop is None else make_loop,
-                engine,
-                replacements,
+                replacements=replacements,
             )
+            try:
+                run = fly(engine)
+            except NotCompilableError as error:
+                tell_not_compiled(f"{error};", stacklevel=3)
+                with _told():
+                    run = fly(DIAGRAM)
         except RunStopped:
             raise
         except Exception:
@@ -144,13 +155,6 @@ def _simulate(
     remedy = f"give {DIAGRAM} or {COMPILED}, or None"
     require(engine in (None, DIAGRAM, COMPILED), "engine", engine, remedy)
     engine = engine or scenario.engine
-    schemes = GetIntegrationSchemes()
-    require(
-        scenario.simulator_config.integration_scheme in schemes,
-        "simulator_config.integration_scheme",
-        scenario.simulator_config.integration_scheme,
-        f"give one of {', '.join(schemes)}",
-    )
     remedy = "give a function that takes a scenario and returns a Diagram, such as make_nonstop"
     require(callable(make_loop), "make_loop", make_loop, remedy)
     remedy = "give a list of functions, such as [show_in(meshcat)]"
@@ -164,7 +168,7 @@ def _simulate(
     arguments = (
         replacements if make_loop is make_nonstop else {"make_loop": make_loop, **replacements}
     )
-    check_scene(scenario.scene)
+    check_simulation(scenario)
     nonstop = _loop(make_loop, scenario, replacements)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
@@ -217,6 +221,7 @@ def _simulate(
         PlantStates(nonstop).declare_defaults(nonstop_context)
         _warn_of_other_bound(nonstop, nonstop_context, stated)
         if not is_second:  # it has been said
+            warn_of_angles(scenario)
             _warn_of_margins(scenario, nonstop, nonstop_context)
             _warn_of_growth(scenario, nonstop, nonstop_context)
         chosen = with_chosen_step(scenario, nonstop, nonstop_context)
@@ -225,9 +230,13 @@ def _simulate(
         ApplySimulatorConfig(chosen.config, simulator)
         given = {"viewers": viewers, "after_step": after_step}
         steering = [name for name, value in given.items() if value]
-        loop = None
+        loop = compared = None
         if engine == COMPILED:
             loop = compiled_loop_of(scenario, nonstop, recording, chosen.config, steering)
+        if loop is not None and not all(map(is_of_package, nonstop.GetSystems())):
+            with _told():
+                compared = Simulator(_loop(make_loop, scenario, replacements))
+            ApplySimulatorConfig(chosen.config, compared)
         with monitor:
             simulator.set_monitor(monitor)
             start = time.perf_counter()
@@ -235,7 +244,7 @@ def _simulate(
                 interruption.collect = lambda: finished(interrupted())
             is_begun = False
             if loop is not None:
-                flown = CompiledRun(loop, recording, context, _ending(nonstop))
+                flown = CompiledRun(loop, recording, context, _ending(nonstop), compared)
                 is_begun = flown.fly(scenario.simulation_duration, monitor, lambda: saved.next_time)
                 flown = None
             is_over = monitor.has_ended or interruption.number > 0
@@ -248,6 +257,9 @@ def _simulate(
                     simulator.AdvanceTo(scenario.simulation_duration)
             for visualizer in visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
+    except NotCompilableError:
+        release(nonstop)
+        raise
     except KeyboardInterrupt:
         raise RunInterrupted(finished(interrupted())) from None
     except NotFiniteError as error:
@@ -294,6 +306,14 @@ def _simulate(
     return _verified(run, progress, doubt, engine)
 
 
+@contextlib.contextmanager
+def _told() -> Iterator[None]:
+    """Leaves out what a scenario's warnings have told already."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)
+        yield
+
+
 def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) -> Run:
     """Flies a run's scenario again with half its steps; the run with what that shows.
 
@@ -327,8 +347,7 @@ def _verified(
     )
     doubted = dataclasses.replace(run, unresolved=(*run.unresolved, doubt)) if doubt else run
     try:
-        with warnings.catch_warnings(), current_interruption() as interruption:
-            warnings.simplefilter("ignore", ScenarioWarning)
+        with _told(), current_interruption() as interruption:
             interruption.collect = lambda: doubted
             half = simulate(
                 scenario,
@@ -369,17 +388,32 @@ def _loop(make_loop: LoopMaker, scenario: Scenario, replacements: dict[str, Any]
     return nonstop
 
 
+def check_simulation(scenario: Scenario) -> None:
+    """Raises ScenarioError for what a loop is built without and no run is flown with."""
+    schemes = GetIntegrationSchemes()
+    require(
+        scenario.simulator_config.integration_scheme in schemes,
+        "simulator_config.integration_scheme",
+        scenario.simulator_config.integration_scheme,
+        f"give one of {', '.join(schemes)}",
+    )
+    check_scene(scenario.scene)
+
+
 def with_chosen_step(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenStep:
     """The scenario's `simulator_config`, or one with a shorter step, which a warning tells."""
-    with block_named(nonstop, context):
-        chosen = chosen_step(
-            scenario.simulator_config,
-            nonstop,
-            context,
-            control_period=scenario.control_period,
-            duration=scenario.simulation_duration,
-            length=scenario.system.cable_length,
-        )
+    try:
+        with block_named(nonstop, context):
+            chosen = chosen_step(
+                scenario.simulator_config,
+                nonstop,
+                context,
+                control_period=scenario.control_period,
+                duration=scenario.simulation_duration,
+                length=scenario.system.cable_length,
+            )
+    except ScenarioError as error:
+        raise ScenarioError("; ".join([str(error), *out_of_proportion(scenario)])) from None
     if chosen.reasons:
         warnings.warn(
             f"simulator_config.max_step_size = {scenario.simulator_config.max_step_size:g}: "
@@ -421,11 +455,22 @@ def _warn_of_growth(scenario: Scenario, nonstop: Diagram, context: Context) -> N
         warnings.warn(complaint, ScenarioWarning, stacklevel=4)
 
 
+_FOUR_DIGITS: Any = {"float_kind": "{:.4g}".format}
+
+
 def _cause_of_divergence(scenario: Scenario, nonstop: Diagram, time: float) -> str:
-    """Why a run may have diverged at a time in s."""
-    context = nonstop.CreateDefaultContext()
-    complaint = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
-    return complaint or "the loop may be unstable, or simulator_config.max_step_size too large"
+    """Why a run may have diverged at a time in s, and the gains with which it did."""
+    cause = "; ".join(out_of_proportion(scenario))
+    if not cause:
+        context = nonstop.CreateDefaultContext()
+        cause = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
+    cause = cause or "the loop may be unstable, or simulator_config.max_step_size too large"
+    gains = [
+        f"{block.get_name()}.{name} = {np.array2string(np.asarray(value), formatter=_FOUR_DIGITS)}"
+        for block in nested(nonstop, RUN_SIGNALS)[-1].GetSystems()
+        for name, value in getattr(block, "gains", {}).items()
+    ]
+    return f"{cause}; gains in use: {', '.join(gains)}" if gains else cause
 
 
 def _warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:

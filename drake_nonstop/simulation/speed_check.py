@@ -1,6 +1,7 @@
-"""Whether any ξ and A keep all carriers of a task above their speed bound, and what else would."""
+"""Whether any ξ and A keep a task's bound on the speeds and its limits, and what else would."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -18,10 +19,13 @@ from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonData, HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
+from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.optimization.plan import Plan
-from drake_nonstop.optimization.problem_config import amplitude_range
+from drake_nonstop.optimization.problem_config import amplitude_range, limit_tightening
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.optimization.whole_task import receding_coefficients
+from drake_nonstop.simulation.limit_along import LimitAlong
+from drake_nonstop.simulation.needs_along import NeedsAlong, planned_values
 from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
 
@@ -32,10 +36,12 @@ _FINE = 0.01  # s, at least, between instants at which a plan's speeds are judge
 _COARSE = 2  # by which a plan has fewer instants, at first
 _FURTHER_STARTS = ((2.0, 1.0), (1.0, 2.0), (3.0, 0.5), (1.5, 1.5))  # of nominal ξ and A
 _QUICK_STARTS = 2
+_STARTS_FOR_LIMITS = 3  # where one keeps the bound, for the sake of other limits
 _MAX_ITERATIONS, _TOLERANCE = 40, 1e-4
 _FACTORS = (1.1, 1.25, 1.5, 2.0, 3.0)
 _WIDER = 4.0  # bounds, at most
 _BISECTIONS = 6
+_EASED = (1.0, 1.1, 1.3)  # times what a plan reaches, limits that are tried
 _SHOWN = 2.5  # times the plan's largest value, of the set over time
 
 
@@ -50,6 +56,7 @@ class SpeedCheck(NamedTuple):
     parameters: NDArray  # (l, 2), [ξ (rad/s), A (N)] of the plan
     ratios: NDArray  # (l, n), of the carriers along it
     starts: tuple[float, ...]  # the least ratio of what the optimization made of each start
+    limits: tuple[LimitAlong, ...] = ()  # that the layer is asked for, along the plan
 
     @property
     def least(self) -> float:
@@ -66,6 +73,11 @@ class SpeedCheck(NamedTuple):
     def is_feasible(self) -> bool:
         """Whether the plan keeps the bound."""
         return self.least >= 1
+
+    @property
+    def missed(self) -> tuple[LimitAlong, ...]:
+        """The other limits that the plan does not keep."""
+        return tuple(limit for limit in self.limits if not limit.is_kept)
 
     @property
     def tight_times(self) -> NDArray:
@@ -97,7 +109,8 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
     """
     bound = task.limits.speed_bound
     times = np.linspace(0, task.duration, _TIMES)
-    if not task.changes_parameters or bound == 0:
+    is_limited = bound > 0 or any(asked(task.limits))
+    if not task.changes_parameters or not is_limited:
         fine = _fine_times(task)
         parameters = np.broadcast_to(task.nominal, (len(fine), 2))
         speeds = constant_speeds(task, fine)
@@ -108,12 +121,16 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
             bound, times, least, None, fine, parameters, ratios, (float(ratios.min()),)
         )
     problem = problem_of(task)
-    constant = feasible_speeds(problem, task, times, *_grid(task, *_GRID)).max(axis=(1, 2)) / bound
+    constant = np.full(len(times), np.inf)
+    if bound > 0:
+        speeds = feasible_speeds(problem, task, times, *_grid(task, *_GRID))
+        constant = speeds.max(axis=(1, 2)) / bound
     found = _planned(task, most=_QUICK_STARTS if is_quick else None)
-    best = max(found, key=lambda each: each.least)
+    best = max(found, key=lambda each: (min(each.least, 1.0), each.of_limits, each.least))
     starts = tuple(each.least for each in found)
     return SpeedCheck(
-        bound, times, constant, best.plan, best.times, best.parameters, best.ratios, starts
+        *(bound, times, constant, best.plan, best.times, best.parameters, best.ratios, starts),
+        best.limits,
     )
 
 
@@ -123,17 +140,20 @@ def feasible_speeds(
     """The least speed (k, x, a), m/s, over an orbit, of constant ξ (k, x) and A (k, a) at times."""
     terms = _terms_along(problem, task, times)
     angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
-    shape = (10, 3, _PHASES, len(times), task.model.n, 1)
+    shape = (10, 3, _PHASES, len(times), task.model.n)
     polynomials = orbit_polynomials(terms, problem.axes, angles).reshape(shape)
-    values = polynomial_values(polynomials, amplitudes[:, None, :])
-    c, b, a, _ = speed_squares(
-        values, rest_length=problem.rest_length, compliance=problem.compliance
-    )
     least = []
-    for frequency in frequencies.T:
-        s = frequency[:, None, None] * amplitudes[:, None, :]
-        least.append((c + s * (2 * b + s * a)).min(axis=(0, 2)))
-    return np.sqrt(np.maximum(np.stack(least, axis=1), 0.0))
+    for amplitude in amplitudes.T:  # one by one: all of them at once take much memory
+        values = polynomial_values(polynomials, amplitude[:, None])
+        c, b, a, _ = (
+            part[:, :, None]
+            for part in speed_squares(
+                values, rest_length=problem.rest_length, compliance=problem.compliance
+            )
+        )
+        s = (frequencies * amplitude[:, None])[..., None]
+        least.append((c + s * (2 * b + s * a)).min(axis=(0, 3)))
+    return np.sqrt(np.maximum(np.stack(least, axis=2), 0.0))
 
 
 def _terms_along(problem: HorizonProblem, task: Task, times: NDArray) -> OrbitTerms:
@@ -259,45 +279,81 @@ class _Planned(NamedTuple):
     times: NDArray  # (l,), s
     parameters: NDArray  # (l, 2)
     ratios: NDArray  # (l, n), v/ε
+    limits: tuple[LimitAlong, ...]
+
+    @property
+    def of_limits(self) -> float:
+        """The least margin of the limits, of each, at most 0."""
+        return min([0.0, *(limit.margin for limit in self.limits)])
+
+    @property
+    def is_good(self) -> bool:
+        """Whether it keeps the bound and all limits."""
+        return self.least >= 1 and self.of_limits == 0
+
+
+class _Along:
+    """What plans of a task make of its carriers, at fine times."""
+
+    def __init__(self, task: Task, problem: HorizonProblem):
+        self.times = _fine_times(task)
+        self._task, self._problem = task, problem
+        self._terms = _terms_along(problem, task, self.times)
+        self._needs: NeedsAlong | None = None
+        if any(asked(task.limits, Of.FLIGHT)):
+            self._needs = NeedsAlong(task, self.times)
+
+    def planned(self, plan: Plan) -> _Planned:
+        """All that is known of a plan."""
+        values = planned_values(self._task, plan, self.times)
+        speeds = self._problem.values_along(Of.SPEED, self._terms, values)
+        bound = self._task.limits.speed_bound
+        ratios = speeds / bound if bound > 0 else np.full(speeds.shape, np.inf)
+        limits = tuple(self._limits(values))
+        return _Planned(float(ratios.min()), plan, self.times, values[:, 1:3], ratios, limits)
+
+    def _limits(self, values: NDArray) -> Iterator[LimitAlong]:
+        aircraft = self._task.flown.aircraft
+        needs = None if self._needs is None else self._needs.needs(values)
+        for limit, stated in asked(self._task.limits):
+            if needs is not None and aircraft is not None and limit.is_of_aircraft:
+                found = limit.values(aircraft, needs)
+            else:
+                found = self._problem.values_along(limit.of, self._terms, values)
+            yield LimitAlong(limit, stated, self.times, found)
 
 
 def _planned(task: Task, *, most: int | None) -> list[_Planned]:
-    """What the optimization makes of one start after the other, until a plan keeps the bound."""
+    """What the optimization makes of one start after the other, until a plan keeps all limits.
+
+    Where one keeps the bound on the speeds alone, few others are tried.
+    """
     spacing = task.horizon.knot_spacing
     intervals = max(task.horizon.terminal_knots, round(task.duration / spacing))
     whole = replace(task.horizon, horizon=intervals * spacing)
     coarse = replace(whole, instants=max(2, whole.instants // _COARSE))
-    bound, fine = task.limits.speed_bound, _fine_times(task)
-    terms: OrbitTerms | None = None
+    bound = task.limits.speed_bound
+    along: _Along | None = None
     found: list[_Planned] = []
     for config in (coarse, whole):
         problem = problem_of(task, config)
-        if terms is None:
-            terms = _terms_along(problem, task, fine)
+        along = along or _Along(task, problem)
+        nominal = along.planned(
+            Plan(0.0, 0.0, spacing, problem.nominal, problem.nominal_coefficients())
+        )
+        if task.changes_parameters and not nominal.is_good:
+            # A layer then starts with others.
+            problem = problem_of(task, replace(config, fixed_coefficients=0))
         solver = HorizonSolver(problem)
         winds = np.array([task.planned_wind(time) for time in problem.times(0.0)])
         data = problem.data(0.0, 0.0, task.reference, bound, wind=winds)
-        nominal = problem.plan(data, problem.nominal_coefficients())
-        if task.changes_parameters and _ratios(problem, terms, fine, nominal, bound)[0].min() < 1:
-            solver = HorizonSolver(problem, fixed=0)  # a layer then starts with others
         for start in _starts(task, solver, data, intervals):
             answer = solver.solve(data, start, max_iterations=_MAX_ITERATIONS, tolerance=_TOLERANCE)
-            plan = answer.plan
-            ratios = _ratios(problem, terms, fine, plan, bound)
-            reached = float(ratios.min())
-            parameters = np.array([plan.values(time)[1:3] for time in fine])
-            found.append(_Planned(reached, plan, fine, parameters, ratios))
-            if reached >= 1 or len(found) == most:
+            found.append(along.planned(answer.plan))
+            is_enough = len(found) >= _STARTS_FOR_LIMITS and any(p.least >= 1 for p in found)
+            if found[-1].is_good or is_enough or len(found) == most:
                 return found
     return found
-
-
-def _ratios(
-    problem: HorizonProblem, terms: OrbitTerms, times: NDArray, plan: Plan, bound: float
-) -> NDArray:
-    """v/ε (l, n) along a plan at times (l,) with these terms."""
-    values = np.array([plan.values(time) for time in times])
-    return np.sqrt(problem.squares_along(terms, values)) / bound
 
 
 def _starts(
@@ -319,16 +375,31 @@ def _starts(
 
 
 def _tried(task: Task, text: str) -> SpeedRemedy | None:
-    """The remedy, if the task keeps its bound."""
+    """The remedy, if the task keeps its bound and its limits."""
     try:
-        least = check_speeds(task, is_quick=True).least
+        found = check_speeds(task, is_quick=True)
     except ScenarioError:  # a formation that cannot be
         return None
-    return SpeedRemedy(text, least) if least >= 1 else None
+    return SpeedRemedy(text, found.least) if found.is_feasible and not found.missed else None
 
 
 def _with_limits(task: Task, **fields: object) -> Task:
     return replace(task, limits=dataclasses.replace(task.limits, **fields))  # type: ignore[arg-type]
+
+
+def find_limit_remedies(task: Task, found: SpeedCheck) -> list[SpeedRemedy]:
+    """The values of missed limits, near those that a plan reaches, with which all are kept."""
+
+    def eased(factor: float) -> tuple[Task, str]:
+        fields = {}
+        for each in found.missed:
+            side, tightening = each.limit.side, limit_tightening(task.limits)
+            value = each.worst / (1 + side * tightening) * factor**-side
+            fields[each.limit.field] = _rounded(value, -side)
+        said = " and ".join(f"optimization_layer.{name}={at:g}" for name, at in fields.items())
+        return _with_limits(task, **fields), said
+
+    return list(itertools.islice(_of_factors(eased, _EASED), 1))
 
 
 def _wider_bounds(task: Task) -> Iterator[SpeedRemedy]:

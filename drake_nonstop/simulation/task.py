@@ -17,8 +17,8 @@ from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedbackConfig,
     DesiredStateFeedbackConfig,
 )
-from drake_nonstop.blocks.load_trajectory import PlannedTurnConfig, SteadyTurnConfig
-from drake_nonstop.diagrams.box import block_class, is_of_package
+from drake_nonstop.blocks.load_trajectory import PlannedTurnConfig, SteadyTurn, SteadyTurnConfig
+from drake_nonstop.diagrams.box import is_of_package
 from drake_nonstop.diagrams.margin_of_loop import carriers_of, feedback_of
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
@@ -30,6 +30,7 @@ from drake_nonstop.mechanics.wrench import NO_FEEDBACK
 from drake_nonstop.model.system import Model, given_fields, overridden
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
+from drake_nonstop.optimization.speed_margin import with_margin
 from drake_nonstop.optimization.turn_of_loops import Feedback
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.load_stability import LoadDeviations
@@ -43,14 +44,6 @@ _ANALYSED = (  # the boxes between the load's state and its cables
     "carrier_trajectory",
     "cables",
     "load_plant",
-)
-_SAMPLED = (  # the boxes of the sampled loop of carriers and feedback
-    "load_feedback",
-    "wrench_controller",
-    "force_distribution",
-    "carrier_trajectory",
-    "carrier_controller",
-    "carrier_dynamics",
 )
 
 
@@ -173,8 +166,14 @@ class Task:
         )
 
 
-def task_of(scenario: Scenario) -> Task:
+def task_of(scenario: Scenario, loop: Diagram | None = None) -> Task:
     """The task of a scenario; numbers are drawn for its distributions.
+
+    Its limits are those of the loop that a run builds, with the margin that is computed for it.
+
+    Args:
+        scenario: what is flown.
+        loop: that was built from it; None: one is.
 
     Raises:
         ScenarioError: the scenario cannot be built, or its trajectory does not tell its motion.
@@ -182,11 +181,17 @@ def task_of(scenario: Scenario) -> Task:
     check(scenario)
     scenario = scenario.sampled()
     model = Model(scenario.system, scenario.pattern, scenario.control_period)
-    if scenario.reference_governor is None:
-        trajectory = _block("load_trajectory", _at_nominal_rate(scenario), model)
-    else:  # as the governor lets it pass
+    if loop is None:
         loop = make_nonstop(scenario, at_equilibrium=False)
-        trajectory = loop.GetSubsystemByName("load_trajectory")
+    margin = getattr(loop, "speed_margin", None)
+    layer = with_margin(scenario.optimization_layer, margin)
+    scenario = dataclasses.replace(scenario, optimization_layer=layer)
+    blocks = {block.get_name(): block for block in loop.GetSystems()}
+    trajectory, config = blocks["load_trajectory"], scenario.load_trajectory
+    if isinstance(config, PlannedTurnConfig) and scenario.reference_governor is None:
+        # A load that turns at the planned ξ turns at the nominal one.
+        rate = scenario.optimization_layer.frequency
+        trajectory = SteadyTurn(model, SteadyTurnConfig(yaw_rate=rate, **vars(config)))
     names = [trajectory.get_output_port(i).get_name() for i in range(trajectory.num_output_ports())]
     require(
         "reference" in names and trajectory.num_input_ports() == 0,
@@ -194,20 +199,7 @@ def task_of(scenario: Scenario) -> Task:
         type(trajectory).__name__,
         "give one without inputs, whose motion is known beforehand",
     )
-    blocks = {
-        box: _block(box, config, model)
-        for box in _SAMPLED
-        if (config := getattr(scenario, box)) is not None
-    }
     return _task(scenario, model, _reference_of(trajectory), blocks)
-
-
-def _at_nominal_rate(scenario: Scenario) -> Any:
-    """The config of the load's trajectory; one that turns at the planned ξ turns at the nominal."""
-    config = scenario.load_trajectory
-    if not isinstance(config, PlannedTurnConfig):
-        return config
-    return SteadyTurnConfig(yaw_rate=scenario.optimization_layer.frequency, **vars(config))
 
 
 def task_of_loop(scenario: Scenario, nonstop: Diagram, context: Context) -> Task | None:
@@ -279,12 +271,6 @@ def _task(
         counts_wind=model.aircraft is not None and getattr(layer, "wind", True),
         horizon=timed(horizon, limits.frequency, scenario.control_period),
     )
-
-
-def _block(box: str, config: Any, model: Model) -> System:
-    block: Any = block_class(box, type(config))
-    made: System = block(model, config)
-    return made
 
 
 def _reference_of(block: System) -> Callable[[float], NDArray]:

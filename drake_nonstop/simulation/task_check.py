@@ -1,6 +1,7 @@
 """Whether a task can be flown: its speed bound, its formation, and what would help."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,13 +17,17 @@ from drake_nonstop.simulation.formation import (
     find_formation,
     find_formation_remedies,
 )
+from drake_nonstop.simulation.make_simulator import make_simulator
+from drake_nonstop.simulation.planned_motion import PlannedMotion, find_motion_remedies
 from drake_nonstop.simulation.speed_check import (
     SpeedCheck,
     SpeedRemedy,
     check_speeds,
+    find_limit_remedies,
     find_speed_remedies,
 )
 from drake_nonstop.simulation.task import Task, task_of
+from drake_nonstop.systems.block import LOOP
 from drake_nonstop.validation import finite
 
 
@@ -34,29 +39,56 @@ class TaskCheck:
         task: the task.
         speeds: what speeds it can be flown with.
         formation: at rest and at instants of the best plan.
+        motion: of carriers and cables along the best plan.
         speed_remedies: of a task that is infeasible, each tried.
-        formation_remedies: of an unstable formation, each tried.
+        limit_remedies: of limits that the best plan misses while it keeps the bound, each tried.
+        formation_remedies: of an unstable formation, or of cables that do not pull, each tried.
+        motion_remedies: of carriers or cables that meet, each tried.
         flight: of aircraft along the best plan; None: there are none, or it is not known.
     """
 
     task: Task
     speeds: SpeedCheck
     formation: Formation
+    motion: PlannedMotion
     speed_remedies: tuple[SpeedRemedy, ...] = ()
+    limit_remedies: tuple[SpeedRemedy, ...] = ()
     formation_remedies: tuple[str, ...] = ()
+    motion_remedies: tuple[str, ...] = ()
     flight: FlightOfPlan | None = None
 
     @property
     def is_sound(self) -> bool:
-        """Whether the bound is kept, the formation is stable, and aircraft keep their limits."""
+        """Whether bound and limits are kept, the formation stable, none meet, and aircraft fly."""
         is_flyable = self.flight is None or self.flight.is_flyable
-        return self.speeds.is_feasible and self.formation.is_stable and is_flyable
+        are_kept = self.speeds.is_feasible and not self.speeds.missed
+        return are_kept and self.is_stable and not self.motion.collisions and is_flyable
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the formation is stable, and all of its cables pull all the way."""
+        return self.formation.is_stable and self.motion.least_load.pulls_up
 
     @property
     def verdicts(self) -> tuple[str, ...]:
-        """A sentence about the speed bound, one about the formation, and one about aircraft."""
+        """A sentence on the speed bound, formation, distances, and, if any, aircraft and limits."""
         of_flight = [] if self.flight is None else [self.flight.verdict]
-        return self._of_speeds(), self._of_formation(), *of_flight
+        of_limits = [self._of_limits()] if self.speeds.limits else []
+        first = self._of_speeds(), self._of_formation(), self._of_motion()
+        return *first, *of_flight, *of_limits
+
+    def _of_limits(self) -> str:
+        missed = self.speeds.missed
+        if not missed:
+            return "all limits that the layer is asked for can be kept"
+        said = "; ".join(
+            f"optimization_layer.{each.limit.field} = {each.stated:g}: it cannot be kept: with the "
+            f"best plan of xi and A from {len(self.speeds.starts)} starts "
+            f"{each.limit.sentence.format(each.shown(each.worst))}, at {each.where}"
+            for each in missed
+        )
+        helps = "; or ".join(remedy.text for remedy in self.limit_remedies)
+        return f"{said}; {'give ' + helps if helps else 'nothing that was tried helps'}"
 
     def _of_speeds(self) -> str:
         found = self.speeds
@@ -81,7 +113,10 @@ class TaskCheck:
         )
 
     def _of_formation(self) -> str:
-        worst = self.formation.worst
+        worst, least = self.formation.worst, self.motion.least_load
+        helps = _of_remedies(self.formation_remedies)
+        if not least.pulls_up:
+            return f"formation = slack: {least.text}: it would have to push; {helps}"
         if self.formation.is_stable:
             growth = math.exp(self.formation.growth)
             change = "does not grow" if growth <= 1 else f"grows {growth:.3g} times at most"
@@ -92,28 +127,45 @@ class TaskCheck:
                     "not the package's may make the loop unstable, see `drake-nonstop stability`"
                 )
             return f"the formation is stable: a small deviation {change} on the way"
-        helps = "; or ".join(self.formation_remedies)
         how = f"{worst.rate:.2g} 1/s{_without(worst)}"
         if self.formation.is_lost_in_samples:
             times = math.exp(worst.sampled.in_turn)
             how = f"{times:.2g} times in a turn, in the samples of the controllers"
         return (
             f"formation = unstable: at t = {worst.time:.1f} s a small deviation grows by {how}; "
-            f"{'give ' + helps if helps else 'nothing that was tried helps'}"
+            f"{helps}"
         )
+
+    def _of_motion(self) -> str:
+        motion = self.motion
+        if motion.collisions:
+            met = "; ".join(motion.collisions)
+            return f"planned motion = too close: {met}; {_of_remedies(self.motion_remedies)}"
+        return (
+            f"carriers stay {motion.carrier_separation:.3g} m apart, and cables "
+            f"{motion.closest_cables_for_attachments[0]:.3g} m"
+        )
+
+
+def _of_remedies(remedies: Sequence[str]) -> str:
+    return f"give {'; or '.join(remedies)}" if remedies else "nothing that was tried helps"
 
 
 def _without(instant: FormationInstant) -> str:
     return "" if instant.controlled is None else f", and by {instant.free.rate:.2g} without control"
 
 
-def check_task(scenario: Scenario) -> TaskCheck:
+def check_task(scenario: Scenario, *, tries_remedies: bool = True) -> TaskCheck:
     """Whether a scenario's task can be flown, and what would help where it cannot.
 
+    Args:
+        scenario: of the task.
+        tries_remedies: whether what would help is looked for, which takes most of the time.
+
     Raises:
-        ScenarioError: as of `task_of`.
+        ScenarioError: as of `task_of`, and for what no run is flown with.
     """
-    task = task_of(scenario)
+    task = task_of(scenario, make_simulator(scenario).get_system().GetSubsystemByName(LOOP))
     speeds = check_speeds(task)
     plan = speeds.plan
 
@@ -121,18 +173,31 @@ def check_task(scenario: Scenario) -> TaskCheck:
         return task.nominal if plan is None else np.array(plan.values(time)[1:3])
 
     formation = find_formation(task, parameters)
+    scenario = scenario.sampled()
+    motion = PlannedMotion(scenario, task, plan)
+    least = motion.least_load
     remedies: list[SpeedRemedy] = []
-    if not speeds.is_feasible:
-        remedies = find_speed_remedies(task, speeds)
+    of_limits: list[SpeedRemedy] = []
     stabilizing: list[str] = []
-    if not formation.is_stable:
-        stabilizing = find_formation_remedies(task, formation, parameters)
+    parting: list[str] = []
+    if tries_remedies and not speeds.is_feasible:
+        remedies = find_speed_remedies(task, speeds)
+    if tries_remedies and speeds.is_feasible and speeds.missed:
+        of_limits = find_limit_remedies(task, speeds)
+    if tries_remedies and not (formation.is_stable and least.pulls_up):
+        worst = math.nan if least.pulls_up else least.time
+        stabilizing = find_formation_remedies(task, formation, parameters, worst=worst)
+    if tries_remedies and motion.collisions:
+        parting = find_motion_remedies(scenario, task)
     return TaskCheck(
         task=task,
         speeds=speeds,
         formation=formation,
+        motion=motion,
         speed_remedies=tuple(remedies),
+        limit_remedies=tuple(of_limits),
         formation_remedies=tuple(stabilizing),
+        motion_remedies=tuple(parting),
         flight=flight_of_plan(task, speeds, flight_limits_of(scenario)),
     )
 
@@ -155,6 +220,10 @@ def task_table(found: TaskCheck) -> str:
         low, high = speeds.parameters.min(axis=0), speeds.parameters.max(axis=0)
         rows.append(("xi", f"{low[0]:.3g} to {high[0]:.3g} rad/s", ""))
         rows.append(("A", f"{low[1]:.3g} to {high[1]:.3g} N", ""))
+    rows += found.motion.rows
+    for each in speeds.limits:
+        bound = f"{each.limit.field} {each.stated:g}"
+        rows.append((f"{each.limit.words} ({bound})", each.shown(each.worst), each.where))
     loads = [(instant, instant.loads) for instant in formation.instants]
     instant, least = min(loads, key=lambda pair: pair[1].shares.min())
     cable = int(np.argmin(least.shares)) + 1
@@ -178,7 +247,11 @@ def task_table(found: TaskCheck) -> str:
             rates.append(f"{instant.sampled.rate:+.3g} 1/s in samples, {times:.3g} times in a turn")
         rows.append((f"growth of a deviation, {name}", ", ".join(rates), _at(instant)))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+    lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+    if found.flight is not None:
+        of_flight = found.flight.ranges.lines
+        lines += [f"{name + ', on the way':{widths[0]}}  {text}" for name, text in of_flight]
+    return "\n".join(lines)
 
 
 def _share_of(speeds: SpeedCheck) -> str:
@@ -196,44 +269,58 @@ def _at(instant: FormationInstant, cable: int | None = None) -> str:
 def task_dictionary(found: TaskCheck) -> dict[str, Any]:
     """The same for a JSON file; keys end in their units."""
     speeds, formation = found.speeds, found.formation
-    of_speeds, of_formation, *_ = found.verdicts
+    of_speeds, of_formation, of_motion, *others = found.verdicts
     has_bound = speeds.speed_bound > 0
     of_flight = {} if found.flight is None else {"flight": found.flight.dictionary}
-    return of_flight | {
-        "speed_bound": {
-            "verdict": of_speeds,
-            "is_feasible": speeds.is_feasible,
-            "speed_bound_m_s": speeds.speed_bound,
-            "least_ratio": speeds.least if has_bound else None,
-            "least_at_s": speeds.least_at[0] if has_bound else None,
-            "least_carrier": speeds.least_at[1] if has_bound else None,
-            "ratios_of_starts": [*speeds.starts] if has_bound else [],
-            "tight_times_s": speeds.tight_times.tolist(),
-            "remedies": [remedy._asdict() for remedy in found.speed_remedies],
-        },
-        "formation": {
-            "verdict": of_formation,
-            "is_stable": formation.is_stable,
-            "growth": formation.growth,
-            "growth_in_samples": finite(formation.sampled_growth),
-            "remedies": [*found.formation_remedies],
-            "instants": [
-                {
-                    "time_s": instant.time,
-                    "frequency_rad_s": float(instant.parameters[0]),
-                    "amplitude_N": float(instant.parameters[1]),
-                    "rate_1_s": instant.controlled and instant.controlled.rate,
-                    "rate_in_samples_1_s": finite(instant.sampled.rate),
-                    "growth_in_a_turn_in_samples": finite(instant.sampled.in_turn),
-                    "rate_without_control_1_s": instant.free.rate,
-                    "largest_multiplier": float(
-                        abs((instant.controlled or instant.free).multipliers[0])
-                    ),
-                    "least_shares": instant.loads.shares.tolist(),
-                    "mean_shares": instant.loads.mean_shares.tolist(),
-                    "least_elevations_rad": instant.loads.elevations.tolist(),
-                }
-                for instant in formation.instants
-            ],
-        },
-    }
+    of_limits: dict[str, Any] = {}
+    if speeds.limits:
+        of_limits["limits"] = {
+            "verdict": others[-1],
+            "are_kept": not speeds.missed,
+            "remedies": [remedy._asdict() for remedy in found.limit_remedies],
+            "along_the_plan": [each.dictionary for each in speeds.limits],
+        }
+    return (
+        of_flight
+        | of_limits
+        | {
+            "distances": found.motion.dictionary
+            | {"verdict": of_motion, "remedies": [*found.motion_remedies]},
+            "speed_bound": {
+                "verdict": of_speeds,
+                "is_feasible": speeds.is_feasible,
+                "speed_bound_m_s": speeds.speed_bound,
+                "least_ratio": speeds.least if has_bound else None,
+                "least_at_s": speeds.least_at[0] if has_bound else None,
+                "least_carrier": speeds.least_at[1] if has_bound else None,
+                "ratios_of_starts": [*speeds.starts] if has_bound else [],
+                "tight_times_s": speeds.tight_times.tolist(),
+                "remedies": [remedy._asdict() for remedy in found.speed_remedies],
+            },
+            "formation": {
+                "verdict": of_formation,
+                "is_stable": found.is_stable,
+                "growth": formation.growth,
+                "growth_in_samples": finite(formation.sampled_growth),
+                "remedies": [*found.formation_remedies],
+                "instants": [
+                    {
+                        "time_s": instant.time,
+                        "frequency_rad_s": float(instant.parameters[0]),
+                        "amplitude_N": float(instant.parameters[1]),
+                        "rate_1_s": instant.controlled and instant.controlled.rate,
+                        "rate_in_samples_1_s": finite(instant.sampled.rate),
+                        "growth_in_a_turn_in_samples": finite(instant.sampled.in_turn),
+                        "rate_without_control_1_s": instant.free.rate,
+                        "largest_multiplier": float(
+                            abs((instant.controlled or instant.free).multipliers[0])
+                        ),
+                        "least_shares": instant.loads.shares.tolist(),
+                        "mean_shares": instant.loads.mean_shares.tolist(),
+                        "least_elevations_rad": instant.loads.elevations.tolist(),
+                    }
+                    for instant in formation.instants
+                ],
+            },
+        }
+    )

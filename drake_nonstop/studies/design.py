@@ -10,11 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.mechanics.aircraft import drawn_power, stall_speed
+from drake_nonstop.mechanics.aircraft import (
+    airspeed_over_loaded_stall,
+    drawn_power,
+    stall_speed,
+    thrust_limits,
+    thrust_share,
+)
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
+from drake_nonstop.mechanics.planned_flight import FlightNeeds
 from drake_nonstop.mechanics.signals import POSE_SIZE
 from drake_nonstop.model.pattern import EllipticCarouselConfig
 from drake_nonstop.optimization.formation_program import (
+    ASKED_MARGIN,
     LEANING,
     DesignLimits,
     FormationProgram,
@@ -22,16 +30,17 @@ from drake_nonstop.optimization.formation_program import (
     FormationVariables,
     LoadMotion,
 )
+from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.aircraft_margins import (
     AircraftMargins,
-    AircraftNeeds,
     FlightLimits,
     aircraft_margins,
     aircraft_needs,
 )
+from drake_nonstop.simulation.bowed_cables import BowedCables
 from drake_nonstop.simulation.formation import find_formation
 from drake_nonstop.simulation.run import RunStopped, StepCheck
 from drake_nonstop.simulation.task import task_of
@@ -53,6 +62,7 @@ _INSTANTS, _KEY_INSTANTS = 24, 6  # of the way
 _MOST_RESERVE = 2.0  # that is looked for
 _ROUND = 1.01  # of the reserve, since extremes lie between phases
 _CLOSE = 0.02  # of reserves that are the same
+_LEAST_POWER = 1.0  # W, that others are compared with: in an updraught aircraft need none
 _DOUBLINGS, _HALVINGS = 8, 20
 _OF_RANGE = " of its range"
 _OBSERVERS = (1.0, 0.7, 0.4)  # weights that are tried
@@ -67,19 +77,23 @@ _OTHER_MARGINS = {  # by the names of the program's rows
 }
 
 
-class Flight(NamedTuple):
+class FlightExtremes(NamedTuple):
     """What the aircraft of a formation need, over all carriers, phases and the load's way."""
 
     lift_share: float  # of C_Lmax, the largest
     airspeed_min: float  # m/s
     airspeed_max: float  # m/s
+    over_loaded_stall: float  # of the airspeed, over the stall speed with cable and bank, the least
     bank: float  # rad, the largest, to either side
     climb: float  # rad, the largest, up or down
     thrust_min: float  # N
     thrust_max: float  # N
+    thrust_share_min: float  # of the largest thrust at that airspeed
+    thrust_share_max: float
     thrust_above: float  # of the range of thrust, left above, the least
     thrust_below: float  # left below
     power: float  # W, that an aircraft draws from its battery, the mean at rest
+    asked: tuple[float, ...] = ()  # of each limit that is asked for, what is closest to it
 
 
 class Break(NamedTuple):
@@ -112,6 +126,7 @@ class DesignedFormation:
         variables: of the program, forces in shares of f₀.
         flight: what the aircraft need at rest and on the way.
         distances: m, the least of two carriers and of two cables, at rest.
+        cables: what its straight cables leave out, at rest.
         growth: 1/s, of a deviation of the load, the largest at rest and on the way.
         stall_speed: m/s.
         breaks: what breaks first as wind, load and speed grow.
@@ -124,8 +139,9 @@ class DesignedFormation:
     carriers: int
     phase_turns: int
     variables: FormationVariables
-    flight: Flight
+    flight: FlightExtremes
     distances: tuple[float, float]
+    cables: BowedCables
     growth: float
     stall_speed: float
     breaks: tuple[Break, ...]
@@ -376,6 +392,7 @@ def design_task(request: DesignRequest, carriers: int, count: int = _KEY_INSTANT
             climb_margin=own.climb - request.climb,
             thrust_margin=request.thrust_reserve,
             separation=request.separation,
+            asked=tuple(asked(request, Of.FLIGHT)),
         ),
     )
 
@@ -399,7 +416,7 @@ def design_bounds(request: DesignRequest, carriers: int, kind: str) -> tuple[NDA
 
 def formation_needs(
     task: FormationTask, kind: str, x: FormationVariables, phases: int = _EXACT
-) -> Iterator[AircraftNeeds]:
+) -> Iterator[FlightNeeds]:
     """What all aircraft need at phases of a turn, for each motion."""
     n = task.load.carriers
     turn, places = (2 * np.pi * np.arange(k) / k for k in (phases, n))
@@ -442,23 +459,33 @@ def formation_shape(task: FormationTask, kind: str, x: FormationVariables) -> Fo
 
 def flight_of(
     task: FormationTask, kind: str, x: FormationVariables, phases: int = _EXACT
-) -> Flight:
+) -> FlightExtremes:
     """The extremes of what the aircraft need; the power is that of the first motion."""
     found = list(formation_needs(task, kind, x, phases))
-    needs = AircraftNeeds(*map(np.concatenate, zip(*found, strict=True)))
-    ranges = needs.thrust_max - needs.thrust_min
+    needs = FlightNeeds(*map(np.concatenate, zip(*found, strict=True)))
+    least, most = thrust_limits(task.aircraft, needs.airspeed)
     at_rest = found[0]
-    return Flight(
+    shares = thrust_share(task.aircraft, needs.thrust, needs.airspeed)
+    over_stall = airspeed_over_loaded_stall(task.aircraft, needs.airspeed, needs.lift, needs.thrust)
+    return FlightExtremes(
         lift_share=float(np.max(needs.lift)) / float(task.aircraft.max_lift),
         airspeed_min=float(np.min(needs.airspeed)),
         airspeed_max=float(np.max(needs.airspeed)),
+        over_loaded_stall=float(np.min(over_stall)),
         bank=float(np.max(np.abs(needs.bank))),
         climb=float(np.max(np.abs(needs.climb))),
         thrust_min=float(np.min(needs.thrust)),
         thrust_max=float(np.max(needs.thrust)),
-        thrust_above=float(np.min((needs.thrust_max - needs.thrust) / ranges)),
-        thrust_below=float(np.min((needs.thrust - needs.thrust_min) / ranges)),
+        thrust_share_min=float(np.min(shares)),
+        thrust_share_max=float(np.max(shares)),
+        thrust_above=float(np.min((most - needs.thrust) / (most - least))),
+        thrust_below=float(np.min((needs.thrust - least) / (most - least))),
         power=float(np.mean(drawn_power(task.aircraft, at_rest.thrust, at_rest.airspeed))),
+        asked=tuple(
+            float(values[limit.worst(values)])
+            for limit, _ in task.limits.asked
+            for values in [limit.values(task.aircraft, needs)]
+        ),
     )
 
 
@@ -470,21 +497,25 @@ class Missed(NamedTuple):
     text: str  # with its value
 
 
-def missed_limits(task: FormationTask, flight: Flight, reserve: float = 0.0) -> list[Missed]:
+def missed_limits(
+    task: FormationTask, flight: FlightExtremes, reserve: float = 0.0
+) -> list[Missed]:
     """What is beyond the limits, the farthest first; with a reserve of 1 beyond the margins."""
     rows = []
-    for name, value, limit, margin, side, unit in _rows_of(task, flight):
-        asked = limit - side * reserve * margin
-        beyond = side * (value - asked) / margin
+    count = len(flight.asked)
+    for k, (name, value, limit, margin, side, unit) in enumerate(_rows_of(task, flight)):
+        wanted_reserve = 1.0 if k < count else reserve  # what is asked for is no margin
+        least = limit - side * wanted_reserve * margin
+        beyond = side * (value - least) / margin
         if beyond > 1e-4:
             bound = "at most" if side > 0 else "at least"
-            found, wanted = (f"{number:.3g} {unit}".rstrip() for number in (value, asked))
+            found, wanted = (f"{number:.3g} {unit}".rstrip() for number in (value, least))
             text = f"{name} {found} ({bound} {wanted.removesuffix(_OF_RANGE)})"
             rows.append(Missed(beyond, name, text))
     return sorted(rows, reverse=True)
 
 
-def reserve_of(task: FormationTask, flight: Flight) -> float:
+def reserve_of(task: FormationTask, flight: FlightExtremes) -> float:
     """The least margin over what is asked of it: 1 where all are kept, 0 at a limit."""
     return min(
         side * (limit - value) / margin
@@ -493,9 +524,15 @@ def reserve_of(task: FormationTask, flight: Flight) -> float:
 
 
 def _rows_of(
-    task: FormationTask, flight: Flight
+    task: FormationTask, flight: FlightExtremes
 ) -> Iterator[tuple[str, float, float, float, int, str]]:
-    """Of each quantity: its name, value, limit and margin, the limit's side, and the unit."""
+    """Of each quantity: its name, value, limit and margin, the limit's side, and the unit.
+
+    Those of the limits that are asked for come first.
+    """
+    for (row, stated), value in zip(task.limits.asked, flight.asked, strict=True):
+        margin = ASKED_MARGIN * stated
+        yield row.words, value, stated - row.side * margin, margin, -row.side, row.unit
     limits, slowest = task.limits, float(stall_speed(task.aircraft))
     lift, speed = limits.lift_share, limits.speed_share
     airspeed = flight.airspeed_min / slowest
@@ -622,7 +659,11 @@ class _Search:
                     continue  # of less power there is none
                 values = start
             start = values
-            found.append(self._described(values))
+            try:
+                found.append(self._described(values))
+            except ScenarioError as error:
+                fault = f"it cannot be judged: {message_of(error)}"
+                found.append(self._refused(values, fault=fault))
         return found
 
     def _of_least_power(self, program: FormationProgram, start: NDArray, least: float) -> NDArray:
@@ -631,7 +672,7 @@ class _Search:
         lower[-1] = least
         values = start
         for _ in range(2):
-            power = program.rows(start)[2]
+            power = max(program.rows(start)[2], _LEAST_POWER)
             values = program.solve(start, lower, self.upper, nothing, power_weight=1 / power)
             values = self._with_true_reserve(program, values, everywhere=True)
             lower[-1] += least - values[-1]
@@ -741,6 +782,7 @@ class _Search:
             variables=x,
             flight=flight,
             distances=_distances(margins),
+            cables=margins.ranges.cables,
             growth=max(instant.rate for instant in formation.instants),
             stall_speed=float(stall_speed(self.task.aircraft)),
             breaks=tuple(breaking_points(self.way, self.kind, x, self.turns)),
@@ -825,7 +867,7 @@ class _Search:
             return f"request.speed = {_down(value)} or less"
         return ""
 
-    def _smaller_margins(self, flight: Flight, apart: float, reserve: float) -> str:
+    def _smaller_margins(self, flight: FlightExtremes, apart: float, reserve: float) -> str:
         """The margins that the best formation keeps, in place of those that it misses."""
         if reserve < _CLOSE:
             return ""
@@ -889,7 +931,7 @@ def formation_scenario(
     carriers: int,
     phase_turns: int,
     x: FormationVariables,
-    flight: Flight,
+    flight: FlightExtremes,
 ) -> Scenario:
     """The scenario that flies a formation: at rest, along the request's displacement, at rest."""
     share = x.mass * GRAVITY / carriers
@@ -979,16 +1021,20 @@ def _dictionary(found: Design, formation: DesignedFormation) -> dict[str, Any]:
         "airspeed_min_m_s": flight.airspeed_min,
         "airspeed_max_m_s": flight.airspeed_max,
         "airspeed_over_stall_min": flight.airspeed_min / formation.stall_speed,
+        "airspeed_over_loaded_stall_min": flight.over_loaded_stall,
         "bank_rad": flight.bank,
         "climb_rad": flight.climb,
         "thrust_min_N": flight.thrust_min,
         "thrust_max_N": flight.thrust_max,
+        "thrust_share_min": flight.thrust_share_min,
+        "thrust_share_max": flight.thrust_share_max,
         "thrust_share_left_above": flight.thrust_above,
         "thrust_share_left_below": flight.thrust_below,
         "power_drawn_W": formation.power,
         "energy_Wh_per_kg_km": formation.energy,
         "carriers_apart_m": formation.distances[0],
         "cables_apart_m": formation.distances[1],
+        "cables": formation.cables.dictionary,
         "growth_1_s": formation.growth,
         "breaks_first": [
             {
@@ -1007,8 +1053,8 @@ def design_table(found: Design) -> str:
     rows: list[Sequence[str]] = [
         (
             *("", "n", "kind", "L_c m", "C N", "A_r N", "A_t N", "B N", "kappa", "xi rad/s"),
-            *("C_L", "V m/s", "V / V_s", "bank", "climb", "thrust N", "apart m", "cables m"),
-            *("W", "Wh/kg km", "reserve"),
+            *("C_L", "V m/s", "V / V_s", "loaded", "bank", "climb", "thrust N", "T %"),
+            *("apart m", "cables m", "W", "Wh/kg km", "reserve"),
         )
     ]
     for f in found.formations:
@@ -1025,9 +1071,11 @@ def design_table(found: Design) -> str:
                 f"{flight.lift_share:.2f}",
                 f"{flight.airspeed_min:.1f}-{flight.airspeed_max:.1f}",
                 f"{flight.airspeed_min / f.stall_speed:.2f}",
+                f"{flight.over_loaded_stall:.2f}",
                 f"{math.degrees(flight.bank):.0f}",
                 f"{math.degrees(flight.climb):.0f}",
                 f"{flight.thrust_min:.1f}-{flight.thrust_max:.1f}",
+                f"{100 * flight.thrust_share_min:.0f}-{100 * flight.thrust_share_max:.0f}",
                 f"{f.distances[0]:.1f}",
                 f"{f.distances[1]:.2f}",
                 f"{f.power:.0f}",
@@ -1039,6 +1087,12 @@ def design_table(found: Design) -> str:
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     for f in found.formations:
         lines.append(f"{f.scenario.name}: breaks first at {', '.join(b.text for b in f.breaks)}")
+    lines += [f"{f.scenario.name}: real cables {f.cables.text}" for f in found.formations]
+    warned = [f for f in found.formations if f.cables.warning]
+    if warned:
+        names = ", ".join(f.scenario.name for f in warned)
+        most = max(warned, key=lambda f: f.cables.difference)
+        lines.append(f"{names}: {most.cables.warning}")
     lines += [
         f"{refusal.carriers} {refusal.kind}: {refusal.sentence}" for refusal in found.refusals
     ]

@@ -14,6 +14,7 @@ from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
 from drake_nonstop.model.system import checked_inertia
 from drake_nonstop.optimization.formation_program import KINDS
+from drake_nonstop.optimization.problem_config import AircraftLimits, check_flight_limits
 from drake_nonstop.scenario.overrides import require_override
 from drake_nonstop.scenario.schema import check_name
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
@@ -22,6 +23,7 @@ from drake_nonstop.validation import (
     ScenarioError,
     StrictFields,
     fields_of,
+    is_number,
     one_line,
     read_text,
     require,
@@ -36,20 +38,23 @@ from drake_nonstop.validation import (
 
 GRAVITY = 9.81  # m/s²
 _CABLES = (1.0, 5000.0)  # m
+# What a formation can have to do with, far beyond any that was flown: the least and the largest.
+_RANGES = {
+    "load_mass": (1e-3, 1e5, "kg"),
+    "load_radius": (1e-3, 1e3, "m"),
+    "load_drag": (0.0, 1e4, "N s/m"),
+    "cable_stiffness": (1e-2, 1e7, "N/m"),
+    "cable_damping": (0.0, 1e6, "N s/m"),
+    "wind": (0.0, 100.0, "m/s"),
+    "displacement": (0.0, 1e6, "m"),
+}
 _WAY_TIMES = (1.0, 36000.0)  # s, the way's length by the largest speed
 _MOST_CARRIERS = 12
 _MOST_STARTS = 100
 
 
 @dataclass(kw_only=True)
-class DesignRequest(StrictFields):
-    """Aircraft, load, wind and margins: what `design` finds formations for.
-
-    The attachments are a regular polygon about the load's centre of mass. The margins hold at rest
-    and on the way of the load, from rest to rest along `displacement`; the separation at rest in
-    still air.
-    """
-
+class _Asked(StrictFields):
     name: str = "formation"  # of the scenarios that are made
     description: str = ""
     aircraft: AircraftParameters = field(
@@ -76,6 +81,16 @@ class DesignRequest(StrictFields):
     starts: int = 4  # of the search for each number of carriers and kind
     seed: int = 0  # of the starts
 
+
+@dataclass(kw_only=True)
+class DesignRequest(AircraftLimits, _Asked):
+    """Aircraft, load, wind and margins: what `design` finds formations for.
+
+    The attachments are a regular polygon about the load's centre of mass. The margins, and the
+    limits of aircraft, hold at rest and on the way of the load, from rest to rest along
+    `displacement`; the separation at rest in still air.
+    """
+
     def check(self) -> Aircraft:
         """The aircraft, of a cable of the largest length.
 
@@ -93,17 +108,15 @@ class DesignRequest(StrictFields):
         for kind in self.kinds:
             require_known(kind, KINDS, "request.kinds", self.kinds)
         _require_different("request.kinds", self.kinds)
-        require_positive(
-            "request",
-            load_mass=self.load_mass,
-            load_radius=self.load_radius,
-            cable_stiffness=self.cable_stiffness,
-            separation=self.separation,
-            thrust_reserve=self.thrust_reserve,
-        )
-        require_non_negative(
-            "request", load_drag=self.load_drag, cable_damping=self.cable_damping, speed=self.speed
-        )
+        require_positive("request", separation=self.separation, thrust_reserve=self.thrust_reserve)
+        require_non_negative("request", speed=self.speed)
+        require_array("request.wind", self.wind, [3], "m/s, in W")
+        way = require_array("request.displacement", self.displacement, [3], "m, in W")
+        for name, (low, high, unit) in _RANGES.items():
+            value = getattr(self, name)
+            size = float(np.linalg.norm(value)) if isinstance(value, list) else value
+            is_within = is_number(size) and low <= size <= high
+            require(is_within, f"request.{name}", value, f"give {low:g} to {high:g} {unit}")
         lengths = require_array("request.cable_length", self.cable_length, [2], "m, in order")
         is_range = 0 < lengths[0] <= lengths[1]
         remedy = "give the least and the largest, above zero, in this order"
@@ -115,8 +128,6 @@ class DesignRequest(StrictFields):
         reach = 2 * (self.load_radius + lengths[1])
         remedy = f"give at most {reach:.3g}, twice the reach of the longest cable"
         require(self.separation <= reach, "request.separation", self.separation, remedy)
-        require_array("request.wind", self.wind, [3], "m/s, in W")
-        way = require_array("request.displacement", self.displacement, [3], "m, in W")
         remedy = "give a way other than none, or speed = 0 for a load that rests"
         require(np.any(way) or self.speed == 0, "request.displacement", self.displacement, remedy)
         if self.speed > 0:
@@ -138,12 +149,14 @@ class DesignRequest(StrictFields):
         require(1 <= self.starts <= _MOST_STARTS, "request.starts", self.starts, remedy)
         require_seed("request.seed", self.seed)
         checked_inertia("request.load_inertia", self.inertia)
-        return make_aircraft(
+        aircraft = make_aircraft(
             self.aircraft,
             cable_length=float(lengths[1]),
             gravity=GRAVITY,
             field="request.aircraft",
         )
+        check_flight_limits("request", self, aircraft)
+        return aircraft
 
     @property
     def inertia(self) -> list[list[float]]:

@@ -22,18 +22,25 @@ if TYPE_CHECKING:
 
 
 def make_margins_figure(title: str, margins: Sequence[Margin]) -> Figure:
-    """The growth rate of the loop's least stable mode over each parameter; stable below 0."""
+    """The growth rate of the loop's least stable mode over each parameter; stable below 0.
+
+    Values with which there is no such loop are dashed.
+    """
     figure = new_figure((2.6 * len(margins), 3.4))
     for margin, axes in zip(margins, figure.subplots(1, len(margins), sharey=True), strict=True):
         axes.axhline(0, color="0.6", linewidth=0.8)
         axes.axvline(margin.nominal, color="0.6", linestyle=":")
-        low = margin.values[0] if margin.low is None else margin.low
-        high = margin.values[-1] if margin.high is None else margin.high
+        first, *_, last = sorted([*margin.values, *margin.refused])
+        low, high = (margin.values or [first])[0], (margin.values or [last])[-1]
+        low = low if margin.low is None else margin.low
+        high = high if margin.high is None else margin.high
         axes.axvspan(low, high, color="#18a048", alpha=0.15, linewidth=0)
         axes.plot(margin.values, margin.rates, "o-", markersize=3, color="C0")
-        if margin.values[0] > 0:
+        for value in margin.refused:
+            axes.axvline(value, color="0.3", linestyle="--", linewidth=0.8)
+        if first > 0:
             axes.set_xscale("log")
-            ticks = [margin.values[0], margin.nominal, margin.values[-1]]
+            ticks = [first, margin.nominal, last]
             axes.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
             axes.minorticks_off()
         axes.set_yscale("symlog", linthresh=0.1)

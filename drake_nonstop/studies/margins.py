@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from drake_nonstop.studies.journal import open_journal, settings_of
 from drake_nonstop.studies.processes import require_main
 from drake_nonstop.studies.run_all import Progress, no_progress, run_all
 from drake_nonstop.studies.stability import NEUTRAL, Stability, at_rest, linearize
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.validation import ScenarioError, message_of
 
 _BISECTIONS = 5
 
@@ -34,37 +36,35 @@ class Margin:
     rates: list[float]  # 1/s, of the growth of a small deviation there
     low: float | None  # the loop is stable from here on; None: at every value that was tried
     high: float | None  # and up to here; both are the nominal value where it is unstable there
+    refused: dict[float, str]  # values with which there is no such loop, and why
 
 
-def find_stability(
-    scenario: Scenario, *others: Scenario, progress: Progress = no_progress
-) -> list[Stability]:
-    """What `linearize` finds of each scenario, in a process per core.
+def find_stability(scenario: Scenario, progress: Progress = no_progress) -> Stability:
+    """What `linearize` finds, in a process of its own.
 
     Args:
-        scenario: the first one.
-        others: further ones.
+        scenario: of the loop.
         progress: called with a description and the share that is done.
 
     Raises:
-        ScenarioError: a scenario cannot be built, or a process died.
+        ScenarioError: the scenario cannot be built, or the process died.
     """
-    texts = [dump_scenario(each) for each in (scenario, *others)]
-    found: dict[int, Stability] = {}
+    text = dump_scenario(scenario)
+    found: list[Stability] = []
 
-    def failed(key: int, error: str) -> Stability:
+    def failed(text: str, error: str) -> Stability:
         raise ScenarioError(f"stability: {error}")
 
     run_all(
         _linearized,
-        range(len(texts)),
-        lambda key: (texts[key],),
-        found.__setitem__,
+        [text],
+        lambda text: (text,),
+        lambda _, result: found.append(result),
         failed,
         what="linearizing",
         progress=progress,
     )
-    return [found[key] for key in range(len(texts))]
+    return found[0]
 
 
 def find_margins(
@@ -76,7 +76,8 @@ def find_margins(
 ) -> list[Margin]:
     """The margins of carrier mass, the carriers' gains, delay and control period.
 
-    One of them at a time is changed, in a process per core.
+    One of them at a time is changed, in a process per core. A value with which the loop cannot be
+    built is refused, and the others are tried.
 
     Args:
         scenario: what is changed.
@@ -110,11 +111,11 @@ def find_margins(
         folder, settings, keys, {"found": list}, restart=restart, what="linearizations"
     ) as journal:
 
-        def failed(key: str, error: str) -> list[float | None]:
+        def failed(key: str, error: str) -> list[Any]:
             raise ScenarioError(f"stability, {key}: {error}")
 
         def run(
-            function: Callable[..., list[float | None]],
+            function: Callable[..., list[Any]],
             wanted: Sequence[str],
             arguments: Callable[[str], tuple],
             what: str,
@@ -141,8 +142,13 @@ def find_margins(
 
         run(_measure, [*measured], measure_arguments, "linearizing")
         found: dict[str, dict[float, list[float]]] = {name: {} for name in axes}
+        refused: dict[str, dict[float, str]] = {name: {} for name in axes}
         for key, (name, value) in measured.items():
-            found[name][value] = journal.result(key)["found"]
+            *numbers, why = journal.result(key)["found"]
+            if numbers:
+                found[name][value] = numbers
+            else:
+                refused[name][value] = why
         run(_edge, [*edges], edge_arguments, "searching the boundaries")
         ends = {edges[key]: journal.result(key)["found"][0] for key in edges}
         journal.finish()
@@ -156,6 +162,7 @@ def find_margins(
             rates=[found[name][value][1] for value in sorted(found[name])],
             low=ends[name, -1],
             high=ends[name, 1],
+            refused=refused[name],
         )
         for name, axis in axes.items()
     ]
@@ -249,16 +256,20 @@ def _linearized(text: str) -> Stability:
     return linearize(parse_scenario(text, trust=True))
 
 
-def _measure(resting: str, override: str, value: float) -> list[float | None]:
-    """The largest multiplier's magnitude, and the rate (1/s), at a parameter's value."""
+def _measure(resting: str, override: str, value: float) -> list[Any]:
+    """The largest multiplier's magnitude, the rate (1/s), and None; or why the value is refused."""
     found = _linearized_at(resting, override, value)
-    return [found.largest, found.rate]
+    return [found] if isinstance(found, str) else [found.largest, found.rate, None]
 
 
-def _linearized_at(resting: str, override: str, value: float) -> Stability:
+def _linearized_at(resting: str, override: str, value: float) -> Stability | str:
+    """What is found at a parameter's value, or why there is no such loop."""
     # A copy of a scenario that was trusted when it was loaded.
     scenario = parse_scenario(resting, trust=True)
-    return linearize(changed(scenario, [override.format(value)]))
+    try:
+        return linearize(changed(scenario, [override.format(value)]))
+    except (ScenarioError, NotFiniteError) as error:
+        return message_of(error)
 
 
 def _edge(
@@ -266,7 +277,7 @@ def _edge(
 ) -> list[float | None]:
     """The value at which the loop becomes unstable, below (-1) or above (1) the nominal one."""
     inside = axis.nominal
-    if found[inside][0] >= NEUTRAL:
+    if inside not in found or found[inside][0] >= NEUTRAL:
         return [inside]
     for value in sorted(found)[::side]:
         if side * (value - inside) <= 0:
@@ -277,7 +288,8 @@ def _edge(
         outside = value
         for _ in range(_BISECTIONS if axis.is_continuous and inside > 0 else 0):
             middle = math.sqrt(inside * outside)
-            if _linearized_at(resting, axis.override, middle).largest < NEUTRAL:
+            there = _linearized_at(resting, axis.override, middle)
+            if isinstance(there, Stability) and there.largest < NEUTRAL:
                 inside = middle
             else:
                 outside = middle

@@ -27,8 +27,12 @@ from drake_nonstop.validation import ScenarioError, message_of, one_line, requir
 PROCESS_DIED = "its process died: it crashed or ran out of memory"
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-# In the process from which workers are forked.
-_PRELOADED = ["drake_nonstop.studies.run_all", "drake_nonstop.public"]
+# In the process from which workers are forked, in this order.
+_PRELOADED = [
+    "drake_nonstop.studies.one_blas_thread",
+    "drake_nonstop.studies.run_all",
+    "drake_nonstop.public",
+]
 _KEEPING_TIME = 2.0  # s, for which an interrupt waits for results that are being written
 _ENDING_TIME = 1.0  # s, for workers without a call to end by themselves
 _MAX_FAILED_STARTS = 3  # in a row

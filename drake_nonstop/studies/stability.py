@@ -147,7 +147,7 @@ def linearize(scenario: Scenario) -> Stability:
     coordinates = _Coordinates(nonstop, context)
     sample_map: _DifferencedMaps | _ExactMaps
     sample_map = _DifferencedMaps(coordinates, nonstop, context, config, sample)
-    if not reason_against(nonstop, config, sample):
+    if not reason_against(nonstop, config, sample, compiles=False):
         loop = CompiledLoop(nonstop, config, sample, signals=(), compiles=False)
         if not loop.blocks_without_derivatives:
             sample_map = _ExactMaps(coordinates, loop, context)

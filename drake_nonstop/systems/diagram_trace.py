@@ -68,6 +68,11 @@ def is_traceable(system: System) -> bool:
     )
 
 
+def updates_in_trace(leaf: System) -> bool:
+    """Whether a leaf has discrete updates in a trace."""
+    return hasattr(leaf, "traced_update") or hasattr(leaf, "traced_attempt")
+
+
 def knows_beforehand(leaf: System) -> bool:
     """Whether a leaf that can be traced has outputs or quantities that it knows beforehand."""
     return hasattr(leaf, QUANTITIES) or isinstance(leaf, TrajectorySource)

@@ -53,8 +53,9 @@ def make_check_figure(found: TaskCheck) -> Figure:
         frameon=False,
     )
     bound = "bound kept" if of_speeds.is_feasible else "bound cannot be kept"
-    stable = "formation stable" if found.formation.is_stable else "formation unstable"
-    return titled(figure, f"{found.task.name}: {bound}, {stable}")
+    stable = "formation stable" if found.is_stable else "formation unstable"
+    limits = ", limits cannot be kept" if of_speeds.missed else ""
+    return titled(figure, f"{found.task.name}: {bound}{limits}, {stable}")
 
 
 def _draw_set(axes: Axes, found: TaskCheck, column: int) -> None:

@@ -28,7 +28,7 @@ def make_aircraft_margins_figure(found: AircraftMargins) -> Figure:
     _draw_each(bank, phases, np.degrees(needs.bank), "bank (°)", np.degrees(limits.bank))
     _draw_each(climb, phases, np.degrees(needs.climb), "climb (°)", np.degrees(limits.climb))
     _draw_each(thrust, phases, needs.thrust, "thrust (N)")
-    for i, (least, most) in enumerate(zip(needs.thrust_min.T, needs.thrust_max.T, strict=True)):
+    for i, (least, most) in enumerate(zip(*(edge.T for edge in found.thrust_limits), strict=True)):
         for edge in (least, most):
             colour = COLOURS[i % len(COLOURS)]
             thrust.plot(phases, edge, color=colour, linestyle="--", linewidth=0.7)

@@ -14,6 +14,7 @@ from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import (
+    RunQuantities,
     attachment_positions,
     carrier_speeds,
     load_errors,
@@ -21,6 +22,7 @@ from drake_nonstop.simulation.run_quantities import (
 )
 from drake_nonstop.visualization.decimation import extreme_samples
 from drake_nonstop.visualization.figure_style import LINE_STYLES, new_figure, titled
+from drake_nonstop.visualization.limits_figure import make_limits_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -125,6 +127,10 @@ def _draw_aircraft(run: Run) -> Figure:
     return titled(figure, "Aircraft; dashed: stall, dotted: limits of the thrust")
 
 
+def _draw_limits(run: Run) -> Figure:
+    return make_limits_figure(RunQuantities(run).limits, "What is asked of the layer, dashed")
+
+
 def _draw_internal_force_parameters(run: Run) -> Figure:
     figure, (top, bottom) = _stacked(2)
     parameters = run.signal("parameters")
@@ -144,15 +150,20 @@ _FIGURES: tuple[Callable[[Run], Figure], ...] = (
     _draw_carrier_speeds,
     _draw_tensions,
     _draw_aircraft,
+    _draw_limits,
     _draw_internal_force_parameters,
 )
 FIGURE_NAMES = tuple(draw.__name__.removeprefix("_draw_") for draw in _FIGURES)
-_AIRCRAFT = "aircraft"  # the figure of runs that have some
+# Figures that some runs have, and whether a run is one of them.
+_SOME: dict[str, Callable[[Run], bool]] = {
+    "aircraft": has_aircraft,
+    "limits": lambda run: bool(RunQuantities(run).limits),
+}
 
 
 def figure_names(run: Run) -> list[str]:
     """The figures that a run has, of `FIGURE_NAMES`."""
-    return [name for name in FIGURE_NAMES if name != _AIRCRAFT or has_aircraft(run)]
+    return [name for name in FIGURE_NAMES if name not in _SOME or _SOME[name](run)]
 
 
 def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:

@@ -188,6 +188,38 @@ def test_a_start_that_the_first_parameters_do_not_keep_is_made_with_others():
     assert flight.diagnostics.relaxed == 0
 
 
+def under_way(time):
+    """The preview of a move of 4 s from a time in s on, at which nothing goes before."""
+    preview = previewed(dataclasses.replace(MOVE, start_time=0.0, move_time=4.0))
+    return ReferencePreview(lambda later: preview(time + later))
+
+
+@pytest.mark.parametrize(
+    ("start", "bound", "is_nominal"),
+    [
+        (3.5, 0.6, False),  # the initial ξ and A are too slow until after the first instant
+        (3.62, 0.6, False),  # at the start alone
+        (3.7, 0.6, True),
+    ],
+)
+def test_a_first_plan_keeps_the_bound_from_the_start_itself_on(start, bound, is_nominal):
+    preview = under_way(start)
+    flight = Flight(layer(speed_bound=bound), preview)
+    planned = flight.advanced(0, 0.1)
+    assert np.min(carrier_speeds(planned, preview, SAMPLE * np.arange(10))) > 1.02 * bound
+    assert flight.diagnostics.relaxed == 0
+    assert np.allclose(planned[0], [0, 2.0, 1.2, 0, 0, 0, 0, 0]) == is_nominal
+
+
+def test_a_start_that_no_plan_can_better_is_counted():
+    only = {"frequency_bounds": [2.0, 2.0], "amplitude_bounds": [1.1999, 1.2001]}
+    relaxed = [
+        Flight(layer(speed_bound=0.6, **only), under_way(start)).diagnostics.relaxed
+        for start in (3.62, 3.7)
+    ]
+    assert relaxed == [1, 0]
+
+
 def test_a_plan_that_is_late_leaves_the_one_that_exists(flown):
     _, preview, planned = flown
     flight = Flight(layer(time_limit=1e-9), preview)

@@ -1,6 +1,7 @@
 """`drake-nonstop check`, as a user meets it."""
 
 import json
+import re
 
 import pytest
 from matplotlib.figure import Figure
@@ -53,6 +54,16 @@ def test_a_level_formation_flies_in_wind(tmp_path, capsys):
     report = json.loads((tmp_path / "check.json").read_text())
     assert report["wind_m_s"] == [3.0, -4.0, 0.0]
     assert report["ranges"]["lift_share"][1] == pytest.approx(0.49, abs=0.01)
+    # Over a turn, and over the fifth of a second that is the way.
+    for ranges in (report["ranges"], report["flight"]["ranges"]):
+        assert 1.4 < ranges["airspeed_over_loaded_stall"][0] < 1.55
+        assert 0.5 < ranges["thrust_share"][1] < 1
+        assert ranges["cables"]["mass_kg"] == pytest.approx(0.046, abs=0.001)
+    for name in ("airspeed", "thrust", "real cables"):
+        assert len(re.findall(rf"^{name}(?:, on the way)? +.*\d", shown, re.MULTILINE)) >= 2
+    assert " of that with cable and bank" in shown
+    assert "cables are simulated as straight: " in shown
+    assert "cables are simulated as straight: " in report["ranges"]["cables"]["warning"]
 
 
 def test_a_task_without_aircraft_is_told_of_its_bound_and_its_formation(tmp_path, capsys):

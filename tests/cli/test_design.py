@@ -1,6 +1,9 @@
 """`drake-nonstop design`, as a user meets it."""
 
 import json
+import re
+import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,23 +20,33 @@ from drake_nonstop.studies.design_request import read_request
 SMALL = ["carriers=[3]", "kinds=[co_rotating]", "cable_length=[60, 60]", "starts=1"]
 
 
-def test_a_request_becomes_scenarios_a_table_and_a_figure(tmp_path, capsys, monkeypatch):
+def test_the_commands_of_the_page_make_scenarios_a_table_and_a_figure(
+    tmp_path, capsys, monkeypatch
+):
+    page = (Path(__file__).parents[2] / "docs" / "howto_design.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
+    (*printing, redirection, file), designing, *others = [
+        shlex.split(line, comments=True)[1:] for block in blocks for line in block.splitlines()
+    ]
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "light.yaml").write_text("load_mass: 6.0\nwind: [2, 0, 0]\n")
-    assert main(["design", "light.yaml", "--set", *SMALL]) == 0
-    folder = tmp_path / "out" / "design" / "light"
+    assert (main(printing), redirection) == (0, ">")
+    Path(file).write_text(capsys.readouterr().out)
+    assert main([*designing, "--set", *SMALL]) == 0
     shown = capsys.readouterr().out
-    assert "light_1*" in shown
-    assert "light_1: breaks first at wind" in shown
+    assert "formation_1*" in shown
+    assert "formation_1: breaks first at wind" in shown
     assert "formations keep the margins" in shown
+    assert [command for command, _ in others] == ["check", "run"]
+    for _, path in others:
+        scenario = load_scenario(Path(path))
+        assert (scenario.name, scenario.system.load_mass) == ("formation_1", 5.0)
+        assert scenario.wind.velocity == [2.0, 0.0, 0.0]
+    folder = Path(path).parent
     report = json.loads((folder / "design.json").read_text())
     assert report["is_feasible"]
     names = [formation["scenario"] for formation in report["formations"]]
     files = {"request.yaml", "design.json", "pareto.png", *(f"{name}.yaml" for name in names)}
     assert {path.name for path in folder.iterdir()} == files
-    scenario = load_scenario(folder / "light_1.yaml")
-    assert (scenario.name, scenario.system.load_mass) == ("light_1", 6.0)
-    assert scenario.wind.velocity == [2.0, 0.0, 0.0]
     with Image.open(folder / "pareto.png") as picture:
         assert picture.width > 2000
 

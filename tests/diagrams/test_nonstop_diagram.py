@@ -302,7 +302,7 @@ def test_swapped_in_block_gets_the_signals_that_it_names():
 
 LAYER = (
     "expected parameters (2), optional diagnostics (7), plan (8), solve_time (1), speed_bound (1), "
-    "missed_limits (5)"
+    "missed_limits (9)"
 )
 
 

@@ -14,6 +14,10 @@ OUTCOMES = {
     "paper_quintic": ("bound_missed", BELOW.format(0.025)),
     "real_scale_carousel": ("collision", "two cables came within 0 m of each other"),
     "real_scale_cycle": ("collision", "two carriers came within 0 m of each other"),
+    "aircraft_transfer_gusty": (
+        "limit_missed",
+        "commands of aircraft were at their limits for 20.9 % of the time (limits.saturated_share",
+    ),
     "five_tilted_loaded": ("bound_missed", BELOW.format(0.275)),
     "six_noisy": ("bound_missed", BELOW.format(0.03)),
     "four_by_a_pattern_of_ones_own": (

@@ -9,6 +9,7 @@ from drake_nonstop.mechanics.aircraft import (
     air_force,
     air_frame,
     aircraft_acceleration,
+    airspeed_over_loaded_stall,
     angle_of_attack,
     drag_coefficient,
     drawn_power,
@@ -18,6 +19,7 @@ from drake_nonstop.mechanics.aircraft import (
     shown_state,
     stall_speed,
     thrust_limits,
+    thrust_share,
     trimmed_states,
 )
 from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState
@@ -150,6 +152,33 @@ def test_the_bank_is_positive_to_the_right():
     np.testing.assert_allclose(frame.right, [0.0, -1.0, 0.0], atol=1e-12)
     direction = frame.lift_direction(np.array(0.3))
     np.testing.assert_allclose(direction, [0.0, -np.sin(0.3), np.cos(0.3)], atol=1e-12)
+
+
+def test_the_stall_speed_grows_with_what_bank_and_cable_ask_of_the_wing(rng):
+    """By the root of the force across the flight, over the weight: in a turn 1/cos of the bank."""
+    speed, bank = 15.0, 0.6
+    turning = np.array([0.0, 9.81 * np.tan(bank), 0.0])
+    told = steady(FREE, straight(speed), turning)
+    ratio = airspeed_over_loaded_stall(FREE, np.array(speed), told.lift, told.thrust)
+    assert ratio == pytest.approx(speed / stall_speed(FREE) * np.sqrt(np.cos(bank)), rel=1e-6)
+    velocities, pulls = rng.normal(size=(2, 20, 3)) * [2, 2, 1]
+    velocities += straight(15)
+    told = steady(RASCAL, velocities, pull=pulls)
+    forces = needed_force(RASCAL, np.zeros(3), pulls)
+    frame = air_frame(velocities)
+    across = forces - (forces * frame.forward).sum(axis=1, keepdims=True) * frame.forward
+    factor = np.linalg.norm(across, axis=1) / WEIGHT
+    airspeed = frame.airspeed[:, 0]
+    ratios = airspeed_over_loaded_stall(RASCAL, airspeed, told.lift, told.thrust)
+    np.testing.assert_allclose(ratios, airspeed / (stall_speed(RASCAL) * np.sqrt(factor)))
+    fallen = airspeed_over_loaded_stall(RASCAL, np.array([10.0]), np.zeros(1), np.array([20.0]))
+    assert np.all(np.isfinite(fallen))  # one that is pushed down carries nothing
+    assert np.all(fallen > 100)
+
+
+def test_the_share_of_the_thrust_is_of_the_largest_at_that_airspeed():
+    shares = thrust_share(RASCAL, np.array([29.0, 14.5, -3.0, 5.0]), np.array([0.0, 20, 20, 40]))
+    np.testing.assert_allclose(shares, [0.5, 0.5, -3 / 29, 1.0])  # beyond 40 m/s there is none
 
 
 def test_thrust_limits_and_power():

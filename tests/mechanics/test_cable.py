@@ -2,9 +2,18 @@ import itertools
 
 import numpy as np
 import pytest
-from helpers import SHAPES, Motion, difference, rotation
+from helpers import SHAPES, Motion, difference, irregular, rotation
 
-from drake_nonstop.mechanics.cable import cable_forces_and_tensions, positive_part
+from drake_nonstop.mechanics.cable import (
+    cable_bow,
+    cable_forces_and_tensions,
+    cable_mass,
+    cable_shortening,
+    forces_under_other_wrench,
+    positive_part,
+    wrenches_of,
+)
+from drake_nonstop.mechanics.rotation import rotation_matrix
 
 LENGTH, STIFFNESS, DAMPING = 0.8, 500.0, 0.3
 CONSTANTS = {"rest_length": LENGTH, "stiffness": STIFFNESS, "damping": DAMPING}
@@ -87,3 +96,73 @@ def test_taut_cables_between_moving_load_and_moving_carriers(shape):
     np.testing.assert_allclose(tensions, expected, rtol=1e-12, atol=0)
     directions = cables(time) / lengths(time)[:, None]
     np.testing.assert_allclose(forces, expected[:, None] * directions, rtol=1e-11)
+
+
+@pytest.mark.parametrize("n", [3, 4, 7])
+def test_forces_under_another_wrench_are_those_of_a_load_that_has_moved_to_where_it_has_it(n):
+    rng = np.random.default_rng(n)
+    points = irregular(n) + np.array([0, 0, 0.1])
+    carriers = 1.05 * LENGTH * np.array([0, 0, 1.0]) + 1.4 * points + 0.05 * rng.normal(size=(n, 3))
+    state = np.concatenate([carriers.ravel(), np.zeros(3 * n)])
+    still = {**CONSTANTS, "damping": 0.0, "attachments": points}
+    rest = np.array([1.0, *np.zeros(12)])
+    forces, _ = cable_forces_and_tensions(rest, state, **still)
+
+    def error(size):
+        moved = rest.copy()
+        moved[1:7] = size * np.array([0.2, -0.1, 0.3, 0.2, -0.3, 0.1])  # half a turn, and a way
+        moved[:4] /= np.linalg.norm(moved[:4])
+        expected, _ = cable_forces_and_tensions(moved, state, **still)
+        levers = points @ rotation_matrix(moved[:4]).T
+        found = forces_under_other_wrench(
+            forces[None],
+            points,
+            wrenches_of(expected, levers)[None],
+            rest_length=LENGTH,
+            stiffness=STIFFNESS,
+        )
+        return np.max(np.abs(found[0] - expected)) / np.max(np.abs(forces - expected))
+
+    assert error(1e-3) < 0.02
+    assert error(1e-4) < 0.11 * error(1e-3)  # it is of the first order
+
+
+def test_forces_stay_as_they_are_under_their_own_wrench():
+    forces = np.random.default_rng(2).normal(size=(5, 4, 3)) + UP
+    points = irregular(4)
+    own = wrenches_of(forces, np.broadcast_to(points, forces.shape))
+    for stiffness in (STIFFNESS, np.inf):
+        found = forces_under_other_wrench(
+            forces, points, own, rest_length=LENGTH, stiffness=stiffness
+        )
+        np.testing.assert_allclose(found, forces, atol=1e-12)
+
+
+def drag_of(diameter, speed):
+    return 1.225 / 2 * 1.1 * diameter * speed**2
+
+
+@pytest.mark.parametrize(
+    ("diameter", "bow", "shortening", "mass"),
+    [(0.7e-3, 3.9, 0.29, 0.06), (1e-3, 5.6, 0.60, 0.11), (2e-3, 11.2, 2.4, 0.46)],
+)
+def test_bow_shortening_and_mass_of_an_independent_derivation(diameter, bow, shortening, mass):
+    """Of 150 m of Dyneema that an aircraft pulls at with 25 N and 15.3 m/s."""
+    drag = drag_of(diameter, 15.3)
+    assert cable_bow(drag, 150.0, 25.0) == pytest.approx(bow, abs=0.05)
+    assert cable_shortening(drag, 150.0, 25.0) == pytest.approx(shortening, rel=0.02)
+    assert cable_mass(diameter, 150.0) == pytest.approx(mass, abs=0.005)
+
+
+def test_a_bowed_cable_is_that_of_its_differential_equation():
+    """T y'' = -w_d (s/L)^2 with y = 0 at both ends; the arc is longer by the sum of y'^2/2."""
+    length, tension, drag = 150.0, 25.0, drag_of(1e-3, 15.3)
+    s = np.linspace(0, length, 20001)
+    step = s[1]
+    bent = -drag / tension * (s / length) ** 2
+    slope = np.concatenate([[0], np.cumsum((bent[1:] + bent[:-1]) / 2)]) * step
+    y = np.concatenate([[0], np.cumsum((slope[1:] + slope[:-1]) / 2)]) * step
+    slope, y = slope - y[-1] / length, y - y[-1] * s / length
+    assert cable_bow(drag, length, tension) == pytest.approx(y.max(), rel=1e-6)
+    longer = np.sum((slope[1:] ** 2 + slope[:-1] ** 2) / 4) * step
+    assert cable_shortening(drag, length, tension) == pytest.approx(longer, rel=1e-6)

@@ -8,6 +8,8 @@ import pytest
 from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
     growth,
+    growth_in_turn,
+    interpolated,
     known_response,
     matrix_exponential,
     noise_deviation,
@@ -121,10 +123,24 @@ def test_a_jump_of_velocity_overshoots_by_the_closed_form():
 
 
 def test_growth_over_a_turn_is_that_of_the_product():
-    loop = velocity_of_acceleration()
-    faster = loop._replace(transition=1.02 * np.eye(3))
-    slower = loop._replace(transition=np.diag([0.99, 0.5, 0.1]))
-    assert growth([faster, slower], 4) == pytest.approx((1.02 * 0.99) ** 4)
+    faster, slower = 1.02 * np.eye(3), np.diag([0.99, 0.5, 0.1])
+    assert growth(np.stack([faster, slower] * 4)) == pytest.approx((1.02 * 0.99) ** 4)
+
+
+def test_growth_within_a_turn_is_that_from_the_worst_phase_on():
+    maps = np.stack([np.diag([factor, 1.0]) for factor in (0.5, 0.5, 3.0, 2.0, 0.5)])
+    assert growth_in_turn(maps, np.ones(1)) == pytest.approx(6)
+
+
+@pytest.mark.parametrize("count", [8, 9])
+def test_a_function_of_the_phase_is_interpolated_between_even_phases(count):
+    def function(turns):
+        angles = 2 * np.pi * np.asarray(turns)[:, None, None]
+        return 1 + np.cos(angles) - 2 * np.sin(3 * angles) * np.ones((1, 1, 2))
+
+    between = np.array([0.0, 0.13, 0.77])
+    found = interpolated(function(np.arange(count) / count), between)
+    np.testing.assert_allclose(found, function(between), atol=1e-12)
 
 
 def test_a_known_input_gives_the_largest_output_of_its_simulation(g):

@@ -25,7 +25,6 @@ VIEWS = {
     signals.AircraftCommand: signal_layouts.AIRCRAFT_COMMAND,
     signals.AircraftState: signal_layouts.AIRCRAFT_STATE,
     diagnostics.Diagnostics: diagnostics.DIAGNOSTICS,
-    diagnostics.MissedLimits: diagnostics.MISSED_LIMITS,
 }
 
 

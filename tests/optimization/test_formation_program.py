@@ -1,5 +1,6 @@
 """The program that designs formations, beside closed forms."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -18,6 +19,7 @@ from drake_nonstop.optimization.formation_program import (
     FormationTask,
     LoadMotion,
 )
+from drake_nonstop.optimization.limits import Of, limits_of
 
 GRAVITY, MASS, N, RADIUS = 9.81, 10.0, 4, 1.5
 X = np.eye(3)[0]
@@ -34,6 +36,8 @@ LIMITS = DesignLimits(
     thrust_margin=0.1,
     separation=8.0,
 )
+# All limits of aircraft that can be asked for, where the needs are on their way to them.
+EVERY = tuple((limit, 0.6 * min(limit.largest, 30.0)) for limit in limits_of(Of.FLIGHT))
 # Without lift at no angle, and with an angle of attack of none: T acts along the path.
 STRAIGHT = {"lift_at_zero_angle": 0.0, "lift_slope": 1e9}
 
@@ -55,9 +59,11 @@ def needs_at(program, values):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_gradients_are_central_differences(kind):
+@pytest.mark.parametrize("limits", [LIMITS, LIMITS._replace(asked=EVERY)], ids=["own", "asked"])
+def test_gradients_are_central_differences(kind, limits):
     moved = LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X)
-    program = FormationProgram(task(moved), kind, 2, phases=3)
+    given = dataclasses.replace(task(moved), limits=limits)
+    program = FormationProgram(given, kind, 2, phases=3)
     point = np.array([0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 10.0, 2.0, 1.2, 0.5])
     rows, gradients, _, power_gradient = program.rows(point)
     assert len(rows) == len(program.row_names)
@@ -68,6 +74,17 @@ def test_gradients_are_central_differences(kind):
         np.testing.assert_allclose(gradients[:, i], expected, rtol=1e-4, atol=1e-5)
         expected = (ends[0][2] - ends[1][2]) / (2 * step)
         assert power_gradient[i] == pytest.approx(expected, rel=1e-4, abs=1e-3)
+
+
+@pytest.mark.parametrize(("limit", "value"), EVERY, ids=lambda each: getattr(each, "field", ""))
+def test_a_limit_that_is_asked_for_is_a_row_of_one_at_the_limit(limit, value):
+    program = FormationProgram(
+        dataclasses.replace(task(), limits=LIMITS._replace(asked=((limit, value),))), CO_ROTATING
+    )
+    needs = program.needs(np.array([1.2, 0, 0, 0, 0.4, 60.0, MASS, 0.0, 0.0, 0.0]))[0]
+    rows = program.rows(np.array([1.2, 0, 0, 0, 0.4, 60.0, MASS, 0.0, 0.0, 0.0]))[0]
+    asked = rows[len(needs) * 9 :][: len(needs) * limit.margin_count]
+    np.testing.assert_array_equal(asked >= 1, needs[:, len(NEEDS) :].T.ravel() >= 0)
 
 
 def closed_form(plane, outward, rate, length):

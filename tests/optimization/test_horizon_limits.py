@@ -17,12 +17,14 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.optimization.diagnostics import BOUND
 from drake_nonstop.optimization.horizon_problem import (
     HorizonConfig,
     HorizonProblem,
     references_at,
 )
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
+from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.separation import Separation, SeparationConstraint
 
@@ -53,6 +55,18 @@ def problem_of(name, **fields):
 
 def limited(name):
     return problem_of(name, max_speed=2.0, min_tension=1.5, max_tension=6.0, min_separation=0.5)
+
+
+@pytest.mark.parametrize(
+    "limit", limits_of(Of.SPEED, Of.TENSION, Of.SEPARATION), ids=lambda row: row.name
+)
+def test_what_is_missed_has_the_name_of_its_row(limit):
+    for beyond, names in ((True, {limit.name}), (False, set())):
+        value = 100.0 if limit.is_least == beyond else 0.01
+        problem = problem_of("cycle-4", **{limit.field: value})
+        data = problem.data(0.0, 0.0, Motion(2).reference, 0.4)
+        margins = problem.margins(data, problem.nominal_coefficients())
+        assert problem.missed(margins, 1e-3) - {BOUND} == names
 
 
 def drawn_coefficients(problem, seed):
@@ -234,9 +248,9 @@ def test_the_terminal_set_keeps_the_limits_at_all_phases(name):
     assert terminal.amplitude_margins[k, j] == pytest.approx(margin, abs=2e-3)
 
 
-def best_plan(problem, reference, bound, **options):
+def best_plan(problem, reference, bound):
     data = problem.data(0.0, 0.0, reference, bound)
-    solver = HorizonSolver(problem, **options)
+    solver = HorizonSolver(problem)
     return data, solver.solve(data, solver.first_guess(data), max_iterations=30)
 
 

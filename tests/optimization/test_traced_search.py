@@ -4,7 +4,7 @@ import ctypes
 
 import numpy as np
 import pytest
-from nonstop_cases import moving, update_data, update_solver
+from nonstop_cases import AT_REST, moving, update_data, update_solver
 
 from drake_nonstop.benchmarks.instances import draw_instances, make_solvers
 from drake_nonstop.optimization.diagnostics import Outcome
@@ -67,9 +67,10 @@ def test_drawn_updates_of_a_system_have_the_same_answers():
     solver, rng = update_solver(**TOGETHER), np.random.default_rng(7)
     bounds = rng.uniform(0.3, 3.0, 60)
     updates = [update_data(moving(k), bound, updates=solver) for k, bound in enumerate(bounds)]
-    # From slow parameters, which an anchor as strong brings farther than the bound does.
-    slow = np.array([[1.0, 0.6], [1.2, 0.8], [1.1, 0.9], [0.8, 0.6]])
-    updates += [update_data(moving(k), 0.6, x, solver) for k, x in enumerate(slow)]
+    # From slow and fast parameters at rest, where alone there is an anchor: it leads back as far as
+    # the bound or the cost allow.
+    away = np.array([[1.0, 0.6], [1.2, 0.8], [1.1, 0.9], [0.8, 0.6], [3.0, 1.6], [2.4, 1.5]])
+    updates += [update_data(AT_REST, 0.6, x, solver) for x in away]
     assert_same_answers([(solver, data) for data in updates], 20)
 
 

@@ -13,6 +13,7 @@ from nonstop_cases import (
 
 from drake_nonstop.optimization import update_problem
 from drake_nonstop.optimization.diagnostics import Outcome
+from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.systems.tracing import NotFiniteError
 
 
@@ -83,3 +84,13 @@ def test_a_cable_without_tension_is_an_error_for_few_speeds_and_for_many(fewest,
     inputs["wrench"] = inputs["wrench_rate"] = np.zeros(6)
     with pytest.raises(NotFiniteError, match="optimization_layer made"):
         update_solver().solve(update_data(inputs, 0.5, previous=np.array([2.0, 0.0])))
+
+
+@pytest.mark.parametrize(
+    "limit", limits_of(Of.SPEED, Of.TENSION, Of.SEPARATION), ids=lambda row: row.name
+)
+def test_what_is_missed_has_the_name_of_its_row(limit):
+    data = update_data(AT_REST, 0.0)
+    for beyond, names in ((True, [limit.name]), (False, [])):
+        value = 100.0 if limit.is_least == beyond else 0.01
+        assert update_solver(**{limit.field: value}).problem(data).missed_kinds(START) == names

@@ -53,7 +53,7 @@ def test_a_comment_on_several_fields_stands_in_lines_of_its_own():
     text = commented("quintic")
     limits = " ".join(text.split("  limits:\n")[1].split("\n\n  # ")[0].replace("#", "").split())
     assert limits.startswith("Beyond one of these the outcome is not ok. The reach is the distance")
-    assert "plus the length of a cable. of the reach; a load farther" in limits
+    assert "deg) from its reference. carrier_distance: 0.05 of the reach; two" in limits
     assert (
         "    # Beyond one of these the model is not plausible, which is warned about.\n\n" in text
     )

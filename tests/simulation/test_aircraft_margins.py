@@ -2,13 +2,14 @@
 
 import dataclasses
 import math
+import warnings
 
 import numpy as np
 import pytest
-from helpers import regular
+from helpers import nightly_beyond, regular
 
 from drake_nonstop.mechanics.aircraft import drag_coefficient, stall_speed
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, AircraftState, LoadReference
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
@@ -221,7 +222,67 @@ def test_the_table_has_a_line_for_each_margin():
     lines = margins_table(result).splitlines()
     assert all(any(m.name in line for line in lines) for m in result.margins)
     assert stall_speed(model(F150, 150.0).aircraft) == result.stall_speed
-    assert margins_dictionary(result)["is_flyable"]
+    told = margins_dictionary(result)
+    assert told["is_flyable"]
+    table, ranges = "\n".join(lines), told["ranges"]
+    # C_L / C_Lmax is 0.56; some of the force across the flight is the thrust's.
+    assert "1.62 of the stall speed, and 1.33 of that with cable and bank" in table
+    assert ranges["airspeed_over_loaded_stall"][0] == pytest.approx(1 / math.sqrt(0.56), rel=0.01)
+    used = result.needs.thrust / result.thrust_limits[1]
+    assert ranges["thrust_share"] == pytest.approx([used.min(), used.max()])
+    assert "13 to 70 % of the largest" in table
+
+
+def test_what_straight_cables_leave_out_is_told():
+    cables = margins(model(F150, 150.0), 0.595).ranges.cables
+    assert 5.6 < cables.bow < 11  # 5.6 m at 15.3 m/s and 25 N
+    assert cables.shortening[0] < 0.6 < cables.shortening[1]
+    assert cables.load_width == pytest.approx(3.0)
+    assert cables.mass == pytest.approx(0.11, abs=0.005)
+    assert "differently, more than a hundredth of the load's width (0.03 m)" in cables.warning
+    thin = dataclasses.replace(RASCAL, cable_diameter=1e-4)
+    assert not margins(model(F150, 150.0, thin), 0.595).ranges.cables.warning
+    alike = margins(model(R60, 60.0), 0.4, yaw_rate=0.4).ranges.cables  # on level circles
+    assert alike.shortening[1] > 0.03 > 1e-3 > alike.difference
+    assert not alike.warning
+    in_wind = margins(model(R60, 60.0), 0.4, yaw_rate=0.4, wind=(5.0, 0.0, 0.0)).ranges.cables
+    assert in_wind.difference > 0.01
+
+
+# Of the plant only: at rest, in wind, beside a load that turns, and with other carriers.
+OTHER_PLANTS = [
+    ("aircraft_rest", ["simulated.load_mass=8"]),
+    ("aircraft_rest", ["simulated.load_mass=14"]),
+    ("aircraft_rest", ["simulated.load_mass=8", "wind=!SteadyWind {velocity: [2, 0, 0]}"]),
+    ("aircraft_rest", ["simulated.aircraft={mass: 6.6, zero_lift_drag: 0.04, max_lift: 1.3}"]),
+    ("aircraft_rest", ["simulated={load_drag: 1.0, cable_stiffness: 80.0, cable_length: 150.3}"]),
+    ("aircraft_three", ["simulated.load_mass=8"]),
+    ("aircraft_co_rotating", ["simulated.load_mass=8"]),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"), nightly_beyond(2, "flights", OTHER_PLANTS), ids=lambda value: str(value)
+)
+def test_the_needs_of_another_plant_are_those_that_are_flown(name, overrides):
+    """In the second turn; C_L, airspeed and bank within 4 %, thrust within 3 % of its range."""
+    scenario = load_scenario(name, overrides)
+    expected = aircraft_margins.aircraft_margins(scenario)
+    scenario.simulation_duration = 2 * expected.turn
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ScenarioWarning)  # all of them can be flown
+        run = simulate(scenario, check_step=StepCheck.NOTHING, engine="compiled")
+    state = AircraftState.view(run.signal("aircraft_state")[run.time > expected.turn])
+    needs = expected.needs
+    for told, flown, share in (
+        (needs.lift, state.lift, 0.04),
+        (needs.airspeed, state.airspeed, 0.04),
+        (np.abs(needs.bank), np.abs(state.bank), 0.04),
+        (needs.thrust, state.thrust, 0.03),
+    ):
+        size = np.max(expected.thrust_limits[1]) if told is needs.thrust else np.max(told)
+        for end in (np.min, np.max):
+            assert end(told) == pytest.approx(end(flown), abs=share * size)
 
 
 def test_a_run_warns_of_what_is_missed_before_it_flies():

@@ -9,6 +9,8 @@ from aircraft_runs import FREQUENCY, aircraft_run
 from drake_nonstop import load_scenario
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.mechanics.signals import AircraftState
+from drake_nonstop.optimization.diagnostics import missed_layout
+from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
@@ -73,12 +75,22 @@ def test_extremes_are_those_of_the_steps(run):
     assert aircraft["bank_max_rad"] == 0.8
     assert aircraft["airspeed_min_m_s"] == 9.0
     assert (aircraft["thrust_min_N"], aircraft["thrust_max_N"]) == (-9.0, 44.0)
+    shares = [force / (58 - 1.45 * state.airspeed[k, 0]) for k, force in ((400, -9), (500, 44))]
+    assert [aircraft["thrust_share_min"], aircraft["thrust_share_max"]] == pytest.approx(shares)
+    # What is carried at the instant of C_L = 1.33 is 1.33 / 1.4 of what stalls, and what T lifts.
+    lifted = state.thrust[100, 1] * np.sin((1.33 - 0.25) / 5) / (1.225 / 2 * 0.98)
+    carried = 1.33 + lifted / state.airspeed[100, 1] ** 2
+    ratio = aircraft["airspeed_over_loaded_stall_min"]
+    assert ratio == pytest.approx(np.sqrt(1.4 / carried))
 
 
 def test_the_bound_is_that_of_the_airspeed_and_missed_limits_are_counted():
     run = aircraft_run(TURN, wind=(2.0, 0.0, 0.0))
     run.scenario.optimization_layer = ConstantParametersConfig(speed_bound="1.45 V_s")
-    run.steps["missed_limits"] = np.cumsum(np.tile([0.0, 1, 0, 2, 0], (len(run.time), 1)), axis=0)
+    counts = np.cumsum(np.tile([0.0, 1, 2], (len(run.time), 1)), axis=0)
+    name = "optimization_layer.missed_limits"
+    layout = missed_layout(["airspeed", "lift", "climb"])
+    run.signals[name], run.entries[name] = counts, layout.entries("missed_limits", 3)
     metrics = compute_metrics(run)
     least = metrics["aircraft"]["airspeed_min_m_s"]
     bound = 1.45 * np.sqrt(2 * 6 * 9.81 / (1.225 * 0.98 * 1.4))
@@ -91,9 +103,9 @@ def test_the_bound_is_that_of_the_airspeed_and_missed_limits_are_counted():
     assert counts == {
         "airspeed": 0,
         "lift": len(run.time),
-        "bank": 0,
+        "bank": None,
         "climb": 2 * len(run.time),
-        "thrust": 0,
+        "thrust": None,
     }
 
 
@@ -118,8 +130,9 @@ def test_the_table_of_a_run_has_lines_of_aircraft():
     lines = metrics_table(compute_metrics(aircraft_run(11.0))).splitlines()
     assert lines[-3:] == [
         "aircraft                up to 0.561 of the largest lift, airspeed from 13.6 m/s "
-        "(1.62 x stall), bank up to 33.2 deg",
-        "thrust                  4.68 to 23.2 N, commands saturated for 0 % of the time",
+        "(1.62 x stall, 1.33 x stall with cable and bank), bank up to 33.2 deg",
+        "thrust                  4.68 to 23.2 N (13 to 70 % of the largest), commands saturated "
+        "for 0 % of the time",
         "power of an aircraft    225 W of thrust",
     ]
 
@@ -135,7 +148,7 @@ def test_runs_without_aircraft_have_no_such_group(run):
 
 
 def test_the_figure_shows_each_aircraft_with_its_limits(run):
-    assert figure_names(run) == list(FIGURE_NAMES)
+    assert figure_names(run) == [name for name in FIGURE_NAMES if name != "limits"]
     figure = make_figure(run, "aircraft")
     lift, bank, thrust, airspeed = figure.axes
     state = AircraftState.view(run.steps["aircraft_state"])
@@ -151,6 +164,21 @@ def test_the_figure_shows_each_aircraft_with_its_limits(run):
     np.testing.assert_allclose(least, -0.034 * state.airspeed[:, 0] ** 2)
     np.testing.assert_allclose(most, 58 - 1.45 * state.airspeed[:, 0])
     assert [len(axes.lines) for axes in figure.axes] == [5, 4, 12, 5]  # stalls and limits
+
+
+def test_the_figure_of_limits_has_a_panel_for_each_that_is_asked_for(run):
+    layer = LimitsConfig(max_bank=0.6, max_speed=30.0, min_separation=20.0)
+    run.scenario.optimization_layer = layer
+    assert figure_names(run) == list(FIGURE_NAMES)
+    panels = make_figure(run, "limits").axes
+    assert [axes.get_ylabel() for axes in panels] == [
+        *("carrier speed (m/s)", "carriers apart (m)", "bank (rad)")
+    ]
+    assert [len(axes.lines) for axes in panels] == [4 + 1, 6 + 1, 4 + 1]
+    for axes, limit in zip(panels, (30.0, 20.0, 0.6), strict=True):
+        assert axes.lines[-1].get_ydata()[0] == limit
+    run.scenario.system.aircraft = None
+    assert len(make_figure(run, "limits").axes) == 2
 
 
 def test_a_flown_run_has_what_is_shown_and_no_carrier_forces():

@@ -61,6 +61,7 @@ KEYS = {
     },
     "cables": {"tension_min_N", "tension_max_N", "slack_time_s", "separation_min_m"},
     "optimizer": {
+        "missed_limits",
         "updates",
         "kept",
         "solved",

@@ -262,7 +262,7 @@ def test_what_counts_as_moved():
     assert moved_metrics(metrics, {**metrics, "wall_s": 1e3, "simulator": {"step_s": 1.0}}) == []
     for metric in METRICS:
         is_told = metric.value(metrics) is not None
-        # A governor, and a layer whose tightening is "auto".
-        more = ("reference_delay", "predicted_speed_margin")
+        # A governor, a layer whose tightening is "auto", and limits that it is asked for.
+        more = ("reference_delay", "predicted_speed_margin", "missed_limits")
         needs_more = metric.needs_aircraft or any(name in metric.path for name in more)
         assert is_told or needs_more or "solve" in metric.path

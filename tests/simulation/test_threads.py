@@ -1,20 +1,55 @@
 """Threads that fly one loop, each with a context of its own, do not disturb each other."""
 
-import os
 import sys
 import threading
 
-import numpy as np
 import pytest
 from helpers import nightly_beyond
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
-from drake_nonstop import load_scenario, make_nonstop, set_equilibrium
+from drake_nonstop import CompiledLoop, load_scenario, make_nonstop, set_parameter
 
-TRIES = int(os.environ.get("THREAD_TRIES", "1"))
-THREADS = 3
-DURATION = 0.06  # s, of each flight
-LOW = "optimization_layer.amplitude=0.6"  # too low for the bound: every update, or plan, is solved
+THREADS = 4
+ONE_SAMPLE = "optimization_layer=NonstopOptimizer"
+LOW = "optimization_layer.amplitude=0.6"  # too low for the bound: every update is solved
+BOUND = "optimization_layer.speed_bound"
+BOUNDS = BOUND, [0.5, 0.55, 0.6, 0.65]  # m/s
+# Of each flight the scenario, its overrides, its duration in s, and what differs from thread to
+# thread.
+FLIGHTS = {
+    "horizon": ("quintic", [], 0.4, BOUNDS),
+    "horizon of aircraft": (
+        "aircraft_transfer_rising_wind",
+        [],
+        0.04,
+        (BOUND, [11.0, 13.4, 13.6, 14.0]),
+    ),
+    "search": ("quintic", [ONE_SAMPLE, LOW], 0.05, BOUNDS),
+    "snopt": (
+        "quintic",
+        [ONE_SAMPLE, LOW, "optimization_layer.solver=snopt"],
+        0.05,
+        BOUNDS,
+    ),
+    "governed": (
+        "quintic",
+        [ONE_SAMPLE, "load_trajectory.move_time=3", "reference_governor={}"],
+        0.05,
+        BOUNDS,
+    ),
+    "turn rate": (
+        "aircraft_co_rotating_rising_wind",
+        ["optimization_layer.max_frequency_rate=1"],
+        0.08,
+        (BOUND, [15.0, 15.5, 16.0, 16.5]),
+    ),
+    "constant": (
+        "quintic",
+        ["optimization_layer=ConstantParameters"],
+        0.05,
+        ("optimization_layer.frequency", [2.0, 2.1, 2.2, 2.3]),
+    ),
+}
 
 
 @pytest.fixture
@@ -26,52 +61,65 @@ def impatient():
     sys.setswitchinterval(interval)
 
 
-def flown(config, loop, start):
-    """The states, but for wall times, after a flight from the start on; an error's text."""
+def by_diagram(scenario, diagram, duration):
+    """Flies a context by Drake's Simulator."""
+
+    def fly(context):
+        simulator = Simulator(diagram, context.Clone())
+        ApplySimulatorConfig(scenario.simulator_config, simulator)
+        simulator.AdvanceTo(duration)
+        ports = [diagram.get_output_port(k) for k in range(diagram.num_output_ports())]
+        end = simulator.get_context()
+        return {port.get_name(): port.Eval(end) for port in ports}
+
+    return fly
+
+
+def by_compiled_loop(scenario, diagram, duration):
+    """Flies a context by the compiled loop."""
+    period = scenario.control_period
+    samples = round(duration / period)
+    loop = CompiledLoop(diagram, scenario.simulator_config, period, samples=samples)
+    return lambda context: loop.run(context, duration)[1]
+
+
+def signals_of(fly, context):
+    """The signals of a flight but for wall times; an error's text."""
     try:
-        simulator = Simulator(loop, start.Clone())
-        ApplySimulatorConfig(config.simulator_config, simulator)
-        simulator.AdvanceTo(start.get_time() + DURATION)
+        signals = fly(context)
     except Exception as error:
         return repr(error)
-    end = simulator.get_context()
-    groups = [end.get_discrete_state(i) for i in range(end.num_discrete_state_groups())]
-    parts = [group.CopyToVector() for group in groups if group.size() != 1]
-    return np.concatenate([end.get_continuous_state_vector().CopyToVector(), *parts]).tobytes()
+    return {
+        name: values.tobytes()
+        for name, values in signals.items()
+        if name != "solve_time" and hasattr(values, "tobytes")
+    }
 
 
 @pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize(
-    "overrides",
-    nightly_beyond(
-        1,
-        "engines",
-        [
-            ["optimization_layer=NonstopOptimizer", LOW, "optimization_layer.solver=snopt"],
-            [LOW],
-            [],
-        ],
-    ),
-    ids=lambda overrides: ", ".join(overrides) or "default",
-)
-def test_flights_in_threads_are_those_one_after_the_other_to_the_bit(overrides):
-    config = load_scenario("quintic", overrides)
-    loop = make_nonstop(config)
-    starts = [loop.CreateDefaultContext() for _ in range(THREADS)]
-    for k, start in enumerate(starts):
-        set_equilibrium(loop, start)
-        start.SetTime(0.05 * k)
-    expected = [flown(config, loop, start) for start in starts]
-    assert len({*expected}) == THREADS
-    for _ in range(TRIES):
-        results = [""] * THREADS
+@pytest.mark.parametrize("tries", nightly_beyond(1, "engines", [1, 100]))
+@pytest.mark.parametrize("engine", [by_compiled_loop, by_diagram])
+@pytest.mark.parametrize("flight", FLIGHTS)
+def test_flights_in_threads_are_those_one_after_the_other_to_the_bit(flight, engine, tries):
+    name, overrides, duration, (path, values) = FLIGHTS[flight]
+    scenario = load_scenario(name, overrides)
+    diagram = make_nonstop(scenario)
+    starts = [diagram.CreateDefaultContext() for _ in range(THREADS)]
+    for start, value in zip(starts, values, strict=True):
+        set_parameter(diagram, start, path, value)
+    fly = engine(scenario, diagram, duration)
+    expected = [signals_of(fly, start) for start in starts]
+    assert all(isinstance(signals, dict) for signals in expected), expected
+    assert len({signals["parameters"] for signals in expected}) == THREADS
+    for _ in range(tries):
+        found = [{}] * THREADS
 
-        def fly(k, results=results):
-            results[k] = flown(config, loop, starts[k])
+        def fly_one(k, found=found):
+            found[k] = signals_of(fly, starts[k])
 
-        threads = [threading.Thread(target=fly, args=(k,)) for k in range(THREADS)]
+        threads = [threading.Thread(target=fly_one, args=(k,)) for k in range(THREADS)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        assert results == expected
+        assert found == expected

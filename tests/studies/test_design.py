@@ -7,7 +7,9 @@ import re
 import drawn_designs
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
+from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.simulation.aircraft_margins import aircraft_margins
 from drake_nonstop.studies import design as module
@@ -164,9 +166,21 @@ def test_it_flies_its_way_within_what_is_printed(windy):
 def test_what_is_printed_and_drawn(windy):
     table = design_table(windy)
     lines = table.splitlines()
-    assert len(lines) == 7
+    assert len(lines) == 10
     assert len(re.findall("breaks first at wind", table)) == 3
+    assert len(re.findall("real cables bow by up to ", table)) == 3
+    (first, *others), thick = windy.formations, windy.formations[0].cables._replace(difference=1.0)
+    first = dataclasses.replace(first, cables=thick)
+    warned = design_table(dataclasses.replace(windy, formations=(first, *others)))
+    start = f"{first.scenario.name}: cables are simulated as straight: "
+    assert next(line for line in warned.splitlines() if "straight" in line).startswith(start)
     found = design_dictionary(windy)
+    for formation, told in zip(windy.formations, found["formations"], strict=True):
+        resting = aircraft_margins(formation.scenario).ranges  # the way asks for more
+        assert 1 < told["airspeed_over_loaded_stall_min"] <= resting.over_loaded_stall[0] + 1e-3
+        assert resting.thrust_share[1] - 1e-3 <= told["thrust_share_max"] < 1
+        assert told["thrust_share_min"] <= resting.thrust_share[0] + 1e-3
+        assert told["cables"] == resting.cables.dictionary
     assert found["is_feasible"] is True
     assert found["formations"][0]["power_drawn_W"] == windy.formations[0].power
     energy = 4 * windy.formations[0].flight.power / (3.6 * 10.0 * 1.25 / 2.1875)
@@ -308,7 +322,10 @@ def test_drawn_requests_are_within_their_ranges():
         ("load_inertia=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "positive definite"),
         ("carriers=[]", "request.carriers = []: give numbers of carriers, such as [3, 4]"),
         ("kinds=[flat]", "request.kinds"),
-        ("load_mass=-1", "request.load_mass = -1.0: give a finite number greater than zero"),
+        ("load_mass=-1", "request.load_mass = -1.0: give 0.001 to 100000 kg"),
+        ("load_radius=1e4", "request.load_radius = 10000.0: give 0.001 to 1000 m"),
+        ("wind=[0, 1e3, 0]", "request.wind = [0.0, 1000.0, 0.0]: give 0 to 100 m/s"),
+        ("load_drag=.nan", "request.load_drag = .nan: give a finite number"),
         ("load_mass=heavy", "request.load_mass = heavy: give a number"),
         ("cable_length=[90, 60]", "request.cable_length = [90.0, 60.0]: give the least and"),
         ("lift_share=0.95", "request.lift_share = 0.95: give a number above 0 and below 0.9"),
@@ -325,6 +342,58 @@ def test_drawn_requests_are_within_their_ranges():
 def test_a_request_that_cannot_be_used_is_refused_in_a_sentence(change, sentence):
     with pytest.raises(ScenarioError, match=re.escape(sentence)):
         read_request(None, [change])
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_limit_of_aircraft_that_is_asked_for_is_missed_beyond_it(windy, kept):
+    formation = windy.formations[0]
+    for limit in limits_of(Of.FLIGHT):
+        free = module.design_task(windy.request, 4)
+        at = dataclasses.replace(free, limits=free.limits._replace(asked=((limit, 1.0),)))
+        (flown,) = flight_of(at, "co_rotating", formation.variables).asked
+        value = flown * (1.001 if kept else 0.999)
+        if value > limit.largest:
+            continue
+        request = dataclasses.replace(windy.request, **{limit.field: value})
+        task = module.design_task(request, 4)
+        flight = flight_of(task, "co_rotating", formation.variables)
+        missed = [each.text for each in module.missed_limits(task, flight)]
+        assert any(text.startswith(limit.words) for text in missed) == (not kept)
+
+
+ODD = [
+    ["carriers=[4]", "kinds=[co_rotating]", "starts=1", "cable_length=[5000, 5000]", "speed=0"],
+    ["carriers=[4]", "kinds=[co_rotating]", "starts=1", "wind=[0, 0, 3]", "speed=0"],
+    *map(drawn_designs.draw_odd, range(60)),
+]
+
+
+@pytest.mark.parametrize("changes", nightly_beyond(2, "studies", ODD))
+@pytest.mark.usefixtures("unflown")
+def test_odd_requests_have_formations_or_a_reason_for_none(changes):
+    refusal = ""
+    try:
+        request = read_request(None, changes)
+        module._require_buildable(request)
+    except ScenarioError as error:
+        refusal = str(error)
+    if refusal:
+        assert re.fullmatch(r"request(\.[a-z_.]+(\[\d\])?)?(: | = ).*", refusal)
+    else:
+        found = found_for(changes, *request.kinds)
+        assert found.formations or found.refusals
+        assert found.verdict
+
+
+def test_what_cannot_be_judged_of_a_formation_is_its_refusal(unflown, monkeypatch):
+    def refuse(*_, **__):
+        raise ScenarioError("fastest mode = 894 rad/s: give softer cables")
+
+    monkeypatch.setattr(module, "find_formation", refuse)
+    found = found_for(["carriers=[3]", "cable_length=[60, 60]", "starts=1", "speed=0"])
+    assert {refusal.fault for refusal in found.refusals} == {
+        "it cannot be judged: fastest mode = 894 rad/s: give softer cables"
+    }
 
 
 def test_a_load_that_no_loop_flies_is_refused_before_the_search():

@@ -294,7 +294,7 @@ def test_a_variant_whose_files_are_gone_is_run_again(tmp_path, scenario):
 
 def stable(resting, override, value):
     """What is measured of a loop, without that loop."""
-    return [0.9, -0.1]
+    return [0.9, -0.1, None]
 
 
 @pytest.mark.nightly("processes")

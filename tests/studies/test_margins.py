@@ -1,11 +1,15 @@
 """The margins of the loop's stability, by the command."""
 
+import functools
 import json
 
 from PIL import Image
 
+from drake_nonstop.cli import stability as command
+from drake_nonstop.cli.exit_codes import BAD_INPUT
 from drake_nonstop.cli.main import main
 from drake_nonstop.studies import margins
+from drake_nonstop.validation import ScenarioError
 
 
 def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch):
@@ -13,7 +17,7 @@ def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch)
 
     def few(scenario):
         mass, _, _, delay, _ = axes(scenario)
-        mass.values, delay.values = [0.2, 0.8], [0.02, 0.03]
+        mass.values, delay.values = [-1.0, 0.2, 0.8], [0.02, 0.03, 1e9]
         return [mass, delay]
 
     monkeypatch.setattr(margins, "_axes", few)
@@ -22,9 +26,15 @@ def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch)
     assert main(arguments) == 0
     shown = capsys.readouterr().out
     assert "stable" in shown.splitlines()[0]
+    refusal = "is refused: simulated.carrier_mass = -1.0: "
+    assert any(line.strip().startswith(f"-1 {refusal}") for line in shown.splitlines())
+    assert "stable from 0 to 0.02, below that not tried" in shown
     report = json.loads((tmp_path / "stability.json").read_text())
     assert report["largest_multiplier"] < 1.0001
     mass, delay = report["margins"]
+    assert [*mass["refused"]] == ["-1.0"]
+    assert mass["refused"]["-1.0"].startswith("simulated.carrier_mass = -1.0: ")
+    assert [*delay["refused"]] == ["1000000000.0"]
     assert mass["nominal"] == 0.1
     assert mass["low"] is None
     assert 0.2 <= mass["high"] < 0.8
@@ -33,3 +43,20 @@ def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch)
     assert delay["high"] == 0.02
     with Image.open(tmp_path / "stability.png") as picture:
         assert picture.width > 500
+
+
+def test_the_loop_as_it_is_comes_before_what_is_changed(tmp_path, capsys, monkeypatch):
+    def interrupted(*given, **options):
+        raise ScenarioError(f"first: {capsys.readouterr().out}")
+
+    monkeypatch.setattr(command, "find_margins", interrupted)
+    assert main(["stability", "quintic", "--out", str(tmp_path)]) == BAD_INPUT
+    assert "first: largest multiplier " in capsys.readouterr().err
+
+
+def test_ranges_say_what_lies_beyond_them():
+    tried = {"name": "mass", "unit": "kg", "nominal": 1.0, "largest": [], "rates": []}
+    range_ = functools.partial(margins.Margin, **tried, values=[0.5, 1.0, 2.0], low=None, high=None)
+    text = "stable from 0.5 to 2, below that not tried, above that refused"
+    assert command._stable_range(range_(refused={4.0: "why"})) == text
+    assert command._stable_range(range_(refused={1.0: "why"})) == "refused here"

@@ -41,9 +41,11 @@ def test_matrices_are_interpolated_and_multiplied(rng):
 
 
 WEAK = ["carrier_controller.velocity_gain=0.05"]
+FINE = ["simulator_config.max_step_size=0.0004"]  # 25 steps in a sample
 HEAVY = ["cables=IndividualCables", "simulated.load_mass=1.1"]
 CASES = [
     ("quintic", HEAVY, True, 3),
+    ("three_carriers", FINE, True, 3),
     ("three_carriers", [], True, 15),
     ("three_carriers", WEAK, None, 15),
     ("quintic", HEAVY, True, 15),
@@ -59,7 +61,7 @@ def test_exact_maps_are_those_of_differences(name, overrides, is_stable, phases,
     assert is_stable in (None, stability.linearize(scenario).is_stable)
     monkeypatch.setattr(stability, "_PHASES", phases)
     exact = stability.linearize(scenario)
-    monkeypatch.setattr(stability, "reason_against", lambda *loop: "it is not to be compiled")
+    monkeypatch.setattr(stability, "reason_against", lambda *_, **__: "it is not to be compiled")
     differenced = stability.linearize(scenario)
     assert exact.is_stable == differenced.is_stable
     assert exact.rate == pytest.approx(differenced.rate, rel=1e-6, abs=1e-7)
@@ -67,6 +69,12 @@ def test_exact_maps_are_those_of_differences(name, overrides, is_stable, phases,
     np.testing.assert_allclose(ours, others, rtol=1e-5, atol=1e-6)
     for name, share in differenced.shares.items():
         assert exact.shares[name] == pytest.approx(share, abs=1e-4)
+
+
+def test_maps_are_exact_however_many_steps_a_sample_has(monkeypatch):
+    monkeypatch.setattr(stability, "_DifferencedMaps", lambda *_: None)
+    monkeypatch.setattr(stability, "_PHASES", 1)
+    assert stability.linearize(load_scenario("three_carriers", FINE)).period > 0
 
 
 class LateFeedback(LeafBlock):

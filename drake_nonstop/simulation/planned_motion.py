@@ -1,0 +1,185 @@
+"""Where carriers and cables are along a task's plan, and how the cables pull there."""
+
+import contextlib
+import dataclasses
+import math
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.model.pattern import SpreadCarouselConfig
+from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.optimization.plan import Plan
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.formation import held_forces
+from drake_nonstop.simulation.outcome import find_collisions
+from drake_nonstop.simulation.separations import Spacing, closest_cables, closest_carriers
+from drake_nonstop.simulation.task import Task
+from drake_nonstop.validation import ScenarioError
+
+_SPREADS = (1.2, 2.0, 3.0)  # of the nominal A
+_AMPLITUDES = (0.8, 0.6, 0.4)  # likewise
+_PER_TURN = 64  # instants: between them an arc is 1/800 of its radius from its chord
+
+
+class LeastLoad(NamedTuple):
+    """The cable that carries least of the weight along a plan."""
+
+    time: float  # s
+    cable: int  # from 1 on
+    share: float  # of an equal share of the weight; negative: the cable would have to push
+    elevation: float  # rad, of its force on the load above the horizontal
+    tension: float  # N
+
+    @property
+    def pulls_up(self) -> bool:
+        """Whether the cable pulls at the load, and need not push."""
+        return self.share > 0
+
+    @property
+    def text(self) -> str:
+        """Which cable it is, when, and how it pulls."""
+        side = "above" if self.elevation > 0 else "below"
+        return (
+            f"cable {self.cable} carries {self.share:.2g} of an equal share of the weight at "
+            f"t = {self.time:.2f} s, {abs(math.degrees(self.elevation)):.1f} deg {side} the "
+            f"horizontal with {self.tension:.3g} N"
+        )
+
+
+class PlannedMotion(Spacing):
+    """The motion of a task's carriers that follow its plan exactly, with the simulated masses.
+
+    Args:
+        scenario: of the task.
+        task: what is flown.
+        plan: of ξ and A; None: the nominal ones are flown.
+
+    Attributes:
+        times: of the instants (k,), s; between two of them all move along straight lines.
+    """
+
+    def __init__(self, scenario: Scenario, task: Task, plan: Plan | None = None):
+        self.scenario, self._model = scenario, task.flown
+        pattern = task.flown.pattern
+        fastest = task.limits.frequency * (1 if plan is None else plan.coefficients[0].max())
+        turns = task.duration * fastest / (2 * math.pi)
+        self.times = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
+        angles, parameters = times * task.limits.frequency, np.tile(task.nominal, (len(times), 1))
+        if plan is not None:
+            planned = np.array([plan.values(time) for time in times])
+            angles, parameters = planned[:, 0], planned[:, 1:3]
+        references = np.array([task.reference(time) for time in times])
+        winds = [task.wind_at(time) for time in times]
+        held = map(partial(held_forces, self._model), references, winds)
+        without_waves, R_LW = map(np.array, zip(*held, strict=True))
+        values, _ = internal_force(
+            parameters, angles[:, None], phases=pattern.phases, orders=pattern.orders
+        )
+        forces = without_waves + values @ pattern.basis.T
+        self._forces = forces.reshape(len(times), -1, 3) @ R_LW  # (k, n, 3), N, in W
+        self._centres = LoadReference.view(references).position[:, None]
+        self._levers = self._model.attachments @ R_LW
+
+    @property
+    def system(self) -> SystemParameters:
+        """The simulated load, cables and carriers."""
+        return self._model.system
+
+    @cached_property
+    def attachment_positions(self) -> NDArray:
+        """Where the cables are attached to the load, (k, n, 3), in W, m."""
+        return self._centres + self._levers
+
+    @cached_property
+    def carrier_positions(self) -> NDArray:
+        """(k, n, 3), in W, m."""
+        model = self._model
+        tensions = np.linalg.norm(self._forces, axis=-1, keepdims=True)
+        lengths = model.cable_length + model.cable_compliance * tensions
+        return self.attachment_positions + lengths * self._forces / tensions
+
+    @cached_property
+    def collisions(self) -> list[str]:
+        """As of `find_collisions`."""
+        return find_collisions(self)
+
+    @property
+    def is_flyable(self) -> bool:
+        """Whether nothing collides, and all cables pull."""
+        return not self.collisions and self.least_load.pulls_up
+
+    @cached_property
+    def least_load(self) -> LeastLoad:
+        """That of all cables, at any time."""
+        vertical = self._forces[..., 2]
+        instant, cable = np.unravel_index(np.argmin(vertical), vertical.shape)
+        force, model = self._forces[instant, cable], self._model
+        return LeastLoad(
+            time=float(self.times[instant]),
+            cable=int(cable) + 1,
+            share=float(force[2] * model.n / (model.load_mass * model.gravity)),
+            elevation=math.atan2(force[2], math.hypot(*force[:2])),
+            tension=float(np.linalg.norm(force)),
+        )
+
+    @property
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Of a table: quantity, value, where."""
+        between, apart = self.closest_cables_for_attachments
+        ends, carriers = self.attachment_positions, self.carrier_positions
+        of_carriers, of_cables = (
+            f"t = {self.times[np.argmin(distances)]:.2f} s"
+            for distances in (closest_carriers(carriers), closest_cables(ends, carriers))
+        )
+        return [
+            ("least distance of two carriers", f"{self.carrier_separation:.3g} m", of_carriers),
+            (
+                "least distance of two cables",
+                f"{between:.3g} m",
+                f"{of_cables}, attached {apart:.3g} m apart",
+            ),
+        ]
+
+    @property
+    def dictionary(self) -> dict[str, Any]:
+        """The same for a JSON file; keys end in their units."""
+        between, attachments = self.closest_cables_for_attachments
+        least = self.least_load
+        return {
+            "are_apart": not self.collisions,
+            "collisions": self.collisions,
+            "carriers_min_m": self.carrier_separation,
+            "cables_min_m": between,
+            "attachments_of_these_cables_m": attachments,
+            "least_share": least.share,
+            "least_share_at_s": least.time,
+            "least_share_cable": least.cable,
+            "least_share_elevation_rad": least.elevation,
+            "least_share_tension_N": least.tension,
+        }
+
+
+def find_motion_remedies(scenario: Scenario, task: Task) -> list[str]:
+    """What keeps carriers and cables that meet apart, with nominal ξ and A: each was tried.
+
+    Those are carriers that circle beside each other, and a smaller A.
+    """
+    remedies = []
+    for factor in _SPREADS:
+        config = SpreadCarouselConfig(spread=float(f"{factor * task.limits.amplitude:.3g}"))
+        with contextlib.suppress(ScenarioError):  # a formation that cannot be
+            if PlannedMotion(scenario, task.with_pattern(config)).is_flyable:
+                remedies.append(f"pattern=!SpreadCarousel {{spread: {config.spread:g}}}")
+                break
+    for factor in _AMPLITUDES:
+        amplitude = float(f"{factor * task.limits.amplitude:.3g}")
+        limits = dataclasses.replace(task.limits, amplitude=amplitude)
+        if PlannedMotion(scenario, dataclasses.replace(task, limits=limits)).is_flyable:
+            remedies.append(f"optimization_layer.amplitude={amplitude:g}")
+            break
+    return remedies

@@ -1,0 +1,97 @@
+"""Blocks of a user's own fly the same in both engines, or the compiled one names them."""
+
+import numpy as np
+import pytest
+from drawn_own_blocks import REFUSED, compare
+from helpers import nightly_beyond
+from pydrake.systems.framework import LeafSystem
+
+from drake_nonstop import ScenarioError, ScenarioWarning, StepCheck, load_scenario, simulate
+from drake_nonstop.diagrams.compiled_loop import CompiledLoop
+from drake_nonstop.diagrams.nonstop import make_nonstop
+
+SHOWN_BY_DAY = [
+    4,
+    11,
+    0,
+]  # stepped beside the trace; an event at 0.11 s; a trace of undeclared time
+
+
+@pytest.mark.parametrize(
+    "seed", nightly_beyond(3, "engines", dict.fromkeys([*SHOWN_BY_DAY, *range(112)]))
+)
+def test_drawn_blocks_fly_the_same_or_are_named(seed):
+    difference, told = compare(seed)
+    assert difference < 1e-9, told
+    assert (told == "") == (seed == 4) or seed not in SHOWN_BY_DAY
+    assert told in ("", REFUSED) or told.endswith("the diagram is simulated instead")
+
+
+class Own(LeafSystem):
+    """A layer that is sampled, as it says, with updates of a period and an offset in s."""
+
+    is_sampled = True
+
+    def __init__(self, period, offset):
+        super().__init__()
+        self.DeclareVectorInputPort("reference", 22)
+        self.DeclareStateOutputPort("parameters", self.DeclareDiscreteState([2.0, 1.2]))
+        self.DeclarePeriodicDiscreteUpdateEvent(period, offset, self.update)
+
+    def update(self, context, state):
+        reference = self.GetInputPort("reference").Eval(context)
+        frequency = 2.0 + 0.2 * np.sin(7 * context.get_time()) + reference[10]
+        state.set_value([frequency, 1.2 + 0.1 * reference[4]])
+
+
+def flown(engine, layer):
+    scenario = load_scenario("quintic", ["simulation_duration=0.1"])
+    given = {"optimization_layer": layer, "check_step": StepCheck.NOTHING}
+    return simulate(scenario, engine=engine, **given).signal("parameters")
+
+
+@pytest.mark.parametrize(
+    ("period", "offset", "is_named"),
+    [(0.01, 0.01, False), (0.01, 0.0, True), (0.02, 0.02, True)],
+)
+def test_a_layers_updates_are_at_samples_or_named(period, offset, is_named, recwarn):
+    expected, shown = (flown(e, lambda model: Own(period, offset)) for e in ("diagram", "compiled"))
+    np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-9)
+    told = [str(w.message) for w in recwarn if issubclass(w.category, ScenarioWarning)]
+    named = [text for text in told if f"Own: it updates every {period:g} s" in text]
+    assert len(named) == is_named
+
+
+class Remembering(Own):
+    """With a state in no context, and a publish event that counts: a run of its own begins anew."""
+
+    def __init__(self):
+        super().__init__(0.01, 0.01)
+        self.updates = 0
+        self.DeclarePeriodicPublishEvent(0.05, 0.05, lambda context: None)
+
+    def update(self, context, state):
+        self.updates += 1
+        state.set_value([2.0 + 0.01 * self.updates, 1.2])
+
+
+def test_a_run_that_is_flown_again_is_that_of_new_blocks():
+    expected = flown("diagram", lambda model: Remembering())
+    with pytest.warns(ScenarioWarning, match="Remembering: "):
+        shown = flown("compiled", lambda model: Remembering())
+    np.testing.assert_array_equal(shown, expected)
+
+
+def test_a_compiled_loop_of_ones_own_is_refused_with_the_remedy():
+    """Without `simulate` nothing flies the diagram instead."""
+
+    class Publishing(Own):
+        def __init__(self, model):
+            super().__init__(0.01, 0.01)
+            self.DeclarePeriodicPublishEvent(0.05, 0.05, lambda context: None)
+
+    scenario = load_scenario("quintic")
+    diagram = make_nonstop(scenario, at_equilibrium=False, optimization_layer=Publishing)
+    loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False, samples=1)
+    with pytest.raises(ScenarioError, match=r"^optimization_layer = Publishing: it has a publish"):
+        loop.run(diagram.CreateDefaultContext(), 0.1)

@@ -1,0 +1,93 @@
+"""The check of a task against its runs: what one refuses or misses the other does."""
+
+import pytest
+from helpers import nightly_beyond
+
+from drake_nonstop import ScenarioError, compute_metrics, load_scenario, simulate
+from drake_nonstop.optimization.limits import LIMITS
+from drake_nonstop.simulation.run import StepCheck
+from drake_nonstop.simulation.speed_check import check_speeds
+from drake_nonstop.simulation.task import task_of
+from drake_nonstop.simulation.task_check import check_task, task_dictionary, task_table
+
+# Refused by what the loop is built from, and by what a run is flown with.
+REFUSED = [
+    "optimization_layer.max_speed=0.5",
+    "simulator_config.integration_scheme=euler",
+]
+# Beyond what any plan of so many seconds keeps, and what is within reach.
+MISSED = {
+    "max_tension": (0.5, 2.45, 6.0),
+    "min_tension": (0.5, 20.0, 2.0),
+    "max_speed": (3.0, 0.6, 1.5),
+    "min_separation": (3.0, 1.9, 0.8),
+}
+
+
+def quintic(*overrides, duration=0.5):
+    return load_scenario("quintic", [f"simulation_duration={duration}", *overrides])
+
+
+@pytest.mark.parametrize("override", REFUSED)
+def test_what_a_run_refuses_the_check_refuses_in_the_same_words(override):
+    with pytest.raises(ScenarioError) as of_run:
+        simulate(quintic(override))
+    with pytest.raises(ScenarioError) as of_check:
+        check_task(quintic(override))
+    assert str(of_check.value) == str(of_run.value)
+
+
+@pytest.mark.parametrize("field", nightly_beyond(1, "studies", MISSED))
+def test_a_limit_that_no_plan_keeps_is_not_sound(field):
+    duration, beyond, within = MISSED[field]
+    found = check_task(quintic(f"optimization_layer.{field}={beyond}", duration=duration))
+    assert not found.is_sound
+    assert found.speeds.is_feasible
+    assert found.formation.is_stable
+    (missed,) = found.speeds.missed
+    assert missed.limit.field == field
+    verdict = found.verdicts[-1]
+    assert verdict.startswith(f"optimization_layer.{field} = {beyond:g}: it cannot be kept: ")
+    assert missed.limit.field in task_table(found)
+    assert not task_dictionary(found)["limits"]["are_kept"]
+    # What helps, and a limit that does not bind, are sound.
+    helps = verdict.split("; give ")[1]
+    for override in (helps, f"optimization_layer.{field}={within}"):
+        kept = check_speeds(task_of(quintic(override, duration=duration)))
+        assert (kept.missed, len(kept.limits)) == ((), 1)
+
+
+@pytest.mark.nightly("studies")
+@pytest.mark.parametrize("field", MISSED)
+def test_what_the_check_says_cannot_be_kept_is_missed_in_flight(field):
+    duration, beyond, _ = MISSED[field]
+    scenario = quintic(f"optimization_layer.{field}={beyond}", duration=duration)
+    metrics = compute_metrics(simulate(scenario, check_step=StepCheck.NOTHING))
+    assert metrics["outcome"] == "limit_missed"
+    assert f"optimization_layer.{field}: {beyond:g}" in metrics["reasons"][0]
+
+
+def test_the_plan_has_the_margin_that_is_computed_for_the_loop():
+    limits = task_of(quintic("optimization_layer.tightening=auto")).limits
+    assert (limits.tightening, limits.speed_margin > 0) == ("auto", True)
+
+
+def test_limits_of_aircraft_are_judged_along_the_plan_too():
+    given = ["simulation_duration=3", "optimization_layer.max_bank=0.2"]
+    task = task_of(load_scenario("aircraft_transfer_rising_wind", given))
+    found = check_speeds(task, is_quick=True)
+    assert [each.limit.field for each in found.missed] == ["max_bank"]
+
+
+def test_a_layer_without_a_bound_has_a_plan_where_it_has_limits():
+    without = check_speeds(task_of(quintic("optimization_layer.speed_bound=0")))
+    assert (without.plan, without.limits) == (None, ())
+    limited = ("optimization_layer.speed_bound=0", "optimization_layer.max_speed=0.9")
+    found = check_speeds(task_of(quintic(*limited)))
+    assert found.plan is not None
+    assert not found.missed
+    assert found.limits[0].worst <= 0.9
+
+
+def test_every_limit_of_the_table_is_said_where_it_is_asked_for():
+    assert {limit.field for limit in LIMITS if not limit.is_of_aircraft} == set(MISSED)
