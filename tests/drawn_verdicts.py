@@ -121,7 +121,8 @@ def _tagged(name: str, values: dict[str, Any]) -> str:
 def verdict_of(scenario: Scenario) -> tuple[str, list[str]]:
     """What is said of a task beforehand, and the sentences; a refusal is "cannot".
 
-    Nothing is tried that may help. "Unknown" is what `check` says of loops that it does not know.
+    Nothing is tried that may help. "Unknown" is what `check` says of loops that it does not know,
+    and of aircraft that need more than their limits for a short time.
     """
     try:
         found = check_task(scenario, tries_remedies=False)
@@ -130,7 +131,10 @@ def verdict_of(scenario: Scenario) -> tuple[str, list[str]]:
     said = [*found.verdicts]
     if not found.is_sound:
         return CANNOT, said
-    is_known = scenario.system.aircraft is not None or np.isfinite(found.formation.sampled_growth)
+    if found.flight is not None:
+        is_known = not found.flight.is_in_doubt
+    else:
+        is_known = bool(np.isfinite(found.formation.sampled_growth))
     return SOUND if is_known else UNKNOWN, said
 
 

@@ -58,6 +58,7 @@ class FlightLimits(NamedTuple):
     climb: float = math.radians(30.0)  # rad, up or down; PX4's FW_P_LIM_MAX and FW_P_LIM_MIN
     carrier_distance: float = RunLimits.carrier_distance  # of the reach, see `RunLimits`
     cable_distance: float = RunLimits.cable_distance  # of the distance of two attachments
+    saturated_share: float = RunLimits.saturated_share  # of the time on the way, see `RunLimits`
 
 
 _STILL_AIR = MeanWind(np.zeros(3))
@@ -429,6 +430,7 @@ def flight_limits_of(scenario: Scenario) -> FlightLimits:
         bank=getattr(controller, "max_bank", default.bank),
         carrier_distance=scenario.limits.carrier_distance,
         cable_distance=scenario.limits.cable_distance,
+        saturated_share=scenario.limits.saturated_share,
     )
 
 
@@ -492,6 +494,11 @@ class Quantity(NamedTuple):
     is_upper: bool
     carriers: Sequence[tuple[int, ...]]  # c
 
+    @property
+    def left(self) -> NDArray:
+        """From the values to the limits (k, c); negative beyond them."""
+        return self.limits - self.values if self.is_upper else self.values - self.limits
+
     def worst(self, phases: NDArray) -> FlightMargin:
         """Its least margin at the phases (k,), rad."""
         limits = np.broadcast_to(self.limits, self.values.shape)
@@ -509,8 +516,7 @@ class Quantity(NamedTuple):
     @property
     def worst_place(self) -> tuple[int, int]:
         """The instant and the column of its least margin; of equal ones the first."""
-        left = self.limits - self.values if self.is_upper else self.values - self.limits
-        instant, column = np.unravel_index(np.argmin(left.round(9)), self.values.shape)
+        instant, column = np.unravel_index(np.argmin(self.left.round(9)), self.values.shape)
         return int(instant), int(column)
 
 

@@ -3,6 +3,8 @@
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from drake_nonstop.simulation.aircraft_margins import (
     FlightLimits,
     FlightMargin,
@@ -20,22 +22,34 @@ class FlightOfPlan(NamedTuple):
     margins: tuple[FlightMargin, ...]  # phases are the plan's θ, from 0 to 2π
     times: tuple[float, ...]  # s, of each
     ranges: FlightRanges  # of what they need, and what straight cables leave out
+    missed_share: float  # of the time, in which an aircraft needs more than its limits allow
+    largest_share: float  # up to which that can be flown: `limits.saturated_share` of the run
 
     @property
     def is_flyable(self) -> bool:
-        """Whether all limits are kept."""
-        return all(margin.is_kept for margin in self.margins)
+        """Whether limits are missed no longer than commands may be at them, and without stall."""
+        return self.missed_share <= self.largest_share and self.ranges.lift_share[1] < 1
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether a flight alone tells if the feedback makes up for what is missed."""
+        return self.is_flyable and not all(margin.is_kept for margin in self.margins)
 
     @property
     def verdict(self) -> str:
-        """Whether the aircraft can fly the plan; if not, what is missed, and what to change."""
-        if self.is_flyable:
+        """Whether the aircraft can fly the plan; what is missed, and what to change."""
+        if self.is_flyable and not self.is_in_doubt:
             return "the aircraft can fly the way within all limits"
         missed = ", ".join(
             f"{margin.sentence} at t = {time:.1f} s, carrier {margin.carriers[0]}"
             for margin, time in zip(self.margins, self.times, strict=True)
             if not margin.is_kept
         )
+        if self.is_in_doubt:
+            return (
+                f"the aircraft need more than their limits for {100 * self.missed_share:.2g} % of "
+                f"the time: {missed}; whether feedback makes up for it, a flight alone tells"
+            )
         return (
             f"system.aircraft: they cannot fly the way within their limits: {missed}; give a "
             "slower motion, a reference_governor, or, where they are not given yet, the layer's "
@@ -48,6 +62,7 @@ class FlightOfPlan(NamedTuple):
         return {
             "verdict": self.verdict,
             "is_flyable": self.is_flyable,
+            "missed_share": self.missed_share,
             "margins": [
                 margin.dictionary | {"time_s": time}
                 for margin, time in zip(self.margins, self.times, strict=True)
@@ -79,8 +94,11 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
     needs, forces = along.needs(planned), along.cable_forces(planned)
     quantities = [*quantities_of_each(aircraft, needs, limits)]
     angles = planned[:, 0] % (2 * math.pi)
+    is_missed = np.any([np.any(quantity.left < 0, axis=1) for quantity in quantities], axis=0)
     return FlightOfPlan(
         tuple(quantity.worst(angles) for quantity in quantities),
         tuple(float(times[quantity.worst_place[0]]) for quantity in quantities),
         FlightRanges.of(aircraft, needs, forces, task.flown.attachments),
+        float(np.mean(is_missed)),
+        limits.saturated_share,
     )

@@ -131,6 +131,27 @@ def test_limits_that_are_missed_are_told_with_where_and_by_whom():
     assert found.flight.is_flyable
 
 
+def test_what_is_missed_for_a_short_time_is_in_doubt():
+    task = task_of(load_scenario("aircraft_rest", AT_REST))
+    speeds = check_speeds(task)
+    (bank,) = (each for each in check_at_rest().flight.margins if each.name == "bank")
+    short = FlightLimits(bank=0.9998 * bank.value)
+    told = flight_of_plan(task, speeds, short)
+    assert told.is_flyable
+    assert told.is_in_doubt
+    assert not check_at_rest().flight.is_in_doubt
+    assert 0 < told.missed_share < short.saturated_share
+    assert re.search(
+        r"need more than their limits for \d\S* % of the time: bank .*; whether feedback",
+        told.verdict,
+    )
+    assert not flight_of_plan(task, speeds, short._replace(saturated_share=0.0)).is_flyable
+    assert not flight_of_plan(task, speeds, FlightLimits(bank=0.8 * bank.value)).is_flyable
+    assert not told._replace(
+        ranges=told.ranges._replace(lift_share=(0.5, 1.0))
+    ).is_flyable  # stalls
+
+
 @pytest.mark.nightly("studies")
 def test_a_way_beyond_the_aircraft_is_told_of_the_whole_task_and_the_layer_may_avoid_it():
     scenario = aircraft_task(BEYOND)
@@ -144,10 +165,9 @@ def test_a_check_is_not_sound_where_the_way_cannot_be_flown():
     found = check_at_rest()
     assert found.is_sound
     assert found.verdicts[-1] == found.flight.verdict
-    margin = dataclasses.replace(found.flight.margins[0], value=0.95)
-    beyond = found.flight._replace(margins=(margin, *found.flight.margins[1:]))
+    beyond = found.flight._replace(missed_share=0.2)
     assert not dataclasses.replace(found, flight=beyond).is_sound
     unknown = found.formation._replace(sampled_growth=math.nan)  # with a block of one's own
-    _, of_formation, _ = dataclasses.replace(found, formation=unknown).verdicts
+    _, of_formation, *_ = dataclasses.replace(found, formation=unknown).verdicts
     assert "the formation is stable" not in of_formation
     assert "may make the loop unstable" in of_formation
