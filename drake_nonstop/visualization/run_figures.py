@@ -128,7 +128,7 @@ def _draw_aircraft(run: Run) -> Figure:
 
 
 def _draw_limits(run: Run) -> Figure:
-    return make_limits_figure(RunQuantities(run).limits, "What is asked of the layer, dashed")
+    return make_limits_figure(RunQuantities(run).limits, "Limits of the layer, dashed")
 
 
 def _draw_internal_force_parameters(run: Run) -> Figure:
