@@ -55,7 +55,7 @@ def _check(options: argparse.Namespace) -> int:
         report["is_sound"] = found.is_sound and aircraft.is_flyable
         figures[_AIRCRAFT] = make_aircraft_margins_figure(aircraft)
     if found.speeds.limits:
-        title = f"{scenario.name}: what is asked of the layer, dashed, along the plan"
+        title = f"{scenario.name}: limits of the layer, dashed, along the plan"
         figures[_LIMITS] = make_limits_figure(found.speeds.limits, title)
     report |= task_dictionary(found)
     files = (_SCENARIO, _DATA, *figures)
