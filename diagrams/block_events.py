@@ -20,6 +20,7 @@ from pydrake.systems.framework import (
 )
 
 from drake_nonstop.diagrams.box import is_of_package
+from drake_nonstop.systems.block import title
 from drake_nonstop.validation import ScenarioError
 
 _INSTANTS = 1000  # of the samples, which a block's own are compared with
@@ -30,7 +31,7 @@ class NotCompilableError(ScenarioError):
     """A block does what it has not declared, or has events that a compiled loop does not fly."""
 
     def __init__(self, block: System, what: str):
-        super().__init__(f"{block.get_name()} = {type(block).__name__}: {what}")
+        super().__init__(f"{title(block)} = {type(block).__name__}: {what}")
 
 
 def sample_times(numbers: Any, period: float) -> Any:

@@ -42,6 +42,7 @@ from drake_nonstop.diagrams.loop_functions import (
 )
 from drake_nonstop.diagrams.loop_layout import LoopLayout
 from drake_nonstop.diagrams.loop_trace import LoopTrace, Step
+from drake_nonstop.systems.block import title
 from drake_nonstop.systems.diagram_trace import (
     Wires,
     is_traceable,
@@ -81,22 +82,22 @@ def reason_against(
             for leaf in leaves(block):
                 complaint = _complaint_of_trace(leaf, control_period)
                 if complaint:
-                    return f"{block.get_name()} = {type(block).__name__}: {complaint}"
+                    return f"{title(block)} = {type(block).__name__}: {complaint}"
             continue
         if block.num_input_ports() == 0:
             is_known = block.CreateDefaultContext().is_stateless()
         else:
             is_known = _is_held(block, wires)
         if not is_known:
-            return f"{block.get_name()} = {type(block).__name__}: it has no equations to be traced"
+            return f"{title(block)} = {type(block).__name__}: it has no equations to be traced"
         complaint = timing_complaint(block, control_period)
         if complaint:
-            return f"{block.get_name()} = {type(block).__name__}: {complaint}"
+            return f"{title(block)} = {type(block).__name__}: {complaint}"
         for k in range(block.num_input_ports()):
             source, port = wires.source(block, k), block.get_input_port(k)
             is_vector = port.get_data_type() == PortDataType.kVectorValued
             if source is not None and not is_vector and source[0].num_input_ports() > 0:
-                return f"{block.get_name()} reads {port.get_name()}, which is no vector of numbers"
+                return f"{title(block)} reads {port.get_name()}, which is no vector of numbers"
     return ""
 
 

@@ -33,7 +33,7 @@ class FlightOfPlan(NamedTuple):
     @property
     def is_in_doubt(self) -> bool:
         """Whether a flight alone tells if the feedback makes up for what is missed."""
-        return self.is_flyable and not all(margin.is_kept for margin in self.margins)
+        return self.is_flyable and self.missed_share > 0
 
     @property
     def verdict(self) -> str:
@@ -94,11 +94,11 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
     needs, forces = along.needs(planned), along.cable_forces(planned)
     quantities = [*quantities_of_each(aircraft, needs, limits)]
     angles = planned[:, 0] % (2 * math.pi)
-    is_missed = np.any([np.any(quantity.left < 0, axis=1) for quantity in quantities], axis=0)
+    missed = [np.any(quantity.left.round(9) < 0, axis=1) for quantity in quantities]
     return FlightOfPlan(
         tuple(quantity.worst(angles) for quantity in quantities),
         tuple(float(times[quantity.worst_place[0]]) for quantity in quantities),
         FlightRanges.of(aircraft, needs, forces, task.flown.attachments),
-        float(np.mean(is_missed)),
+        float(np.mean(np.any(missed, axis=0))),
         limits.saturated_share,
     )

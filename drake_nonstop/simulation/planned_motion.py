@@ -16,6 +16,7 @@ from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.formation import held_forces
+from drake_nonstop.simulation.needs_along import planned_values
 from drake_nonstop.simulation.outcome import find_collisions
 from drake_nonstop.simulation.separations import Spacing, closest_cables, closest_carriers
 from drake_nonstop.simulation.task import Task
@@ -69,16 +70,13 @@ class PlannedMotion(Spacing):
         fastest = task.limits.frequency * (1 if plan is None else plan.coefficients[0].max())
         turns = task.duration * fastest / (2 * math.pi)
         self.times = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
-        angles, parameters = times * task.limits.frequency, np.tile(task.nominal, (len(times), 1))
-        if plan is not None:
-            planned = np.array([plan.values(time) for time in times])
-            angles, parameters = planned[:, 0], planned[:, 1:3]
+        planned = planned_values(task, plan, times)
         references = np.array([task.reference(time) for time in times])
         winds = [task.wind_at(time) for time in times]
         held = map(partial(held_forces, self._model), references, winds)
         without_waves, R_LW = map(np.array, zip(*held, strict=True))
         values, _ = internal_force(
-            parameters, angles[:, None], phases=pattern.phases, orders=pattern.orders
+            planned[:, 1:3], planned[:, :1], phases=pattern.phases, orders=pattern.orders
         )
         forces = without_waves + values @ pattern.basis.T
         self._forces = forces.reshape(len(times), -1, 3) @ R_LW  # (k, n, 3), N, in W

@@ -87,8 +87,7 @@ class TaskCheck:
             f"{each.limit.sentence.format(each.shown(each.worst))}, at {each.where}"
             for each in missed
         )
-        helps = "; or ".join(remedy.text for remedy in self.limit_remedies)
-        return f"{said}; {'give ' + helps if helps else 'nothing that was tried helps'}"
+        return f"{said}; {_of_remedies([remedy.text for remedy in self.limit_remedies])}"
 
     def _of_speeds(self) -> str:
         found = self.speeds
