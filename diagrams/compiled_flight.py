@@ -104,16 +104,27 @@ class CompiledFlight:
             NotFiniteError: a value is not finite, or is too large.
             NotCompilableError: as of `advance`.
         """
+        # Those whose first update what samples at the start reads begin before it.
+        shown = [leaf for leaf in self._asked if getattr(leaf, "shows_first_update", False)]
+        for leaf in shown:
+            self._give(self._call(self._at_start)[1])
+            self._begin(leaf)
         self._state, read, *_ = self._call(self._at_start)
         self._give(read)
         for block in (*self._stepped.values(), *self._watched):
             block.start()
-        for leaf, context in self._asked.items():
-            self._set(leaf, context, self._state)
-            Simulator(leaf, context).Initialize()
-            self._state[self._layout.places[leaf]] = discrete_state_of(context.get_discrete_state())
+        for leaf in self._asked:
+            if leaf not in shown:
+                self._begin(leaf)
         signals, step_signals = self._call(self._shown)
         return signals, step_signals
+
+    def _begin(self, leaf: System) -> None:
+        """Lets a leaf make its own updates of the initialization, with the inputs it was given."""
+        context = self._asked[leaf]
+        self._set(leaf, context, self._state)
+        Simulator(leaf, context).Initialize()
+        self._state[self._layout.places[leaf]] = discrete_state_of(context.get_discrete_state())
 
     def advance(self, samples: int = 1) -> tuple[NDArray, NDArray]:
         """Goes on by samples, and ends before the updates of the next one.

@@ -209,6 +209,7 @@ class NonstopOptimizer(SpeedBoundLayer):
         self.DeclareStateOutputPort("parameters", self._state)
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
         self.DeclareStateOutputPort("solve_time", self._solve_time)
+        self.declare_command()
         self.declare_bound()
         self._counted = missed_limits_of(config, model)
         if self._counted:

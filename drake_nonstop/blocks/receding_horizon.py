@@ -13,9 +13,11 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import (
     BasicVector,
     Context,
+    DependencyTicket,
     DiscreteStateIndex,
     DiscreteValues,
     InputPort,
+    State,
     ValueProducer,
 )
 
@@ -100,7 +102,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     Where no preview is connected, or `preview` is false, the motion goes on as it does. The plan is
     written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`. The first plan
     starts with the initial ξ and A where these keep the constraints, from the start itself on, and
-    else with others.
+    else with others; until it is made, `parameters` and `plan` show the one that would be.
 
     The speeds of aircraft are those through the air, in the wind that `wind_estimate` tells at the
     time of a plan, taken as steady; not connected, or `wind` is false: in still air. What they need
@@ -219,9 +221,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self._values: DiscreteStateIndex | None = None
         if model.control_period > 0:
             self._values = self.DeclareDiscreteState(_resting(nominal))
-            sources = {self.discrete_state_ticket(self._values)}
-        else:
-            sources = {self.time_ticket(), self.discrete_state_ticket(self._plan)}
+        self.declare_command()
+        sources = self._sources_of_values()
         self.DeclareVectorOutputPort("parameters", PARAMETERS_SIZE, self._calc_parameters, sources)
         self.DeclareVectorOutputPort("plan", PLANNED_SIZE, self._calc_values, sources)
         self.DeclareStateOutputPort("diagnostics", self._diagnostics)
@@ -238,6 +239,31 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self.DeclarePeriodicDiscreteUpdateEvent(
             self._sample_period, self._sample_period, self._update_at_sample
         )
+        # Unrestricted, because Drake runs these before the discrete updates: what samples or holds
+        # at the same instant reads the plan of that instant.
+        if self._values is not None:
+            self.DeclarePeriodicUnrestrictedUpdateEvent(
+                self._sample_period, self._sample_period, self._go_on
+            )
+
+    updates_first = True
+    shows_first_update = True  # to what samples it at the start
+
+    def _sources_of_values(self) -> set[DependencyTicket]:
+        """What the values of the plan are declared to depend on.
+
+        At samples neither on the time nor on the preview, which change between them: all that reads
+        the plan would be computed anew in each step. They count only where there is no plan yet.
+        """
+        if self._values is None:
+            return {self.all_sources_ticket()}
+        inputs = [self._reference, self._command, *([] if self._wind is None else [self._wind])]
+        return {
+            self.all_parameters_ticket(),
+            self.discrete_state_ticket(self._plan),
+            self.discrete_state_ticket(self._values),
+            *(self.input_port_ticket(port.get_index()) for port in inputs),
+        }
 
     @property
     def trace_key(self) -> Any:
@@ -258,24 +284,30 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         places = {"plan": _VALUES, "diagnostics": 2, "solve_time": 3, "missed_limits": _VALUES + 1}
         return at.state(places[port])
 
-    def traced_attempt(self, at: At, found: NDArray) -> TracedAttempt:
-        """The states after a sample that has no new plan."""
-        states = [at.state(k) for k in range(1, _VALUES + 1 + (self._missed is not None))]
-        vector, (time,) = states[0], at.time
-        samples = casadi.floor(time / self._sample_period + 0.5)
-        keeps = casadi.fmod(samples, self._samples_per_plan) != 0
+    def traced_update(self, at: At) -> list[NDArray]:
+        states = self._traced_states(at)
+        vector = states[0]
         states[_VALUES - 1] = traced_plan_values(
             (vector[0], vector[1]),
             self._config.knot_spacing,
             vector[5:7],
             vector[7:].reshape(2, -1),
-            time,
+            at.time[0],
         )
-        return TracedAttempt(states, keeps)
+        return states
+
+    def traced_attempt(self, at: At, found: NDArray) -> TracedAttempt:
+        """The states after a sample that has no new plan."""
+        samples = casadi.floor(at.time[0] / self._sample_period + 0.5)
+        keeps = casadi.fmod(samples, self._samples_per_plan) != 0
+        return TracedAttempt(self._traced_states(at), keeps)
+
+    def _traced_states(self, at: At) -> list[NDArray]:
+        return [at.state(k) for k in range(1, _VALUES + 1 + (self._missed is not None))]
 
     def begin_anew(self, context: Context) -> None:
         """Lets what has no plan begin with the parameters of the context, its own."""
-        last = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
+        last = self._last(context)
         if last.scale != _NO_PLAN:
             return
         numbers = self._numbers_in(context)
@@ -284,13 +316,16 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             context.SetDiscreteState(self._values, _resting(numbers.nominal))
 
     def _calc_plan(self, context: Context, value: AbstractValue) -> None:
-        state = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
-        value.set_value(state.plan(self._config.knot_spacing))
+        value.set_value(self._last(context).plan(self._config.knot_spacing))
 
     def _plan_in(self, context: Context) -> Plan:
         return self.get_cache_entry(self._plan_entry).Eval(context)
 
     def _values_in(self, context: Context) -> NDArray:
+        """The plan's at the last sample; where there is none, of that which is made now."""
+        if self.scalar is float and self._last(context).scale == _NO_PLAN:
+            plan = self._next(context).state.plan(self._config.knot_spacing)
+            return np.array(plan.values(context.get_time()))
         if self._values is not None:
             return context.get_discrete_state(self._values).CopyToVector()
         return np.array(self._plan_in(context).values(context.get_time()))
@@ -306,30 +341,19 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         samples = round(context.get_time() / self._sample_period)
         if samples % self._samples_per_plan == 0:
             self._update(context, discrete_state)
-        elif self._values is not None:
-            values = self._plan_in(context).values(context.get_time())
-            discrete_state.set_value(self._values, values)
+
+    def _go_on(self, context: Context, state: State) -> None:
+        values = self._plan_in(context).values(context.get_time())
+        state.get_mutable_discrete_state().set_value(self._values, values)
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         self.require_floats(
             "give ConstantParameters, with its frequency and amplitude, in place of "
             "RecedingHorizonOptimizer"
         )
-        assert self._planner is not None
-        numbers = self._numbers_in(context)
-        bound = self._wanted_bound(context, numbers)
-        if not self.is_enabled(context):
-            bound = 0.0
-        last = _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
-        planned = self._planner.plan(
-            context.get_time(),
-            self._reference_ahead(context),
-            bound,
-            numbers,
-            last,
-            self._wind_in(context),
-        )
+        planned = self._next(context)
         if self.is_enabled(context):
+            bound = self._wanted_bound(context, self._numbers_in(context))
             diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
             count_update(diagnostics, planned.outcome, planned.slowest_speed - bound)
             discrete_state.set_value(self._diagnostics, diagnostics)
@@ -342,6 +366,22 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         if self._values is not None:
             plan = planned.state.plan(self._config.knot_spacing)
             discrete_state.set_value(self._values, plan.values(context.get_time()))
+
+    def _next(self, context: Context) -> "_Planned":
+        """The plan that is made at the time of the context."""
+        assert self._planner is not None
+        numbers = self._numbers_in(context)
+        return self._planner.plan(
+            context.get_time(),
+            self._reference_ahead(context),
+            self._wanted_bound(context, numbers) if self.is_enabled(context) else 0.0,
+            numbers,
+            self._last(context),
+            self._wind_in(context),
+        )
+
+    def _last(self, context: Context) -> "_PlanState":
+        return _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
 
     def _wind_in(self, context: Context) -> NDArray:
         """The wind (3,) that the aircraft fly in, as far as it is known, m/s, in W."""

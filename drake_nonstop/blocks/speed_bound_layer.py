@@ -142,9 +142,12 @@ class SpeedBoundLayer(LeafBlock):
         self.highest_speed_bound = highest_speed_bound(config)
         self._n = model.n
 
-    def declare_bound(self) -> None:
-        """Declares the input `speed_bound_command` and the output `speed_bound`."""
+    def declare_command(self) -> None:
+        """Declares the input `speed_bound_command`."""
         self._command = self.DeclareVectorInputPort(COMMAND, 1)
+
+    def declare_bound(self) -> None:
+        """Declares the output `speed_bound`, after the input."""
         self.DeclareVectorOutputPort(
             "speed_bound",
             1,

@@ -17,8 +17,8 @@ REFUSED = [
 ]
 # Beyond what any plan of so many seconds keeps, and what is within reach.
 MISSED = {
+    "min_tension": (0.5, 20.0, 2.0),  # that which takes least time is tried first
     "max_tension": (0.5, 2.45, 6.0),
-    "min_tension": (0.5, 20.0, 2.0),
     "max_speed": (3.0, 0.6, 1.5),
     "min_separation": (3.0, 1.9, 0.8),
 }

@@ -54,15 +54,19 @@ def told_by(script, folder, **asked):
 
 
 @pytest.mark.slow
-def test_a_command_has_one_thread_unless_asked(tmp_path):
+def test_a_command_has_one_thread(tmp_path):
     assert told_by(COMMAND, tmp_path) == [(0, "1")]
-    assert told_by(COMMAND, tmp_path, OMP_NUM_THREADS="2")[0][1] is None
 
 
 @pytest.mark.slow
-def test_a_worker_has_one_thread_unless_asked_and_the_script_its_own(tmp_path):
+def test_a_worker_has_one_thread_and_the_script_its_own(tmp_path):
     of_worker, of_script = told_by(WORKER, tmp_path)
     assert of_worker == (0, "1")
     assert of_script[1] is None
+
+
+@pytest.mark.nightly("processes")
+def test_who_asks_for_threads_has_them(tmp_path):
+    assert told_by(COMMAND, tmp_path, OMP_NUM_THREADS="2")[0][1] is None
     of_worker, _ = told_by(WORKER, tmp_path, OPENBLAS_NUM_THREADS="2")
     assert of_worker[1] == "2"
