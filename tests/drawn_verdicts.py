@@ -121,20 +121,19 @@ def _tagged(name: str, values: dict[str, Any]) -> str:
 def verdict_of(scenario: Scenario) -> tuple[str, list[str]]:
     """What is said of a task beforehand, and the sentences; a refusal is "cannot".
 
-    Nothing is tried that may help. "Unknown" is what `check` says of loops that it does not know,
-    and of aircraft that need more than their limits for a short time.
+    Nothing is tried that may help. "Unknown" is what `check` says a flight alone tells, and what it
+    says of loops that it does not know.
     """
     try:
         found = check_task(scenario, tries_remedies=False)
     except ScenarioError as error:
         return CANNOT, [f"refused: {error}"]
     said = [*found.verdicts]
+    if found.is_in_doubt:
+        return UNKNOWN, said
     if not found.is_sound:
         return CANNOT, said
-    if found.flight is not None:
-        is_known = not found.flight.is_in_doubt
-    else:
-        is_known = bool(np.isfinite(found.formation.sampled_growth))
+    is_known = found.flight is not None or np.isfinite(found.formation.sampled_growth)
     return SOUND if is_known else UNKNOWN, said
 
 

@@ -48,7 +48,11 @@ def _check(options: argparse.Namespace) -> int:
     require_no_other_run(folder, scenario)
     aircraft = aircraft_margins(scenario) if scenario.system.aircraft is not None else None
     found = check_task(scenario)
-    report = {"scenario": scenario.name, "is_sound": found.is_sound}
+    report = {
+        "scenario": scenario.name,
+        "is_sound": found.is_sound,
+        "is_in_doubt": found.is_in_doubt,
+    }
     figures = {_TASK: make_check_figure(found)}
     if aircraft is not None:
         report |= margins_dictionary(aircraft)

@@ -24,7 +24,8 @@ Parameters = Callable[[float], NDArray]  # [ξ (rad/s), A (N)] (2,) at a time in
 
 _MOST_GROWN = 1.0  # logarithm of what becomes of a deviation of 1, of a sound task
 _MOST_GROWN_IN_SAMPLES = 4.5  # likewise
-_SAMPLED = 2  # instants, at one of which the sampled loop is looked at
+_SURELY_LOST = math.log(1e5)  # likewise: what holds leave, some micrometres, is a part of a metre
+_SAMPLED = 2  # instants, at one of which the sampled loop is looked at; where it grows, all are
 _GAIN_FACTORS = (2.0, 4.0, 8.0, 0.5, 0.25)
 _HALVINGS = 6  # of the range of A
 _LEAST_AMPLITUDE = 0.05  # of the nominal A
@@ -82,6 +83,12 @@ class Formation(NamedTuple):
     def is_lost_in_samples(self) -> bool:
         """Whether the sampled loop of load, carriers and controllers is unstable."""
         return self.sampled_growth >= _MOST_GROWN_IN_SAMPLES
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether it is unstable, and yet a flight may end before the load is lost."""
+        is_short = max(self.growth, np.nan_to_num(self.sampled_growth)) < _SURELY_LOST
+        return is_short and not self.is_stable
 
     @property
     def instants(self) -> tuple[FormationInstant, ...]:
@@ -183,32 +190,38 @@ def find_formation(
     Args:
         task: what is flown.
         parameters: ξ and A over the time, such as those of a plan; None: the nominal ones.
-        count: of the instants on the way, at the middles of equal parts of it.
+        count: of the instants on the way, at the middles of equal parts of it; twice as many where
+            deviations grow in the samples.
     """
     at = parameters or (lambda time: task.nominal)
     deviations, gains = task.deviations(), task.effective_gains
     at_rest = formation_at(task, deviations, 0.0, task.nominal, gains)
-    part = task.duration / count
-    instants = tuple(
-        formation_at(
-            task,
-            deviations,
-            part * (i + 0.5),
-            at(part * (i + 0.5)),
-            gains,
-            in_samples=i % _SAMPLED == _SAMPLED // 2,
+
+    def found(count: int, sampled: int) -> Formation:
+        part = task.duration / count
+        instants = tuple(
+            formation_at(
+                task,
+                deviations,
+                part * (i + 0.5),
+                at(part * (i + 0.5)),
+                gains,
+                in_samples=i % sampled == sampled // 2,
+            )
+            for i in range(count)
         )
-        for i in range(count)
-    )
-    looked_at = instants[_SAMPLED // 2 :: _SAMPLED] or (at_rest,)
-    long_part = task.duration / len(looked_at)
-    in_turn = max(instant.sampled.in_turn for instant in (at_rest, *looked_at))
-    return Formation(
-        at_rest,
-        instants,
-        _largest_growth([part * instant.rate for instant in instants]),
-        _largest_growth([long_part * instant.sampled.rate for instant in looked_at]) + in_turn,
-    )
+        looked_at = instants[sampled // 2 :: sampled] or (at_rest,)
+        long_part = task.duration / len(looked_at)
+        in_turn = max(instant.sampled.in_turn for instant in (at_rest, *looked_at))
+        return Formation(
+            at_rest,
+            instants,
+            _largest_growth([part * instant.rate for instant in instants]),
+            _largest_growth([long_part * instant.sampled.rate for instant in looked_at]) + in_turn,
+        )
+
+    first = found(count, _SAMPLED)
+    return found(2 * count, 1) if first.is_lost_in_samples else first
 
 
 def _largest_growth(parts: Sequence[float]) -> float:
@@ -279,7 +292,10 @@ def find_formation_remedies(
     """
     at = parameters or (lambda time: task.nominal)
     first = [time for time in (worst, found.worst.time) if math.isfinite(time)]
-    others = {0.0, *(instant.time for instant in found.on_the_way[::3])}
+    others = {
+        0.0,
+        *(instant.time for instant in found.on_the_way[:: len(found.on_the_way) // 3 + 1]),
+    }
     times = [*first, *sorted(others - {*first})]
 
     def is_stable(task: Task, gains: Mapping[str, Any] | None = None, of_amplitude: float = 1.0):

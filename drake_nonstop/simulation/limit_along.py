@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from drake_nonstop.optimization.limits import Limit, Of
 
+_NEARLY = 0.04  # of a limit
+
 
 class LimitAlong(NamedTuple):
     """A limit that a layer is asked for, and what it holds for at k instants."""
@@ -44,6 +46,11 @@ class LimitAlong(NamedTuple):
     def is_kept(self) -> bool:
         """Whether all values are within the limit."""
         return self.margin >= 0
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether it is missed by so little that the layer may keep it."""
+        return -_NEARLY < self.margin < 0
 
     @property
     def where(self) -> str:

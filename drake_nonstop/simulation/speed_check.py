@@ -21,7 +21,11 @@ from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonDat
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.optimization.plan import Plan
-from drake_nonstop.optimization.problem_config import amplitude_range, limit_tightening
+from drake_nonstop.optimization.problem_config import (
+    amplitude_range,
+    limit_tightening,
+    tightened_bound,
+)
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.optimization.whole_task import receding_coefficients
 from drake_nonstop.simulation.limit_along import LimitAlong
@@ -42,6 +46,7 @@ _FACTORS = (1.1, 1.25, 1.5, 2.0, 3.0)
 _WIDER = 4.0  # bounds, at most
 _BISECTIONS = 6
 _EASED = (1.0, 1.1, 1.3)  # times what a plan reaches, limits that are tried
+_RESERVE = 0.7  # of what the layer aims at above the bound; carriers may need it to follow
 _SHOWN = 2.5  # times the plan's largest value, of the set over time
 
 
@@ -56,6 +61,7 @@ class SpeedCheck(NamedTuple):
     parameters: NDArray  # (l, 2), [ξ (rad/s), A (N)] of the plan
     ratios: NDArray  # (l, n), of the carriers along it
     starts: tuple[float, ...]  # the least ratio of what the optimization made of each start
+    aim: float = 1.0  # the ratio that the layer aims at
     limits: tuple[LimitAlong, ...] = ()  # that the layer is asked for, along the plan
 
     @property
@@ -73,6 +79,11 @@ class SpeedCheck(NamedTuple):
     def is_feasible(self) -> bool:
         """Whether the plan keeps the bound."""
         return self.least >= 1
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether a plan keeps the bound with less than carriers may need to follow it."""
+        return self.plan is not None and 1 <= self.least < 1 + _RESERVE * (self.aim - 1)
 
     @property
     def missed(self) -> tuple[LimitAlong, ...]:
@@ -130,7 +141,8 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
     starts = tuple(each.least for each in found)
     return SpeedCheck(
         *(bound, times, constant, best.plan, best.times, best.parameters, best.ratios, starts),
-        best.limits,
+        aim=tightened_bound(task.limits, bound) / bound if bound > 0 else 1.0,
+        limits=best.limits,
     )
 
 

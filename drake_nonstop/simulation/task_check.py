@@ -60,9 +60,27 @@ class TaskCheck:
     @property
     def is_sound(self) -> bool:
         """Whether bound and limits are kept, the formation stable, none meet, and aircraft fly."""
+        return self._may_be_flown and not self.speeds.missed and self.formation.is_stable
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether a flight alone tells: nothing is missed or unstable by more than a little."""
+        stable, missed = self.formation.is_stable, self.speeds.missed
+        is_near = (
+            self._may_be_flown
+            and (stable or self.formation.is_in_doubt)
+            and all(limit.is_in_doubt for limit in missed)
+        )
+        of_flight = self.flight is not None and self.flight.is_in_doubt
+        is_amiss = bool(missed) or not stable
+        return is_near and (is_amiss or self.speeds.is_in_doubt or of_flight)
+
+    @property
+    def _may_be_flown(self) -> bool:
+        """But for limits and growth."""
         is_flyable = self.flight is None or self.flight.is_flyable
-        are_kept = self.speeds.is_feasible and not self.speeds.missed
-        return are_kept and self.is_stable and not self.motion.collisions and is_flyable
+        is_apart = self.motion.least_load.pulls_up and not self.motion.collisions
+        return self.speeds.is_feasible and is_apart and is_flyable
 
     @property
     def is_stable(self) -> bool:
@@ -87,6 +105,8 @@ class TaskCheck:
             f"{each.limit.sentence.format(each.shown(each.worst))}, at {each.where}"
             for each in missed
         )
+        if all(each.is_in_doubt for each in missed):
+            said += "; the layer may find a better one, which a flight alone tells"
         return f"{said}; {_of_remedies([remedy.text for remedy in self.limit_remedies])}"
 
     def _of_speeds(self) -> str:
@@ -96,7 +116,13 @@ class TaskCheck:
         time, carrier = found.least_at
         where = f"at t = {time:.2f} s, carrier {carrier}"
         if found.is_feasible:
-            return f"the speed bound can be kept: at least {found.least:.3f} of it, {where}"
+            said = f"the speed bound can be kept: at least {found.least:.3f} of it, {where}"
+            if not found.is_in_doubt:
+                return said
+            return (
+                f"{said}; the layer aims at {found.aim:.3f}, and whether carriers follow with less "
+                "to spare, a flight alone tells"
+            )
         tried = (
             f"no plan of xi and A from {len(found.starts)} starts keeps the bound"
             if self.task.changes_parameters
@@ -130,9 +156,12 @@ class TaskCheck:
         if self.formation.is_lost_in_samples:
             times = math.exp(worst.sampled.in_turn)
             how = f"{times:.2g} times in a turn, in the samples of the controllers"
+        end = ""
+        if self.formation.is_in_doubt:
+            end = ", not enough by the end for a load that is surely lost: a flight alone tells"
         return (
-            f"formation = unstable: at t = {worst.time:.1f} s a small deviation grows by {how}; "
-            f"{helps}"
+            f"formation = unstable: at t = {worst.time:.1f} s a small deviation grows by {how}"
+            f"{end}; {helps}"
         )
 
     def _of_motion(self) -> str:

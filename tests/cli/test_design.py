@@ -20,6 +20,7 @@ from drake_nonstop.studies.design_request import read_request
 SMALL = ["carriers=[3]", "kinds=[co_rotating]", "cable_length=[60, 60]", "starts=1"]
 
 
+@pytest.mark.nightly("examples")
 def test_the_commands_of_the_page_make_scenarios_a_table_and_a_figure(
     tmp_path, capsys, monkeypatch
 ):

@@ -462,6 +462,7 @@ def test_what_is_not_known_is_said_in_one_sentence():
     assert len([w for w in said if "tightening" in str(w.message)]) == 1
 
 
+@pytest.mark.nightly("studies")
 def test_the_orbits_of_the_margin_keep_a_largest_speed():
     """Of 1.1 m/s on the nominal orbits: one that binds needs others, or there are none."""
     auto = "optimization_layer.tightening=auto"

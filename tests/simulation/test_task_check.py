@@ -1,11 +1,15 @@
 """The check of a task against its runs: what one refuses or misses the other does."""
 
+import dataclasses
+
 import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop import ScenarioError, compute_metrics, load_scenario, simulate
 from drake_nonstop.optimization.limits import LIMITS
+from drake_nonstop.simulation import formation
 from drake_nonstop.simulation.run import StepCheck
+from drake_nonstop.simulation.sampled_growth import SampledGrowth
 from drake_nonstop.simulation.speed_check import check_speeds
 from drake_nonstop.simulation.task import task_of
 from drake_nonstop.simulation.task_check import check_task, task_dictionary, task_table
@@ -65,6 +69,57 @@ def test_what_the_check_says_cannot_be_kept_is_missed_in_flight(field):
     metrics = compute_metrics(simulate(scenario, check_step=StepCheck.NOTHING))
     assert metrics["outcome"] == "limit_missed"
     assert f"optimization_layer.{field}: {beyond:g}" in metrics["reasons"][0]
+
+
+@pytest.fixture(scope="module")
+def kept():
+    return check_task(quintic("optimization_layer.max_speed=1.5", duration=2), tries_remedies=False)
+
+
+def with_least(found, ratio):
+    speeds = found.speeds
+    ratios = speeds.ratios * (ratio / speeds.least)
+    return dataclasses.replace(found, speeds=speeds._replace(ratios=ratios))
+
+
+def with_growth(found, growth):
+    formation = found.formation._replace(sampled_growth=growth)
+    return dataclasses.replace(found, formation=formation)
+
+
+def with_limit(found, stated):
+    (limit,) = found.speeds.limits
+    limits = (limit._replace(stated=limit.worst * stated),)
+    return dataclasses.replace(found, speeds=found.speeds._replace(limits=limits))
+
+
+@pytest.mark.parametrize(
+    ("change", "sound", "in_doubt", "neither", "verdict"),
+    [
+        (with_least, 1.015, 1.013, 0.999, 0),
+        (with_growth, 4.4, 8.0, 12.0, 1),
+        (with_limit, 1.001, 0.98, 0.95, -1),
+    ],
+)
+def test_what_is_missed_by_little_is_in_doubt(kept, change, sound, in_doubt, neither, verdict):
+    assert (kept.is_sound, kept.is_in_doubt) == (True, False)
+    found = change(kept, sound)
+    assert (found.is_sound, found.is_in_doubt) == (True, False)
+    doubted = change(kept, in_doubt)
+    assert doubted.is_in_doubt
+    assert "a flight alone tells" in doubted.verdicts[verdict]
+    found = change(kept, neither)
+    assert (found.is_sound, found.is_in_doubt) == (False, False)
+    assert "a flight alone tells" not in found.verdicts[verdict]
+    # What is missed by more, besides, leaves no doubt.
+    assert not with_growth(doubted, 20.0).is_in_doubt
+
+
+def test_growth_in_samples_is_looked_at_more_closely(monkeypatch):
+    grows = SampledGrowth(1.0, 5.0)
+    monkeypatch.setattr(formation, "sampled_growth", lambda *arguments: grows)
+    found = formation.find_formation(task_of(quintic()), count=2)
+    assert [instant.sampled for instant in found.on_the_way] == [grows] * 4
 
 
 def test_the_plan_has_the_margin_that_is_computed_for_the_loop():
