@@ -114,7 +114,10 @@ class BlockTimers:
         try:
             for owner in _python_classes(System):
                 for name, function in list(vars(owner).items()):
-                    if isinstance(function, FunctionType) and not name.startswith("__"):
+                    # What declares computes nothing, and a copy of a block of another scalar type
+                    # takes its `super()` from the function itself.
+                    is_own = isinstance(function, FunctionType)
+                    if is_own and not name.startswith(("__", "Declare")):
                         replace(owner, name, self._timed(function, name))
             for name in [name for name in vars(LeafSystem) if name.startswith("Declare")]:
                 replace(LeafSystem, name, self._timed_declaration(vars(LeafSystem)[name]))

@@ -35,7 +35,7 @@ from drake_nonstop.optimization.problem_config import (
     require_limit,
     with_stated_bound,
 )
-from drake_nonstop.optimization.turn_rate import TurnRateSolver, TurnUpdate
+from drake_nonstop.optimization.turn_rate import TurnRateSolver, turn_update
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.validation import (
@@ -178,25 +178,19 @@ class TurnRateOptimizer(LeafBlock):
             "give ConstantParameters, with its frequency and amplitude 0, in place of "
             "TurnRateOptimizer"
         )
-        config = self._config
         (previous, _) = context.get_discrete_state(self._state).CopyToVector()
         bound = float(context.get_numeric_parameter(0).CopyToVector()[0])
-        low, high = config.frequency_bounds
-        step = config.max_frequency_rate * config.period
         wind = np.zeros(WIND_SIZE)
         if self._wind.HasValue(context):
             wind = self._wind.Eval(context)
-        update = TurnUpdate(
-            previous=previous,
-            nominal=config.frequency,
-            anchor_weight=config.anchor_weight,
-            low=max(low, previous - step),
-            high=min(high, previous + step),
-            motion=self._reference.Eval(context),
-            wrench=self._wrench.Eval(context),
-            wrench_rate=self._wrench_rate.Eval(context),
-            wind=wind,
-            speed_bound=(1 + config.tightening) * bound,
+        update = turn_update(
+            self._config,
+            bound,
+            previous,
+            self._reference.Eval(context),
+            self._wrench.Eval(context),
+            self._wrench_rate.Eval(context),
+            wind,
         )
         start = time.perf_counter()
         answer = self._solver.solve(update)

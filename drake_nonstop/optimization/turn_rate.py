@@ -5,7 +5,7 @@ quadratic in the rate, and what the aircraft need is smooth in it: the search is
 of one number.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,42 @@ class TurnUpdate(NamedTuple):
     wrench_rate: NDArray  # (6,)
     wind: NDArray  # (3,), m/s
     speed_bound: float  # m/s, tightened; 0: none
+
+
+def turn_update(
+    config: Any,
+    speed_bound: float,
+    previous: float,
+    motion: NDArray,
+    wrench: NDArray,
+    wrench_rate: NDArray,
+    wind: NDArray,
+) -> TurnUpdate:
+    """An update of a layer after its last rate.
+
+    Args:
+        config: of the layer, a `TurnRateOptimizerConfig`.
+        speed_bound: m/s, ε.
+        previous: rad/s, the last rate.
+        motion: (22,), of the load.
+        wrench: (6,).
+        wrench_rate: (6,).
+        wind: (3,), m/s.
+    """
+    low, high = config.frequency_bounds
+    step = config.max_frequency_rate * config.period
+    return TurnUpdate(
+        previous=previous,
+        nominal=config.frequency,
+        anchor_weight=config.anchor_weight,
+        low=max(low, previous - step),
+        high=min(high, previous + step),
+        motion=motion,
+        wrench=wrench,
+        wrench_rate=wrench_rate,
+        wind=wind,
+        speed_bound=(1 + config.tightening) * speed_bound,
+    )
 
 
 class TurnAnswer(NamedTuple):

@@ -28,6 +28,7 @@ class FlightOfPlan(NamedTuple):
     ranges: FlightRanges  # of what they need, and what straight cables leave out
     missed_share: float  # of the time, in which an aircraft needs more than its limits allow
     largest_share: float  # up to which that can be flown: `limits.saturated_share` of the run
+    gust: float = 0.0  # m/s, standard deviation of the wind at a carrier, which is left out
 
     @property
     def is_flyable(self) -> bool:
@@ -36,14 +37,18 @@ class FlightOfPlan(NamedTuple):
 
     @property
     def is_in_doubt(self) -> bool:
-        """Whether a flight alone tells if the feedback makes up for what is missed."""
-        return self.is_flyable and _AFTERWARDS * self.missed_share > self.largest_share
+        """Whether a flight alone tells if feedback makes up for what is missed, or for gusts."""
+        is_short = _AFTERWARDS * self.missed_share <= self.largest_share
+        return self.is_flyable and not (is_short and self.gust == 0)
 
     @property
     def verdict(self) -> str:
         """Whether the aircraft can fly the plan; what is missed, and what to change."""
         if self.missed_share == 0 and self.is_flyable:
-            return "the aircraft can fly the way within all limits"
+            said = "the aircraft can fly the way within all limits"
+            if self.gust == 0:
+                return said
+            return f"{said} in the mean wind; in gusts of {self.gust:g} m/s a flight alone tells"
         missed = ", ".join(
             f"{margin.sentence} at t = {time:.1f} s, carrier {margin.carriers[0]}"
             for margin, time in zip(self.margins, self.times, strict=True)
@@ -110,4 +115,5 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
         FlightRanges.of(aircraft, needs, forces, task.flown.attachments),
         float(np.mean(np.any(missed, axis=0))),
         limits.saturated_share,
+        task.gust,
     )

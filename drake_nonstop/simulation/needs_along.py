@@ -31,6 +31,8 @@ def planned_values(task: Task, plan: Plan | None, times: NDArray) -> NDArray:
     if plan is None:
         parts.frequency[:], parts.amplitude[:] = task.nominal
         parts.angle[:] = times[:, None] * task.limits.frequency
+        if task.turn_rate is not None:
+            parts.frequency[:, 0] = [task.turn_rate(time) for time in times]
     else:
         values[:] = [plan.values(time) for time in times]
     return values

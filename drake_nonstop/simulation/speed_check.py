@@ -123,13 +123,15 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
     is_limited = bound > 0 or any(asked(task.limits))
     if not task.changes_parameters or not is_limited:
         fine = _fine_times(task)
-        parameters = np.broadcast_to(task.nominal, (len(fine), 2))
+        parameters = planned_values(task, None, fine)[:, 1:3]
         speeds = constant_speeds(task, fine)
         none = np.full(speeds.shape, np.inf)
         ratios = speeds / bound if bound > 0 else none
         least = np.interp(times, fine, ratios.min(axis=1))
+        starts: tuple[float, ...] = (float(ratios.min()),)
+        limits = _limits_in_turn(task, fine)
         return SpeedCheck(
-            bound, times, least, None, fine, parameters, ratios, (float(ratios.min()),)
+            bound, times, least, None, fine, parameters, ratios, starts, limits=limits
         )
     problem = problem_of(task)
     constant = np.full(len(times), np.inf)
@@ -143,6 +145,18 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
         *(bound, times, constant, best.plan, best.times, best.parameters, best.ratios, starts),
         aim=tightened_bound(task.limits, bound) / bound if bound > 0 else 1.0,
         limits=best.limits,
+    )
+
+
+def _limits_in_turn(task: Task, times: NDArray) -> tuple[LimitAlong, ...]:
+    """The limits of aircraft whose load turns at a ξ that a layer changes, at times (k,), s."""
+    aircraft, asked_for = task.flown.aircraft, [*asked(task.limits, Of.FLIGHT)]
+    if task.turn_rate is None or aircraft is None or not asked_for:
+        return ()
+    needs = NeedsAlong(task, times).needs(planned_values(task, None, times))
+    return tuple(
+        LimitAlong(limit, stated, times, limit.values(aircraft, needs))
+        for limit, stated in asked_for
     )
 
 

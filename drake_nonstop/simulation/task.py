@@ -17,7 +17,8 @@ from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedbackConfig,
     DesiredStateFeedbackConfig,
 )
-from drake_nonstop.blocks.load_trajectory import PlannedTurnConfig, SteadyTurn, SteadyTurnConfig
+from drake_nonstop.blocks.load_trajectory import PlannedTurn
+from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizerConfig
 from drake_nonstop.diagrams.box import is_of_package
 from drake_nonstop.diagrams.margin_of_loop import carriers_of, feedback_of
 from drake_nonstop.diagrams.nonstop import make_nonstop
@@ -34,6 +35,7 @@ from drake_nonstop.optimization.speed_margin import with_margin
 from drake_nonstop.optimization.turn_of_loops import Feedback
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.load_stability import LoadDeviations
+from drake_nonstop.simulation.planned_turn import constant_turn, predicted_turn
 from drake_nonstop.validation import require
 
 _ANALYSED = (  # the boxes between the load's state and its cables
@@ -68,9 +70,12 @@ class Task:
         carrier_stiffness: as of `LoadDeviations`, N/m.
         mean_wind: everywhere, without gusts, once it has risen.
         believed: (3,), m/s, in W, the wind that the controllers believe; None: that at the load.
+        gust: standard deviation of the wind at a carrier, m/s.
         rise: when the wind begins to rise, s, and how long it takes, s; 0: at once.
         counts_wind: whether the speeds that the layer bounds are those through the air.
         horizon: of plans of ξ and A.
+        turn_rate: ξ in rad/s at a time in s, as a `TurnRateOptimizer` is predicted to change it;
+            None: there is none.
     """
 
     name: str
@@ -89,9 +94,11 @@ class Task:
     carrier_stiffness: float
     mean_wind: MeanWind
     believed: NDArray | None
+    gust: float
     rise: tuple[float, float]
     counts_wind: bool
     horizon: HorizonConfig
+    turn_rate: Callable[[float], float] | None = None
 
     @cached_property
     def wind(self) -> NDArray:
@@ -187,11 +194,14 @@ def task_of(scenario: Scenario, loop: Diagram | None = None) -> Task:
     layer = with_margin(scenario.optimization_layer, margin)
     scenario = dataclasses.replace(scenario, optimization_layer=layer)
     blocks = {block.get_name(): block for block in loop.GetSystems()}
-    trajectory, config = blocks["load_trajectory"], scenario.load_trajectory
-    if isinstance(config, PlannedTurnConfig) and scenario.reference_governor is None:
-        # A load that turns at the planned ξ turns at the nominal one.
-        rate = scenario.optimization_layer.frequency
-        trajectory = SteadyTurn(model, SteadyTurnConfig(yaw_rate=rate, **vars(config)))
+    trajectory = blocks["load_trajectory"]
+    if isinstance(trajectory, PlannedTurn) and scenario.reference_governor is None:
+        turn = constant_turn(trajectory, layer.frequency)
+        task = _task(scenario, model, turn.reference, blocks)
+        if not isinstance(layer, TurnRateOptimizerConfig):
+            return task
+        turn = predicted_turn(trajectory, layer, model, task.planned_wind, task.duration)
+        return dataclasses.replace(task, reference=turn.reference, turn_rate=turn.rate)
     names = [trajectory.get_output_port(i).get_name() for i in range(trajectory.num_output_ports())]
     require(
         "reference" in names and trajectory.num_input_ports() == 0,
@@ -267,6 +277,7 @@ def _task(
         carrier_stiffness=_carrier_stiffness(scenario.carrier_controller),
         mean_wind=MeanWind.of(scenario.wind, getattr(scenario.wind, "velocity", STILL_AIR)),
         believed=None if believed is None else np.array(believed, dtype=float),
+        gust=getattr(scenario.wind, "gust", 0.0),
         rise=(getattr(scenario.wind, "start_time", 0.0), getattr(scenario.wind, "rise_time", 0.0)),
         counts_wind=model.aircraft is not None and getattr(layer, "wind", True),
         horizon=timed(horizon, limits.frequency, scenario.control_period),

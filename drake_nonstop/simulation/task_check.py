@@ -100,14 +100,23 @@ class TaskCheck:
         if not missed:
             return "all limits that the layer is asked for can be kept"
         said = "; ".join(
-            f"optimization_layer.{each.limit.field} = {each.stated:g}: it cannot be kept: with the "
-            f"best plan of xi and A from {len(self.speeds.starts)} starts "
-            f"{each.limit.sentence.format(each.shown(each.worst))}, at {each.where}"
+            f"optimization_layer.{each.limit.field} = {each.stated:g}: it cannot be kept: with "
+            f"{self._parameters} {each.limit.sentence.format(each.shown(each.worst))}, at "
+            f"{each.where}"
             for each in missed
         )
         if all(each.is_in_doubt for each in missed):
             said += "; the layer may find a better one, which a flight alone tells"
         return f"{said}; {_of_remedies([remedy.text for remedy in self.limit_remedies])}"
+
+    @property
+    def _parameters(self) -> str:
+        """What the way is judged with."""
+        if self.task.turn_rate is not None:
+            return "the values of xi that the layer is predicted to ask for"
+        if self.speeds.plan is not None:
+            return f"the best plan of xi and A from {len(self.speeds.starts)} starts"
+        return "the constant xi and A"
 
     def _of_speeds(self) -> str:
         found = self.speeds
@@ -126,7 +135,7 @@ class TaskCheck:
         tried = (
             f"no plan of xi and A from {len(found.starts)} starts keeps the bound"
             if self.task.changes_parameters
-            else "the constant xi and A do not keep the bound"
+            else f"{self._parameters} do not keep the bound"
         )
         remedy = "; ".join(
             f"{remedy.text} (then {remedy.least:.3f})" for remedy in self.speed_remedies
@@ -237,6 +246,8 @@ def task_table(found: TaskCheck) -> str:
     if speeds.speed_bound > 0:
         time, carrier = speeds.least_at
         what = "best plan" if speeds.plan is not None else "constant xi and A"
+        if found.task.turn_rate is not None:
+            what = "xi of the layer"
         rows.append(
             (
                 f"least v / bound, {what}",

@@ -466,7 +466,8 @@ def test_a_block_whose_defaults_cannot_be_set_is_named_and_set_equilibrium_helps
     simulator.AdvanceTo(0.1)
     shown = diagram.GetOutputPort("load_state").Eval(simulator.get_context())
     expected = simulate(scenario, **own).signal("load_state")[-1]
-    np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-12)
+    # The two equilibria are found on two ways, each to 1e-9 m/s² and rad/s²: 1e-10 after 0.1 s.
+    np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-10)
 
 
 def test_a_replacement_that_returns_the_same_block_again_is_not_asked_twice():

@@ -1,8 +1,19 @@
 """What `check` says of drawn tasks, beside a few flights; `tests/drawn_verdicts.py` flies many."""
 
 import pytest
-from drawn_verdicts import CANNOT, SOUND, UNKNOWN, contradicts, looked_at, table, task_of_seed
+from drawn_verdicts import (
+    CANNOT,
+    SOUND,
+    UNKNOWN,
+    contradicts,
+    looked_at,
+    table,
+    task_of_seed,
+    verdict_of,
+)
 from helpers import nightly_beyond
+
+from drake_nonstop.scenario.loading import load_scenario, scenario_names
 
 
 def result(verdict, outcome):
@@ -32,6 +43,18 @@ def test_the_table_counts_each_pair():
     assert "| verdict | collision | ok |" in shown
     assert "| sound | 0 | 2 |" in shown
     assert "| cannot | 1 | 0 |" in shown
+
+
+SHIPPED = ["aircraft_co_rotating_rising_wind", *scenario_names()]
+
+
+@pytest.mark.parametrize("name", nightly_beyond(1, "studies", dict.fromkeys(SHIPPED)))
+def test_no_shipped_flight_contradicts_what_is_said_of_it(name, fleet):
+    scenario = load_scenario(name)
+    verdict, said = verdict_of(scenario)
+    _, metrics = fleet.evaluated(scenario)
+    found = {"verdict": verdict, "outcome": metrics["outcome"]}
+    assert not contradicts(found), [*said, *metrics["reasons"]]
 
 
 @pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [8, 1, 2, 4, 6, 7, 9, 11, 12, 13]))

@@ -149,6 +149,9 @@ def test_what_is_missed_for_a_short_time_is_in_doubt():
     little = told._replace(missed_share=0.3 * short.saturated_share)
     assert (little.is_flyable, little.is_in_doubt) == (True, False)
     assert little.verdict.endswith("; feedback makes up for so little")
+    gusty = told._replace(missed_share=0.0, gust=1.5)
+    assert gusty.is_in_doubt
+    assert gusty.verdict.endswith("in gusts of 1.5 m/s a flight alone tells")
     assert not flight_of_plan(task, speeds, FlightLimits(bank=0.8 * bank.value)).is_flyable
     assert not told._replace(
         ranges=told.ranges._replace(lift_share=(0.5, 1.0))

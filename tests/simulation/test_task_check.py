@@ -2,13 +2,16 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop import ScenarioError, compute_metrics, load_scenario, simulate
+from drake_nonstop.mechanics.signals import Parameters
 from drake_nonstop.optimization.limits import LIMITS
 from drake_nonstop.simulation import formation
 from drake_nonstop.simulation.run import StepCheck
+from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.simulation.sampled_growth import SampledGrowth
 from drake_nonstop.simulation.speed_check import check_speeds
 from drake_nonstop.simulation.task import task_of
@@ -132,6 +135,23 @@ def test_limits_of_aircraft_are_judged_along_the_plan_too():
     task = task_of(load_scenario("aircraft_transfer_rising_wind", given))
     found = check_speeds(task, is_quick=True)
     assert [each.limit.field for each in found.missed] == ["max_bank"]
+
+
+def test_a_load_that_turns_with_its_aircraft_is_judged_at_the_rates_of_its_layer(fleet):
+    scenario = load_scenario("aircraft_co_rotating_rising_wind")
+    run, _ = fleet.evaluated(scenario)
+    task = task_of(scenario)
+    flown = Parameters.view(run.signal("parameters")).frequency[:, 0]
+    predicted = [task.turn_rate(time) for time in run.time]
+    np.testing.assert_allclose(predicted, flown, rtol=5e-3)
+    found = check_speeds(task)
+    assert found.is_feasible
+    assert found.least == pytest.approx(
+        RunQuantities(run).flight.least_airspeed / 12.5537, rel=0.01
+    )
+    assert {each.limit.field for each in found.limits} > {"max_lift_share", "max_bank"}
+    strict = dataclasses.replace(task, limits=dataclasses.replace(task.limits, max_bank=0.05))
+    assert [each.limit.field for each in check_speeds(strict).missed] == ["max_bank"]
 
 
 def test_a_layer_without_a_bound_has_a_plan_where_it_has_limits():
