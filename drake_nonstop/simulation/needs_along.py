@@ -31,8 +31,9 @@ def planned_values(task: Task, plan: Plan | None, times: NDArray) -> NDArray:
     if plan is None:
         parts.frequency[:], parts.amplitude[:] = task.nominal
         parts.angle[:] = times[:, None] * task.limits.frequency
-        if task.turn_rate is not None:
-            parts.frequency[:, 0] = [task.turn_rate(time) for time in times]
+        if task.turn is not None:
+            turn = np.array([task.turn.planned(time) for time in times])
+            parts.angle[:], parts.frequency[:], parts.frequency_rate[:] = np.split(turn, 3, axis=1)
     else:
         values[:] = [plan.values(time) for time in times]
     return values

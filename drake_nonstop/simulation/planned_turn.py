@@ -38,16 +38,16 @@ class PlannedTurnAlong:
         self._slopes = np.append(np.diff(rates) / lengths, 0.0)
         self._angles = np.concatenate([[0.0], np.cumsum(lengths * means)])
 
-    def rate(self, time: float) -> float:
-        """ξ in rad/s at a time in s."""
-        return float(np.interp(time, self._times, self._rates))
+    def planned(self, time: float) -> tuple[float, float, float]:
+        """The yaw θ in rad, ξ in rad/s and its rate in rad/s², at a time in s."""
+        k = int(np.searchsorted(self._times, time, side="right")) - 1
+        since, rate, slope = time - self._times[k], self._rates[k], self._slopes[k]
+        angle = self._angles[k] + since * (rate + since / 2 * slope)
+        return float(angle), float(rate + since * slope), float(slope)
 
     def reference(self, time: float) -> NDArray:
         """The load's reference (22,) at a time in s."""
-        k = int(np.searchsorted(self._times, time, side="right")) - 1
-        since = time - self._times[k]
-        angle = self._angles[k] + since * (self._rates[k] + since / 2 * self._slopes[k])
-        return self.reference_at(time, angle, self.rate(time), self._slopes[k])
+        return self.reference_at(time, *self.planned(time))
 
     def reference_at(self, time: float, angle: float, rate: float, slope: float = 0.0) -> NDArray:
         """Likewise with a yaw in rad, and its rates in rad/s and rad/s²."""

@@ -151,7 +151,7 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
 def _limits_in_turn(task: Task, times: NDArray) -> tuple[LimitAlong, ...]:
     """The limits of aircraft whose load turns at a ξ that a layer changes, at times (k,), s."""
     aircraft, asked_for = task.flown.aircraft, [*asked(task.limits, Of.FLIGHT)]
-    if task.turn_rate is None or aircraft is None or not asked_for:
+    if task.turn is None or aircraft is None or not asked_for:
         return ()
     needs = NeedsAlong(task, times).needs(planned_values(task, None, times))
     return tuple(

@@ -35,7 +35,7 @@ from drake_nonstop.optimization.speed_margin import with_margin
 from drake_nonstop.optimization.turn_of_loops import Feedback
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.load_stability import LoadDeviations
-from drake_nonstop.simulation.planned_turn import constant_turn, predicted_turn
+from drake_nonstop.simulation.planned_turn import PlannedTurnAlong, constant_turn, predicted_turn
 from drake_nonstop.validation import require
 
 _ANALYSED = (  # the boxes between the load's state and its cables
@@ -74,8 +74,7 @@ class Task:
         rise: when the wind begins to rise, s, and how long it takes, s; 0: at once.
         counts_wind: whether the speeds that the layer bounds are those through the air.
         horizon: of plans of ξ and A.
-        turn_rate: ξ in rad/s at a time in s, as a `TurnRateOptimizer` is predicted to change it;
-            None: there is none.
+        turn: the load's, as a `TurnRateOptimizer` is predicted to change it; None: there is none.
     """
 
     name: str
@@ -98,7 +97,7 @@ class Task:
     rise: tuple[float, float]
     counts_wind: bool
     horizon: HorizonConfig
-    turn_rate: Callable[[float], float] | None = None
+    turn: PlannedTurnAlong | None = None
 
     @cached_property
     def wind(self) -> NDArray:
@@ -201,7 +200,7 @@ def task_of(scenario: Scenario, loop: Diagram | None = None) -> Task:
         if not isinstance(layer, TurnRateOptimizerConfig):
             return task
         turn = predicted_turn(trajectory, layer, model, task.planned_wind, task.duration)
-        return dataclasses.replace(task, reference=turn.reference, turn_rate=turn.rate)
+        return dataclasses.replace(task, reference=turn.reference, turn=turn)
     names = [trajectory.get_output_port(i).get_name() for i in range(trajectory.num_output_ports())]
     require(
         "reference" in names and trajectory.num_input_ports() == 0,

@@ -112,7 +112,7 @@ class TaskCheck:
     @property
     def _parameters(self) -> str:
         """What the way is judged with."""
-        if self.task.turn_rate is not None:
+        if self.task.turn is not None:
             return "the values of xi that the layer is predicted to ask for"
         if self.speeds.plan is not None:
             return f"the best plan of xi and A from {len(self.speeds.starts)} starts"
@@ -246,7 +246,7 @@ def task_table(found: TaskCheck) -> str:
     if speeds.speed_bound > 0:
         time, carrier = speeds.least_at
         what = "best plan" if speeds.plan is not None else "constant xi and A"
-        if found.task.turn_rate is not None:
+        if found.task.turn is not None:
             what = "xi of the layer"
         rows.append(
             (

@@ -142,7 +142,7 @@ def test_a_load_that_turns_with_its_aircraft_is_judged_at_the_rates_of_its_layer
     run, _ = fleet.evaluated(scenario)
     task = task_of(scenario)
     flown = Parameters.view(run.signal("parameters")).frequency[:, 0]
-    predicted = [task.turn_rate(time) for time in run.time]
+    predicted = [task.turn.planned(time)[1] for time in run.time]
     np.testing.assert_allclose(predicted, flown, rtol=5e-3)
     found = check_speeds(task)
     assert found.is_feasible
