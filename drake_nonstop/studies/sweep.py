@@ -20,7 +20,7 @@ from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened
 from drake_nonstop.simulation.simulate import LoopMaker
-from drake_nonstop.studies.files import as_path, replacing_file
+from drake_nonstop.studies.files import as_path, replacing_file, replacing_files
 from drake_nonstop.studies.journal import JOURNAL as JOURNAL
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
 from drake_nonstop.studies.processes import require_main
@@ -39,6 +39,7 @@ from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, require, require_flags, require_installed
 
 TABLE = "runs.parquet"
+_SPEC, _SCENARIO = "spec.yaml", "scenario.yaml"
 WALL_TIMES = "wall_times.parquet"
 
 _CHECKED_RUNS = 20  # one of them has to make a scenario before any run is simulated
@@ -130,10 +131,10 @@ def sweep(
             if not has_scenario:
                 _require_unusable(scenario, spec.run(number), trust, fields["error"])
             if len(journal) == 0:
-                for name in (TABLE, WALL_TIMES):
-                    (folder / name).unlink(missing_ok=True)
-                (folder / "scenario.yaml").write_text(text, encoding="utf-8")
-                (folder / "spec.yaml").write_text(f"{dump_spec(spec)}\n", encoding="utf-8")
+                files = (_SPEC, _SCENARIO, TABLE, WALL_TIMES)
+                with replacing_files(folder, files) as new:  # which leaves no earlier tables
+                    (new / _SPEC).write_text(f"{dump_spec(spec)}\n", encoding="utf-8")
+                    (new / _SCENARIO).write_text(text, encoding="utf-8")
             journal.record(number, fields)
 
         missing = [number for number in range(total) if number not in journal]

@@ -464,3 +464,13 @@ def test_a_text_is_no_flag_and_removes_nothing(tmp_path, flag):
         with pytest.raises(ScenarioError, match=rf"^{flag} = no: give true or false"):
             study()
     assert (tmp_path / JOURNAL).read_text() == "mine"
+
+
+def test_where_a_file_cannot_be_written_the_others_stay(tmp_path):
+    (tmp_path / "scenario.yaml").write_text("mine")
+    (tmp_path / "spec.yaml").mkdir()
+    (tmp_path / "spec.yaml" / "notes").write_text("mine")
+    spec = SweepSpec(grid={"simulation_duration": [0.01]})
+    with pytest.raises(ScenarioError, match="give a folder with room to write to"):
+        drake_nonstop.sweep(load_scenario("line"), spec, tmp_path, executor=SerialExecutor())
+    assert (tmp_path / "scenario.yaml").read_text() == "mine"
