@@ -48,7 +48,7 @@ from drake_nonstop.mechanics.signals import (
     LoadReference,
     Wrench,
 )
-from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
+from drake_nonstop.mechanics.wrench import feedforward_wrench
 
 _UP = np.array([0.0, 0.0, 1.0])
 _LEAST = 1e-12  # beside squares that may vanish
@@ -196,9 +196,7 @@ def flight_along_reference(
     in W. The reference's angular jerk and snap are taken as zero. Others as of `flight_terms`.
     """
     state = reference[:LOAD_STATE_SIZE]
-    wrench, wrench_rate = wrench_and_rate(
-        load, state, reference, np.zeros(WRENCH_SIZE), wind, feedforward=1.0, **NO_FEEDBACK
-    )
+    wrench, wrench_rate = feedforward_wrench(load, reference, wind)
     terms = flight_terms(
         state,
         reference,

@@ -13,7 +13,7 @@ from drake_nonstop.mechanics.nonstop import orbit_ahead
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE
-from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
+from drake_nonstop.mechanics.wrench import feedforward_wrench
 
 
 class OrbitTerms(NamedTuple):
@@ -48,9 +48,7 @@ def orbit_along_reference(
     `pseudo_inverse` (3n, 6), `offset` (3n,) in N and `attachments` (n, 3) are in L.
     """
     state = reference[:LOAD_STATE_SIZE]
-    wrench, wrench_rate = wrench_and_rate(
-        load, state, reference, np.zeros(WRENCH_SIZE), wind, feedforward=1.0, **NO_FEEDBACK
-    )
+    wrench, wrench_rate = feedforward_wrench(load, reference, wind)
     forces, rates, _, velocities, omega = orbit_ahead(
         state,
         state,

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad, load_acceleration
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix, vee
-from drake_nonstop.mechanics.signals import LoadReference, LoadState, TrackingError, Wrench
+from drake_nonstop.mechanics.signals import (
+    LOAD_STATE_SIZE,
+    WRENCH_SIZE,
+    LoadReference,
+    LoadState,
+    TrackingError,
+    Wrench,
+)
 
 # The gains of `wrench_and_rate` but for the feedforward, and what they are without feedback.
 FEEDBACK_GAINS = (
@@ -128,6 +135,14 @@ def wrench_and_rate(
         * (load.inertia @ desired_omega_second_rate + load.angular_drag * desired_omega_rate)
     )
     return wrench, np.concatenate([R_WL @ (torque_rate + cross(omega, torque)), force_rate])
+
+
+def feedforward_wrench(
+    load: RigidLoad, reference: NDArray, wind: NDArray = STILL_AIR
+) -> tuple[NDArray, NDArray]:
+    """As `wrench_and_rate`, of a load that is on its reference (22,), by feedforward alone."""
+    state, none = reference[:LOAD_STATE_SIZE], np.zeros(WRENCH_SIZE)
+    return wrench_and_rate(load, state, reference, none, wind, feedforward=1.0, **NO_FEEDBACK)
 
 
 def _times(gain: float | NDArray, vector: NDArray) -> NDArray:

@@ -39,7 +39,7 @@ class FlightOfPlan(NamedTuple):
     def is_in_doubt(self) -> bool:
         """Whether a flight alone tells if feedback makes up for what is missed, or for gusts."""
         is_short = _AFTERWARDS * self.missed_share <= self.largest_share
-        return self.is_flyable and not (is_short and self.gust == 0)
+        return self.is_flyable and (not is_short or self.gust > 0)
 
     @property
     def verdict(self) -> str:

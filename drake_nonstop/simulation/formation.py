@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import grasp_matrix, in_load_frame
 from drake_nonstop.mechanics.internal_force import internal_force
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, WRENCH_SIZE
-from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK, wrench_and_rate
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
+from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK, feedforward_wrench
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.simulation.load_stability import Growth, LoadDeviations
@@ -115,15 +116,7 @@ def held_forces(
         wind: at the load (3,), m/s, in W; None: there is none.
     """
     state = reference[:LOAD_STATE_SIZE]
-    wrench, rate = wrench_and_rate(
-        model.load,
-        state,
-        reference,
-        np.zeros(WRENCH_SIZE),
-        np.zeros(WIND_SIZE) if wind is None else wind,
-        feedforward=1.0,
-        **NO_FEEDBACK,
-    )
+    wrench, rate = feedforward_wrench(model.load, reference, STILL_AIR if wind is None else wind)
     R_LW, _, wrench_L, _ = in_load_frame(state, wrench, rate)
     return model.pseudo_inverse @ wrench_L + model.pattern.offset, R_LW
 

@@ -8,13 +8,8 @@ from numpy.typing import NDArray
 
 from drake_nonstop.blocks.load_trajectory import PlannedTurn
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizerConfig
-from drake_nonstop.mechanics.signals import (
-    LOAD_STATE_SIZE,
-    PLANNED_SIZE,
-    WRENCH_SIZE,
-    PlannedParameters,
-)
-from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
+from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
+from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.flight_limits import FlightLimits
 from drake_nonstop.optimization.turn_rate import TurnRateSolver, turn_update
@@ -89,18 +84,8 @@ def predicted_turn(
     times, rates = step * np.arange(int(duration / step) + 1), []
     for time in times:
         motion, air = turn.reference_at(time, angle, rate), wind(time)
-        wrench, wrench_rate = wrench_and_rate(
-            model.load,
-            motion[:LOAD_STATE_SIZE],
-            motion,
-            np.zeros(WRENCH_SIZE),
-            air,
-            feedforward=1.0,
-            **NO_FEEDBACK,
-        )
-        update = turn_update(
-            layer, float(config.speed_bound), rate, motion, wrench, wrench_rate, air
-        )
+        wrenches = feedforward_wrench(model.load, motion, air)
+        update = turn_update(layer, float(config.speed_bound), rate, motion, *wrenches, air)
         rate = solver.solve(update).rate
         rates.append(rate)
         angle += step * rate

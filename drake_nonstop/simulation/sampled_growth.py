@@ -20,9 +20,9 @@ from drake_nonstop.mechanics.internal_force import (
     internal_force_jerk,
 )
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadReference
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadReference
 from drake_nonstop.mechanics.tethered_loop import Orbit
-from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
+from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.optimization.turn_of_loops import turn_of_loops
 from drake_nonstop.simulation.task import Task
 
@@ -74,15 +74,7 @@ def sampled_growth(
 def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) -> Orbit:
     """The forces and their rates, in the load's frame; velocities, which do not matter, are 1."""
     model, state = task.model, reference[:LOAD_STATE_SIZE]
-    wrench, rate = wrench_and_rate(
-        model.load,
-        state,
-        reference,
-        np.zeros(WRENCH_SIZE),
-        task.wind,
-        feedforward=1.0,
-        **NO_FEEDBACK,
-    )
+    wrench, rate = feedforward_wrench(model.load, reference, task.wind)
     pattern = model.pattern
     internal = np.concatenate(
         internal_force(parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders)

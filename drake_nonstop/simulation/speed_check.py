@@ -15,8 +15,8 @@ from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE
-from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
+from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonData, HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.limits import Of, asked
@@ -123,13 +123,14 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
     is_limited = bound > 0 or any(asked(task.limits))
     if not task.changes_parameters or not is_limited:
         fine = _fine_times(task)
-        parameters = planned_values(task, None, fine)[:, 1:3]
+        planned = planned_values(task, None, fine)
+        parameters = planned[:, 1:3]
         speeds = constant_speeds(task, fine)
         none = np.full(speeds.shape, np.inf)
         ratios = speeds / bound if bound > 0 else none
         least = np.interp(times, fine, ratios.min(axis=1))
         starts: tuple[float, ...] = (float(ratios.min()),)
-        limits = _limits_in_turn(task, fine)
+        limits = _limits_in_turn(task, fine, planned)
         return SpeedCheck(
             bound, times, least, None, fine, parameters, ratios, starts, limits=limits
         )
@@ -148,12 +149,18 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
     )
 
 
-def _limits_in_turn(task: Task, times: NDArray) -> tuple[LimitAlong, ...]:
-    """The limits of aircraft whose load turns at a ξ that a layer changes, at times (k,), s."""
+def _limits_in_turn(task: Task, times: NDArray, planned: NDArray) -> tuple[LimitAlong, ...]:
+    """The limits of aircraft whose load turns at a ξ that a layer changes.
+
+    Args:
+        task: what is flown.
+        times: (k,), s.
+        planned: (k, 8), as of `planned_values`.
+    """
     aircraft, asked_for = task.flown.aircraft, [*asked(task.limits, Of.FLIGHT)]
     if task.turn is None or aircraft is None or not asked_for:
         return ()
-    needs = NeedsAlong(task, times).needs(planned_values(task, None, times))
+    needs = NeedsAlong(task, times).needs(planned)
     return tuple(
         LimitAlong(limit, stated, times, limit.values(aircraft, needs))
         for limit, stated in asked_for
@@ -220,15 +227,7 @@ def constant_speeds(task: Task, times: NDArray) -> NDArray:
     for time in times:
         reference = task.reference(time)
         state = reference[:LOAD_STATE_SIZE]
-        wrench, rate = wrench_and_rate(
-            model.load,
-            state,
-            reference,
-            np.zeros(WRENCH_SIZE),
-            task.wind_at(time),
-            feedforward=1.0,
-            **NO_FEEDBACK,
-        )
+        wrench, rate = feedforward_wrench(model.load, reference, task.wind_at(time))
         angle = np.array([task.limits.frequency * time])
         internal = internal_force(task.nominal, angle, phases=pattern.phases, orders=pattern.orders)
         forces, rates = cable_forces_and_rates(

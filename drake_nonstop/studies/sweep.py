@@ -39,8 +39,8 @@ from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, require, require_flags, require_installed
 
 TABLE = "runs.parquet"
-_SPEC, _SCENARIO = "spec.yaml", "scenario.yaml"
 WALL_TIMES = "wall_times.parquet"
+_SPEC, _SCENARIO = "spec.yaml", "scenario.yaml"
 
 _CHECKED_RUNS = 20  # one of them has to make a scenario before any run is simulated
 _ROW_GROUP = 10_000  # rows of a table that are held in memory at a time
