@@ -344,7 +344,12 @@ def is_number(value: Any) -> bool:
 
 
 def finite(value: Any) -> Any:
-    """The value, with None for each number in its dictionaries and lists that is not finite."""
+    """The value, with None for each number in its dictionaries and lists that is not finite.
+
+    Scalars of NumPy become Python's, which JSON knows.
+    """
+    if isinstance(value, np.generic):
+        value = value.item()
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -158,22 +158,18 @@ def check(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> di
         scenario = scenario_of(tasks, seed, condition, overrides)
         task = task_of(scenario)
         speeds = check_speeds(task)
-        plan = speeds.plan
-        formation = find_formation(
-            task, None if plan is None else lambda time: np.array(plan.values(time)[1:3])
-        )
+        formation = find_formation(task, speeds.plan)
         figures: Figures = {"least": speeds.least, "starts": list(speeds.starts)}
         at_rest = formation.at_rest
         figures |= {"rate_at_rest": at_rest.rate, "growth": formation.growth}
         figures |= {
-            "sampled_rate_at_rest": at_rest.sampled.rate,
-            "sampled_growth_in_turn": at_rest.sampled.in_turn,
-            "sampled_growth": formation.sampled_growth,
+            "sampled_rate_at_rest": formation.sampled_rate,
+            "sampled_growth": formation.sampled.growth,
         }
         outcome = "sound" if speeds.is_feasible else "infeasible"
         if not formation.is_stable:
             outcome = "unstable"
-            if np.nanmax([at_rest.rate, at_rest.sampled.rate]) > _UNSTABLE:
+            if np.nanmax([at_rest.rate, formation.sampled_rate]) > _UNSTABLE:
                 figures["measured_rate_at_rest"] = measured_rate(scenario)
             else:
                 figures["measured_growth"] = measured_growth(scenario)

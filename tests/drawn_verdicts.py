@@ -133,7 +133,7 @@ def verdict_of(scenario: Scenario) -> tuple[str, list[str]]:
         return UNKNOWN, said
     if not found.is_sound:
         return CANNOT, said
-    is_known = found.flight is not None or np.isfinite(found.formation.sampled_growth)
+    is_known = found.flight is not None or np.isfinite(found.formation.sampled.growth)
     return SOUND if is_known else UNKNOWN, said
 
 

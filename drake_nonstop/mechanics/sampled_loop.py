@@ -5,13 +5,13 @@ of the interval after a sample, since held commands ripple within it. A loop tha
 periodic motion is one such loop after the other.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-_STARTS = 12  # phases from which on deviations are followed
+_FOLLOWED = 1e12  # times that a deviation grows, beyond which it is not followed
 _TERMS = 9  # of the exponential's series, for a matrix of norm 1/4
 
 
@@ -97,21 +97,43 @@ def growth(transitions: NDArray) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(turn)), initial=0.0))
 
 
-def growth_in_turn(transitions: NDArray, scale: NDArray) -> float:
-    """By how much a deviation of the first states grows at most, from some phase on, within a turn.
+class Grown(NamedTuple):
+    """How many times a deviation grows at most, at least 1, and the samples from which to which."""
 
-    Maps are as of `growth`; `scale` (k,) weighs the first k states, which begin off while all
-    others do not, and whose size is the largest singular value.
+    times: float
+    first: int
+    last: int
+
+
+def largest_growth(transitions: Iterable[NDArray], scale: NDArray, *, spacing: int) -> Grown:
+    """By how much a deviation of the first states grows at most, while a loop changes.
+
+    One that grows beyond 1e12 times is followed no further.
+
+    Args:
+        transitions: the maps (s, s) from sample to sample, in their order.
+        scale: (k,) weighs the first k states, which begin off while all others do not, and whose
+            size is the largest singular value.
+        spacing: of the samples from which on deviations are followed.
     """
-    count, k = len(transitions), len(scale)
-    firsts = np.arange(0, count, max(1, count // _STARTS))
-    state = np.zeros((len(firsts), transitions.shape[1], k))
-    state[:, :k] = np.diag(1 / scale)
-    sizes = []
-    for sample in range(count):
-        state = transitions[(firsts + sample) % count] @ state
-        sizes.append(scale[:, None] * state[:, :k])
-    return float(np.max(np.linalg.norm(sizes, 2, axis=(-2, -1)), initial=1.0))
+    k, found = len(scale), Grown(1.0, 0, 0)
+    states = np.zeros((0, 0, k))
+    for sample, transition in enumerate(transitions):
+        if sample % spacing == 0:
+            begun = np.zeros((1, len(transition), k))
+            begun[0, :k] = np.diag(1 / scale)
+            states = np.concatenate([states.reshape(-1, *begun.shape[1:]), begun])
+        states = transition @ states
+        sizes = scale[:, None] * states[:, :k]
+        if np.max(np.linalg.norm(sizes, axis=(-2, -1))) <= found.times:
+            continue  # the largest singular value is no larger
+        largest = np.linalg.norm(sizes, 2, axis=(-2, -1))
+        start = int(np.argmax(largest))
+        if largest[start] > found.times:
+            found = Grown(float(largest[start]), start * spacing, sample + 1)
+        if not found.times < _FOLLOWED:
+            break
+    return found
 
 
 def responses(

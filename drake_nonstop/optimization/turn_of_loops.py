@@ -1,7 +1,7 @@
 """The linear sampled loop of load, cables, carriers and controllers along a turn of the orbits."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.sampled_loop import (
     SampledLoop,
     growth,
-    growth_in_turn,
     interpolated,
     parts_of_turn,
 )
@@ -51,14 +50,6 @@ class TurnOfLoops(NamedTuple):
     transitions: NDArray  # (l, s, s), the maps from sample to sample of the turn
     rate: float  # 1/s, at which a deviation grows from turn to turn, the largest one
 
-    def growth_in_turn(self, radius: float) -> float:
-        """The logarithm of how many times a deviation of the load's pose grows within a turn.
-
-        An attitude's size is that of the distance it makes at the radius in m.
-        """
-        scale = np.repeat([radius, 1.0], 3)
-        return math.log(growth_in_turn(self.transitions, scale))
-
 
 def turn_of_loops(
     model: Model,
@@ -67,8 +58,6 @@ def turn_of_loops(
     feedback: Feedback,
     frequency: float,
     orbit: Callable[[float], Orbit],
-    *,
-    phases: int = _LOOPS,
 ) -> TurnOfLoops:
     """The loop of load, cables, carriers and controllers along the orbits.
 
@@ -82,8 +71,26 @@ def turn_of_loops(
         feedback: the wrench controller's.
         frequency: ξ, rad/s.
         orbit: that at a phase in rad.
-        phases: about as many, at which the loop is linearized.
     """
+    turn = 2 * math.pi / frequency
+    samples, count = parts_of_turn(turn, feedback.period, _LOOPS)
+    orbits = [orbit(2 * math.pi * i / count) for i in range(count)]
+    loops = loops_at(model, plant, carriers, feedback, orbits)
+    whole = max(1, round(turn / feedback.period))
+    maps = np.stack([loop.transition for loop in loops])
+    transitions = interpolated(maps, np.arange(whole) / whole)
+    rate = math.log(growth(transitions)) / (whole * feedback.period)
+    return TurnOfLoops(orbits, loops, samples, transitions, rate)
+
+
+def loops_at(
+    model: Model,
+    plant: Model,
+    carriers: Carriers,
+    feedback: Feedback,
+    orbits: Iterable[Orbit],
+) -> list[SampledLoop]:
+    """The loop at phases of the orbits; the other arguments are as of `turn_of_loops`."""
     cables = Cables(
         attachments=plant.attachments,
         stiffness=plant.cable_stiffness,
@@ -91,11 +98,7 @@ def turn_of_loops(
         rest_length=plant.cable_length,
         compliance=model.cable_compliance,
     )
-    turn = 2 * math.pi / frequency
-
-    samples, count = parts_of_turn(turn, feedback.period, phases)
-    orbits = [orbit(2 * math.pi * i / count) for i in range(count)]
-    loops = [
+    return [
         tethered_loop(
             plant.load,
             cables,
@@ -110,8 +113,3 @@ def turn_of_loops(
         )
         for along in orbits
     ]
-    whole = max(1, round(turn / feedback.period))
-    maps = np.stack([loop.transition for loop in loops])
-    transitions = interpolated(maps, np.arange(whole) / whole)
-    rate = math.log(growth(transitions)) / (whole * feedback.period)
-    return TurnOfLoops(orbits, loops, samples, transitions, rate)

@@ -11,7 +11,7 @@ from drake_nonstop.simulation.aircraft_margins import (
     FlightRanges,
     quantities_of_each,
 )
-from drake_nonstop.simulation.needs_along import NeedsAlong, planned_values
+from drake_nonstop.simulation.needs_along import NeedsAlong
 from drake_nonstop.simulation.speed_check import SpeedCheck
 from drake_nonstop.simulation.task import Task
 
@@ -103,7 +103,7 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
     if aircraft is None or is_free or any(o != 1 for o in task.flown.pattern.harmonics):
         return None
     times = speeds.plan_times
-    planned = planned_values(task, speeds.plan, times)
+    planned = task.planned(speeds.plan, times)
     along = NeedsAlong(task, times)
     needs, forces = along.needs(planned), along.cable_forces(planned)
     quantities = [*quantities_of_each(aircraft, needs, limits)]

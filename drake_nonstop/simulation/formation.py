@@ -3,6 +3,7 @@
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -12,21 +13,25 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.grasp import grasp_matrix, in_load_frame
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, PlannedParameters
 from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK, feedforward_wrench
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.simulation.load_stability import Growth, LoadDeviations
-from drake_nonstop.simulation.sampled_growth import SampledGrowth, sampled_growth
+from drake_nonstop.simulation.sampled_growth import (
+    Planned,
+    SampledGrowth,
+    growth_on_the_way,
+    sampled_rate,
+)
 from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
-
-Parameters = Callable[[float], NDArray]  # [ξ (rad/s), A (N)] (2,) at a time in s
 
 _MOST_GROWN = 1.0  # logarithm of what becomes of a deviation of 1, of a sound task
 _MOST_GROWN_IN_SAMPLES = 4.5  # likewise
 _SURELY_LOST = math.log(1e5)  # likewise: what holds leave, some micrometres, is a part of a metre
-_SAMPLED = 2  # instants, at one of which the sampled loop is looked at; where it grows, all are
+_CLOSER = 96  # phases of a turn, where deviations grow in the samples at fewer
 _GAIN_FACTORS = (2.0, 4.0, 8.0, 0.5, 0.25)
 _HALVINGS = 6  # of the range of A
 _LEAST_AMPLITUDE = 0.05  # of the nominal A
@@ -55,7 +60,6 @@ class FormationInstant(NamedTuple):
     loads: CableLoads
     free: Growth  # without control
     controlled: Growth | None  # with the scenario's; None: it is not known
-    sampled: SampledGrowth  # with its samples and carriers
 
     @property
     def rate(self) -> float:
@@ -69,7 +73,8 @@ class Formation(NamedTuple):
     at_rest: FormationInstant  # at the start, with the first ξ and A
     on_the_way: tuple[FormationInstant, ...]
     growth: float  # at most, of the logarithm of a deviation, from any instant on: ∫ of the rate
-    sampled_growth: float  # likewise with samples and carriers; NaN: they are not known
+    sampled_rate: float  # 1/s, of a deviation at rest, with samples and carriers; NaN: not known
+    sampled: SampledGrowth  # likewise, on the way
 
     @property
     def is_stable(self) -> bool:
@@ -83,12 +88,12 @@ class Formation(NamedTuple):
     @property
     def is_lost_in_samples(self) -> bool:
         """Whether the sampled loop of load, carriers and controllers is unstable."""
-        return self.sampled_growth >= _MOST_GROWN_IN_SAMPLES
+        return self.sampled.growth >= _MOST_GROWN_IN_SAMPLES
 
     @property
     def is_in_doubt(self) -> bool:
         """Whether it is unstable, and yet a flight may end before the load is lost."""
-        is_short = max(self.growth, np.nan_to_num(self.sampled_growth)) < _SURELY_LOST
+        is_short = self.growth < _SURELY_LOST and not self.sampled.growth >= _SURELY_LOST
         return is_short and not self.is_stable
 
     @property
@@ -98,10 +103,7 @@ class Formation(NamedTuple):
 
     @property
     def worst(self) -> FormationInstant:
-        """That with the largest rate, in samples where these lose the load."""
-        if self.is_lost_in_samples:
-            sampled = [i for i in self.instants if math.isfinite(i.sampled.in_turn)]
-            return max(sampled, key=lambda instant: instant.sampled.in_turn)
+        """That with the largest rate."""
         return max(self.instants, key=lambda instant: instant.rate)
 
 
@@ -155,8 +157,6 @@ def formation_at(
     time: float,
     parameters: NDArray,
     gains: Mapping[str, Any] | None,
-    *,
-    in_samples: bool = True,
 ) -> FormationInstant:
     """The formation at a time (s) with [ξ, A] (2,); gains as of `Task`."""
     reference = task.reference(time)
@@ -169,52 +169,42 @@ def formation_at(
         cable_loads(task.flown, reference, parameters, task.wind),
         deviations.growth(reference, parameters, wind=task.wind),
         controlled,
-        sampled_growth(task, reference, parameters, gains)
-        if in_samples and gains is not None
-        else SampledGrowth(),
     )
 
 
-def find_formation(
-    task: Task, parameters: Parameters | None = None, *, count: int = 8
-) -> Formation:
-    """The formation at the start and at `count` instants of a task.
+def find_formation(task: Task, plan: Plan | None = None, *, count: int = 8) -> Formation:
+    """The formation at the start, at `count` instants of a task and, in samples, along its plan.
 
     Args:
         task: what is flown.
-        parameters: ξ and A over the time, such as those of a plan; None: the nominal ones.
-        count: of the instants on the way, at the middles of equal parts of it; twice as many where
-            deviations grow in the samples.
+        plan: of ξ and A; None: they are the nominal ones.
+        count: of the instants on the way, at the middles of equal parts of it.
     """
-    at = parameters or (lambda time: task.nominal)
     deviations, gains = task.deviations(), task.effective_gains
-    at_rest = formation_at(task, deviations, 0.0, task.nominal, gains)
+    part = task.duration / count
+    times = part * (np.arange(count) + 0.5)
+    instants = tuple(
+        formation_at(task, deviations, time, values[1:3], gains)
+        for time, values in zip(times.tolist(), task.planned(plan, times), strict=True)
+    )
+    rate, sampled = math.nan, SampledGrowth()
+    if gains is not None:
+        rate = sampled_rate(task, task.reference(0.0), task.nominal, gains)
+        sampled = _growth_in_samples(task, partial(task.planned, plan), gains)
+    return Formation(
+        formation_at(task, deviations, 0.0, task.nominal, gains),
+        instants,
+        _largest_growth([part * instant.rate for instant in instants]),
+        rate,
+        sampled,
+    )
 
-    def found(count: int, sampled: int) -> Formation:
-        part = task.duration / count
-        instants = tuple(
-            formation_at(
-                task,
-                deviations,
-                part * (i + 0.5),
-                at(part * (i + 0.5)),
-                gains,
-                in_samples=i % sampled == sampled // 2,
-            )
-            for i in range(count)
-        )
-        looked_at = instants[sampled // 2 :: sampled] or (at_rest,)
-        long_part = task.duration / len(looked_at)
-        in_turn = max(instant.sampled.in_turn for instant in (at_rest, *looked_at))
-        return Formation(
-            at_rest,
-            instants,
-            _largest_growth([part * instant.rate for instant in instants]),
-            _largest_growth([long_part * instant.sampled.rate for instant in looked_at]) + in_turn,
-        )
 
-    first = found(count, _SAMPLED)
-    return found(2 * count, 1) if first.is_lost_in_samples else first
+def _growth_in_samples(task: Task, planned: Planned, gains: Mapping[str, Any]) -> SampledGrowth:
+    found = growth_on_the_way(task, planned, gains)
+    if found.growth >= _MOST_GROWN_IN_SAMPLES:
+        found = growth_on_the_way(task, planned, gains, phases=_CLOSER)
+    return found
 
 
 def _largest_growth(parts: Sequence[float]) -> float:
@@ -252,14 +242,14 @@ def growth_complaint(task: Task, duration: float, *, in_samples: bool = False) -
     if found * duration < _MOST_GROWN:
         if not in_samples or gains is None:
             return ""
-        sampled = sampled_growth(task, task.reference(0.0), task.nominal, gains)
-        growth = _largest_growth([sampled.rate * duration]) + sampled.in_turn
-        if not growth >= _MOST_GROWN_IN_SAMPLES:
+        sampled = _growth_in_samples(
+            replace(task, duration=duration), partial(task.planned, None), gains
+        )
+        if not sampled.growth >= _MOST_GROWN_IN_SAMPLES:
             return ""
         return (
             "formation = unstable: in the samples of the controllers a small deviation of the "
-            f"load grows by {sampled.rate:.2g} 1/s at the start, and by as much as "
-            f"{math.exp(sampled.in_turn):.2g} times in a turn; {remedy}"
+            f"load grows {sampled.sentence}; {remedy}"
         )
     if (amplitude := _largest_amplitude(task, is_stable)) is not None:
         remedy = f"give optimization_layer.amplitude of at most {amplitude:.3g} N, or {remedy}"
@@ -270,7 +260,7 @@ def growth_complaint(task: Task, duration: float, *, in_samples: bool = False) -
 
 
 def find_formation_remedies(
-    task: Task, found: Formation, parameters: Parameters | None = None, *, worst: float = math.nan
+    task: Task, found: Formation, plan: Plan | None = None, *, worst: float = math.nan
 ) -> list[str]:
     """What makes a formation stable with all cables pulling, where it is worst: each was tried.
 
@@ -280,10 +270,9 @@ def find_formation_remedies(
     Args:
         task: what is flown.
         found: its formation.
-        parameters: as of `find_formation`.
+        plan: as of `find_formation`.
         worst: a time in s that counts, too; NaN: none.
     """
-    at = parameters or (lambda time: task.nominal)
     first = [time for time in (worst, found.worst.time) if math.isfinite(time)]
     others = {
         0.0,
@@ -294,18 +283,22 @@ def find_formation_remedies(
     def is_stable(task: Task, gains: Mapping[str, Any] | None = None, of_amplitude: float = 1.0):
         deviations = task.deviations()
         used = task.effective_gains if gains is None else gains
-        for time in times:
-            parameters = at(time) * np.array([1.0, of_amplitude])
-            loads = cable_loads(task.flown, task.reference(time), parameters, task.wind)
+
+        def planned(times: NDArray) -> NDArray:
+            values = task.planned(plan, times)
+            PlannedParameters.view(values).amplitude[:] *= of_amplitude
+            return values
+
+        for time, values in zip(times, planned(np.array(times)), strict=True):
+            loads = cable_loads(task.flown, task.reference(time), values[1:3], task.wind)
             if not np.min(loads.shares) > 0:
                 return False
-            in_samples = found.growth < _MOST_GROWN
-            instant = formation_at(task, deviations, time, parameters, used, in_samples=in_samples)
-            grown = max(0.0, instant.sampled.rate) * task.duration + instant.sampled.in_turn
-            is_lost = grown >= _MOST_GROWN_IN_SAMPLES
-            if instant.rate * task.duration >= _MOST_GROWN or is_lost:
+            instant = formation_at(task, deviations, time, values[1:3], used)
+            if instant.rate * task.duration >= _MOST_GROWN:
                 return False
-        return True
+        if found.growth >= _MOST_GROWN or used is None:
+            return True
+        return not growth_on_the_way(task, planned, used).growth >= _MOST_GROWN_IN_SAMPLES
 
     remedies = []
     if (amplitude := _largest_amplitude(task, is_stable)) is not None:

@@ -17,26 +17,10 @@ from drake_nonstop.mechanics.planned_flight import (
     planned_cable_forces,
 )
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
+from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.simulation.aircraft_margins import asked_load
 from drake_nonstop.simulation.task import Task
-
-
-def planned_values(task: Task, plan: Plan | None, times: NDArray) -> NDArray:
-    """θ, ξ, A and their rates (k, 8) of a plan at times (k,), s; None: the nominal ξ and A."""
-    values = np.zeros((len(times), PLANNED_SIZE))
-    parts = PlannedParameters.view(values)
-    if plan is None:
-        parts.frequency[:], parts.amplitude[:] = task.nominal
-        parts.angle[:] = times[:, None] * task.limits.frequency
-        if task.turn is not None:
-            turn = np.array([task.turn.planned(time) for time in times])
-            parts.angle[:], parts.frequency[:], parts.frequency_rate[:] = np.split(turn, 3, axis=1)
-    else:
-        values[:] = [plan.values(time) for time in times]
-    return values
 
 
 class NeedsAlong:

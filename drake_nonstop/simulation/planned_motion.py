@@ -16,7 +16,6 @@ from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.formation import held_forces
-from drake_nonstop.simulation.needs_along import planned_values
 from drake_nonstop.simulation.outcome import find_collisions
 from drake_nonstop.simulation.separations import Spacing, closest_cables, closest_carriers
 from drake_nonstop.simulation.task import Task
@@ -70,7 +69,7 @@ class PlannedMotion(Spacing):
         fastest = task.limits.frequency * (1 if plan is None else plan.coefficients[0].max())
         turns = task.duration * fastest / (2 * math.pi)
         self.times = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
-        planned = planned_values(task, plan, times)
+        planned = task.planned(plan, times)
         references = np.array([task.reference(time) for time in times])
         winds = [task.wind_at(time) for time in times]
         held = map(partial(held_forces, self._model), references, winds)

@@ -29,7 +29,7 @@ from drake_nonstop.optimization.problem_config import (
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.optimization.whole_task import receding_coefficients
 from drake_nonstop.simulation.limit_along import LimitAlong
-from drake_nonstop.simulation.needs_along import NeedsAlong, planned_values
+from drake_nonstop.simulation.needs_along import NeedsAlong
 from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
 
@@ -123,7 +123,7 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
     is_limited = bound > 0 or any(asked(task.limits))
     if not task.changes_parameters or not is_limited:
         fine = _fine_times(task)
-        planned = planned_values(task, None, fine)
+        planned = task.planned(None, fine)
         parameters = planned[:, 1:3]
         speeds = constant_speeds(task, fine)
         none = np.full(speeds.shape, np.inf)
@@ -155,7 +155,7 @@ def _limits_in_turn(task: Task, times: NDArray, planned: NDArray) -> tuple[Limit
     Args:
         task: what is flown.
         times: (k,), s.
-        planned: (k, 8), as of `planned_values`.
+        planned: (k, 8), as of `Task.planned`.
     """
     aircraft, asked_for = task.flown.aircraft, [*asked(task.limits, Of.FLIGHT)]
     if task.turn is None or aircraft is None or not asked_for:
@@ -330,7 +330,7 @@ class _Along:
 
     def planned(self, plan: Plan) -> _Planned:
         """All that is known of a plan."""
-        values = planned_values(self._task, plan, self.times)
+        values = self._task.planned(plan, self.times)
         speeds = self._problem.values_along(Of.SPEED, self._terms, values)
         bound = self._task.limits.speed_bound
         ratios = speeds / bound if bound > 0 else np.full(speeds.shape, np.inf)

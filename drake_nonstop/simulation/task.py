@@ -23,13 +23,14 @@ from drake_nonstop.diagrams.box import is_of_package
 from drake_nonstop.diagrams.margin_of_loop import carriers_of, feedback_of
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, PlannedParameters
 from drake_nonstop.mechanics.stretched_time import stretched_reference
 from drake_nonstop.mechanics.tethered_loop import Carriers
 from drake_nonstop.mechanics.wind import MeanWind, risen_share
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK
 from drake_nonstop.model.system import Model, given_fields, overridden
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
+from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
 from drake_nonstop.optimization.speed_margin import with_margin
 from drake_nonstop.optimization.turn_of_loops import Feedback
@@ -127,6 +128,22 @@ class Task:
     def nominal(self) -> NDArray:
         """[ξ (rad/s), A (N)] (2,) at the start."""
         return np.array([self.limits.frequency, self.limits.amplitude])
+
+    def planned(self, plan: Plan | None, times: NDArray) -> NDArray:
+        """θ, ξ, A and their rates (k, 8) of a plan at times (k,), s; None: the nominal ξ and A."""
+        values = np.zeros((len(times), PLANNED_SIZE))
+        parts = PlannedParameters.view(values)
+        if plan is None:
+            parts.frequency[:], parts.amplitude[:] = self.nominal
+            parts.angle[:] = times[:, None] * self.limits.frequency
+            if self.turn is not None:
+                turn = np.array([self.turn.planned(time) for time in times])
+                parts.angle[:], parts.frequency[:], parts.frequency_rate[:] = np.split(
+                    turn, 3, axis=1
+                )
+        else:
+            values[:] = [plan.values(time) for time in times]
+        return values
 
     @property
     def effective_gains(self) -> Mapping[str, Any] | None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.aircraft_margins import flight_limits_of
@@ -154,24 +153,22 @@ class TaskCheck:
         if self.formation.is_stable:
             growth = math.exp(self.formation.growth)
             change = "does not grow" if growth <= 1 else f"grows {growth:.3g} times at most"
-            if math.isnan(self.formation.sampled_growth):
+            if math.isnan(self.formation.sampled.growth):
                 return (
                     f"a small deviation of the load {change} on the way, with carriers that are "
                     "where they should be and controllers that are continuous; a block that is "
                     "not the package's may make the loop unstable, see `drake-nonstop stability`"
                 )
             return f"the formation is stable: a small deviation {change} on the way"
-        how = f"{worst.rate:.2g} 1/s{_without(worst)}"
+        grows = f"at t = {worst.time:.1f} s a small deviation grows by {worst.rate:.2g} 1/s"
+        grows += _without(worst)
         if self.formation.is_lost_in_samples:
-            times = math.exp(worst.sampled.in_turn)
-            how = f"{times:.2g} times in a turn, in the samples of the controllers"
+            how = self.formation.sampled.sentence
+            grows = f"in the samples of the controllers a small deviation grows {how}"
         end = ""
         if self.formation.is_in_doubt:
             end = ", not enough by the end for a load that is surely lost: a flight alone tells"
-        return (
-            f"formation = unstable: at t = {worst.time:.1f} s a small deviation grows by {how}"
-            f"{end}; {helps}"
-        )
+        return f"formation = unstable: {grows}{end}; {helps}"
 
     def _of_motion(self) -> str:
         motion = self.motion
@@ -206,10 +203,7 @@ def check_task(scenario: Scenario, *, tries_remedies: bool = True) -> TaskCheck:
     speeds = check_speeds(task)
     plan = speeds.plan
 
-    def parameters(time: float) -> NDArray:
-        return task.nominal if plan is None else np.array(plan.values(time)[1:3])
-
-    formation = find_formation(task, parameters)
+    formation = find_formation(task, plan)
     scenario = scenario.sampled()
     motion = PlannedMotion(scenario, task, plan)
     least = motion.least_load
@@ -223,7 +217,7 @@ def check_task(scenario: Scenario, *, tries_remedies: bool = True) -> TaskCheck:
         of_limits = find_limit_remedies(task, speeds)
     if tries_remedies and not (formation.is_stable and least.pulls_up):
         worst = math.nan if least.pulls_up else least.time
-        stabilizing = find_formation_remedies(task, formation, parameters, worst=worst)
+        stabilizing = find_formation_remedies(task, formation, plan, worst=worst)
     if tries_remedies and motion.collisions:
         parting = find_motion_remedies(scenario, task)
     return TaskCheck(
@@ -281,10 +275,11 @@ def task_table(found: TaskCheck) -> str:
         rates = [f"{instant.free.rate:+.3g} 1/s without control"]
         if instant.controlled is not None:
             rates.insert(0, f"{instant.controlled.rate:+.3g} 1/s")
-        if math.isfinite(instant.sampled.rate):
-            times = math.exp(instant.sampled.in_turn)
-            rates.append(f"{instant.sampled.rate:+.3g} 1/s in samples, {times:.3g} times in a turn")
+        if name == "at rest" and math.isfinite(formation.sampled_rate):
+            rates.append(f"{formation.sampled_rate:+.3g} 1/s in samples")
         rows.append((f"growth of a deviation, {name}", ", ".join(rates), _at(instant)))
+    if math.isfinite(formation.sampled.growth):
+        rows.append(("growth of a deviation, in samples", formation.sampled.sentence, ""))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     if found.flight is not None:
@@ -340,7 +335,10 @@ def task_dictionary(found: TaskCheck) -> dict[str, Any]:
                 "verdict": of_formation,
                 "is_stable": found.is_stable,
                 "growth": formation.growth,
-                "growth_in_samples": finite(formation.sampled_growth),
+                "growth_in_samples": finite(formation.sampled.growth),
+                "growth_in_samples_from_s": finite(formation.sampled.start),
+                "growth_in_samples_until_s": finite(formation.sampled.end),
+                "rate_in_samples_at_rest_1_s": finite(formation.sampled_rate),
                 "remedies": [*found.formation_remedies],
                 "instants": [
                     {
@@ -348,8 +346,6 @@ def task_dictionary(found: TaskCheck) -> dict[str, Any]:
                         "frequency_rad_s": float(instant.parameters[0]),
                         "amplitude_N": float(instant.parameters[1]),
                         "rate_1_s": instant.controlled and instant.controlled.rate,
-                        "rate_in_samples_1_s": finite(instant.sampled.rate),
-                        "growth_in_a_turn_in_samples": finite(instant.sampled.in_turn),
                         "rate_without_control_1_s": instant.free.rate,
                         "largest_multiplier": float(
                             abs((instant.controlled or instant.free).multipliers[0])

@@ -8,9 +8,9 @@ import pytest
 from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
     growth,
-    growth_in_turn,
     interpolated,
     known_response,
+    largest_growth,
     matrix_exponential,
     noise_deviation,
     overshoot,
@@ -127,9 +127,27 @@ def test_growth_over_a_turn_is_that_of_the_product():
     assert growth(np.stack([faster, slower] * 4)) == pytest.approx((1.02 * 0.99) ** 4)
 
 
-def test_growth_within_a_turn_is_that_from_the_worst_phase_on():
+def test_the_largest_growth_is_that_from_the_worst_sample_to_the_worst():
     maps = np.stack([np.diag([factor, 1.0]) for factor in (0.5, 0.5, 3.0, 2.0, 0.5)])
-    assert growth_in_turn(maps, np.ones(1)) == pytest.approx(6)
+    assert largest_growth(maps, np.ones(1), spacing=1) == pytest.approx((6, 2, 4))
+    assert largest_growth(maps, np.ones(1), spacing=3) == pytest.approx((2, 3, 4))
+    assert largest_growth(maps[:2], np.ones(1), spacing=1) == (1, 0, 0)
+
+
+def test_growth_of_several_states_is_the_largest_singular_value():
+    rng = np.random.default_rng(3)
+    maps, scale = rng.normal(size=(5, 4, 4)), np.array([2.0, 0.5])
+    whole = np.linalg.multi_dot(maps[::-1])[:2, :2]
+    sizes = np.linalg.svd(scale[:, None] * whole / scale, compute_uv=False)
+    found = largest_growth(maps, scale, spacing=5)
+    assert found.times >= sizes.max()
+    if found.last == 5:
+        assert found.times == pytest.approx(sizes.max())
+
+
+def test_growth_beyond_all_bounds_is_followed_no_further():
+    found = largest_growth((10.0 * np.eye(1) for _ in range(1000)), np.ones(1), spacing=7)
+    assert (found.first, found.last) == (0, 12)
 
 
 @pytest.mark.parametrize("count", [8, 9])

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import math
 import re
 
 import numpy as np
@@ -21,6 +20,7 @@ from drake_nonstop.simulation.aircraft_margins import (
 )
 from drake_nonstop.simulation.flight_of_plan import flight_of_plan
 from drake_nonstop.simulation.run import StepCheck
+from drake_nonstop.simulation.sampled_growth import SampledGrowth
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.simulation.speed_check import check_speeds
 from drake_nonstop.simulation.task import task_of
@@ -174,7 +174,7 @@ def test_a_check_is_not_sound_where_the_way_cannot_be_flown():
     assert found.verdicts[-1] == found.flight.verdict
     beyond = found.flight._replace(missed_share=0.2)
     assert not dataclasses.replace(found, flight=beyond).is_sound
-    unknown = found.formation._replace(sampled_growth=math.nan)  # with a block of one's own
+    unknown = found.formation._replace(sampled=SampledGrowth())  # with a block of one's own
     _, of_formation, *_ = dataclasses.replace(found, formation=unknown).verdicts
     assert "the formation is stable" not in of_formation
     assert "may make the loop unstable" in of_formation

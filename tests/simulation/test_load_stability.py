@@ -1,5 +1,6 @@
 """Growth of a load's small deviations on ideally tracked carriers."""
 
+import dataclasses
 import functools
 import math
 from types import SimpleNamespace
@@ -23,9 +24,9 @@ from drake_nonstop.simulation.formation import (
     growth_complaint,
 )
 from drake_nonstop.simulation.load_stability import LoadDeviations
-from drake_nonstop.simulation.sampled_growth import SampledGrowth, sampled_growth
+from drake_nonstop.simulation.sampled_growth import SampledGrowth, growth_on_the_way, sampled_rate
 from drake_nonstop.simulation.task import task_of
-from drake_nonstop.studies.stability import linearize
+from drake_nonstop.studies.stability import at_rest, linearize
 from drake_nonstop.validation import ScenarioError
 
 GRAVITY = 9.81
@@ -120,7 +121,7 @@ def test_cables_carry_the_simulated_load(mass):
     of_no_interest = SimpleNamespace(growth=lambda *arguments, **named: None)
     task = task_of(load_scenario("quintic", [f"simulated.load_mass={mass}"]))
     parameters = np.array([2.0, 0.0])
-    at_rest = formation_at(task, of_no_interest, 0.0, parameters, None, in_samples=False)
+    at_rest = formation_at(task, of_no_interest, 0.0, parameters, None)
     assert at_rest.loads.least_tension == pytest.approx(mass * task.model.gravity / 4, rel=1e-9)
 
 
@@ -133,8 +134,8 @@ def test_the_attitude_of_a_task_is_measured_where_its_feedback_does(is_measured)
 
 def test_what_is_named_against_an_unstable_formation_makes_it_stable(unstable, monkeypatch):
     """Growth in the samples, which has tests of its own, takes most of the time."""
-    calm = SampledGrowth(-1.0, 0.0)
-    monkeypatch.setattr(formation, "sampled_growth", lambda *arguments: calm)
+    calm = SampledGrowth(0.0, 0.0, 0.0)
+    monkeypatch.setattr(formation, "growth_on_the_way", lambda *arguments: calm)
     task = task_of(unstable)
     found = find_formation(task, count=1)
     assert not found.is_stable
@@ -164,12 +165,25 @@ def test_what_grows_in_samples_is_what_the_exact_maps_of_the_loop_tell():
     """Commands are half a sample behind cables that turn; a continuous controller hides it."""
     scenario = load_scenario("quintic", [*CAROUSEL, "simulator_config.max_step_size=5e-4"])
     task = task_of(scenario)
-    found = sampled_growth(task, task.reference(0.0), task.nominal)
-    assert found.rate > 0.8
-    assert found.rate == pytest.approx(linearize(scenario).rate, rel=0.01)
+    rate = sampled_rate(task, task.reference(0.0), task.nominal)
+    assert rate > 0.8
+    assert rate == pytest.approx(linearize(scenario).rate, rel=0.01)
     formation = find_formation(task, count=1)
     assert formation.growth < 1
     assert formation.is_lost_in_samples
+
+
+def test_a_load_at_rest_grows_on_its_way_by_its_rate():
+    task = task_of(at_rest(load_scenario("quintic", CAROUSEL)))
+    turn = 2 * math.pi / task.limits.frequency
+    planned = functools.partial(task.planned, None)
+    shorter, longer = (
+        growth_on_the_way(dataclasses.replace(task, duration=turns * turn), planned, phases=96)
+        for turns in (3, 6)
+    )
+    rate = sampled_rate(task, task.reference(0.0), task.nominal)
+    assert longer.growth - shorter.growth == pytest.approx(rate * 3 * turn, rel=0.05)
+    assert longer.start < turn < 5.5 * turn < longer.end
 
 
 @pytest.mark.nightly("studies")

@@ -86,7 +86,7 @@ def with_least(found, ratio):
 
 
 def with_growth(found, growth):
-    formation = found.formation._replace(sampled_growth=growth)
+    formation = found.formation._replace(sampled=SampledGrowth(growth, 0.0, 1.0))
     return dataclasses.replace(found, formation=formation)
 
 
@@ -119,10 +119,13 @@ def test_what_is_missed_by_little_is_in_doubt(kept, change, sound, in_doubt, nei
 
 
 def test_growth_in_samples_is_looked_at_more_closely(monkeypatch):
-    grows = SampledGrowth(1.0, 5.0)
-    monkeypatch.setattr(formation, "sampled_growth", lambda *arguments: grows)
+    def grows(*arguments, phases=24):
+        return SampledGrowth(5.0 if phases == 24 else 4.0, 0.0, 1.0)
+
+    monkeypatch.setattr(formation, "growth_on_the_way", grows)
     found = formation.find_formation(task_of(quintic()), count=2)
-    assert [instant.sampled for instant in found.on_the_way] == [grows] * 4
+    assert found.sampled.growth == 4.0
+    assert found.is_stable
 
 
 def test_the_plan_has_the_margin_that_is_computed_for_the_loop():

@@ -1,11 +1,13 @@
 """Folders of results: what is in the way, and what killed processes have left."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,6 +20,7 @@ from drake_nonstop.studies.files import (
     replacing_files,
     require_writable,
     shared,
+    write_json,
 )
 from drake_nonstop.studies.journal import JOURNAL, open_journal
 from drake_nonstop.studies.results_folder import RUN_FILES, default_folder, stopped_folder
@@ -230,3 +233,9 @@ def test_nobody_waits_for_what_is_no_file(tmp_path, monkeypatch, name, kind):
     if name == JOURNAL:
         with pytest.raises(ScenarioError, match=r"its journal\.jsonl is no file"):
             open_journal(tmp_path, "s", [1], {}).__enter__()
+
+
+def test_numbers_of_numpy_are_written_as_those_of_python(tmp_path):
+    path = tmp_path / "data.json"
+    write_json(path, {"is": np.bool_(True), "some": [np.float32(0.5), np.float32("nan")]})
+    assert json.loads(path.read_text()) == {"is": True, "some": [0.5, None]}
