@@ -1,4 +1,4 @@
-"""Compositions as data: boxes, wires, scenarios, grids, and where loops start; no equations."""
+"""The figure as data: boxes, wires and `make_nonstop`; scenarios and grids."""
 
 from pathlib import Path
 

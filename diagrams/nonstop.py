@@ -43,7 +43,7 @@ from drake_nonstop.blocks import (
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
-from drake_nonstop.diagrams.box import (
+from drake_nonstop.loop.box import (
     Box,
     Kind,
     Place,
@@ -53,9 +53,9 @@ from drake_nonstop.diagrams.box import (
     is_of_package,
     kept_parameters,
 )
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
-from drake_nonstop.diagrams.margin_of_loop import computed_margin
-from drake_nonstop.diagrams.plant_states import PlantStates
+from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.margin_of_loop import computed_margin
+from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.mechanics import signal_layouts
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
@@ -333,7 +333,7 @@ def make_nonstop(
     `LoopDiagram`.
 
     New contexts of the diagram start at its equilibrium, see `set_equilibrium`. Where a block's
-    default state cannot be set once it is built (`diagrams/plant_states.py` says how it can), all
+    default state cannot be set once it is built (`loop/plant_states.py` says how it can), all
     of them are made a second time, with the equilibrium in the plant's `Model`; a ScenarioWarning
     names a block that starts from another state nevertheless. Where the diagram has inputs that
     have to be connected there may be no equilibrium before they are: load and carriers then are at

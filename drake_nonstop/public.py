@@ -46,15 +46,15 @@ from drake_nonstop.mechanics.signal_layouts import Layout as Layout, Part as Par
 # Put together, simulated, judged.
 from drake_nonstop.diagrams.nonstop import make_nonstop as make_nonstop, make_blocks as make_blocks
 from drake_nonstop.systems.wiring import connect_by_name as connect_by_name
-from drake_nonstop.diagrams.compiled_loop import CompiledLoop as CompiledLoop
-from drake_nonstop.diagrams.compiled_flight import CompiledFlight as CompiledFlight
-from drake_nonstop.diagrams.compiled_system import CompiledSystem as CompiledSystem
-from drake_nonstop.diagrams.loop_derivatives import (
+from drake_nonstop.loop.compiled_loop import CompiledLoop as CompiledLoop
+from drake_nonstop.loop.compiled_flight import CompiledFlight as CompiledFlight
+from drake_nonstop.loop.compiled_system import CompiledSystem as CompiledSystem
+from drake_nonstop.loop.derivatives import (
     DerivativeFlight as DerivativeFlight,
     Sensitivities as Sensitivities,
 )
-from drake_nonstop.diagrams.equilibrium import set_equilibrium as set_equilibrium
-from drake_nonstop.diagrams.parameters import (
+from drake_nonstop.loop.equilibrium import set_equilibrium as set_equilibrium
+from drake_nonstop.loop.parameters import (
     set_parameter as set_parameter,
     get_parameter as get_parameter,
     parameters as parameters,

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.diagrams.plant_states import PlantStates
+from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.step_size import with_step

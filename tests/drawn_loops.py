@@ -20,8 +20,8 @@ from drake_nonstop import (
     make_nonstop,
     simulate,
 )
-from drake_nonstop.diagrams.compiled_loop import reason_against
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.loop.compiled_loop import reason_against
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario

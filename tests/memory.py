@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop.diagrams import compiled_loop
+from drake_nonstop.loop import compiled_loop
 from drake_nonstop.systems.block import LeafBlock
 
 MOST = 500_000_000  # bytes: a process with less does not look for what it can free

@@ -14,8 +14,8 @@ from typing import Any
 import yaml
 from pydrake.systems.framework import System
 
-from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
+from drake_nonstop.loop.box import config_class
 from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import Model

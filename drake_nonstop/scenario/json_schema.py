@@ -13,7 +13,7 @@ from typing import Any
 
 from pydrake.systems.analysis import SimulatorConfig
 
-from drake_nonstop.diagrams.box import import_path
+from drake_nonstop.loop.box import import_path
 from drake_nonstop.scenario.loading import scenario_names
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import block_name

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from drake_nonstop.diagrams.box import kept_parameters
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.loop.box import kept_parameters
 from drake_nonstop.scenario.schema import CHOICES, Scenario, require_current
 from drake_nonstop.scenario.tree import (
     BASE,

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from pydrake.common.yaml import yaml_dump_typed
 
-from drake_nonstop.diagrams.box import block_class
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.loop.box import block_class
 from drake_nonstop.validation import ScenarioError, one_line, require
 
 

@@ -14,8 +14,8 @@ from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
-from drake_nonstop.diagrams.box import block_class, import_path
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.loop.box import block_class, import_path
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     ConstantSpreadConfig,

@@ -12,7 +12,7 @@ from typing import Any
 from pydrake.common.yaml import yaml_dump, yaml_load_typed
 from pydrake.systems.analysis import SimulatorConfig
 
-from drake_nonstop.diagrams.box import import_path
+from drake_nonstop.loop.box import import_path
 from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters, require_few
 from drake_nonstop.scenario import distributions

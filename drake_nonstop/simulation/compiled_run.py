@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.diagrams.block_events import NotCompilableError, sample_times
-from drake_nonstop.diagrams.box import is_of_package
-from drake_nonstop.diagrams.compiled_loop import CompiledFlight, CompiledLoop, reason_against
+from drake_nonstop.loop.block_events import NotCompilableError, sample_times
+from drake_nonstop.loop.box import is_of_package
+from drake_nonstop.loop.compiled_loop import CompiledFlight, CompiledLoop, reason_against
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor
 from drake_nonstop.simulation.recording import Recording, RecordingError

@@ -17,11 +17,11 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
-from drake_nonstop.diagrams.block_events import NotCompilableError
-from drake_nonstop.diagrams.box import is_of_package
-from drake_nonstop.diagrams.equilibrium import block_named, set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
-from drake_nonstop.diagrams.plant_states import PlantStates
+from drake_nonstop.loop.block_events import NotCompilableError
+from drake_nonstop.loop.box import is_of_package
+from drake_nonstop.loop.equilibrium import block_named, set_equilibrium
+from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.scenario.proportions import out_of_proportion, warn_of_angles
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import AUTO, COMPILED, DIAGRAM, Scenario, check

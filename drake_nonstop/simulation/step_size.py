@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.diagrams.equilibrium import on_reference
+from drake_nonstop.loop.equilibrium import on_reference
 from drake_nonstop.mechanics.signals import CarrierStates, LoadReference, LoadState
 from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.simulation.run import SIGNAL_PERIOD

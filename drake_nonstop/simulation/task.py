@@ -19,9 +19,9 @@ from drake_nonstop.blocks.load_feedback import (
 )
 from drake_nonstop.blocks.load_trajectory import PlannedTurn
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizerConfig
-from drake_nonstop.diagrams.box import is_of_package
-from drake_nonstop.diagrams.margin_of_loop import carriers_of, feedback_of
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.loop.box import is_of_package
+from drake_nonstop.loop.margin_of_loop import carriers_of, feedback_of
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, PlannedParameters
 from drake_nonstop.mechanics.stretched_time import stretched_reference

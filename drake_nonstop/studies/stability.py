@@ -21,9 +21,9 @@ from drake_nonstop.blocks.load_feedback import MeasurementConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
-from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
+from drake_nonstop.loop.compiled_loop import CompiledLoop, reason_against
+from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.mechanics.rotation import (
     quaternion_conjugate,
     quaternion_product,

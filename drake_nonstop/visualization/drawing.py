@@ -21,8 +21,8 @@ from xml.sax.saxutils import escape, quoteattr
 
 from pydrake.systems.framework import Diagram
 
-from drake_nonstop.diagrams.box import Kind, Place
 from drake_nonstop.diagrams.nonstop import BOXES, PLACES
+from drake_nonstop.loop.box import Kind, Place
 from drake_nonstop.systems import wiring
 
 COLUMNS = 1 + max(place.column for place in PLACES.values())

@@ -8,7 +8,7 @@ from pydrake.systems.framework import Diagram
 
 from drake_nonstop import ScenarioError, load_scenario, make_nonstop
 from drake_nonstop.blocks.fixed_wing_controller import FixedWingController
-from drake_nonstop.diagrams.block_events import sample_times
+from drake_nonstop.loop.block_events import sample_times
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.systems.block import LeafBlock
 

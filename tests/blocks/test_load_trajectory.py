@@ -21,7 +21,7 @@ from drake_nonstop.blocks.load_trajectory import (
     Waypoints,
     WaypointsConfig,
 )
-from drake_nonstop.diagrams.box import block_class
+from drake_nonstop.loop.box import block_class
 from drake_nonstop.validation import ScenarioError
 
 START = {"start_position": [0.5, -1.0, 2.0], "start_roll_pitch_yaw": [0.2, -0.3, 0.4]}

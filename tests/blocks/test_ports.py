@@ -84,8 +84,8 @@ from drake_nonstop.blocks.wrench_controller import (
     TunedWrenchController,
     WrenchController,
 )
-from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.loop.box import config_class
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.scenario.describe import parameters
 from drake_nonstop.systems.wiring import output_sizes

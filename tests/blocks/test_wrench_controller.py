@@ -17,7 +17,7 @@ from drake_nonstop.blocks.wrench_controller import (
     WrenchController,
     WrenchControllerConfig,
 )
-from drake_nonstop.diagrams.box import config_class
+from drake_nonstop.loop.box import config_class
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.tuning import load_gains
 from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate

@@ -6,7 +6,7 @@ from helpers import nightly_beyond, output, vector_outputs
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from drake_nonstop import load_scenario, make_nonstop, scenario_names, simulate
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
+from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.validation import ScenarioError
 

@@ -26,10 +26,10 @@ from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
 from drake_nonstop.diagrams import nonstop
-from drake_nonstop.diagrams.box import block_class, config_class
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import BOXES, COMMANDS, box_of, figure_wires, make_nonstop
-from drake_nonstop.diagrams.parameters import set_parameter
+from drake_nonstop.loop.box import block_class, config_class
+from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.parameters import set_parameter
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.diagrams.plant_states import PlantStates
+from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config

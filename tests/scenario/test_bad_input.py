@@ -35,8 +35,8 @@ from drake_nonstop import (
     scenario_names,
     simulate,
 )
-from drake_nonstop.diagrams.box import config_class
 from drake_nonstop.diagrams.nonstop import BOXES, replaced
+from drake_nonstop.loop.box import config_class
 from drake_nonstop.scenario import tree
 from drake_nonstop.scenario.schema import CHOICES
 from drake_nonstop.scenario.tree import to_tree

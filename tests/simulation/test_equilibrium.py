@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from helpers import nightly_beyond
 
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.diagrams.plant_states import PlantStates
+from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.mechanics.signals import LoadReference, LoadState
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate

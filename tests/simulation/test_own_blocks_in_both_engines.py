@@ -7,8 +7,8 @@ from helpers import nightly_beyond
 from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import ScenarioError, ScenarioWarning, StepCheck, load_scenario, simulate
-from drake_nonstop.diagrams.compiled_loop import CompiledLoop
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.loop.compiled_loop import CompiledLoop
 
 SHOWN_BY_DAY = [
     4,

@@ -16,7 +16,7 @@ from drake_nonstop import (
     simulate,
     verify_step,
 )
-from drake_nonstop.diagrams.equilibrium import on_reference
+from drake_nonstop.loop.equilibrium import on_reference
 from drake_nonstop.scenario.schema import ENGINES
 from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.simulation.metrics import METRICS

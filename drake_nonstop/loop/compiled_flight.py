@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, PortDataType, System
 
-from drake_nonstop.diagrams.block_events import SteppedBlock, sample_times
-from drake_nonstop.diagrams.loop_functions import Evaluation, LoopFunctions, Reading
-from drake_nonstop.diagrams.loop_layout import LoopLayout, discrete_state_of
+from drake_nonstop.loop.block_events import SteppedBlock, sample_times
+from drake_nonstop.loop.functions import Evaluation, LoopFunctions, Reading
+from drake_nonstop.loop.layout import LoopLayout, discrete_state_of
 from drake_nonstop.systems.diagram_trace import (
     FOUND_SIZE,
     QUANTITIES,

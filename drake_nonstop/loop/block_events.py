@@ -19,7 +19,7 @@ from pydrake.systems.framework import (
     System,
 )
 
-from drake_nonstop.diagrams.box import is_of_package
+from drake_nonstop.loop.box import is_of_package
 from drake_nonstop.systems.block import title
 from drake_nonstop.validation import ScenarioError
 

@@ -11,7 +11,7 @@ from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.diagrams.plant_states import PlantStates
+from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -54,7 +54,7 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     initialization events, finds the pose, whatever the blocks are. Inputs of the loop, where a
     box was left out, are held at their values at the start. A load whose reference moves at the
     start has that velocity and that acceleration. Further states keep their values, but for those
-    that a block trims: what a block of one's own may offer is in `diagrams/plant_states.py`.
+    that a block trims: what a block of one's own may offer is in `loop/plant_states.py`.
 
     The blocks with these states are those that make the signals `load_state` and `carrier_state`,
     whatever their names. The loop may be one inside of `nonstop`, which exports its signals. A load

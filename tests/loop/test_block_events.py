@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop.diagrams.block_events import (
+from drake_nonstop.loop.block_events import (
     NotCompilableError,
     SteppedBlock,
     sample_times,

@@ -24,9 +24,9 @@ from drake_nonstop import (
     set_parameter,
     simulate,
 )
-from drake_nonstop.diagrams import compiled_loop
-from drake_nonstop.diagrams.compiled_loop import CompiledLoop, reason_against
-from drake_nonstop.diagrams.loop_functions import Recent
+from drake_nonstop.loop import compiled_loop
+from drake_nonstop.loop.compiled_loop import CompiledLoop, reason_against
+from drake_nonstop.loop.functions import Recent
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.block import LeafBlock

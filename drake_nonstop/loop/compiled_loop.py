@@ -1,6 +1,6 @@
 """A sampled loop as traced functions from sample to sample, equal to its diagram to rounding.
 
-`diagrams/loop_trace.py` says what they compute.
+`drake_nonstop/loop/trace.py` says what they compute.
 
 A block that is traced may ask to make an update itself, such as an optimization layer where its
 last answer does not do: it has `traced_attempt(at, found)` in place of `traced_update(at)`, which
@@ -24,24 +24,24 @@ from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, PortDataType, System
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.diagrams.block_events import timing_complaint
-from drake_nonstop.diagrams.box import is_of_package
-from drake_nonstop.diagrams.compiled_flight import CompiledFlight
-from drake_nonstop.diagrams.loop_derivatives import (
+from drake_nonstop.loop.block_events import timing_complaint
+from drake_nonstop.loop.box import is_of_package
+from drake_nonstop.loop.compiled_flight import CompiledFlight
+from drake_nonstop.loop.derivatives import (
     DerivativeFlight,
     DerivativeFunctions,
     Sensitivities,
     derivative_functions,
 )
-from drake_nonstop.diagrams.loop_functions import (
+from drake_nonstop.loop.functions import (
     LoopFunction,
     LoopFunctions,
     Recent,
     Symbols,
     Traced,
 )
-from drake_nonstop.diagrams.loop_layout import LoopLayout
-from drake_nonstop.diagrams.loop_trace import LoopTrace, Step
+from drake_nonstop.loop.layout import LoopLayout
+from drake_nonstop.loop.trace import LoopTrace, Step
 from drake_nonstop.systems.block import title
 from drake_nonstop.systems.diagram_trace import (
     Wires,

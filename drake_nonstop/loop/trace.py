@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import System
 
-from drake_nonstop.diagrams.loop_functions import LoopFunction, Symbols, Traced
-from drake_nonstop.diagrams.loop_layout import LoopLayout
+from drake_nonstop.loop.functions import LoopFunction, Symbols, Traced
+from drake_nonstop.loop.layout import LoopLayout
 from drake_nonstop.systems.diagram_trace import FOUND_SIZE, At, Instant, rates
 from drake_nonstop.systems.tracing import object_array
 

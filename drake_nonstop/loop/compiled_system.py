@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiscreteValues
 
-from drake_nonstop.diagrams.compiled_loop import CompiledLoop
+from drake_nonstop.loop.compiled_loop import CompiledLoop
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import require
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.framework import Context, Context_, Diagram, System
 
-from drake_nonstop.diagrams.equilibrium import LOOP_SIGNALS
+from drake_nonstop.loop.equilibrium import LOOP_SIGNALS
 from drake_nonstop.model.aircraft import AircraftParameters, values_of
 from drake_nonstop.model.block_parameters import AUTO, BlockParameters
 from drake_nonstop.model.pattern import InternalForcePattern

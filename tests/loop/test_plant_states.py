@@ -28,7 +28,7 @@ from drake_nonstop import (
     make_nonstop,
     simulate,
 )
-from drake_nonstop.diagrams.equilibrium import set_equilibrium
+from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.mechanics.carrier import double_integrator_rate
 from drake_nonstop.mechanics.rigid_load import load_state_rate
 from drake_nonstop.studies.stability import _Coordinates, at_rest

@@ -10,9 +10,9 @@ import pytest
 from drawn_tasks import draw
 from pydrake.systems.analysis import Simulator
 
-from drake_nonstop.diagrams.margin_of_loop import feedback_of, margin_of_loop
 from drake_nonstop.diagrams.nonstop import make_blocks, make_nonstop
-from drake_nonstop.diagrams.plant_states import PlantStates
+from drake_nonstop.loop.margin_of_loop import feedback_of, margin_of_loop
+from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.mechanics.sampled_loop import noise_deviation, responses
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.mechanics.tethered_loop import (

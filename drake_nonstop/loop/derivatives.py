@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
-from drake_nonstop.diagrams.block_events import sample_times
-from drake_nonstop.diagrams.compiled_flight import sources_of
-from drake_nonstop.diagrams.loop_functions import Evaluation, LoopFunction, Symbols, Traced
-from drake_nonstop.diagrams.loop_layout import LoopLayout
-from drake_nonstop.diagrams.loop_trace import LoopTrace, Step
+from drake_nonstop.loop.block_events import sample_times
+from drake_nonstop.loop.compiled_flight import sources_of
+from drake_nonstop.loop.functions import Evaluation, LoopFunction, Symbols, Traced
+from drake_nonstop.loop.layout import LoopLayout
+from drake_nonstop.loop.trace import LoopTrace, Step
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import ScenarioError
 
