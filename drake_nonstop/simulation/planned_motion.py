@@ -23,6 +23,7 @@ from drake_nonstop.validation import ScenarioError
 
 _SPREADS = (1.2, 2.0, 3.0)  # of the nominal A
 _AMPLITUDES = (0.8, 0.6, 0.4)  # likewise
+_LEVEL = -0.02  # of an equal share of the weight, of a cable that is nearly level
 _PER_TURN = 64  # instants: between them an arc is 1/800 of its radius from its chord
 
 
@@ -39,6 +40,11 @@ class LeastLoad(NamedTuple):
     def pulls_up(self) -> bool:
         """Whether the cable pulls at the load, and need not push."""
         return self.share > 0
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether it does not by so little that a flight alone tells whether it gets slack."""
+        return _LEVEL < self.share <= 0
 
     @property
     def text(self) -> str:

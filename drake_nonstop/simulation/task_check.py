@@ -59,27 +59,27 @@ class TaskCheck:
     @property
     def is_sound(self) -> bool:
         """Whether bound and limits are kept, the formation stable, none meet, and aircraft fly."""
-        return self._may_be_flown and not self.speeds.missed and self.formation.is_stable
+        return self._may_be_flown and not self.speeds.missed and self.is_stable
 
     @property
     def is_in_doubt(self) -> bool:
         """Whether a flight alone tells: nothing is missed or unstable by more than a little."""
-        stable, missed = self.formation.is_stable, self.speeds.missed
+        formation, missed, least = self.formation, self.speeds.missed, self.motion.least_load
         is_near = (
             self._may_be_flown
-            and (stable or self.formation.is_in_doubt)
+            and (formation.is_stable or formation.is_in_doubt)
+            and (least.pulls_up or least.is_in_doubt)
             and all(limit.is_in_doubt for limit in missed)
         )
         of_flight = self.flight is not None and self.flight.is_in_doubt
-        is_amiss = bool(missed) or not stable
+        is_amiss = bool(missed) or not self.is_stable
         return is_near and (is_amiss or self.speeds.is_in_doubt or of_flight)
 
     @property
     def _may_be_flown(self) -> bool:
-        """But for limits and growth."""
+        """But for limits, growth and cables that do not pull."""
         is_flyable = self.flight is None or self.flight.is_flyable
-        is_apart = self.motion.least_load.pulls_up and not self.motion.collisions
-        return self.speeds.is_feasible and is_apart and is_flyable
+        return self.speeds.is_feasible and not self.motion.collisions and is_flyable
 
     @property
     def is_stable(self) -> bool:
@@ -149,7 +149,8 @@ class TaskCheck:
         worst, least = self.formation.worst, self.motion.least_load
         helps = _of_remedies(self.formation_remedies)
         if not least.pulls_up:
-            return f"formation = slack: {least.text}: it would have to push; {helps}"
+            end = ", by so little that a flight alone tells" if least.is_in_doubt else ""
+            return f"formation = slack: {least.text}: it would have to push{end}; {helps}"
         if self.formation.is_stable:
             growth = math.exp(self.formation.growth)
             change = "does not grow" if growth <= 1 else f"grows {growth:.3g} times at most"

@@ -1,5 +1,6 @@
 """The check of a task against its runs: what one refuses or misses the other does."""
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -90,6 +91,12 @@ def with_growth(found, growth):
     return dataclasses.replace(found, formation=formation)
 
 
+def with_share(found, share):
+    motion = copy.copy(found.motion)
+    vars(motion)["least_load"] = motion.least_load._replace(share=share)
+    return dataclasses.replace(found, motion=motion)
+
+
 def with_limit(found, stated):
     (limit,) = found.speeds.limits
     limits = (limit._replace(stated=limit.worst * stated),)
@@ -101,6 +108,7 @@ def with_limit(found, stated):
     [
         (with_least, 1.015, 1.013, 0.999, 0),
         (with_growth, 4.4, 8.0, 12.0, 1),
+        (with_share, 0.01, -0.01, -0.03, 1),
         (with_limit, 1.001, 0.98, 0.95, -1),
     ],
 )
