@@ -1,6 +1,7 @@
 """The dynamics half of box "Carrier Controller + Dynamics"."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,8 +36,19 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, DiagramBlock
 from drake_nonstop.systems.linear_block import AdjustableLinear
 from drake_nonstop.systems.parameters import parameters_in
+from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.traced_block import TracedBlock, stacking
 from drake_nonstop.validation import StrictFields, is_number, require
+
+
+def _requires_points(self: System, loop: LoopBlocks) -> Iterator[str]:
+    """Tells of aircraft that cannot stall, since they move as points."""
+    if loop.simulated.aircraft is not None:
+        yield (
+            f"carrier_dynamics = {type(self).__name__}: its carriers are points of the "
+            "aircraft's mass, which cannot stall; give carrier_dynamics=FixedWingDynamics and "
+            "carrier_controller=FixedWingController"
+        )
 
 
 @dataclass(kw_only=True)
@@ -58,6 +70,8 @@ class CarrierDynamics(DiagramBlock):
     `carrier_forces` (3n) in N, in W; `carrier_state` (6n) = [positions (m), velocities (m/s)], in
     W, is the state.
     """
+
+    requires = _requires_points
 
     def __init__(self, model: Model, config: CarrierDynamicsConfig | None = None):
         super().__init__()
@@ -129,6 +143,8 @@ class LoadedCarrierDynamics(TracedBlock):
     Raises:
         ScenarioError: `max_force` is not positive.
     """
+
+    requires = _requires_points
 
     def __init__(self, model: Model, config: LoadedCarrierDynamicsConfig | None = None):
         config = config or LoadedCarrierDynamicsConfig()
@@ -208,6 +224,8 @@ class IdealCarriers(Selector, metaclass=BlockType):
 
     Both (6n) = [positions (m), velocities (m/s)], in W.
     """
+
+    requires = _requires_points
 
     def __init__(self, model: Model, config: IdealCarriersConfig | None = None):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""

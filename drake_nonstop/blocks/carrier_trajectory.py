@@ -1,5 +1,6 @@
 """Box "Carrier Desired Trajectories" of the figure."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,14 +25,16 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.block_parameters import LOAD, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock
+from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.traced_block import LateOutputs, TracedBlock
-from drake_nonstop.systems.wiring import input_names, output_names
+from drake_nonstop.systems.wiring import WiringError, input_names, output_names
 from drake_nonstop.validation import StrictFields, require
 
 _BOX = "carrier_trajectory"
 _HOLDS = {"third_order": 3, "second_order": 2, "velocity": 1}  # and their orders
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
-_FOR_DERIVATIVES = ("internal_force_higher_rates", "wind_estimate")
+_FORCE_RATES = "internal_force_higher_rates"
+_FOR_DERIVATIVES = (_FORCE_RATES, "wind_estimate")
 _HIGHER_RATES = "reference_higher_rates"
 
 
@@ -120,6 +123,21 @@ class _TrajectoryAboveReference(DiagramBlock):
     """
 
     is_sampled = True
+
+    def requires(self, loop: LoopBlocks) -> Iterator[str]:
+        """Raises WiringError where its accelerations are used, and the force's rates not made."""
+        is_used = self.hold_order >= 2 or any(
+            {*_DERIVATIVES} & loop.needed(name) for name in loop.blocks
+        )
+        internal_force = loop.get("internal_force")
+        if is_used and internal_force is not None and loop.maker_of(_FORCE_RATES) is None:
+            raise WiringError(
+                f"internal_force = {type(internal_force).__name__}: it does not make "
+                f"{_FORCE_RATES}, of which the references' accelerations follow; give it this "
+                "output, the second and third rates (2m) of the internal force, or "
+                "internal_force=InternalForceTrajectory"
+            )
+        yield from ()
 
     def __init__(self, model: Model, config: Any, *, stretches: bool = True):
         super().__init__()

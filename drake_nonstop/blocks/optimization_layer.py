@@ -1,8 +1,10 @@
 """Box "Optimization Layer" of the figure."""
 
 import functools
+import math
 import pickle
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -56,6 +58,7 @@ from drake_nonstop.optimization.update_solver import UpdateSolver, traced_tighte
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.diagram_trace import At, TracedAttempt
 from drake_nonstop.systems.parameters import declare_parameters
+from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
@@ -181,6 +184,16 @@ class NonstopOptimizer(SpeedBoundLayer):
     """
 
     optional_inputs = (COMMAND, _WIND)
+
+    def requires(self, loop: LoopBlocks) -> Iterator[str]:
+        """Tells of aircraft that it keeps above a speed bound, and within no limit of theirs."""
+        is_unlimited = math.isinf(self.parameters.config.max_lift_share)
+        if is_unlimited and loop.reads("carrier_dynamics", "aircraft_command"):
+            yield (
+                "optimization_layer.max_lift_share = inf: the layer may ask of aircraft what they "
+                "cannot fly; give at most the lift_share of carrier_controller, such as 0.85, and "
+                "max_bank and max_thrust_share, or optimization_layer: !ConstantParameters"
+            )
 
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
         config = with_stated_bound(BOX, config or NonstopOptimizerConfig(), model)
@@ -421,6 +434,7 @@ class ConstantParameters(LeafBlock):
             without orbits, or the bound is negative; during a run, the command is negative.
     """
 
+    is_trivial = True  # ξ and A never change
     is_sampled = True
     optional_inputs = (COMMAND,)
 

@@ -1,7 +1,7 @@
 """Box "phase" of the internal forces, in the paper a part of their trajectories."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +23,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock, LeafBlock
 from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.linear_block import LinearBlock
+from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import StrictFields, require_positive
 
 _BOX = "phase"
@@ -214,6 +215,18 @@ class ShapedPhase(DiagramBlock):
 
     is_sampled = True
     optional_inputs = ("plan",)
+
+    def requires(self, loop: LoopBlocks) -> Iterator[str]:
+        """Tells of an internal force of other ξ and A than it makes."""
+        layer, reader = loop.get("optimization_layer"), loop.get("internal_force")
+        if loop.reads("internal_force", "parameters") and not getattr(layer, "is_trivial", False):
+            has_plan = loop.maker_of("plan") is not None
+            other = "" if has_plan else ", or give phase=AccumulatedPhase"
+            yield (
+                f"internal_force = {type(reader).__name__}: it reads parameters, which phase = "
+                "ShapedPhase smooths, so that its rates are others than those that are flown; have "
+                f"it read planned, as PlannedInternalForce does{other}"
+            )
 
     def __init__(self, model: Model, config: ShapedPhaseConfig | None = None):
         super().__init__()

@@ -1,11 +1,14 @@
 """The variant of box "Optimization Layer" for a load that turns with its aircraft."""
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues
 
+from drake_nonstop.blocks.load_trajectory import PlannedTurn
+from drake_nonstop.blocks.phase import ShapedPhase
 from drake_nonstop.blocks.speed_bound_layer import BOX
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
@@ -36,8 +39,9 @@ from drake_nonstop.optimization.problem_config import (
     with_stated_bound,
 )
 from drake_nonstop.optimization.turn_rate import TurnRateSolver, turn_update
-from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.block import LeafBlock, is_of_package
 from drake_nonstop.systems.parameters import declare_parameters
+from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import (
     StrictFields,
     require,
@@ -128,6 +132,31 @@ class TurnRateOptimizer(LeafBlock):
 
     is_sampled = True
     optional_inputs = (_WIND,)
+
+    def requires(self, loop: LoopBlocks) -> Iterator[str]:
+        """Raises ScenarioError where the load does not turn at the rate that it makes."""
+        require(
+            loop.believed.pattern.is_constant,
+            BOX,
+            "TurnRateOptimizer",
+            "the pattern has orbits, which it does not size; give pattern: !ConstantSpread and "
+            "load_trajectory: !PlannedTurn, or another optimization_layer",
+        )
+        trajectory, shaper = loop.get("load_trajectory"), loop.get("phase")
+        require(
+            not is_of_package(trajectory) or isinstance(trajectory, PlannedTurn),
+            "load_trajectory",
+            type(trajectory).__name__,
+            "the load does not turn at the rate that optimization_layer = TurnRateOptimizer makes; "
+            "give !PlannedTurn, and phase: !ShapedPhase, or another optimization_layer",
+        )
+        require(
+            not is_of_package(shaper) or isinstance(shaper, ShapedPhase),
+            "phase",
+            type(shaper).__name__,
+            "its ξ has no rates, which the load's turn follows; give !ShapedPhase",
+        )
+        yield from ()
 
     def __init__(self, model: Model, config: TurnRateOptimizerConfig | None = None):
         super().__init__()

@@ -62,6 +62,7 @@ class StillAir(LeafBlock):
     controllers believe, in m/s, in W: zero.
     """
 
+    is_trivial = True  # nothing blows
     is_sampled = True
 
     def __init__(self, model: Model, config: StillAirConfig | None = None):

@@ -19,8 +19,7 @@ from pydrake.systems.framework import (
     System,
 )
 
-from drake_nonstop.loop.box import is_of_package
-from drake_nonstop.systems.block import title
+from drake_nonstop.systems.block import is_of_package, title
 from drake_nonstop.validation import ScenarioError
 
 _INSTANTS = 1000  # of the samples, which a block's own are compared with

@@ -43,8 +43,11 @@ class Box:
         variants: the blocks that it can be, the default first. Block X is in the same module as
             the dataclass of its parameters, XConfig, and is made by `X(model, config)`.
         signals: what its block makes, with their layouts; None: the signal is no vector.
-        optional: the signals among them that a block may leave out; the figure's default blocks
-            do not need them.
+        optional: the signals among them that a block may leave out, and a variant that makes each;
+            "": there is none to name.
+        alternatives: signals that some variants read, and one that does without.
+        expected_inputs: signals that its block has to read where they are made, and what to say
+            of one that does not.
         recorded_where_read: the signals that take time to evaluate and are in a run's recorded
             signals only where a block needs them.
         place: where the drawing has it.
@@ -61,7 +64,9 @@ class Box:
     variants: tuple[type[System], ...]
     signals: Mapping[str, Layout | None]
     place: Place
-    optional: tuple[str, ...] = ()
+    optional: Mapping[str, str] = field(default_factory=dict)
+    alternatives: Mapping[str, str] = field(default_factory=dict)
+    expected_inputs: Mapping[str, str] = field(default_factory=dict)
     recorded_where_read: tuple[str, ...] = ()
     is_simulated: bool = False
     is_linearized: bool = True
@@ -94,7 +99,7 @@ class Box:
             layout = self.signals.get(signal)
             if isinstance(layout, SomeOf) and {*own.parts} <= {*layout.parts}:
                 sizes[signal] = own.count(model.n, model.m)
-        optional = {signal: sizes.pop(signal) for signal in self.optional}
+        optional = {signal: sizes.pop(signal) for signal in self.signals if signal in self.optional}
         return sizes, optional
 
 
@@ -160,8 +165,3 @@ def import_path(config: type) -> str:
     """The name of a block outside the package: "module.X" for the dataclass XConfig."""
     module = config.__module__.replace("__mp_main__", "__main__")  # in a process of a study
     return f"{module}.{config.__name__.removesuffix('Config')}"
-
-
-def is_of_package(block: Any) -> bool:
-    """Whether a block is one of this package's, and not a user's own."""
-    return type(block).__module__.split(".")[0] == __name__.split(".")[0]

@@ -25,7 +25,6 @@ from pydrake.systems.framework import Context, Diagram, PortDataType, System
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.loop.block_events import timing_complaint
-from drake_nonstop.loop.box import is_of_package
 from drake_nonstop.loop.compiled_flight import CompiledFlight
 from drake_nonstop.loop.derivatives import (
     DerivativeFlight,
@@ -42,7 +41,7 @@ from drake_nonstop.loop.functions import (
 )
 from drake_nonstop.loop.layout import LoopLayout
 from drake_nonstop.loop.trace import LoopTrace, Step
-from drake_nonstop.systems.block import title
+from drake_nonstop.systems.block import is_of_package, title
 from drake_nonstop.systems.diagram_trace import (
     Wires,
     is_traceable,

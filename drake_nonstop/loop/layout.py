@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortDataType, System
 
-from drake_nonstop.loop.box import is_of_package
+from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.systems.diagram_trace import (
     At,
     Instant,

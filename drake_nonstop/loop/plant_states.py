@@ -15,8 +15,7 @@ none is needed. `context` is the block's own, in which its input ports can be ev
   carriers to have this acceleration (3n), that of `carrier_reference`.
 - `SetDefaultLoadState(value)`, `SetDefaultCarrierState(value)`: makes the value that of new
   contexts. Without it the defaults of Drake's Integrator, AffineSystem and MultibodyPlant (its
-  positions) in the block are set. A LeafSystem, whose defaults are fixed once it is made, may
-  declare `model.initial_load_state` or `model.initial_carrier_state` in its constructor.
+  positions) in the block are set, and the continuous states of LeafSystems in Python declared anew.
 
 Where a port then does not show what was set, an error names the block: no run starts from another
 state.
@@ -27,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import BasicVector, Context, Diagram
 from pydrake.systems.primitives import AffineSystem, Integrator
 
 from drake_nonstop.mechanics.signals import LoadState
@@ -239,8 +238,7 @@ class PlantStates:
                     f"{title(block)} = {type(block).__name__}: new contexts of the diagram do "
                     "not start at its equilibrium, since the block's default state cannot be set; "
                     "call set_equilibrium(diagram, context) before each run, or give it a method "
-                    f"{_DEFAULT_SETTERS[signal]}(value), or have its constructor declare "
-                    f"model.initial_{signal}"
+                    f"{_DEFAULT_SETTERS[signal]}(value)"
                 )
         return others
 
@@ -276,3 +274,7 @@ def _declare_defaults(system: Any, context: Context) -> None:
         system.configure_default_state(state_values(context))
     elif isinstance(system, MultibodyPlant):
         system.SetDefaultPositions(system.GetPositions(context))
+    elif not type(system).__module__.startswith("pydrake") and context.num_continuous_states():
+        state = context.get_continuous_state()  # a second declaration replaces the first
+        sizes = state.num_q(), state.num_v(), state.num_z()
+        system.DeclareContinuousState(BasicVector(state.CopyToVector()), *sizes)

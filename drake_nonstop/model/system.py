@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Optional, Protocol
 
@@ -104,14 +104,13 @@ class Model:
     Blocks take one: the controllers that of the scenario's `system`, the plant that of
     `simulated`. All arrays are in the load frame, but for the states that the plant's blocks
     declare: `initial_load_state` (13,) and `initial_carrier_state` (6n,), SI, in W, of the load at
-    rest at the origin and of carriers there where the equilibrium is not known yet.
+    rest at the origin and of carriers there: the equilibrium is not known yet.
 
     Args:
         system: the physical parameters.
         pattern: the internal-force pattern, for instance HamiltonianCycleConfig().
         control_period: the controllers' sample time in s, 0 for continuous.
         field: the system's name in error messages.
-        initial_states: of the load and the carriers, by the names of the signals that show them.
         overridden: the fields that `simulated` replaces.
 
     Attributes:
@@ -129,7 +128,6 @@ class Model:
         control_period: float = 0.0,
         *,
         field: str = "system",
-        initial_states: Mapping[str, NDArray] | None = None,
         overridden: Iterable[str] = (),
     ):
         self.aircraft: Aircraft | None = None
@@ -196,9 +194,8 @@ class Model:
             "on one line",
         )
         self.pseudo_inverse = np.linalg.pinv(grasp)  # (3n, 6)
-        initial = initial_states or {}
-        self.initial_load_state = initial.get("load_state", np.eye(LOAD_STATE_SIZE)[0])
-        self.initial_carrier_state = initial.get("carrier_state", np.zeros(6 * self.n))
+        self.initial_load_state = np.eye(LOAD_STATE_SIZE)[0]
+        self.initial_carrier_state = np.zeros(6 * self.n)
         self.pattern = pattern.make(self.attachments)
         self.m = len(self.pattern.phases)
         weight = gravity_wrench(system.load_mass, self.gravity)

@@ -13,14 +13,13 @@ from pydrake.systems.analysis import Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.loop.block_events import NotCompilableError, sample_times
-from drake_nonstop.loop.box import is_of_package
 from drake_nonstop.loop.compiled_loop import CompiledFlight, CompiledLoop, reason_against
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor
 from drake_nonstop.simulation.recording import Recording, RecordingError
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
 from drake_nonstop.simulation.short_flights import RestorableState, SavedState
-from drake_nonstop.systems.block import release
+from drake_nonstop.systems.block import is_of_package, release
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.systems.wiring import maker_of
 from drake_nonstop.validation import ScenarioWarning, one_line

@@ -19,7 +19,6 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.loop.block_events import NotCompilableError
-from drake_nonstop.loop.box import is_of_package
 from drake_nonstop.loop.equilibrium import block_named, set_equilibrium
 from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.scenario.proportions import out_of_proportion, warn_of_angles
@@ -54,7 +53,7 @@ from drake_nonstop.simulation.step_check import (
 )
 from drake_nonstop.simulation.step_size import ChosenStep, chosen_step, with_half_the_step
 from drake_nonstop.simulation.task import task_of_loop
-from drake_nonstop.systems.block import LOOP, release
+from drake_nonstop.systems.block import LOOP, is_of_package, release
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import innermost, input_names, nested, require_signals

@@ -20,7 +20,6 @@ from drake_nonstop.blocks.load_feedback import (
 from drake_nonstop.blocks.load_trajectory import PlannedTurn
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizerConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.box import is_of_package
 from drake_nonstop.loop.margin_of_loop import carriers_of, feedback_of
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, PlannedParameters
@@ -37,6 +36,7 @@ from drake_nonstop.optimization.turn_of_loops import Feedback
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.load_stability import LoadDeviations
 from drake_nonstop.simulation.planned_turn import PlannedTurnAlong, constant_turn, predicted_turn
+from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.validation import require
 
 _ANALYSED = (  # the boxes between the load's state and its cables

@@ -8,7 +8,8 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from drake_nonstop.diagrams.nonstop import BOXES, EXTRA, make_nonstop, replaced
+from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop, replaced
+from drake_nonstop.loop.assembly import EXTRA
 from drake_nonstop.scenario.overrides import changed, require_override
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.simulate import LoopMaker

@@ -193,6 +193,11 @@ class InnerBlock(LeafBlock):
         return ".".join(below) or (title(self) if names[0] == "_" else names[0])
 
 
+def is_of_package(block: Any) -> bool:
+    """Whether a block is one of this package's, and not a user's own."""
+    return type(block).__module__.split(".")[0] == __name__.split(".")[0]
+
+
 def title(system: System) -> str:
     """What messages call a system: its name in its diagram, or its class where it has none."""
     name = system.get_name()

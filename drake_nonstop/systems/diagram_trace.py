@@ -37,6 +37,7 @@ from pydrake.systems.primitives import (
     TrajectorySource,
 )
 
+from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.systems.tracing import object_array
 
 FOUND_SIZE = 3  # of what a search in C finds: whether it does, and two numbers
@@ -81,13 +82,13 @@ def knows_beforehand(leaf: System) -> bool:
 def gives_rows(block: System) -> bool:
     """Whether a block gives rows of its outputs, and no class below computes other values."""
     kind = type(block)
-    return hasattr(block, ROWS) and (_is_of_package(kind) or ROWS in vars(kind))
+    return hasattr(block, ROWS) and (is_of_package(block) or ROWS in vars(kind))
 
 
 def _has_trace(leaf: System) -> bool:
     """Whether a leaf has methods for a trace, and no class below theirs computes other values."""
     kind = type(leaf)
-    is_own = _is_of_package(kind) or "traced_output" in vars(kind)
+    is_own = is_of_package(leaf) or "traced_output" in vars(kind)
     return hasattr(leaf, "traced_output") and is_own
 
 
@@ -152,7 +153,7 @@ def _content(system: Any, outside: Callable[[System], bool]) -> Any:
         return (kind,)
     if not hasattr(system, "trace_key"):
         return None
-    is_own = _is_of_package(kind) or "trace_key" in vars(kind)
+    is_own = is_of_package(system) or "trace_key" in vars(kind)
     key = system.trace_key if is_own else None
     return None if key is None else (kind, key)
 
@@ -165,10 +166,6 @@ def _response(leaf: System) -> bytes:
         port.FixValue(context, rng.uniform(1.0, 2.0, port.size()))
     outputs = range(leaf.num_output_ports())
     return b"".join(leaf.get_output_port(k).Eval(context).tobytes() for k in outputs)
-
-
-def _is_of_package(kind: type) -> bool:
-    return kind.__module__.split(".")[0] == __name__.split(".")[0]
 
 
 class Wires:

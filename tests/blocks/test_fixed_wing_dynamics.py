@@ -174,14 +174,13 @@ def test_parameters_of_a_loop_are_checked(loop):
             {"carrier_dynamics": CarrierDynamicsConfig(), "carrier_controller": controller},
             "carrier_dynamics = CarrierDynamics: it reads carrier_forces, which "
             "carrier_controller = TracedBlock does not make; give carrier_controller=CarrierPid, "
-            "or carrier_dynamics=FixedWingDynamics, which reads aircraft_command",
+            "or carrier_dynamics=FixedWingDynamics",
         ),
         (
             {"carrier_controller": CarrierPidConfig()},
             "carrier_dynamics = FixedWingDynamics: it reads aircraft_command, which "
             "carrier_controller = CarrierPid does not make; give "
-            "carrier_controller=FixedWingController, or carrier_dynamics=CarrierDynamics, which "
-            "reads carrier_forces",
+            "carrier_controller=FixedWingController, or carrier_dynamics=CarrierDynamics",
         ),
         (
             {
@@ -190,7 +189,7 @@ def test_parameters_of_a_loop_are_checked(loop):
             },
             "carrier_controller = FixedWingController: it reads aircraft_state, which "
             "carrier_dynamics = IdealCarriers does not make; give "
-            "carrier_dynamics=FixedWingDynamics, or another carrier_controller",
+            "carrier_dynamics=FixedWingDynamics, or carrier_controller=CarrierPid",
         ),
     ],
 )

@@ -10,7 +10,6 @@ from pydrake.common.value import Value
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import (
-    BasicVector,
     DiagramBuilder,
     InputPortSelection,
     LeafSystem,
@@ -425,40 +424,30 @@ def test_small_deviations_of_a_mapped_load_are_counted_without_the_norm_of_its_q
     assert sizes["own"] == sizes["ours"]
 
 
-class DeclaredCarriers(LeafSystem):
-    """Double integrators that declare the initial state which the model tells."""
-
-    def __init__(self, model):
-        super().__init__()
-        self.mass = model.carrier_mass
-        self.DeclareVectorInputPort("carrier_forces", 3 * model.n)
-        state = self.DeclareContinuousState(BasicVector(model.initial_carrier_state))
-        self.DeclareStateOutputPort("carrier_state", state)
-
-    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
-        forces = self.GetInputPort("carrier_forces").Eval(context)
-        state = context.get_continuous_state_vector().CopyToVector()
-        rate = double_integrator_rate(state, forces, mass=self.mass)
-        derivatives.get_mutable_vector().SetFromVector(rate)
-
-
 @pytest.mark.filterwarnings("error")
-def test_a_block_that_declares_what_the_model_tells_flies_from_its_defaults():
-    scenario = short(0.2)
-    diagram = make_nonstop(scenario, carrier_dynamics=DeclaredCarriers)
+def test_a_block_of_ones_own_is_made_once_and_flies_from_its_defaults():
+    scenario, made = short(0.2), []
+
+    def carriers(model):
+        made.append(MappedCarriers(model, 7))
+        return made[-1]
+
+    diagram = make_nonstop(scenario, carrier_dynamics=carriers)
+    assert len(made) == 1
     simulator = Simulator(diagram)
     ApplySimulatorConfig(scenario.simulator_config, simulator)
     simulator.AdvanceTo(0.2)
-    run = simulate(scenario, carrier_dynamics=DeclaredCarriers)
+    run = simulate(scenario, carrier_dynamics=carriers)
     for name in SIGNALS:
         shown = diagram.GetOutputPort(name).Eval(simulator.get_context())
-        np.testing.assert_array_equal(shown, run.signal(name)[-1])
+        np.testing.assert_allclose(shown, run.signal(name)[-1], rtol=0, atol=1e-10)
 
 
 def test_a_block_whose_defaults_cannot_be_set_is_named_and_set_equilibrium_helps():
-    scenario = short(0.1)
-    own = {"carrier_dynamics": lambda model: MappedCarriers(model, 7)}
-    with pytest.warns(ScenarioWarning, match="carrier_dynamics = MappedCarriers: new contexts"):
+    """A discrete state is declared once."""
+    scenario = short(0.1, "load_trajectory.start_roll_pitch_yaw=[0.1,0.2,0.3]")
+    own = {"load_plant": lambda model: MappedLoad(model, 7, period=1e-3)}
+    with pytest.warns(ScenarioWarning, match="load_plant = MappedLoad: new contexts"):
         diagram = make_nonstop(scenario, **own)
     simulator = Simulator(diagram)
     ApplySimulatorConfig(scenario.simulator_config, simulator)
@@ -466,19 +455,7 @@ def test_a_block_whose_defaults_cannot_be_set_is_named_and_set_equilibrium_helps
     simulator.AdvanceTo(0.1)
     shown = diagram.GetOutputPort("load_state").Eval(simulator.get_context())
     expected = simulate(scenario, **own).signal("load_state")[-1]
-    # The two equilibria are found on two ways, each to 1e-9 m/s² and rad/s²: 1e-10 after 0.1 s.
     np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-10)
-
-
-def test_a_replacement_that_returns_the_same_block_again_is_not_asked_twice():
-    made = []
-
-    def once(model):
-        made.append(made[0] if made else MappedCarriers(model, 7))
-        return made[0]
-
-    with pytest.warns(ScenarioWarning, match="carrier_dynamics = MappedCarriers: new contexts"):
-        make_nonstop(short(0.1), carrier_dynamics=once)
 
 
 @pytest.mark.filterwarnings("error")

@@ -1,0 +1,71 @@
+"""What the blocks of a loop require of each other: each says its own, and one loop asks them all.
+
+A block may have a method `requires(loop)` that takes the `LoopBlocks`. It raises a ScenarioError
+for what it cannot be flown with, and yields a sentence for each thing that a user may not expect.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+from pydrake.systems.framework import System
+
+from drake_nonstop.systems import wiring
+
+
+@dataclass(frozen=True, eq=False)
+class LoopBlocks:
+    """The blocks of a loop before they are connected.
+
+    Attributes:
+        blocks: by the names of their boxes.
+        believed: the `Model` of the controllers.
+        simulated: the `Model` of the plant.
+    """
+
+    blocks: Mapping[str, System]
+    believed: Any
+    simulated: Any
+
+    def get(self, box: str) -> System | None:
+        """The block of a box; None: it is left out."""
+        return self.blocks.get(box)
+
+    def maker_of(self, signal: str) -> System | None:
+        """The block that makes a signal; None: none does."""
+        made = (b for b in self.blocks.values() if signal in wiring.output_names(b))
+        return next(made, None)
+
+    def reads(self, box: str, signal: str) -> bool:
+        """Whether a block is there, and has an input port of that name."""
+        return box in self.blocks and signal in wiring.input_names(self.blocks[box])
+
+    def needed(self, box: str) -> set[str]:
+        """The signals that a block cannot do without."""
+        block = self.blocks[box]
+        return {*wiring.input_names(block)} - wiring.optional_inputs(block)
+
+    def at_start(self, signal: str) -> NDArray | None:
+        """What `load_trajectory` makes at t = 0; None: it needs other blocks for it."""
+        trajectory = self.get("load_trajectory")
+        if trajectory is None or trajectory.num_input_ports() > 0:
+            return None
+        try:
+            context = trajectory.CreateDefaultContext()
+            return trajectory.GetOutputPort(signal).Eval(context).copy()
+        except Exception:  # the start of the run tells it, with the block's name
+            return None
+
+    def check(self) -> Iterator[str]:
+        """What the blocks say of each other.
+
+        Raises:
+            ScenarioError: a block cannot be flown with the others.
+        """
+        for block in self.blocks.values():
+            yield from getattr(block, "requires", _nothing)(self)
+
+
+def _nothing(loop: LoopBlocks) -> tuple[str, ...]:
+    return ()
