@@ -10,8 +10,7 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
   load_plant <── cables <── carrier_dynamics <────────────────────────┘
 """
 
-import warnings
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from pydrake.systems.framework import Diagram, System
@@ -49,7 +48,7 @@ from drake_nonstop.mechanics import signal_layouts
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS, MISSED_LIMITS
 from drake_nonstop.systems import wiring
-from drake_nonstop.validation import ScenarioWarning, require_flags
+from drake_nonstop.validation import require_flags, warn_user
 
 # The boxes of the figure, in its order.
 BOXES: dict[str, Box] = {
@@ -305,13 +304,13 @@ def make_nonstop(
     require_flags(at_equilibrium=at_equilibrium)
     parts = make_parts(BOXES, scenario, replacements, extra)
     diagram = connected(BOXES, parts, inputs)
-    _warn(parts.warnings)
     is_whole = set(wiring.input_names(diagram)) <= wiring.optional_inputs(diagram)
     if at_equilibrium and is_whole:
         context = diagram.CreateDefaultContext()
         with naming_the_block():
             set_equilibrium(diagram, context)
-        _warn(PlantStates(diagram).declare_defaults(context))
+        for message in PlantStates(diagram).declare_defaults(context):
+            warn_user(message)
     return diagram
 
 
@@ -335,14 +334,7 @@ def make_blocks(
         ScenarioError: as `make_nonstop`, but for what concerns the blocks' inputs.
     """
     parts = make_parts(BOXES, scenario, replacements, extra)
-    _warn(parts.warnings)
     return parts.blocks
-
-
-def _warn(messages: Iterable[str]) -> None:
-    """Warns whoever has called the caller."""
-    for message in messages:
-        warnings.warn(message, ScenarioWarning, stacklevel=3)
 
 
 def replaced(scenario: Loop, replacements: Mapping[str, Any]) -> tuple[Loop, dict[str, Any]]:

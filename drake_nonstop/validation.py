@@ -11,6 +11,7 @@ import sys
 import traceback
 import types
 import typing
+import warnings
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,14 @@ _DEEPEST = 20  # lists within lists
 
 class ScenarioWarning(UserWarning):
     """A scenario is run in another way than it asks for; the message tells why."""
+
+
+def warn_user(message: str) -> None:
+    """Warns at the line outside of the package that led here, by a ScenarioWarning."""
+    package, level, frame = __name__.partition(".")[0], 1, sys._getframe()
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == package:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, ScenarioWarning, stacklevel=level)
 
 
 class ScenarioError(ValueError):

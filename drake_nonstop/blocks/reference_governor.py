@@ -1,6 +1,5 @@
 """What slows the load's trajectory down where no ξ and A keep the limits with it."""
 
-import warnings
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -31,11 +30,11 @@ from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import (
     ScenarioError,
-    ScenarioWarning,
     StrictFields,
     is_number,
     require,
     require_positive,
+    warn_user,
 )
 
 _FIELD = "reference_governor"
@@ -191,19 +190,15 @@ def governed(
         fields = ", ".join(limit.field for limit in limits_of(Of.FLIGHT))
         less += f", higher ones of {fields}, or less wind"
     if len(found.not_at_rest):
-        warnings.warn(
+        warn_user(
             f"{_FIELD} = {type(config).__name__.removesuffix('Config')}: from "
             f"{found.not_at_rest[0]:.1f} s of the motion on even a load at rest leaves no ξ and A "
-            f"that fulfil the limits at all phases, and the motion is not slowed there; {less}",
-            ScenarioWarning,
-            stacklevel=4,
+            f"that fulfil the limits at all phases, and the motion is not slowed there; {less}"
         )
     if len(found.too_fast):
-        warnings.warn(
+        warn_user(
             f"{_FIELD}.least_rate = {config.least_rate:g}: at {found.too_fast[0]:.1f} s of the "
-            "motion it is too fast for the limits to hold at all phases; give a lower one",
-            ScenarioWarning,
-            stacklevel=4,
+            "motion it is too fast for the limits to hold at all phases; give a lower one"
         )
     return trajectory if found.delay is None else ReferenceGovernor(preview, found.delay)
 

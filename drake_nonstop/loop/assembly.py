@@ -35,7 +35,7 @@ from drake_nonstop.systems.diagnosis import raising_block
 from drake_nonstop.systems.energy import LoopDiagram
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import ScenarioError, called, one_line, require
+from drake_nonstop.validation import ScenarioError, called, one_line, require, warn_user
 
 SAMPLE_AND_HOLD = "sample_and_hold"  # no scenario chooses it: in front of sampled controllers
 LAYER = "optimization_layer"
@@ -77,7 +77,6 @@ class Parts(NamedTuple):
     blocks: dict[str, System]  # those of the loop, with the hold in front of sampled controllers
     watched: dict[str, WatchedModel]  # what blocks read of their models
     margin: SpeedMargin | None  # that was computed for the optimization layer
-    warnings: list[str]  # what a user may not expect
 
 
 def make_parts(
@@ -125,7 +124,8 @@ def make_parts(
     _require_motion(loop)
     _require_made(boxes, loop)
     _check_preview(loop)
-    warnings = [*loop.check(), *_unread(boxes, loop)]
+    for message in (*loop.check(), *_unread(boxes, loop)):
+        warn_user(message)
     if scenario.reference_governor is not None:
         trajectory = blocks.get("load_trajectory")
         remedy = "give a block for load_trajectory, or leave reference_governor out"
@@ -139,7 +139,7 @@ def make_parts(
             loop.maker_of("wind_estimate"),
         )
     held = _sample_and_hold(loop) if scenario.control_period > 0 else {}
-    return Parts(loop, blocks | held, watched, margin, warnings)
+    return Parts(loop, blocks | held, watched, margin)
 
 
 def connected(boxes: Boxes, parts: Parts, inputs: Collection[str]) -> Diagram:

@@ -1,7 +1,6 @@
 """The speed margin of a loop as configured, from its blocks."""
 
 import math
-import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -42,7 +41,7 @@ from drake_nonstop.optimization.speed_margin import (
 )
 from drake_nonstop.optimization.turn_of_loops import Feedback
 from drake_nonstop.systems import wiring
-from drake_nonstop.validation import ScenarioWarning
+from drake_nonstop.validation import warn_user
 
 _INSTANTS = 301  # of a task, at which its reference is looked at
 _BETWEEN = 0.382  # of the interval
@@ -125,9 +124,7 @@ def computed_margin(
         what = f"the margin leaves out: {causes}; give it as speed_margin, in m/s, if it matters"
         if found.margin is None:
             what = f"no margin is computed, and 2 % of the bound is kept ({causes}); give a number"
-        warnings.warn(
-            f"optimization_layer.tightening = {AUTO}: {what}", ScenarioWarning, stacklevel=5
-        )
+        warn_user(f"optimization_layer.tightening = {AUTO}: {what}")
     return found.margin
 
 

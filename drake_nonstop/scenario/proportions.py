@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import math
-import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.field_comments import meanings
-from drake_nonstop.validation import ScenarioWarning
+from drake_nonstop.validation import warn_user
 
 
 def _cable_length(scenario: Scenario) -> float:
@@ -149,7 +148,7 @@ def warn_of_angles(scenario: Scenario) -> None:
     for path, value in _angles(scenario, ""):
         if np.any(np.abs(value[np.isfinite(value)]) > 2 * math.pi):
             hint = "an angle beyond 2π, it is in rad: degrees given?"
-            warnings.warn(f"{path} = {value.tolist()}: {hint}", ScenarioWarning, stacklevel=3)
+            warn_user(f"{path} = {value.tolist()}: {hint}")
 
 
 def _angles(part: Any, owner: str) -> Iterator[tuple[str, NDArray]]:

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +21,7 @@ from drake_nonstop.simulation.short_flights import RestorableState, SavedState
 from drake_nonstop.systems.block import is_of_package, release
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.systems.wiring import maker_of
-from drake_nonstop.validation import ScenarioWarning, one_line
+from drake_nonstop.validation import one_line, warn_user
 
 NOT_COMPILED = "engine = compiled"  # how the warning begins that tells why
 _ROUNDING = 1e-9  # s, of instants
@@ -89,10 +88,9 @@ def recorded_loop(
     )
 
 
-def tell_not_compiled(reason: str, stacklevel: int = 5) -> None:
-    """Warns of what is not compiled, at a level of the stack as `warnings.warn` counts it."""
-    message = f"{NOT_COMPILED}: {reason} the diagram is simulated instead"
-    warnings.warn(message, ScenarioWarning, stacklevel=stacklevel)
+def tell_not_compiled(reason: str) -> None:
+    """Warns of what is not compiled."""
+    warn_user(f"{NOT_COMPILED}: {reason} the diagram is simulated instead")
 
 
 def _reason_against_period(period: float) -> str:
@@ -121,7 +119,7 @@ class _CompiledState:
 
 
 class CompiledRun:
-    """Flies as much of a run as a compiled loop can, from the start on.
+    """Flies as much of a run as a compiled loop can, from the start on; an `Engine`.
 
     Args:
         loop: what is flown.
@@ -155,7 +153,10 @@ class CompiledRun:
         self._end = 0.0  # s, of what is recorded
         self._compared, self._expected = compared, np.zeros((0, 0))
 
-    def saved_state(self) -> "RestorableState":
+    def take_sample(self) -> None:
+        """Nothing: all signals of the samples are recorded at once."""
+
+    def saved_state(self) -> RestorableState:
         """The state of the last sample, for a flight of the diagram from there."""
         if not self._loop.blocks_beside:
             return _CompiledState(self._flight.time, self._flight.state, self._flight)
@@ -167,19 +168,18 @@ class CompiledRun:
         self._context.SetTime(self._flight.time)
         self._flight.write_state(self._loop.diagram.GetMyMutableContextFromRoot(self._context))
 
-    def fly(self, duration: float, monitor: Monitor, saves_at: Callable[[], float]) -> bool:
-        """Flies for a duration, s, and sets the context to the end of that.
+    def fly(
+        self,
+        duration: float,
+        monitor: Monitor,
+        saves_at: Callable[[], float],
+        *,
+        is_begun: bool = False,
+    ) -> bool:
+        """As `Engine.fly`, from the start on.
 
         What is left then is less than a sample, or follows an error of a block, a value that is not
         finite, or one so large that it may become one: the Simulator flies that, and tells of it.
-
-        Args:
-            duration: s.
-            monitor: of the run, which is asked after some samples, as it is after steps.
-            saves_at: tells the time, s, from which on the monitor saves the next state.
-
-        Returns:
-            Whether anything was flown and recorded.
 
         Raises:
             NotCompilableError: a block does what it has not declared: all of the flight is wrong.

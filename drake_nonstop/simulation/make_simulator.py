@@ -11,8 +11,8 @@ from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.monitor import SampleInstants
+from drake_nonstop.simulation.preparation import check_simulation, with_chosen_step
 from drake_nonstop.simulation.recording import control_period_of
-from drake_nonstop.simulation.simulate import check_simulation, with_chosen_step
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import require
 

@@ -35,6 +35,7 @@ from drake_nonstop.validation import (
     one_line,
     read_text,
     require,
+    warn_user,
 )
 
 SCENARIO, SIGNALS, STEPS = "scenario.yaml", "signals.npz", "steps.npz"
@@ -119,7 +120,7 @@ def load_run(folder: Path | str, *, trust: bool = False) -> Run:
     has_own_blocks = facts.pop(_OWN_BLOCKS)
     if has_own_blocks:
         text = f"run = {folder}: blocks that its scenario does not name were in the loop; its "
-        warnings.warn(f"{text}diagram is that of the scenario", ScenarioWarning, stacklevel=3)
+        warn_user(f"{text}diagram is that of the scenario")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)  # they were told before it flew
         diagram = make_nonstop(scenario)

@@ -19,7 +19,7 @@ from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened
-from drake_nonstop.simulation.simulate import LoopMaker
+from drake_nonstop.simulation.preparation import LoopMaker
 from drake_nonstop.studies.files import as_path, replacing_file, replacing_files
 from drake_nonstop.studies.journal import JOURNAL as JOURNAL
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of

@@ -18,14 +18,13 @@ import stat
 import subprocess
 import sys
 import tempfile
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import casadi
 
-from drake_nonstop.validation import ScenarioWarning
+from drake_nonstop.validation import warn_user
 
 COMPILER = "CC"  # the variable of the environment that names another compiler
 CACHE = "DRAKE_NONSTOP_CACHE"  # likewise, another folder
@@ -92,8 +91,7 @@ def cache_folder() -> Path:
 
 @functools.cache
 def _tell(reason: str) -> None:
-    text = f"compiled loop: {reason}; CasADi's virtual machine evaluates it instead"
-    warnings.warn(text, ScenarioWarning, stacklevel=4)
+    warn_user(f"compiled loop: {reason}; CasADi's virtual machine evaluates it instead")
 
 
 def _loaded(library: Path) -> ctypes.CDLL:

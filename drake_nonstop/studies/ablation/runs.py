@@ -11,7 +11,7 @@ from typing import Any
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.schema import Scenario, sample
-from drake_nonstop.simulation.simulate import LoopMaker
+from drake_nonstop.simulation.preparation import LoopMaker
 from drake_nonstop.studies.ablation.page import PAGE, PLOTS, Curves, write_page
 from drake_nonstop.studies.ablation.rows import BASE, Row, ordered
 from drake_nonstop.studies.ablation.tables import as_csv, as_markdown

@@ -1,0 +1,298 @@
+"""A run in the making: its loop, what flies and records it, and what ends it."""
+
+import contextlib
+import dataclasses
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+
+from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
+from drake_nonstop.loop.block_events import NotCompilableError
+from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.plant_states import PlantStates
+from drake_nonstop.scenario.proportions import warn_of_angles
+from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario, check
+from drake_nonstop.simulation.compiled_run import CompiledRun, compiled_loop_of
+from drake_nonstop.simulation.diagram_run import DiagramRun, Engine
+from drake_nonstop.simulation.interruption import ALL, Interruption
+from drake_nonstop.simulation.monitor import Monitor, SampleInstants
+from drake_nonstop.simulation.preparation import (
+    LoopMaker,
+    cause_of_divergence,
+    check_simulation,
+    loop_of,
+    warn_of_growth,
+    warn_of_margins,
+    warn_of_other_bound,
+    with_chosen_step,
+)
+from drake_nonstop.simulation.recording import (
+    RUN_SIGNALS,
+    Recording,
+    RecordingError,
+    control_period_of,
+    require_room,
+)
+from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
+from drake_nonstop.simulation.step_check import SavedStates
+from drake_nonstop.simulation.step_size import ChosenStep
+from drake_nonstop.systems.block import is_of_package, release
+from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
+from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+from drake_nonstop.systems.wiring import nested
+from drake_nonstop.validation import ScenarioError, ScenarioWarning, called, one_line, require
+
+# Adds a system beside the loop's diagram, which the builder has already, and returns it.
+Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What `simulate` is asked for; the fields are its arguments.
+
+    Raises:
+        ScenarioError: one of them is none.
+    """
+
+    scenario: Scenario
+    progress: Callable[[float], None] | None
+    viewers: Sequence[Viewer]
+    after_step: Callable[[Simulator, Diagram], StepAction] | None
+    check_step: StepCheck
+    make_loop: LoopMaker
+    engine: str | None
+    replacements: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        check(self.scenario)
+        remedy = f"give {DIAGRAM} or {COMPILED}, or None"
+        require(self.engine in (None, DIAGRAM, COMPILED), "engine", self.engine, remedy)
+        remedy = "give a function that takes a scenario and returns a Diagram, such as make_nonstop"
+        require(callable(self.make_loop), "make_loop", self.make_loop, remedy)
+        remedy = "give a list of functions, such as [show_in(meshcat)]"
+        require(isinstance(self.viewers, (list, tuple)), "viewers", self.viewers, remedy)
+        for viewer in self.viewers:
+            require(callable(viewer), "viewers", viewer, remedy)
+
+
+class Flight:
+    """One flight of a request's loop.
+
+    Args:
+        request: what is flown.
+        interruption: what Ctrl-C leaves.
+
+    Attributes:
+        scenario: with the configs of the replacements, and with drawn numbers.
+        nonstop: the loop's diagram.
+        context: of the diagram around the loop.
+        saved: states on the way.
+
+    Raises:
+        ScenarioError: the loop cannot be built.
+    """
+
+    def __init__(self, request: Request, interruption: Interruption):
+        self._request, self._interruption = request, interruption
+        self._is_second = interruption.collect is not None  # of a run that is there already
+        self._stated_bound = request.scenario.sampled().speed_bound
+        scenario, self._replacements = replaced(request.scenario, request.replacements)
+        self.scenario = scenario = scenario.sampled()
+        check_simulation(scenario)
+        self.nonstop = nonstop = loop_of(request.make_loop, scenario, self._replacements)
+        builder = DiagramBuilder()
+        builder.AddSystem(nonstop)
+        self._recording = Recording(builder, nonstop)
+        builder.AddNamedSystem("sample_instants", SampleInstants(control_period_of(nonstop)))
+        remedy = "give functions that take the builder, the loop's diagram and the scenario"
+        self._visualizers = [
+            called("viewers", remedy, viewer, builder, nonstop, scenario)
+            for viewer in request.viewers
+        ]
+        self._simulator = Simulator(builder.Build())
+        self.context = self._simulator.get_mutable_context()
+        self._recording.start(self.context)
+        self.saved = SavedStates()
+        self._engine: Engine = DiagramRun(self._simulator, nonstop, self._recording)
+        self._monitor = Monitor(
+            self._simulator,
+            nonstop,
+            interruption,
+            sample=self._sample,
+            progress=request.progress,
+            after_step=request.after_step,
+            is_over=_end(nonstop, self.context),
+        )
+        self._start = time.perf_counter()
+
+    @property
+    def loop_context(self) -> Context:
+        """The loop's own."""
+        return self.nonstop.GetMyMutableContextFromRoot(self.context)
+
+    def prepare(self) -> ChosenStep:
+        """Sets the equilibrium and the step, and warns of what a user may not expect."""
+        request, scenario, nonstop = self._request, self.scenario, self.nonstop
+        set_equilibrium(nonstop, self.loop_context)
+        PlantStates(nonstop).declare_defaults(self.loop_context)
+        warn_of_other_bound(nonstop, self.loop_context, self._stated_bound)
+        if not self._is_second:  # it has been said
+            warn_of_angles(scenario)
+            warn_of_margins(scenario, nonstop, self.loop_context)
+            warn_of_growth(scenario, nonstop, self.loop_context)
+        chosen = with_chosen_step(scenario, nonstop, self.loop_context)
+        if request.after_step is None:  # which may end a run of any duration
+            require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
+        ApplySimulatorConfig(chosen.config, self._simulator)
+        return chosen
+
+    def fly(self, engine: str, chosen: ChosenStep) -> None:
+        """Flies to the end, the compiled engine what it can, Drake's Simulator the rest."""
+        engines = [self._engine]
+        if engine == COMPILED and (compiled := self._compiled(chosen)) is not None:
+            engines.insert(0, compiled)
+        duration, is_begun = self.scenario.simulation_duration, False
+        with self._monitor:
+            self._simulator.set_monitor(self._monitor)
+            self._start = time.perf_counter()
+            if not self._is_second:
+                self._interruption.collect = lambda: self.run(self._interrupted)
+            for self._engine in engines:
+                if not (is_begun and self._is_over):
+                    is_begun = self._engine.fly(
+                        duration, self._monitor, lambda: self.saved.next_time, is_begun=is_begun
+                    )
+            for visualizer in self._visualizers:  # the last step may have been skipped
+                visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(self.context))
+
+    def _compiled(self, chosen: ChosenStep) -> CompiledRun | None:
+        """The compiled engine; None: it cannot fly this, which a ScenarioWarning tells."""
+        request = self._request
+        given = {"viewers": request.viewers, "after_step": request.after_step}
+        steering = [name for name, value in given.items() if value]
+        loop = compiled_loop_of(
+            self.scenario, self.nonstop, self._recording, chosen.config, steering
+        )
+        if loop is None:
+            return None
+        compared = None
+        if not all(map(is_of_package, self.nonstop.GetSystems())):
+            with told():
+                other = loop_of(request.make_loop, self.scenario, self._replacements)
+                compared = Simulator(other)
+            ApplySimulatorConfig(chosen.config, compared)
+        return CompiledRun(loop, self._recording, self.context, _ending(self.nonstop), compared)
+
+    def _sample(self, now: float) -> None:
+        self._engine.take_sample()
+        if now >= self.saved.next_time:
+            self.saved.save(self._engine.saved_state())
+
+    @property
+    def _is_over(self) -> bool:
+        is_ended = self._monitor.has_ended or self._interruption.number > 0
+        return is_ended or self.context.get_time() >= self.scenario.simulation_duration
+
+    def run(self, stopped: str = "") -> Run:
+        """What has been flown, and what has stopped it."""
+        self._interruption.patience = ALL  # nothing may come between a run and who keeps it
+        make_loop = self._request.make_loop
+        own = {} if make_loop is make_nonstop else {"make_loop": make_loop}
+        return Run.from_logs(
+            self._recording,
+            self.context,
+            self.scenario,
+            step=self._simulator.get_integrator().get_maximum_step_size(),
+            wall_time=time.perf_counter() - self._start - self._monitor.waited,
+            stopped=stopped,
+            replacements=own | self._replacements,
+        )
+
+    @property
+    def early_end(self) -> str | None:
+        """What has ended it before its duration, "" a block's own decision; None: nothing has."""
+        if self._interruption.number:
+            return self._interrupted
+        if self._monitor.has_ended:
+            return ""
+        if self.context.get_time() < self.scenario.simulation_duration:
+            return f"the run was ended at t = {self.context.get_time():.4f} s"
+        return None
+
+    @property
+    def _interrupted(self) -> str:
+        return f"the run was interrupted at t = {self._monitor.time:.4f} s"
+
+    @contextlib.contextmanager
+    def kept(self) -> Iterator[None]:
+        """Has whatever ends the flight carry the run up to there.
+
+        Raises:
+            RunStopped: it diverged, a block failed, or the disk is full.
+            RunInterrupted: Ctrl-C.
+            ScenarioError: it cannot begin.
+        """
+        try:
+            yield
+        except NotCompilableError:
+            release(self.nonstop)
+            raise
+        except KeyboardInterrupt:
+            raise RunInterrupted(self.run(self._interrupted)) from None
+        except NotFiniteError as error:
+            message = (
+                f"the run diverged at t = {self.context.get_time():.4f} s: "
+                f"{source_of_fault(error, self.nonstop, self.loop_context)} made a value that is "
+                f"not finite, or beyond {LARGEST:.0e} in SI units; "
+                + cause_of_divergence(self.scenario, self.nonstop, self.context.get_time())
+            )
+            raise RunStopped(message, self.run(message)) from None
+        except RecordingError as error:
+            message = f"the run stopped at t = {self.context.get_time():.4f} s: {error}"
+            raise RunStopped(message, self.run(message)) from None
+        except BaseException as error:  # such as the SystemExit of a block
+            if self._interruption.number:  # which may have become another error in C++
+                raise RunInterrupted(self.run(self._interrupted)) from None
+            if isinstance(error, ScenarioError) and self.context.get_time() == 0:
+                raise
+            cause = f"{raising_block(error)}{one_line(error)}"
+            message = f"the run stopped at t = {self.context.get_time():.4f} s: {cause}"
+            raise RunStopped(message, self.run(message)) from error
+        finally:
+            if not self._is_second:
+                self._interruption.collect = None
+
+
+@contextlib.contextmanager
+def told() -> Iterator[None]:
+    """Leaves out what a scenario's warnings have told already."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)
+        yield
+
+
+def _ending(nonstop: Diagram) -> list[Any]:
+    """The blocks of the loop that may end the run, with a method `ends_run(context, shown)`.
+
+    It gets the block's own context, and what the port shows that `ending_signal` names.
+    """
+    loop = nested(nonstop, RUN_SIGNALS)[-1]
+    return [block for block in loop.GetSystems() if hasattr(block, "ends_run")]
+
+
+def _end(nonstop: Diagram, context: Context) -> Callable[[], bool] | None:
+    """Whether a block ends the run, of those that may; None: there are none."""
+    blocks = _ending(nonstop)
+    if not blocks:
+        return None
+
+    def ends(block: Any) -> bool:
+        own = block.GetMyContextFromRoot(context)
+        return bool(block.ends_run(own, block.GetOutputPort(block.ending_signal).Eval(own)))
+
+    return lambda: any(map(ends, blocks))
