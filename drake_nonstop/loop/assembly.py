@@ -122,9 +122,10 @@ def make_parts(
     blocks = {name: blocks[name] for name in [*boxes, *blocks] if name in blocks}
     loop = LoopBlocks(blocks, believed, simulated)
     _require_motion(loop)
+    told = [*loop.check(), *_unread(boxes, loop)]
     _require_made(boxes, loop)
     _check_preview(loop)
-    for message in (*loop.check(), *_unread(boxes, loop)):
+    for message in told:
         warn_user(message)
     if scenario.reference_governor is not None:
         trajectory = blocks.get("load_trajectory")

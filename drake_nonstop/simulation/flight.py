@@ -41,7 +41,7 @@ from drake_nonstop.simulation.recording import (
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
 from drake_nonstop.simulation.step_check import SavedStates
 from drake_nonstop.simulation.step_size import ChosenStep
-from drake_nonstop.systems.block import is_of_package, release
+from drake_nonstop.systems.block import is_of_package, release, weakly
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import nested
@@ -123,7 +123,7 @@ class Flight:
             self._simulator,
             nonstop,
             interruption,
-            sample=self._sample,
+            sample=weakly(self._sample),  # nothing may have to be collected for a run to be freed
             progress=request.progress,
             after_step=request.after_step,
             is_over=_end(nonstop, self.context),
