@@ -121,7 +121,7 @@ class BlockTimers:
                         replace(owner, name, self._timed(function, name))
             for name in [name for name in vars(LeafSystem) if name.startswith("Declare")]:
                 replace(LeafSystem, name, self._timed_declaration(vars(LeafSystem)[name]))
-            for name in ("__call__", "of_vector", "of_vector_and_time"):
+            for name in ("__call__", "of_vectors"):
                 replace(TracedFunction, name, self._counted(vars(TracedFunction)[name]))
             yield self
         finally:

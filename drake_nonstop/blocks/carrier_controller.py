@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Adder, Gain, Integrator, Selector
 
 from drake_nonstop.blocks.fixed_wing_controller import (
     FixedWingController,
@@ -16,20 +14,17 @@ from drake_nonstop.mechanics.carrier import loaded_pid_forces, pid_forces
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import DiagramBlock
-from drake_nonstop.systems.linear_block import AdjustableLinear
-from drake_nonstop.systems.traced_block import TracedBlock, splitting
+from drake_nonstop.systems.traced_block import TracedBlock, TracedDynamics
 from drake_nonstop.validation import StrictFields, require_non_negative, require_positive
 
 _BOX = "carrier_controller"
 _ACCELERATION = "carrier_reference_acceleration"
 
 
-class _PositionPid(DiagramBlock):
+class _PositionPid(TracedDynamics):
     """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), for every carrier.
 
-    The integrals are the state, where their gain is not zero. Drake's own systems evaluate the
-    law while the gains are those that it was built with, in half the time of a callback.
+    The integrals are the state, where their gain is not zero.
 
     Args:
         model: the number of carriers.
@@ -42,43 +37,35 @@ class _PositionPid(DiagramBlock):
     """
 
     def __init__(self, model: Model, config: Any, law: "_Law"):
-        super().__init__()
         law.check(model, config)
-        size = 3 * model.n
-        builder = DiagramBuilder()
-        minus = builder.AddNamedSystem("minus", Gain(-1.0, 2 * size))
-        error = builder.AddNamedSystem("error", Adder(2, 2 * size))
-        has_integral = law.has_integral(model, config)
-        self.gains, self.has_feedforward = law.gains_of(model, config), law.has_feedforward
-        parameters = BlockParameters(
-            model,
-            law.of_system,
-            config=config,
-            own=asdict(config),
-            rules=Rules(check=law.check, structure=law.has_integral),
+        size, has_integral = 3 * model.n, law.has_integral(model, config)
+
+        def forces(*values: NDArray, **numbers: NDArray) -> Any:
+            integral, reference, state, *acceleration = (
+                values if has_integral else (np.zeros(size), *values)
+            )
+            error = reference - state
+            total = pid_forces(error, integral, **law.gains(**numbers))
+            if law.has_feedforward:
+                total = total + numbers["carrier_mass"] * acceleration[0]
+            return (error[:size], total) if has_integral else total
+
+        inputs = {"carrier_reference": 2 * size, "carrier_state": 2 * size}
+        super().__init__(
+            forces,
+            inputs=inputs | ({_ACCELERATION: size} if law.has_feedforward else {}),
+            outputs={"carrier_forces": size},
+            state=np.zeros(size) if has_integral else None,
+            parameters=BlockParameters(
+                model,
+                law.of_system,
+                config=config,
+                own=asdict(config),
+                rules=Rules(check=law.check, structure=law.has_integral),
+            ),
+            key=("pid", model.n, has_integral, law.has_feedforward, law.gains.__qualname__),
         )
-        pid = _pid(builder, size, law, has_integral, parameters)
-        reference_input, negated_state_input = map(error.get_input_port, range(2))
-        builder.Connect(minus.get_output_port(), negated_state_input)
-        for port in pid.inputs["error"]:
-            builder.Connect(error.get_output_port(), port)
-        if has_integral:
-            parts = splitting({"positions": size, "velocities": size})
-            positions = builder.AddNamedSystem("positions", Selector(parts))
-            integral = builder.AddNamedSystem("integral", Integrator(size))
-            builder.Connect(error.get_output_port(), positions.get_input_port())
-            builder.Connect(positions.GetOutputPort("positions"), integral.get_input_port())
-            for port in pid.inputs["integral"]:
-                builder.Connect(integral.get_output_port(), port)
-        builder.ExportInput(reference_input, "carrier_reference")
-        builder.ExportInput(minus.get_input_port(), "carrier_state")
-        for i, port in enumerate(pid.inputs.get(_ACCELERATION, [])):
-            if i == 0:
-                acceleration = builder.ExportInput(port, _ACCELERATION)
-            else:
-                builder.ConnectInput(acceleration, port)
-        builder.ExportOutput(pid.output, "carrier_forces")
-        builder.BuildInto(self)
+        self.gains, self.has_feedforward = law.gains_of(model, config), law.has_feedforward
 
 
 @dataclass(frozen=True)
@@ -107,39 +94,6 @@ class _Law:
         """The gains of a config."""
         values = {name: model.number(name) for name in self.of_system} | asdict(config)
         return self.gains(**values)
-
-
-def _pid(
-    builder: DiagramBuilder,
-    size: int,
-    law: _Law,
-    has_integral: bool,
-    parameters: BlockParameters,
-) -> AdjustableLinear:
-    """The forces (`size`, 3n) of the error, and of its integral and the references' acceleration.
-
-    The integral is there if it has a gain, the acceleration if the law has feedforward.
-    """
-    inputs = {"error": 2 * size}
-    inputs |= {"integral": size} if has_integral else {}
-    inputs |= {_ACCELERATION: size} if law.has_feedforward else {}
-
-    def forces(*values: NDArray, **numbers: NDArray) -> NDArray:
-        given = dict(zip(inputs, values, strict=True))
-        integral = given.get("integral", np.zeros(size))
-        feedback = pid_forces(given["error"], integral, **law.gains(**numbers))
-        if not law.has_feedforward:
-            return feedback
-        return feedback + numbers["carrier_mass"] * given[_ACCELERATION]
-
-    return AdjustableLinear(
-        builder,
-        forces,
-        inputs=inputs,
-        size=size,
-        parameters=parameters,
-        key=("pid", *inputs.items(), law.gains.__qualname__),
-    )
 
 
 def _check(model: Model, config: Any) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import Context, DiagramBuilder, System
-from pydrake.systems.primitives import Integrator, Selector, SelectorParams
+from pydrake.systems.framework import Context, System
+from pydrake.systems.primitives import Selector
 
 from drake_nonstop.blocks.jsbsim_carriers import JsbsimCarriers
 from drake_nonstop.mechanics.aircraft import (
@@ -23,6 +23,7 @@ from drake_nonstop.mechanics.aircraft import (
 from drake_nonstop.mechanics.carrier import (
     carriers_kinetic_energy,
     carriers_potential_energy,
+    double_integrator_rate,
     loaded_carrier_rate,
 )
 from drake_nonstop.model.block_parameters import (
@@ -33,11 +34,10 @@ from drake_nonstop.model.block_parameters import (
     required_aircraft,
 )
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import BlockType, DiagramBlock
-from drake_nonstop.systems.linear_block import AdjustableLinear
+from drake_nonstop.systems.block import BlockType
 from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.traced_block import TracedBlock, stacking
+from drake_nonstop.systems.traced_block import TracedDynamics, stacking
 from drake_nonstop.validation import StrictFields, is_number, require
 
 
@@ -56,7 +56,7 @@ class CarrierDynamicsConfig(StrictFields):
     """No parameters: the carrier mass is the system's."""
 
 
-class CarrierDynamics(DiagramBlock):
+class CarrierDynamics(TracedDynamics):
     """Double integrators: m_c p̈ = u, without weight or cable reaction, as in the paper.
 
     .. pydrake_system::
@@ -74,27 +74,16 @@ class CarrierDynamics(DiagramBlock):
     requires = _requires_points
 
     def __init__(self, model: Model, config: CarrierDynamicsConfig | None = None):
-        super().__init__()
-        size = 3 * model.n
-        builder = DiagramBuilder()
-        accelerations = AdjustableLinear(
-            builder,
-            lambda forces, carrier_mass: forces / carrier_mass,
-            inputs={"carrier_forces": size},
-            size=size,
+        super().__init__(
+            lambda state, forces, carrier_mass: double_integrator_rate(
+                state, forces, mass=carrier_mass
+            ),
+            inputs={"carrier_forces": 3 * model.n},
+            state=model.initial_carrier_state,
+            state_port="carrier_state",
             parameters=BlockParameters(model, ("carrier_mass",)),
-            key=("carrier accelerations", size),
+            key=("double integrators", model.n),
         )
-        state = builder.AddNamedSystem("state", Integrator(model.initial_carrier_state))
-        rate = builder.AddNamedSystem("rate", Selector(_rate(size)))
-        builder.Connect(state.get_output_port(), rate.GetInputPort("carrier_state"))
-        builder.Connect(accelerations.output, rate.GetInputPort("accelerations"))
-        builder.Connect(rate.get_output_port(), state.get_input_port())
-        first, second = accelerations.inputs["carrier_forces"]
-        builder.ExportInput(first, "carrier_forces")
-        builder.ConnectInput("carrier_forces", second)
-        builder.ExportOutput(state.get_output_port(), "carrier_state")
-        builder.BuildInto(self)
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
@@ -104,15 +93,6 @@ class CarrierDynamics(DiagramBlock):
         context.SetContinuousState(value)
 
 
-def _rate(size: int) -> SelectorParams:
-    """Of a Selector that makes [velocities, accelerations] of the state and the accelerations."""
-    params = stacking({"carrier_state": 2 * size, "accelerations": size}, "rate")
-    (rate,) = params.outputs
-    rate.selections = rate.selections[size:]
-    params.outputs = [rate]
-    return params
-
-
 @dataclass(kw_only=True)
 class LoadedCarrierDynamicsConfig(StrictFields):
     """The limit of a carrier; its mass is the system's."""
@@ -120,7 +100,7 @@ class LoadedCarrierDynamicsConfig(StrictFields):
     max_force: float = math.inf  # N, of a carrier
 
 
-class LoadedCarrierDynamics(TracedBlock):
+class LoadedCarrierDynamics(TracedDynamics):
     """Carriers with weight and cable reaction: m_c p̈ = sat(u) − m_c g e₃ − f.
 
     They sag under a controller that compensates for neither; see `LoadedCarrierPid`.
@@ -155,7 +135,7 @@ class LoadedCarrierDynamics(TracedBlock):
                 *values, mass=carrier_mass, gravity=gravity, max_force=max_force
             ),
             inputs={"carrier_forces": 3 * n, "cable_forces": 3 * n},
-            state=Integrator(model.initial_carrier_state),
+            state=model.initial_carrier_state,
             state_port="carrier_state",
             parameters=BlockParameters(
                 model,
@@ -248,7 +228,7 @@ class FixedWingDynamicsConfig(StrictFields):
     )
 
 
-class FixedWingDynamics(DiagramBlock):
+class FixedWingDynamics(TracedDynamics):
     """Fixed-wing aircraft: 3-DoF point masses with lift, bank and thrust that lag their commands.
 
     With the airspeed V, forward x, the lift's direction l at the bank μ, and q = ½ ρ V²,
@@ -286,9 +266,7 @@ class FixedWingDynamics(DiagramBlock):
     ending_signal = "aircraft_state"
 
     def __init__(self, model: Model, config: FixedWingDynamicsConfig | None = None):
-        super().__init__()
         aircraft = required_aircraft(model, "carrier_dynamics", "FixedWingDynamics")
-        self._stops_at_stall = (config or FixedWingDynamicsConfig()).stops_at_stall
         n = model.n
         zeros = FlightStates(model.initial_carrier_state, *(np.zeros(k * n) for k in (1, 1, 1, 3)))
 
@@ -297,33 +275,24 @@ class FixedWingDynamics(DiagramBlock):
             flying = aircraft_of(aircraft, numbers)
             return (
                 flight_rate(flying, *values),
+                states[: 6 * n],
                 shown_state(flying, states, wind),
                 flight_acceleration(flying, states, pull, wind),
             )
 
-        builder = DiagramBuilder()
-        traced = builder.AddNamedSystem(
-            "flight",
-            TracedBlock(
-                flight,
-                inputs={"aircraft_command": 3 * n, "cable_forces": 3 * n, "wind": 3 * n},
-                outputs={"aircraft_state": 4 * n, "carrier_acceleration": 3 * n},
-                state=Integrator(np.concatenate(zeros)),
-                state_port="states",
-                parameters=BlockParameters(model, AIRCRAFT_NUMBERS),
-                key=("fixed-wing aircraft", n),
-            ),
+        super().__init__(
+            flight,
+            inputs={"aircraft_command": 3 * n, "cable_forces": 3 * n, "wind": 3 * n},
+            outputs={
+                "carrier_state": 6 * n,
+                "aircraft_state": 4 * n,
+                "carrier_acceleration": 3 * n,
+            },
+            state=np.concatenate(zeros),
+            parameters=BlockParameters(model, AIRCRAFT_NUMBERS),
+            key=("fixed-wing aircraft", n),
         )
-        params = stacking({"states": 12 * n}, "carrier_state")
-        params.outputs[0].selections = params.outputs[0].selections[: 6 * n]
-        carriers = builder.AddNamedSystem("carriers", Selector(params))
-        builder.Connect(traced.GetOutputPort("states"), carriers.get_input_port())
-        for name in ("aircraft_command", "cable_forces", "wind"):
-            builder.ExportInput(traced.GetInputPort(name), name)
-        builder.ExportOutput(carriers.get_output_port(), "carrier_state")
-        for name in ("aircraft_state", "carrier_acceleration"):
-            builder.ExportOutput(traced.GetOutputPort(name), name)
-        builder.BuildInto(self)
+        self._stops_at_stall = (config or FixedWingDynamicsConfig()).stops_at_stall
         self._aircraft = aircraft
 
     def SetCarrierState(self, context: Context, value: NDArray) -> None:

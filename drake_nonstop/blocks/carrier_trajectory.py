@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import (
@@ -24,10 +23,9 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.block_parameters import LOAD, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.traced_block import LateOutputs, TracedBlock
-from drake_nonstop.systems.wiring import WiringError, input_names, output_names
+from drake_nonstop.systems.traced_block import LateOutputs, LaterOutputs, TracedBlock
+from drake_nonstop.systems.wiring import WiringError
 from drake_nonstop.validation import StrictFields, require
 
 _BOX = "carrier_trajectory"
@@ -49,8 +47,8 @@ class _TrajectoryAboveLoad(TracedBlock):
             one.
         stretches: whether the cables do, by their stiffness.
         derivatives: makes accelerations and jerks as well, of these inputs and three more.
-        moves: whether the references move along their velocities between the samples of a
-            sampled controller.
+        hold_order: how they move between the samples of a sampled controller: 1 along their
+            velocities, 2 with their accelerations, 3 with their jerks, too; 0: there are none.
     """
 
     is_sampled = True
@@ -62,7 +60,7 @@ class _TrajectoryAboveLoad(TracedBlock):
         pose: tuple[str, int],
         stretches: bool = True,
         derivatives: LateOutputs | None = None,
-        moves: bool,
+        hold_order: int,
     ):
         attachments = model.attachments
 
@@ -70,12 +68,12 @@ class _TrajectoryAboveLoad(TracedBlock):
             state: NDArray,
             forces: NDArray,
             rates: NDArray,
-            *further: NDArray,
+            *_: NDArray,
             cable_length: NDArray,
             cable_stiffness: NDArray | None = None,
-            **_: NDArray,
+            **load: NDArray,
         ) -> NDArray:
-            now = np.concatenate(
+            return np.concatenate(
                 carrier_motion(
                     state,
                     forces.reshape(-1, 3),
@@ -85,10 +83,6 @@ class _TrajectoryAboveLoad(TracedBlock):
                     compliance=_compliance(cable_stiffness),
                 )
             )
-            if not moves:
-                return now
-            sample_time, time = further[-2:]
-            return motion_after(now.reshape(-1), time - sample_time)
 
         inputs = dict([pose])
         inputs |= dict.fromkeys(("desired_cable_forces", "desired_cable_force_rates"), 3 * model.n)
@@ -96,20 +90,18 @@ class _TrajectoryAboveLoad(TracedBlock):
         if derivatives is not None:
             inputs |= {"internal_force_higher_rates": 2 * model.m, "wind_estimate": WIND_SIZE}
             parameters += LOAD
-        if moves:
-            inputs["sample_time"] = 1
         super().__init__(
             motion,
             inputs=inputs,
             outputs={"carrier_reference": 6 * model.n},
-            reads_time=moves,
             parameters=BlockParameters(model, parameters),
-            key=("carrier trajectory", tuple(inputs), moves, stretches, attachments),
+            key=("carrier trajectory", tuple(inputs), stretches, attachments),
             late=derivatives,
+            later=_hold(model.n, hold_order) if hold_order > 0 else None,
         )
 
 
-class _TrajectoryAboveReference(DiagramBlock):
+class _TrajectoryAboveReference(_TrajectoryAboveLoad):
     """A `_TrajectoryAboveLoad` on its reference, with accelerations and jerks.
 
     Args:
@@ -140,56 +132,35 @@ class _TrajectoryAboveReference(DiagramBlock):
         yield from ()
 
     def __init__(self, model: Model, config: Any, *, stretches: bool = True):
-        super().__init__()
         require(config.hold in _HOLDS, f"{_BOX}.hold", config.hold, f"give {' or '.join(_HOLDS)}")
         is_sampled = model.control_period > 0
-        self.hold_order = _HOLDS[config.hold] if is_sampled else 0
-        unneeded = _FOR_DERIVATIVES if self.hold_order < 2 else ()
-        self.optional_inputs = (_HIGHER_RATES, *unneeded)
-        builder = DiagramBuilder()
-        motion = _TrajectoryAboveLoad(
+        order = _HOLDS[config.hold] if is_sampled else 0
+        super().__init__(
             model,
             pose=("reference", LOAD_REFERENCE_SIZE),
             stretches=stretches,
             derivatives=_derivatives(model),
-            moves=self.hold_order == 1,
+            hold_order=order,
         )
-        builder.AddNamedSystem("motion", motion)
-        for name in sorted(input_names(motion), key="sample_time".__eq__):  # it comes last
-            builder.ExportInput(motion.GetInputPort(name), name)
-        made = {name: motion.GetOutputPort(name) for name in ("carrier_reference", *_DERIVATIVES)}
-        if self.hold_order >= 2:
-            hold = builder.AddNamedSystem("hold", _hold(model.n, self.hold_order))
-            *names, last = input_names(hold)
-            for name in names:
-                builder.Connect(made[name], hold.GetInputPort(name))
-            builder.ExportInput(hold.GetInputPort(last), last)
-            made |= {name: hold.GetOutputPort(name) for name in output_names(hold)}
-        for name, port in made.items():
-            builder.ExportOutput(port, name)
-        builder.BuildInto(self)
+        self.hold_order = order
+        self.optional_inputs = (_HIGHER_RATES, *(_FOR_DERIVATIVES if order < 2 else ()))
 
 
-def _hold(n: int, order: int) -> TracedBlock:
+def _hold(n: int, order: int) -> LaterOutputs:
     """The motion of n carriers at a time, of that at `sample_time` and its derivatives.
 
     One of third order has the acceleration at that time, too.
     """
-    sizes = {"carrier_reference": 6 * n} | dict.fromkeys(_DERIVATIVES[: order - 1], 3 * n)
+    names = ("carrier_reference", *_DERIVATIVES[: order - 1])
 
-    def moved(motion: NDArray, acceleration: NDArray, *jerk_and_times: NDArray) -> Any:
-        *jerk, sample_time, time = jerk_and_times
+    def moved(motion: NDArray, *derivatives_and_times: NDArray) -> Any:
+        *derivatives, sample_time, time = derivatives_and_times
         since = time - sample_time
-        after = motion_after(motion, since, acceleration, *jerk)
-        return (after, acceleration + since * jerk[0]) if jerk else after
+        after = motion_after(motion.reshape(-1), since, *derivatives)
+        return (after, derivatives[0] + since * derivatives[1]) if order == 3 else after
 
-    return TracedBlock(
-        moved,
-        inputs=sizes | {"sample_time": 1},
-        outputs=dict(list(sizes.items())[: order - 1]),
-        reads_time=True,
-        key=("hold", n, order),
-    )
+    made = names[: max(1, order - 1)]
+    return LaterOutputs(moved, names, {"sample_time": 1}, made, key=("hold", n, order))
 
 
 def _derivatives(model: Model) -> LateOutputs:
@@ -390,7 +361,7 @@ class MeasuredCarrierTrajectory(_TrajectoryAboveLoad):
 
     def __init__(self, model: Model, config: MeasuredCarrierTrajectoryConfig | None = None):
         pose = ("measured_load_state", LOAD_STATE_SIZE)
-        super().__init__(model, pose=pose, moves=model.control_period > 0)
+        super().__init__(model, pose=pose, hold_order=int(model.control_period > 0))
 
 
 # The blocks that the box can be, the default first.

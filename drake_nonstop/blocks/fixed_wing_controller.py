@@ -1,19 +1,12 @@
 """The controller half of box "Carrier Controller + Dynamics" for carriers that are aircraft."""
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import (
-    Context,
-    ContinuousState,
-    DiagramBuilder,
-    DiscreteValues,
-    State,
-    System,
-)
 
 from drake_nonstop.mechanics.flight_control import (
     ObserverStates,
@@ -32,10 +25,7 @@ from drake_nonstop.model.block_parameters import (
     required_aircraft,
 )
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import DiagramBlock, LeafBlock
-from drake_nonstop.systems.diagram_trace import At
-from drake_nonstop.systems.traced_block import TracedBlock
-from drake_nonstop.systems.wiring import input_names
+from drake_nonstop.systems.traced_block import TracedDynamics
 from drake_nonstop.validation import (
     StrictFields,
     require,
@@ -44,7 +34,6 @@ from drake_nonstop.validation import (
 )
 
 _BOX = "carrier_controller"
-_OUTPUTS = ("aircraft_command", "command_saturation")
 _LIMITS = ("lift_share", "max_bank", "speed_share")
 
 
@@ -62,7 +51,7 @@ class FixedWingControllerConfig(StrictFields):
     speed_share: float = 1.2  # of the stall speed, below which thrust is added
 
 
-class FixedWingController(DiagramBlock):
+class FixedWingController(TracedDynamics):
     """Aircraft along their references: lift coefficient, bank and thrust by the exact inverse.
 
     With the errors e = p_d − p and ė, K_p = ω² and K_v = 2 ζ ω, the force
@@ -121,34 +110,47 @@ class FixedWingController(DiagramBlock):
     is_sampled = True
 
     def __init__(self, model: Model, config: FixedWingControllerConfig | None = None):
-        super().__init__()
         config = config or FixedWingControllerConfig()
         _check(model, config)
-        builder = DiagramBuilder()
-        law = builder.AddNamedSystem("law", _law(model, config))
-        period = model.control_period
-        observer = _SampledObserver(model.n, period) if period > 0 else _ContinuousObserver(model.n)
-        memory = builder.AddNamedSystem("observer", observer)
-        builder.Connect(memory.GetOutputPort("state"), law.GetInputPort("observer_states"))
-        builder.Connect(law.GetOutputPort("observer_rates"), memory.GetInputPort("rates"))
-        for name in input_names(law):
-            if name != "observer_states":
-                builder.ExportInput(law.GetInputPort(name), name)
-        builder.ConnectInput("aircraft_state", memory.GetInputPort("aircraft_state"))
-        made: System = law
-        if period > 0:
-            sizes = dict.fromkeys(_OUTPUTS, 3 * model.n)
-            made = builder.AddNamedSystem("hold", _Hold(sizes, period))
-            for name in _OUTPUTS:
-                builder.Connect(law.GetOutputPort(name), made.GetInputPort(name))
-        for name in _OUTPUTS:
-            source = name if made is law else f"held_{name}"
-            builder.ExportOutput(made.GetOutputPort(source), name)
-        builder.BuildInto(self)
+        n, size, period = model.n, 3 * model.n, model.control_period
+        super().__init__(
+            _law(model),
+            inputs={
+                "carrier_reference": 2 * size,
+                "carrier_reference_acceleration": size,
+                "carrier_reference_jerk": size,
+                "carrier_state": 2 * size,
+                "aircraft_state": 4 * n,
+                "desired_cable_forces": size,
+                "desired_cable_force_rates": size,
+                "wind_estimate": WIND_SIZE,
+                "carrier_acceleration": size,
+            },
+            outputs=dict.fromkeys(("aircraft_command", "command_saturation"), size),
+            state=np.zeros(5 * n),
+            start=(_started, ("aircraft_state",)),
+            period=period,
+            is_held=True,
+            parameters=BlockParameters(
+                model,
+                AIRCRAFT_NUMBERS,
+                config=config,
+                own=asdict(config),
+                rules=Rules(check=_check),
+            ),
+            key=("fixed-wing controller", n, period),
+        )
 
 
-def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
-    """The commands, before they are held, and the observer."""
+def _started(aircraft_state: NDArray) -> NDArray:
+    """`ObserverStates` (5n,) without a disturbance, with lift and thrust of the aircraft."""
+    measured = AircraftState.view(aircraft_state)
+    nothing = 0 * aircraft_state[: 3 * len(measured.lift)]
+    return np.concatenate(ObserverStates(nothing, measured.lift, measured.thrust))
+
+
+def _law(model: Model) -> Callable[..., tuple[NDArray, NDArray, NDArray]]:
+    """The rates of the observer, the commands, and which of them a limit changes."""
     n, period = model.n, model.control_period
     of_model = required_aircraft(model, _BOX, "FixedWingController")
 
@@ -205,125 +207,7 @@ def _law(model: Model, config: FixedWingControllerConfig) -> TracedBlock:
         shares = observer_shares(aircraft, n, observer_time, period)
         return shares * (targets - observer_states), told, saturation
 
-    size = 3 * n
-    return TracedBlock(
-        law,
-        inputs={
-            "observer_states": 5 * n,
-            "carrier_reference": 2 * size,
-            "carrier_reference_acceleration": size,
-            "carrier_reference_jerk": size,
-            "carrier_state": 2 * size,
-            "aircraft_state": 4 * n,
-            "desired_cable_forces": size,
-            "desired_cable_force_rates": size,
-            "wind_estimate": WIND_SIZE,
-            "carrier_acceleration": size,
-        },
-        outputs={"observer_rates": 5 * n} | dict.fromkeys(_OUTPUTS, size),
-        parameters=BlockParameters(
-            model,
-            AIRCRAFT_NUMBERS,
-            config=config,
-            own=asdict(config),
-            rules=Rules(check=_check),
-        ),
-        key=("fixed-wing controller", n, period),
-    )
-
-
-class _Observer(LeafBlock):
-    """The inputs of what holds `ObserverStates` (5n,), and their start.
-
-    At the start there is no disturbance, and lift and thrust are those of the aircraft.
-    """
-
-    def __init__(self, n: int):
-        super().__init__()
-        self._rates = self.DeclareVectorInputPort("rates", 5 * n)
-        self._aircraft_state = self.DeclareVectorInputPort("aircraft_state", 4 * n)
-
-    def _start(self, context: Context) -> NDArray:
-        return self._start_with(self._aircraft_state.Eval(context))
-
-    def _start_with(self, aircraft_state: NDArray) -> NDArray:
-        measured = AircraftState.view(aircraft_state)
-        nothing = np.zeros(3 * len(measured.lift))
-        return np.concatenate(ObserverStates(nothing, measured.lift, measured.thrust))
-
-
-class _ContinuousObserver(_Observer):
-    """Integrates the rates."""
-
-    def __init__(self, n: int):
-        super().__init__(n)
-        self.DeclareStateOutputPort("state", self.DeclareContinuousState(5 * n))
-        self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
-
-    def _begin(self, context: Context, state: State) -> None:
-        state.get_mutable_continuous_state().SetFromVector(self._start(context))
-
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        derivatives.SetFromVector(self._rates.Eval(context))
-
-
-class _SampledObserver(_Observer):
-    """Adds the rates at each sample but the first."""
-
-    def __init__(self, n: int, period: float):
-        super().__init__(n)
-        self._period = period
-        self.DeclareStateOutputPort("state", self.DeclareDiscreteState(5 * n))
-        self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._add)
-        self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
-
-    updates_at_start = starts_first = True
-
-    def traced_output(self, port: str, at: At) -> NDArray:
-        return at.state(1)
-
-    def traced_start(self, at: At) -> list[NDArray]:
-        return [self._start_with(at.input("aircraft_state"))]
-
-    def traced_update(self, at: At) -> list[NDArray]:
-        return [at.state(1) + self._period * at.input("rates")]
-
-    def _begin(self, context: Context, state: State) -> None:
-        state.get_mutable_discrete_state().set_value(self._start(context))
-
-    def _add(self, context: Context, discrete_state: DiscreteValues) -> None:
-        states = context.get_discrete_state_vector().CopyToVector()
-        discrete_state.set_value(states + self._period * self._rates.Eval(context))
-
-
-class _Hold(LeafBlock):
-    """Samples its inputs at the start and every period, and holds them.
-
-    By discrete updates: they run after the unrestricted ones that sample the load and step the
-    phase, and so read what these make at the same instant.
-    """
-
-    def __init__(self, sizes: dict[str, int], period: float):
-        super().__init__()
-        self._inputs = []
-        for name, size in sizes.items():
-            self._inputs.append(self.DeclareVectorInputPort(name, size))
-            self.DeclareStateOutputPort(f"held_{name}", self.DeclareDiscreteState(size))
-        self.DeclareInitializationDiscreteUpdateEvent(self._sample)
-        self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._sample)
-
-    updates_at_start = True
-
-    def traced_output(self, port: str, at: At) -> NDArray:
-        names = [self.get_output_port(k).get_name() for k in range(self.num_output_ports())]
-        return at.state(1 + names.index(port))
-
-    def traced_update(self, at: At) -> list[NDArray]:
-        return [at.input(port.get_name()) for port in self._inputs]
-
-    def _sample(self, context: Context, discrete_state: DiscreteValues) -> None:
-        for i, port in enumerate(self._inputs):
-            discrete_state.set_value(i, port.Eval(context))
+    return law
 
 
 def _check(model: Model, config: Any) -> None:

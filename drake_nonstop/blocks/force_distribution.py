@@ -2,17 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    DiagramBuilder,
-    ValueProducer,
-)
+from pydrake.systems.framework import Context, ValueProducer
 
 from drake_nonstop.mechanics.grasp import (
     cable_forces_and_rates,
@@ -23,9 +19,8 @@ from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadState
 from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import DiagramBlock, InnerBlock, weakly
+from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.traced_block import TracedBlock
-from drake_nonstop.systems.wiring import input_names
 from drake_nonstop.validation import StrictFields, is_number, require, require_non_negative
 
 _OUTPUTS = ("desired_cable_forces", "desired_cable_force_rates")
@@ -98,7 +93,7 @@ class BoundedTensionDistributionConfig(StrictFields):
     max_tension: float = math.inf  # N
 
 
-class BoundedTensionDistribution(DiagramBlock):
+class BoundedTensionDistribution(CableForceDistribution):
     """The pseudo-inverse's forces with the smallest change that keeps the tensions within bounds.
 
     A quadratic program: of all cable forces with the desired wrench, those nearest to
@@ -138,29 +133,11 @@ class BoundedTensionDistribution(DiagramBlock):
         RuntimeError: during a run, if no such cable forces are found.
     """
 
-    is_sampled = True
+    traced_output: Any = None  # a search is no function that can be traced
 
     def __init__(self, model: Model, config: BoundedTensionDistributionConfig | None = None):
-        super().__init__()
-        builder = DiagramBuilder()
-        least = builder.AddNamedSystem("least", CableForceDistribution(model))
-        bounds = builder.AddNamedSystem(
-            "bounds", _TensionBounds(model, config or BoundedTensionDistributionConfig())
-        )
-        for name in _OUTPUTS:
-            builder.Connect(least.GetOutputPort(name), bounds.GetInputPort(name))
-            builder.ExportOutput(bounds.GetOutputPort(name), name)
-        for name in input_names(least):
-            builder.ExportInput(least.GetInputPort(name), name)
-        builder.ConnectInput("measured_load_state", bounds.GetInputPort("measured_load_state"))
-        builder.BuildInto(self)
-
-
-class _TensionBounds(InnerBlock):
-    """The smallest change of cable forces and rates that keeps the bounds."""
-
-    def __init__(self, model: Model, config: BoundedTensionDistributionConfig):
-        super().__init__()
+        super().__init__(model)
+        config = config or BoundedTensionDistributionConfig()
         self._config = config
         require_non_negative(_BOX, min_tension=config.min_tension)
         limit = config.max_tension
@@ -172,39 +149,30 @@ class _TensionBounds(InnerBlock):
         )
         # The last rows of Vᵀ span the null space of the grasp matrix, which has rank 6.
         self._null_space = np.linalg.svd(grasp_matrix(model.attachments))[2][6:].T
-        self._measured_load_state = self.DeclareVectorInputPort(
-            "measured_load_state", LOAD_STATE_SIZE
-        )
-        self._forces, self._rates = (
-            self.DeclareVectorInputPort(name, 3 * model.n) for name in _OUTPUTS
-        )
-        known = {
-            self.input_port_ticket(port.get_index())
-            for port in (self._measured_load_state, self._forces)
-        }
+        self._measured_load_state = self.GetInputPort("measured_load_state")
         entry = self.DeclareCacheEntry(
-            "cables on a bound", ValueProducer(Value(()).Clone, weakly(self._calc_active)), known
+            "cables on a bound",
+            ValueProducer(Value(()).Clone, weakly(self._calc_active)),
+            self._tickets[_OUTPUTS[0]],
         )
         self._entry_index = entry.cache_index()  # the entry would keep this block alive
-        all_known = {entry.ticket(), self.all_input_ports_ticket()}
+
+    def _evaluated(self, context: Context, name: str) -> NDArray:
+        """As of `TracedBlock`, within the bounds."""
         forces, rates = _OUTPUTS
-        self.DeclareVectorOutputPort(
-            forces, 3 * model.n, self._calc_forces, {entry.ticket(), *known}
-        )
-        self.DeclareVectorOutputPort(rates, 3 * model.n, self._calc_rates, all_known)
+        found = self._least(context, forces)
+        if name == forces:
+            return self._bounded(context, found, np.zeros(found.shape))[0].ravel()
+        return self._bounded(context, found, self._least(context, rates))[1].ravel()
 
-    def _calc_forces(self, context: Context, output: BasicVector) -> None:
-        forces = self._forces.Eval(context).reshape(-1, 3)
-        output.SetFromVector(self._bounded(context, forces, np.zeros(forces.shape))[0].ravel())
-
-    def _calc_rates(self, context: Context, output: BasicVector) -> None:
-        forces, rates = (port.Eval(context).reshape(-1, 3) for port in (self._forces, self._rates))
-        output.SetFromVector(self._bounded(context, forces, rates)[1].ravel())
+    def _least(self, context: Context, name: str) -> NDArray:
+        """The pseudo-inverse's forces, or their rates (n, 3)."""
+        return super()._evaluated(context, name).reshape(-1, 3).copy()
 
     def _calc_active(self, context: Context, value: AbstractValue) -> None:
         """The forces' directions, in L, and `_active_bounds`; () where no bound is violated."""
         self.require_floats("give CableForceDistribution in place of BoundedTensionDistribution")
-        forces = self._forces.Eval(context).reshape(-1, 3)
+        forces = self._least(context, _OUTPUTS[0])
         tensions = np.linalg.norm(forces, axis=1)
         low, high = self._config.min_tension - tensions, self._config.max_tension - tensions
         if np.all(low <= 0) and np.all(high >= 0):

@@ -9,7 +9,6 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, SpatialInertia, UnitInertia
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, DiagramBuilder
-from pydrake.systems.primitives import Integrator
 
 from drake_nonstop.mechanics.rigid_load import (
     load_kinetic_energy,
@@ -28,7 +27,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.parameters import declare_parameters, parameters_in
 from drake_nonstop.systems.point_forces import applied_force, no_forces
-from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.systems.traced_block import TracedDynamics
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import StrictFields
 
@@ -38,7 +37,7 @@ class LoadPlantConfig(StrictFields):
     """No parameters: mass, inertia, drag and attachments are the system's."""
 
 
-class LoadPlant(TracedBlock):
+class LoadPlant(TracedDynamics):
     """The rigid load: Newton-Euler with drag linear in the velocity through the air (eqs. 5-6).
 
     .. pydrake_system::
@@ -78,7 +77,7 @@ class LoadPlant(TracedBlock):
                 "disturbance_wrench": WRENCH_SIZE,
                 "load_wind": WIND_SIZE,
             },
-            state=Integrator(model.initial_load_state),
+            state=model.initial_load_state,
             state_port="load_state",
             parameters=BlockParameters(model, LOAD),
             key=("load", attachments),

@@ -5,13 +5,13 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.polynomial import Polynomial
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantValueSource, TrajectorySource
+from pydrake.systems.framework import Context
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.mechanics.circle import circular_motion
@@ -27,7 +27,6 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.pose_samples import read_samples, sample_array, split_samples
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import DiagramBlock
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import (
@@ -44,7 +43,75 @@ _RATES = 4  # derivatives of the coordinates
 _PORTS = "reference", "reference_higher_rates"
 
 
-class LoadTrajectory(DiagramBlock):
+class _Coordinates:
+    """Coordinates along a trajectory with their derivatives; they rest beyond its ends."""
+
+    def __init__(self, trajectory: PiecewisePolynomial):
+        self._derivatives = [trajectory]
+        for _ in range(_RATES + 1):
+            self._derivatives.append(self._derivatives[-1].MakeDerivative())
+        self._limits = trajectory.start_time(), trajectory.end_time()
+        self._values = [each.value for each in self._derivatives[: _RATES + 1]]
+        self.size = (_RATES + 1) * trajectory.rows()
+
+    def rows(self, times: NDArray, first: int = 0) -> NDArray:
+        """The coordinates and four derivatives (k, size) at times (k,), s.
+
+        `first` is 1 for the rates of all of these.
+        """
+        derivatives = self._derivatives[first : first + _RATES + 1]
+        values = np.array([each.vector_values(times) for each in derivatives])
+        start, end = self._limits
+        values[1 - first :, :, (times < start) | (times > end)] = 0
+        return values.reshape(-1, len(times)).T
+
+    def row(self, time: float) -> NDArray:
+        """Likewise at a time, s."""
+        start, end = self._limits
+        if not start <= time <= end:
+            return self.rows(np.array([time]))[0]
+        return np.concatenate([value(time) for value in self._values], axis=None)
+
+
+class _AlongTrajectory(TracedBlock):
+    """A reference that is a function of coordinates along a trajectory.
+
+    Args:
+        coordinates: along the trajectory.
+        reference: takes the inputs, the coordinates, and the time, and returns `reference` and
+            `reference_higher_rates`.
+        others: as of `TracedBlock`.
+    """
+
+    def __init__(
+        self,
+        coordinates: _Coordinates,
+        reference: Callable[..., tuple[NDArray, NDArray]],
+        **others: Any,
+    ):
+        self._coordinates = coordinates
+        sizes = LOAD_REFERENCE_SIZE, REFERENCE_HIGHER_RATES_SIZE
+        super().__init__(
+            reference,
+            known={"coordinates": coordinates.size},
+            outputs=dict(zip(_PORTS, sizes, strict=True)),
+            **others,
+        )
+
+    def quantities_over(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+        """The coordinates and their derivatives at times (k,), s."""
+        return [self._coordinates.rows(times) for _ in names]
+
+    def quantity_at(self, name: str, time: float) -> NDArray:
+        """A row of them."""
+        return self._coordinates.row(time)
+
+    def quantity_rates_over(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+        """Their rates, likewise."""
+        return [self._coordinates.rows(times, first=1) for _ in names]
+
+
+class LoadTrajectory(_AlongTrajectory):
     """The desired motion of the load along a piecewise polynomial.
 
     .. pydrake_system::
@@ -70,6 +137,8 @@ class LoadTrajectory(DiagramBlock):
         yaw_rate: rad/s, at which the load turns about the vertical besides, at all times.
     """
 
+    traced_output: Any = None  # all of it is known beforehand, see `known_over`
+
     def __init__(
         self,
         trajectory: PiecewisePolynomial,
@@ -77,38 +146,25 @@ class LoadTrajectory(DiagramBlock):
         *,
         yaw_rate: float = 0.0,
     ):
-        super().__init__()
-        builder = DiagramBuilder()
-        coordinates = builder.AddNamedSystem(
-            "coordinates",
-            TrajectorySource(trajectory, _RATES, zero_derivatives_beyond_limits=True),
-        )
-
         def reference(values: NDArray, *times: NDArray) -> tuple[NDArray, NDArray]:
             coordinates = pose(values.reshape(_RATES + 1, -1)) if pose else values
             for time in times:
                 coordinates = coordinates.reshape(-1) + _steady_turn(yaw_rate, time)
             return _reference(coordinates)
 
-        traced = TracedBlock(
+        coordinates, reads_time = _Coordinates(trajectory), yaw_rate != 0
+        super().__init__(
+            coordinates,
             reference,
-            inputs={"coordinates": (_RATES + 1) * trajectory.rows()},
-            outputs={
-                "reference": LOAD_REFERENCE_SIZE,
-                "reference_higher_rates": REFERENCE_HIGHER_RATES_SIZE,
-            },
-            reads_time=yaw_rate != 0,
+            inputs={},
+            reads_time=reads_time,
             key=(_reference.__qualname__, yaw_rate) if pose is None else None,
         )
-        builder.AddNamedSystem("reference", traced)
-        builder.Connect(coordinates.get_output_port(), traced.get_input_port())
-        self._rows = _rows_of(trajectory, reference, yaw_rate != 0)
+        self._rows = _rows_of(coordinates, reference, reads_time)
         made = AbstractValue.Make(_preview(self._rows))
-        preview = builder.AddNamedSystem("preview", ConstantValueSource(made))
-        for name in _PORTS:
-            builder.ExportOutput(traced.GetOutputPort(name), name)
-        builder.ExportOutput(preview.get_output_port(), "reference_preview")
-        builder.BuildInto(self)
+        self.DeclareAbstractOutputPort(
+            "reference_preview", lambda: made.Clone(), _as_allocated, {self.nothing_ticket()}
+        )
 
     def known_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """What vector-valued ports show at times (k,) in s, (k, size) of each."""
@@ -116,30 +172,26 @@ class LoadTrajectory(DiagramBlock):
         return [rows[port] for port in ports]
 
 
+def _as_allocated(context: Context, value: AbstractValue) -> None:
+    """A constant: the value is there already."""
+
+
 # Makes the rows of the signals `_PORTS` at times (k,) in s.
 _Rows = Callable[[NDArray], tuple[NDArray, NDArray]]
 
 
 def _rows_of(
-    trajectory: PiecewisePolynomial,
-    reference: Callable[..., tuple[NDArray, NDArray]],
-    reads_time: bool,
+    coordinates: _Coordinates, reference: Callable[..., tuple[NDArray, NDArray]], reads_time: bool
 ) -> _Rows:
     """What makes the references of a trajectory, by the function that the block traces."""
-    rates = [trajectory]
-    for _ in range(_RATES):
-        rates.append(rates[-1].MakeDerivative())
-    sizes = [(_RATES + 1) * trajectory.rows(), *([1] if reads_time else [])]
-    start, end = trajectory.start_time(), trajectory.end_time()
+    sizes = [coordinates.size, *([1] if reads_time else [])]
 
     @functools.cache  # most runs do not ask for any
     def traced() -> TracedFunction:
         return TracedFunction(lambda *v: np.concatenate(reference(*v)), sizes, name=lambda: _BOX)
 
     def rows(times: NDArray) -> tuple[NDArray, NDArray]:
-        values = np.array([rate.vector_values(times) for rate in rates])
-        values[1:, :, (times < start) | (times > end)] = 0
-        vectors = values.reshape(-1, len(times)).T
+        vectors = coordinates.rows(times)
         if reads_time:
             vectors = np.column_stack([vectors, times])
         found = traced().of_rows(vectors)
@@ -655,7 +707,7 @@ class PlannedTurnConfig(_Move):
     move_time: float = 10.0  # s, of the displacement
 
 
-class PlannedTurn(DiagramBlock):
+class PlannedTurn(_AlongTrajectory):
     """The load turns about the vertical at the planned ξ: its yaw is the phase θ.
 
     As `SteadyTurn`, but at a rate that an `optimization_layer` may change. What makes `planned` has
@@ -691,7 +743,6 @@ class PlannedTurn(DiagramBlock):
     """
 
     def __init__(self, model: Model, config: PlannedTurnConfig | None = None):
-        super().__init__()
         config = config or PlannedTurnConfig()
         require_non_negative(_BOX, start_time=config.start_time)
         require_positive(_BOX, move_time=config.move_time)
@@ -703,13 +754,8 @@ class PlannedTurn(DiagramBlock):
             [config.move_time],
             config.smooth_step(),
         )
-        builder = DiagramBuilder()
-        coordinates = builder.AddNamedSystem(
-            "coordinates",
-            TrajectorySource(trajectory, _RATES, zero_derivatives_beyond_limits=True),
-        )
 
-        def reference(values: NDArray, planned: NDArray) -> tuple[NDArray, NDArray]:
+        def reference(planned: NDArray, values: NDArray) -> tuple[NDArray, NDArray]:
             plan = PlannedParameters.view(planned)
             rates = (
                 plan.angle,
@@ -721,22 +767,7 @@ class PlannedTurn(DiagramBlock):
             turn = [np.concatenate([np.zeros(2), rate, np.zeros(3)]) for rate in rates]
             return _reference(values + np.concatenate(turn))
 
-        traced = builder.AddNamedSystem(
-            "reference",
-            TracedBlock(
-                reference,
-                inputs={"coordinates": (_RATES + 1) * trajectory.rows(), "planned": PLANNED_SIZE},
-                outputs={
-                    "reference": LOAD_REFERENCE_SIZE,
-                    "reference_higher_rates": REFERENCE_HIGHER_RATES_SIZE,
-                },
-            ),
-        )
-        builder.Connect(coordinates.get_output_port(), traced.GetInputPort("coordinates"))
-        builder.ExportInput(traced.GetInputPort("planned"), "planned")
-        for name in _PORTS:
-            builder.ExportOutput(traced.GetOutputPort(name), name)
-        builder.BuildInto(self)
+        super().__init__(_Coordinates(trajectory), reference, inputs={"planned": PLANNED_SIZE})
 
 
 @dataclass(kw_only=True)

@@ -11,25 +11,21 @@ from pydrake.systems.framework import (
     BasicVector,
     Context,
     ContinuousState,
-    DiagramBuilder,
     EventStatus,
     State,
 )
-from pydrake.systems.primitives import Integrator, MatrixGain
 
 from drake_nonstop.mechanics.shaping import Smoothing
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, PLANNED_SIZE
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import DiagramBlock, InnerBlock, LeafBlock
+from drake_nonstop.systems.block import LeafBlock, weakly
 from drake_nonstop.systems.diagram_trace import At
-from drake_nonstop.systems.linear_block import LinearBlock
 from drake_nonstop.systems.requirements import LoopBlocks
+from drake_nonstop.systems.traced_block import TracedDynamics
 from drake_nonstop.validation import StrictFields, require_positive
 
 _BOX = "phase"
-# [θ, ξ, A] and rates of zero, of `phase` and `parameters`.
-_OF_PLANNED = {"phase": PHASE_SIZE, "parameters": PARAMETERS_SIZE}
-_WITHOUT_RATES = np.vstack([np.eye(4)[[0, 2, 3]], np.zeros((5, 4))])
+_STATE_SIZE = 8  # θ, the stages of ξ and of A, and whether they have started
 
 
 @dataclass(kw_only=True)
@@ -37,7 +33,7 @@ class AccumulatedPhaseConfig(StrictFields):
     """No parameters."""
 
 
-class AccumulatedPhase(DiagramBlock):
+class AccumulatedPhase(TracedDynamics):
     """θ̇ = ξ: the phase is continuous, also where ξ jumps.
 
     The paper's cos(ξ(t) t + φ), that of `PaperPhase`, jumps by t Δξ when ξ changes.
@@ -59,51 +55,23 @@ class AccumulatedPhase(DiagramBlock):
     is_sampled = True
 
     def __init__(self, model: Model, config: AccumulatedPhaseConfig | None = None):
-        super().__init__()
-        builder = DiagramBuilder()
-        if model.control_period > 0:
-            state = builder.AddNamedSystem("state", _SteppedPhase(model.control_period))
-            parameters = state.get_input_port()
-        else:
-            rate = builder.AddNamedSystem("rate", MatrixGain(np.diag([1.0, 0.0])))
-            state = builder.AddNamedSystem("state", Integrator(PHASE_SIZE))
-            builder.Connect(rate.get_output_port(), state.get_input_port())
-            parameters = rate.get_input_port()
-        planned = builder.AddNamedSystem("planned", LinearBlock(_WITHOUT_RATES, _OF_PLANNED))
-        builder.Connect(state.get_output_port(), planned.GetInputPort("phase"))
-        exported = builder.ExportInput(parameters, "parameters")
-        builder.ConnectInput(exported, planned.GetInputPort("parameters"))
-        builder.ExportOutput(state.get_output_port(), "phase")
-        builder.ExportOutput(planned.get_output_port(), "planned")
-        builder.BuildInto(self)
+        # The optimization layer, which updates at the same instant, reads the stepped phase.
+        super().__init__(
+            _accumulated,
+            inputs={"parameters": PARAMETERS_SIZE},
+            outputs={"phase": PHASE_SIZE, "planned": PLANNED_SIZE},
+            state=np.zeros(PHASE_SIZE),
+            period=model.control_period,
+            updates_first=True,
+            key="accumulated phase",
+        )
 
 
-class _SteppedPhase(InnerBlock):
-    """The phase at samples, of the parameters."""
-
-    def __init__(self, period: float):
-        super().__init__()
-        self._period = period
-        self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
-        self.DeclareStateOutputPort("phase", self.DeclareDiscreteState(PHASE_SIZE))
-        # Unrestricted, because Drake runs these before the discrete updates: θ steps
-        # with the ξ of the interval that ends, and the optimization layer, which
-        # updates at the same instant, reads the stepped phase.
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._step)
-
-    updates_first = True
-
-    def traced_output(self, port: str, at: At) -> NDArray:
-        return at.state(1)
-
-    def traced_update(self, at: At) -> list[NDArray]:
-        angle, slope = at.state(1)
-        return [np.array([angle + self._period * at.input("parameters")[0], slope])]
-
-    def _step(self, context: Context, state: State) -> None:
-        angle, slope = context.get_discrete_state_vector().CopyToVector()
-        frequency, _ = self._parameters.Eval(context)
-        state.get_mutable_discrete_state().set_value([angle + self._period * frequency, slope])
+def _accumulated(phase: NDArray, parameters: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """The rate of the phase, itself, and `planned`."""
+    none = 0 * parameters[:1]
+    rate = np.concatenate([parameters[:1], none])
+    return rate, phase, np.concatenate([phase[:1], parameters, *[none] * 5])
 
 
 @dataclass(kw_only=True)
@@ -179,7 +147,7 @@ class ShapedPhaseConfig(StrictFields):
     max_amplitude_rate: float = math.inf  # N/s, of A
 
 
-class ShapedPhase(DiagramBlock):
+class ShapedPhase(LeafBlock):
     """ξ and A that follow the parameters smoothly, their rates, and the phase θ̇ = ξ.
 
     Where `plan` is connected ξ and A are those of the plan. Otherwise each follows its parameter
@@ -237,39 +205,11 @@ class ShapedPhase(DiagramBlock):
             "max_amplitude_rate": config.max_amplitude_rate,
         }
         require_positive(_BOX, **{k: v for k, v in max_rates.items() if v != math.inf})
-        builder = DiagramBuilder()
-        kind = _SampledShape if model.control_period > 0 else _ContinuousShape
-        limits = tuple(max_rates.values())
-        shape = builder.AddNamedSystem(
-            "shape", kind(config.bandwidth, limits, model.control_period)
-        )
-        for name in ("parameters", "plan"):
-            builder.ExportInput(shape.GetInputPort(name), name)
-        for name in ("phase", "planned"):
-            builder.ExportOutput(shape.GetOutputPort(name), name)
-        builder.BuildInto(self)
-
-
-_STATE_SIZE = 8  # θ, the stages of ξ and of A, and whether they have started
-
-
-class _Shape(InnerBlock):
-    """What the sampled and the continuous shape have in common.
-
-    The state is θ with the stages of ξ and of A, and whether these have started: 1, or, before
-    that, 0, where they are the parameters.
-
-    Args:
-        bandwidth: rad/s.
-        max_rates: of ξ (rad/s²) and A (N/s).
-        period: s, between samples; 0: continuous.
-    """
-
-    def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
-        super().__init__()
+        self._period = period = model.control_period
+        self._shape = config.bandwidth, *max_rates.values(), period
         self._frequency, self._amplitude = (
-            Smoothing(bandwidth=bandwidth, period=period, max_rate=max_rate)
-            for max_rate in max_rates
+            Smoothing(bandwidth=config.bandwidth, period=period, max_rate=max_rate)
+            for max_rate in max_rates.values()
         )
         self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
         self._plan = self.DeclareVectorInputPort("plan", PLANNED_SIZE)
@@ -279,10 +219,32 @@ class _Shape(InnerBlock):
         self.DeclareVectorOutputPort(
             "planned", PLANNED_SIZE, self._calc_planned, {plan, parameters, states}
         )
+        if period > 0:
+            self.DeclareDiscreteState(_STATE_SIZE)
+            # Unrestricted for the same reason as the step of an accumulated phase.
+            self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, weakly(self._step))
+        else:
+            self.DeclareContinuousState(_STATE_SIZE)
+            # At the first step, and not at the initialization, which a layer's first update is a
+            # part of.
+            self.DeclarePerStepUnrestrictedUpdateEvent(weakly(self._begin))
+
+    updates_first = True
+
+    @property
+    def trace_key(self) -> Any:
+        """What shapes ξ and A."""
+        return self._shape
 
     def _state(self, context: Context) -> list[Any]:
-        """The state (8)."""
-        raise NotImplementedError
+        """The state (8).
+
+        It is θ with the stages of ξ and of A, and whether these have started: 1, or, before that,
+        0, where they are the parameters.
+        """
+        if self._period > 0:
+            return context.get_discrete_state_vector().CopyToVector().tolist()
+        return context.get_continuous_state_vector().CopyToVector().tolist()
 
     def _motion(self, context: Context) -> tuple[Any, list[Any], list[Any]]:
         """θ, and of each of ξ and A the stages and the first one's rate."""
@@ -324,18 +286,6 @@ class _Shape(InnerBlock):
         rates = [first, size_first, second, size_second, size_third]
         return [angle, xi[2], size[2], *rates]
 
-
-class _SampledShape(_Shape):
-    """The shape at samples."""
-
-    def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
-        super().__init__(bandwidth, max_rates, period)
-        self.DeclareDiscreteState(_STATE_SIZE)
-        # Unrestricted for the same reason as the step of an accumulated phase.
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._step)
-
-    updates_first = True
-
     def traced_output(self, port: str, at: At) -> NDArray:
         if at.has_input("plan"):
             plan = at.input("plan")
@@ -349,9 +299,6 @@ class _SampledShape(_Shape):
             return [at.state(1)]
         return [np.array(self._stepped(*self._motion_of(at.state(1), at.input("parameters"))))]
 
-    def _state(self, context: Context) -> list[Any]:
-        return context.get_discrete_state_vector().CopyToVector().tolist()
-
     def _step(self, context: Context, state: State) -> EventStatus:
         if self._plan.HasValue(context):
             return EventStatus.DidNothing()
@@ -364,21 +311,7 @@ class _SampledShape(_Shape):
         *size, _ = self._amplitude.after(*size)
         return [angle + turn, *xi, *size, 1.0]
 
-
-class _ContinuousShape(_Shape):
-    """The shape where time is continuous."""
-
-    def __init__(self, bandwidth: float, max_rates: tuple[float, ...], period: float):
-        super().__init__(bandwidth, max_rates, period)
-        self.DeclareContinuousState(_STATE_SIZE)
-        # At the first step, and not at the initialization, which a layer's first update is a
-        # part of.
-        self.DeclarePerStepUnrestrictedUpdateEvent(self._start)
-
-    def _state(self, context: Context) -> list[Any]:
-        return context.get_continuous_state_vector().CopyToVector().tolist()
-
-    def _start(self, context: Context, state: State) -> EventStatus:
+    def _begin(self, context: Context, state: State) -> EventStatus:
         has_started = self._state(context)[-1] == 1
         if has_started or self._plan.HasValue(context):
             return EventStatus.DidNothing()
@@ -389,6 +322,8 @@ class _ContinuousShape(_Shape):
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
         """As LeafSystem's."""
+        if derivatives.size() == 0:
+            return
         if self._plan.HasValue(context):
             derivatives.SetFromVector(np.zeros(_STATE_SIZE))
             return

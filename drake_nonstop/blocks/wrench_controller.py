@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import System
-from pydrake.systems.primitives import Integrator
 
 from drake_nonstop.mechanics import wrench
 from drake_nonstop.mechanics.rigid_load import RigidLoad
@@ -23,8 +21,7 @@ from drake_nonstop.mechanics.tuning import load_gains, pid_gains
 from drake_nonstop.model.block_parameters import AUTO, LOAD, BlockParameters, Rules, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import number
-from drake_nonstop.systems.sampled_integrator import SampledIntegrator
-from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.systems.traced_block import TracedDynamics
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
 _BOX = "wrench_controller"
@@ -32,7 +29,7 @@ _INTEGRALS_SIZE = 6  # of the errors of orientation and position
 _FOLLOWED = ("load_mass", "load_inertia", "cable_length", "gravity")  # by gains that are `AUTO`
 
 
-class _WrenchPid(TracedBlock):
+class _WrenchPid(TracedDynamics):
     """PID on the load's pose with feedforward, and the exact rate of its wrench.
 
     Equations 14-15 and `mechanics.wrench`. The integrals are the block's state, where one of
@@ -86,11 +83,6 @@ class _WrenchPid(TracedBlock):
 
         integrates = has_integral(model, config)
         rules = Rules(check=check, structure=has_integral)
-        period = model.control_period
-        state: System | None = None
-        if integrates:
-            size = _INTEGRALS_SIZE
-            state = SampledIntegrator(size, period) if period > 0 else Integrator(size)
         super().__init__(
             outputs
             if integrates
@@ -107,7 +99,8 @@ class _WrenchPid(TracedBlock):
                 "wrench_rate": WRENCH_SIZE,
                 "tracking_error": TRACKING_ERROR_SIZE,
             },
-            state=state,
+            state=np.zeros(_INTEGRALS_SIZE) if integrates else None,
+            period=model.control_period,
             parameters=BlockParameters(
                 model,
                 (*LOAD, "cable_length") if can_follow else LOAD,

@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, Diagram
+from pydrake.systems.framework import Context, Diagram
 from pydrake.systems.primitives import AffineSystem, Integrator
 
 from drake_nonstop.mechanics.signals import LoadState
-from drake_nonstop.systems.block import title
+from drake_nonstop.systems.block import declare_default_state, title
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import maker_of
@@ -274,7 +274,5 @@ def _declare_defaults(system: Any, context: Context) -> None:
         system.configure_default_state(state_values(context))
     elif isinstance(system, MultibodyPlant):
         system.SetDefaultPositions(system.GetPositions(context))
-    elif not type(system).__module__.startswith("pydrake") and context.num_continuous_states():
-        state = context.get_continuous_state()  # a second declaration replaces the first
-        sizes = state.num_q(), state.num_v(), state.num_z()
-        system.DeclareContinuousState(BasicVector(state.CopyToVector()), *sizes)
+    elif not type(system).__module__.startswith("pydrake"):
+        declare_default_state(system, context)

@@ -31,6 +31,7 @@ import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, uninterpreted_function
 from pydrake.systems.framework import (
+    BasicVector_,
     Context,
     ContinuousState,
     Diagram,
@@ -90,6 +91,7 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
     Attributes:
         is_sampled: as of `DiagramBlock`.
         has_state_outside: as of `DiagramBlock`.
+        is_for_users: whether it may be in a Diagram of the user's own, and not in a `DiagramBlock`.
         scalar: the type of its numbers: float, AutoDiffXd or Expression.
         trace_key: what the methods for a trace (`systems/diagram_trace.py`) depend on besides the
             class, its ports, states and parameters: two blocks with equal ones have one trace. It
@@ -98,6 +100,7 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
 
     is_sampled = False
     has_state_outside = False
+    is_for_users = True
     scalar: ClassVar[type] = float
     _arguments: tuple[tuple[Any, ...], dict[str, Any]]
 
@@ -142,8 +145,16 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
             )
 
     def box(self) -> str:
-        """What error messages call the block: as `title` does."""
-        return title(self)
+        """What error messages call it: the loop's block that it is in.
+
+        In a diagram without a loop of that name it is those of all systems in between.
+        """
+        names = [_shown(name) for name in self.GetSystemPathname().split("::")[1:]]
+        if LOOP in names[:-1]:
+            return names[names.index(LOOP) + 1]
+        below = names[1:] if self.is_for_users else names[1:-1]
+        is_alone = self.is_for_users or names[0] == "_"
+        return ".".join(below) or (title(self) if is_alone else names[0])
 
     def DeclareVectorOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
         """As LeafSystem's.
@@ -173,24 +184,9 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
 
 
 class InnerBlock(LeafBlock):
-    """A LeafBlock inside a block that is a Diagram.
-
-    Attributes:
-        is_for_users: whether it may be in a Diagram of the user's own, and not in a `DiagramBlock`.
-    """
+    """A LeafBlock inside a block that is a Diagram."""
 
     is_for_users = False
-
-    def box(self) -> str:
-        """The name of the block in the loop that this is inside of, however deep.
-
-        In a diagram without a loop of that name it is those of all systems in between.
-        """
-        names = [_shown(name) for name in self.GetSystemPathname().split("::")[1:]]
-        if LOOP in names[:-1]:
-            return names[names.index(LOOP) + 1]
-        below = names[1:] if self.is_for_users else names[1:-1]
-        return ".".join(below) or (title(self) if names[0] == "_" else names[0])
 
 
 def is_of_package(block: Any) -> bool:
@@ -252,6 +248,7 @@ def _with_super_of(owner: type, method: Any) -> Any:
     made = types.FunctionType(
         method.__code__, method.__globals__, method.__name__, method.__defaults__, closure
     )
+    made.__kwdefaults__ = method.__kwdefaults__
     return functools.update_wrapper(made, method)
 
 
@@ -259,7 +256,19 @@ def _converted(scalar: type, block: LeafBlock) -> Any:
     arguments, named = block._arguments
     made = of_scalar(type(block), scalar)(*arguments, **named)
     made.set_name(block.get_name())
+    declare_default_state(made, block.CreateDefaultContext())
     return made
+
+
+def declare_default_state(block: Any, context: Any) -> None:
+    """Makes the continuous state in a context the default one of a LeafSystem in Python.
+
+    A second declaration replaces the first.
+    """
+    if context.num_continuous_states() > 0:
+        state, scalar = context.get_continuous_state(), getattr(block, "scalar", float)
+        vector = BasicVector_[scalar]([number(value) for value in state.CopyToVector()])
+        block.DeclareContinuousState(vector, state.num_q(), state.num_v(), state.num_z())
 
 
 def _converter() -> SystemScalarConverter:

@@ -7,7 +7,7 @@ Every leaf system of the diagram is one of these:
   `trace_parameters(context)` it takes other numbers than its first numeric parameter. What it
   takes by `At.known` is evaluated beforehand;
 - one of Drake's systems that are linear and have no state: their matrix is found at unit vectors;
-- Drake's Integrator, TrajectorySource, or the switch of an `AdjustableLinear`.
+- Drake's Integrator or TrajectorySource.
 
 What is none of them stands outside: `At` asks for the values of its ports.
 """
@@ -32,7 +32,6 @@ from pydrake.systems.primitives import (
     MatrixGain,
     Multiplexer,
     PassThrough,
-    PortSwitch,
     Selector,
     TrajectorySource,
 )
@@ -43,7 +42,6 @@ from drake_nonstop.systems.tracing import object_array
 FOUND_SIZE = 3  # of what a search in C finds: whether it does, and two numbers
 ROWS = "known_over"  # the method of a block without inputs that gives rows of its outputs
 QUANTITIES = "quantities_over"  # likewise, of a traced block for what it takes by `At.known`
-ADJUSTED = "adjusted"  # the input of a switch that reads the parameters of the context
 _LINEAR = Selector, Gain, MatrixGain, Adder, Multiplexer, Demultiplexer, PassThrough
 
 Place = tuple[System, int]  # a port, by its system and its number
@@ -62,9 +60,7 @@ def leaves(system: System) -> Iterator[System]:
 def is_traceable(system: System) -> bool:
     """Whether all of a system can be traced."""
     return all(
-        isinstance(leaf, (Integrator, TrajectorySource, *_LINEAR))
-        or _has_trace(leaf)
-        or (isinstance(leaf, PortSwitch) and leaf.HasInputPort(ADJUSTED))
+        isinstance(leaf, (Integrator, TrajectorySource, *_LINEAR)) or _has_trace(leaf)
         for leaf in leaves(system)
     )
 
@@ -88,8 +84,13 @@ def gives_rows(block: System) -> bool:
 def _has_trace(leaf: System) -> bool:
     """Whether a leaf has methods for a trace, and no class below theirs computes other values."""
     kind = type(leaf)
-    is_own = is_of_package(leaf) or "traced_output" in vars(kind)
-    return hasattr(leaf, "traced_output") and is_own
+    is_own = is_of_package(leaf) or "traced_output" in vars(kind) or _is_one_function(kind)
+    return getattr(leaf, "traced_output", None) is not None and is_own
+
+
+def _is_one_function(kind: type) -> bool:
+    """Whether a `TracedBlock`'s function is all of a class."""
+    return getattr(kind, "is_one_function", False) and not {"DoCalcTimeDerivatives"} & {*vars(kind)}
 
 
 def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], bool]) -> Any:
@@ -104,15 +105,6 @@ def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], 
     """
     systems = [part for own in diagram.GetSystems() for part in _parts(own, outside)]
     numbers = {system: k for k, system in enumerate(systems)}
-    unread = {  # what a switch takes in place of its adjusted input
-        part
-        for system in systems
-        if isinstance(system, PortSwitch)
-        for k in range(system.num_input_ports())
-        if system.get_input_port(k).get_name() != ADJUSTED
-        and (source := wires.source(system, k)) is not None
-        for part in leaves(source[0])
-    }
     found = []
     for system in systems:
         inputs, outputs = range(system.num_input_ports()), range(system.num_output_ports())
@@ -120,7 +112,7 @@ def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], 
         read = [None if s is None else (numbers[s[0]], s[1]) for s in sources]
         ports = [_port(system.get_input_port(k)) for k in inputs]
         ports += [_port(system.get_output_port(k)) for k in outputs]
-        content = () if system in unread else _content(system, outside)
+        content = _content(system, outside)
         if content is None:
             return None
         if isinstance(system, Diagram) and not outside(system):
@@ -149,11 +141,11 @@ def _content(system: Any, outside: Callable[[System], bool]) -> Any:
         return ()
     if isinstance(system, _LINEAR):
         return (kind, _response(system))
-    if isinstance(system, (Integrator, PortSwitch, TrajectorySource)):
+    if isinstance(system, (Integrator, TrajectorySource)):
         return (kind,)
     if not hasattr(system, "trace_key"):
         return None
-    is_own = is_of_package(system) or "trace_key" in vars(kind)
+    is_own = is_of_package(system) or "trace_key" in vars(kind) or _is_one_function(kind)
     key = system.trace_key if is_own else None
     return None if key is None else (kind, key)
 
@@ -237,6 +229,7 @@ class Instant:
         self.states, self.parameters = states, parameters
         self._outside, self._is_outside = outside, is_outside
         self._known: dict[Place, NDArray] = {}
+        self._made: dict[Any, NDArray] = {}
 
     def output(self, system: System, index: int) -> NDArray:
         """What an output port shows, flat."""
@@ -253,6 +246,12 @@ class Instant:
     def known(self, leaf: System, name: int | str, size: int) -> NDArray:
         """A quantity that a leaf knows beforehand, see `At.known`."""
         return self._outside(leaf, name, size)
+
+    def once(self, key: Any, make: Callable[[], NDArray]) -> NDArray:
+        """What is made for a key, the first time that it is asked for."""
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
 
     def _outermost(self, system: System, index: int) -> Place:
         """The same port as one of the diagram's own subsystem."""
@@ -322,6 +321,10 @@ class At:
         """Of a linear leaf, from each input that an output reads, by the names of the inputs."""
         return self._instant.wires.matrices_of(self._leaf, index)
 
+    def once(self, key: Any, make: Callable[[], NDArray]) -> NDArray:
+        """What the leaf makes for several ports, and is made once."""
+        return self._instant.once((self._leaf, key), make)
+
     def _index(self, name: str) -> int:
         return int(self._leaf.GetInputPort(name).get_index())
 
@@ -331,8 +334,6 @@ def _output(leaf: Any, index: int, at: At) -> NDArray:
         return leaf.traced_output(leaf.get_output_port(index).get_name(), at)
     if isinstance(leaf, Integrator):
         return at.state(0)
-    if isinstance(leaf, PortSwitch):
-        return at.input(ADJUSTED)
     if isinstance(leaf, TrajectorySource):
         return at.known(index, leaf.get_output_port(index).size())
     total = casadi.SX.zeros(leaf.get_output_port(index).size())

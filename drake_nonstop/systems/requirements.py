@@ -6,6 +6,7 @@ for what it cannot be flown with, and yields a sentence for each thing that a us
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from numpy.typing import NDArray
@@ -34,8 +35,12 @@ class LoopBlocks:
 
     def maker_of(self, signal: str) -> System | None:
         """The block that makes a signal; None: none does."""
-        made = (b for b in self.blocks.values() if signal in wiring.output_names(b))
-        return next(made, None)
+        return self._makers.get(signal)
+
+    @cached_property
+    def _makers(self) -> dict[str, System]:
+        pairs = [*self.blocks.values()][::-1]  # the first one counts
+        return {signal: block for block in pairs for signal in wiring.output_names(block)}
 
     def reads(self, box: str, signal: str) -> bool:
         """Whether a block is there, and has an input port of that name."""
@@ -43,8 +48,14 @@ class LoopBlocks:
 
     def needed(self, box: str) -> set[str]:
         """The signals that a block cannot do without."""
-        block = self.blocks[box]
-        return {*wiring.input_names(block)} - wiring.optional_inputs(block)
+        return self._needed[box]
+
+    @cached_property
+    def _needed(self) -> dict[str, set[str]]:
+        return {
+            name: {*wiring.input_names(block)} - wiring.optional_inputs(block)
+            for name, block in self.blocks.items()
+        }
 
     def at_start(self, signal: str) -> NDArray | None:
         """What `load_trajectory` makes at t = 0; None: it needs other blocks for it."""

@@ -106,10 +106,10 @@ class TracedFunction:
             self._raise(vector)
         return results
 
-    def of_vector(self, values: NDArray) -> NDArray:
-        """The output, where there is one, for the only input: as by a call, but sooner."""
+    def of_vectors(self, inputs: Sequence[NDArray]) -> NDArray:
+        """The output, where there is one: as by a call, but sooner."""
         vector, evaluate, squared_norm, results = self._scratch.parts
-        vector[:] = values
+        np.concatenate(inputs, out=vector)
         evaluate()
         if not squared_norm[0] < self._largest_squared:
             self._raise(vector)
@@ -126,16 +126,6 @@ class TracedFunction:
                 self._raise(vector)
             row[:] = results[0]
         return found
-
-    def of_vector_and_time(self, values: NDArray, time: float) -> NDArray:
-        """Likewise for the only input, all of it but the time at its end."""
-        vector, evaluate, squared_norm, results = self._scratch.parts
-        vector[:-1] = values
-        vector[-1] = time
-        evaluate()
-        if not squared_norm[0] < self._largest_squared:
-            self._raise(vector)
-        return results[0]
 
     def _raise(self, vector: NDArray) -> None:
         was_given = not np.all(np.abs(vector) < self._largest)
@@ -237,8 +227,9 @@ class ArrayFunction:
         self._function, self._sizes = function, list(input_sizes)
         self._reads, self._makes, self._name = list(reads), list(makes), name
 
-    def of_vector(self, values: NDArray) -> NDArray:
+    def of_vectors(self, inputs: Sequence[NDArray]) -> NDArray:
         """The outputs for the inputs."""
+        values = np.concatenate(inputs)
         scalar = type(values[0])
         unread = scalar(1.0) if scalar is AutoDiffXd else scalar(Variable("unread"))
         given = [np.full(size, unread) for size in self._sizes]
@@ -256,10 +247,6 @@ class ArrayFunction:
             raise NotFiniteError(self._name(), was_given=was_given)
         return stacked
 
-    def of_vector_and_time(self, values: NDArray, time: Any) -> NDArray:
-        """The outputs for the inputs, the last of which is the time."""
-        return self.of_vector(np.append(values, time))
-
 
 class LateFunction:
     """A traced function that `make` returns when it is evaluated for the first time."""
@@ -268,11 +255,11 @@ class LateFunction:
         self._make = make
         self._made: TracedFunction | None = None
 
-    def of_vector(self, values: NDArray) -> NDArray:
+    def of_vectors(self, inputs: Sequence[NDArray]) -> NDArray:
         """As of `TracedFunction`."""
         if self._made is None:
             self._made = self._make()
-        return self._made.of_vector(values)
+        return self._made.of_vectors(inputs)
 
 
 class _Expressions:

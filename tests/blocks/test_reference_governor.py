@@ -23,7 +23,7 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRestConfig,
 )
 from drake_nonstop.blocks.reference_governor import ReferenceGovernor
-from drake_nonstop.diagrams import nonstop
+from drake_nonstop.loop import assembly
 from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.optimization.stretched_time import PathDelay
 from drake_nonstop.simulation.speed_check import check_speeds
@@ -158,7 +158,7 @@ def test_it_slows_down_for_the_margin_that_is_computed(monkeypatch):
         margins.append(layer.speed_margin)
         return trajectory
 
-    monkeypatch.setattr(nonstop, "governed", recorded)
+    monkeypatch.setattr(assembly, "governed", recorded)
     scenario = load_scenario("three_carriers", [GOVERNED, "optimization_layer.tightening=auto"])
     make_nonstop(scenario, at_equilibrium=False)
     assert len(margins) == 1

@@ -30,7 +30,7 @@ from drake_nonstop.loop.box import block_class, config_class
 from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.parameters import set_parameter
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
-from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.loading import dump_scenario, load_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
@@ -611,6 +611,16 @@ def test_block_of_a_config():
     assert block_class("load_feedback", DesiredStateFeedbackConfig) is DesiredStateFeedback
     block = block_class("load_trajectory", ConstantVelocityMoveConfig)
     assert config_class(block) is ConstantVelocityMoveConfig
+
+
+@pytest.mark.parametrize("name", ["quintic", "aircraft_transfer"])
+def test_each_box_is_a_leaf_system(name):
+    """Physics by others' own plants, MultibodyPlant and JSBSim, are diagrams of these."""
+    diagram = make_nonstop(load_scenario(name), at_equilibrium=False)
+    assert all(isinstance(block, LeafSystem) for block in diagram.GetSystems())
+    variants = [variant for box in BOXES.values() for variant in box.variants]
+    others = {variant.__name__ for variant in variants if not issubclass(variant, LeafSystem)}
+    assert others == {"MultibodyLoadPlant", "JsbsimCarriers"}
 
 
 def test_box_of_a_signal():

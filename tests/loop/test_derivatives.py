@@ -93,7 +93,7 @@ def test_parameters_and_states_have_their_names():
         ends.append(flight.state[row])
     step = 0.002 * before["position_gain"][0]
     assert column[row] == pytest.approx((ends[0] - ends[1]) / step, rel=1e-4)
-    (height,) = [k for k, name in enumerate(found.state_names) if name == "load_plant.(state)[6]"]
+    (height,) = [k for k, name in enumerate(found.state_names) if name == "load_plant[6]"]
     load_state = loop.diagram.GetOutputPort("load_state").Eval(context)
     assert loop.state_of(context)[height] == load_state[6]
 

@@ -10,6 +10,7 @@ from pydrake.common.value import Value
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import (
+    BasicVector,
     DiagramBuilder,
     InputPortSelection,
     LeafSystem,
@@ -465,7 +466,7 @@ def test_a_block_may_set_its_own_defaults():
     class Own(LoadPlant):
         def SetDefaultLoadState(self, value):  # noqa: N802
             told.append(value)
-            self.GetSubsystemByName("(state)").set_default_integral_value(value)
+            self.DeclareContinuousState(BasicVector(value))
 
     diagram = make_nonstop(short(0.1), load_plant=Own)
     shown = diagram.GetOutputPort("load_state").Eval(diagram.CreateDefaultContext())

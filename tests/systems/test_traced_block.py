@@ -7,13 +7,12 @@ from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Integrator, ZeroOrderHold
+from pydrake.systems.primitives import ZeroOrderHold
 
 from drake_nonstop import load_scenario, simulate
 from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.systems.block import number
-from drake_nonstop.systems.sampled_integrator import SampledIntegrator
-from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.systems.traced_block import TracedBlock, TracedDynamics
 from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction
 
 
@@ -24,11 +23,11 @@ def spring(**more):
         rate = np.concatenate([state[1:], push - gain * state[:1]])
         return rate, push * state[1:], gain * state[:1]
 
-    return TracedBlock(
+    return TracedDynamics(
         function,
         inputs={"push": 1, "gain": 1},
         outputs={"power": 1, "force": 1},
-        state=Integrator(np.array([2.0, 3.0])),
+        state=np.array([2.0, 3.0]),
         **more,
     )
 
@@ -64,17 +63,16 @@ def test_time_is_read_last():
     np.testing.assert_array_equal(output(block, context, "result"), [3.0, 6.0])
 
 
-@pytest.mark.parametrize(("reads_time", "count"), [(False, 1), (True, 2)])
+@pytest.mark.parametrize(("reads_time", "count"), [(False, 2), (True, 4)])
 def test_a_held_input_is_not_evaluated_again(monkeypatch, reads_time, count):
     calls = []
-    for name in ("of_vector", "of_vector_and_time"):
-        evaluate = getattr(TracedFunction, name)
+    evaluate = TracedFunction.of_vectors
 
-        def counted(self, *arguments, evaluate=evaluate):
-            calls.append(1)
-            return evaluate(self, *arguments)
+    def counted(self, values):
+        calls.append(1)
+        return evaluate(self, values)
 
-        monkeypatch.setattr(TracedFunction, name, counted)
+    monkeypatch.setattr(TracedFunction, "of_vectors", counted)
     builder = DiagramBuilder()
     holds = [builder.AddSystem(ZeroOrderHold(1.0, 1)) for _ in range(2)]
     block = builder.AddSystem(
@@ -104,11 +102,11 @@ def test_an_output_feeds_through_what_its_trace_reads_and_nothing_else():
     def function(state, a, b, unread, time):
         return a * state, a * b + state, b * time, 0 * a + 7.0, state * time
 
-    block = TracedBlock(
+    block = TracedDynamics(
         function,
         inputs={"a": 1, "b": 1, "unread": 2},
         outputs={"both": 1, "second": 1, "constant": 1, "own": 1},
-        state=Integrator(np.array([2.0])),
+        state=np.array([2.0]),
         state_port="state",
         reads_time=True,
     )
@@ -120,8 +118,6 @@ def test_an_output_feeds_through_what_its_trace_reads_and_nothing_else():
         if block.HasDirectFeedthrough(i, k)
     }
     assert found == {("a", "both"), ("b", "both"), ("b", "second")}
-    traced = block.GetSubsystemByName("traced")
-    assert [traced.HasOutputPort(f"results_{k}") for k in range(4)] == [True] * 3 + [False]
     converted = {AutoDiffXd: block.ToAutoDiffXd(), Expression: block.ToSymbolic()}
     for scalar, own in {float: block, **converted}.items():
         context = own.CreateDefaultContext()
@@ -155,8 +151,16 @@ def test_a_value_that_is_not_finite_names_the_block():
         output(block, context, "power")
 
 
-def test_sampled_integral_begins_at_the_first_sample():
-    block = SampledIntegrator(2, 0.5)
+@pytest.mark.parametrize("updates_first", [False, True])
+def test_a_sampled_state_changes_at_every_sample_but_the_first(updates_first):
+    block = TracedDynamics(
+        lambda state, rate: (rate, state),
+        inputs={"rate": 2},
+        outputs={"integral": 2},
+        state=np.zeros(2),
+        period=0.5,
+        updates_first=updates_first,
+    )
     simulator = Simulator(block)
     context = simulator.get_mutable_context()
     fix(block, context, rate=[2.0, 4.0])
@@ -164,6 +168,25 @@ def test_sampled_integral_begins_at_the_first_sample():
     np.testing.assert_array_equal(output(block, context, "integral"), [0.0, 0.0])
     simulator.AdvanceTo(1.2)
     np.testing.assert_array_equal(output(block, context, "integral"), [2.0, 4.0])
+
+
+def test_what_is_known_of_the_time_has_its_rate_in_other_scalar_types():
+    class Ramp(TracedBlock):
+        def quantities_over(self, names, times):
+            return [times[:, None] ** 2 for _ in names]
+
+        def quantity_rates_over(self, names, times):
+            return [2 * times[:, None] for _ in names]
+
+    block = Ramp(lambda height: 3 * height, inputs={}, known={"height": 1}, outputs={"ramp": 1})
+    context = block.CreateDefaultContext()
+    context.SetTime(2.0)
+    assert output(block, context, "ramp") == [12.0]
+    other = block.ToAutoDiffXd()
+    context = other.CreateDefaultContext()
+    context.SetTime(AutoDiffXd(2.0, [1.0]))
+    (ramp,) = other.GetOutputPort("ramp").Eval(context)
+    assert (ramp.value(), ramp.derivatives()) == (12.0, [12.0])
 
 
 def test_a_block_of_the_time_alone():
@@ -177,6 +200,11 @@ def test_a_block_of_the_time_alone():
 def test_a_block_of_nothing_is_refused():
     with pytest.raises(ValueError, match="inputs = none: give some, a state, or reads_time"):
         TracedBlock(lambda: np.ones(1), inputs={}, outputs={"one": 1})
+
+
+def test_a_state_is_one_of_another_class():
+    with pytest.raises(TypeError, match="state: give it to TracedDynamics"):
+        TracedBlock(lambda x, u: (u, x), inputs={"u": 1}, outputs={"y": 1}, state=np.zeros(1))
 
 
 def test_an_error_names_the_block_however_deep_inside_it():
