@@ -225,6 +225,7 @@ class ShapedPhase(LeafBlock):
             self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, weakly(self._step))
         else:
             self.DeclareContinuousState(_STATE_SIZE)
+            self.traced_output = None  # type: ignore[method-assign,assignment]
             # At the first step, and not at the initialization, which a layer's first update is a
             # part of.
             self.DeclarePerStepUnrestrictedUpdateEvent(weakly(self._begin))

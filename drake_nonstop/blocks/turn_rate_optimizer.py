@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues
 
-from drake_nonstop.blocks.load_trajectory import PlannedTurn
-from drake_nonstop.blocks.phase import ShapedPhase
+from drake_nonstop.blocks import load_trajectory, phase
 from drake_nonstop.blocks.speed_bound_layer import BOX
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
@@ -39,7 +38,7 @@ from drake_nonstop.optimization.problem_config import (
     with_stated_bound,
 )
 from drake_nonstop.optimization.turn_rate import TurnRateSolver, turn_update
-from drake_nonstop.systems.block import LeafBlock, is_of_package
+from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import (
@@ -144,14 +143,15 @@ class TurnRateOptimizer(LeafBlock):
         )
         trajectory, shaper = loop.get("load_trajectory"), loop.get("phase")
         require(
-            not is_of_package(trajectory) or isinstance(trajectory, PlannedTurn),
+            not isinstance(trajectory, load_trajectory.VARIANTS)
+            or isinstance(trajectory, load_trajectory.PlannedTurn),
             "load_trajectory",
             type(trajectory).__name__,
             "the load does not turn at the rate that optimization_layer = TurnRateOptimizer makes; "
             "give !PlannedTurn, and phase: !ShapedPhase, or another optimization_layer",
         )
         require(
-            not is_of_package(shaper) or isinstance(shaper, ShapedPhase),
+            not isinstance(shaper, phase.VARIANTS) or isinstance(shaper, phase.ShapedPhase),
             "phase",
             type(shaper).__name__,
             "its ξ has no rates, which the load's turn follows; give !ShapedPhase",

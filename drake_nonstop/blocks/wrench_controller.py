@@ -109,7 +109,7 @@ class _WrenchPid(TracedDynamics):
                 rules=replace(rules, follow=_following) if can_follow else rules,
             ),
             key=("wrench", integrates, gains.__module__, gains.__qualname__),
-            is_one_call=True,  # a second one for what does not read the wind would take longer
+            is_joint=True,  # a second one for what does not read the wind would take longer
         )
         self.gains = gains(model.load, **_numbers(model, config))
 

@@ -258,7 +258,7 @@ def _check_preview(loop: LoopBlocks) -> None:
             preview = block.GetOutputPort("reference_preview").Eval(start)
         remedy = "give a ReferencePreview, such as ReferencePreview(reference_at)"
         require(isinstance(preview, ReferencePreview), field, type(preview).__name__, remedy)
-        reference = loop.at_start("reference") if block is loop.get("load_trajectory") else None
+        reference = loop.at_start("reference", block)
         if reference is None:
             continue
         told = np.asarray(preview(0.0), dtype=float)

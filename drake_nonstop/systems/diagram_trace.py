@@ -84,13 +84,18 @@ def gives_rows(block: System) -> bool:
 def _has_trace(leaf: System) -> bool:
     """Whether a leaf has methods for a trace, and no class below theirs computes other values."""
     kind = type(leaf)
-    is_own = is_of_package(leaf) or "traced_output" in vars(kind) or _is_one_function(kind)
+    is_own = is_of_package(leaf) or "traced_output" in vars(kind) or _is_one_function(leaf)
     return getattr(leaf, "traced_output", None) is not None and is_own
 
 
-def _is_one_function(kind: type) -> bool:
-    """Whether a `TracedBlock`'s function is all of a class."""
-    return getattr(kind, "is_one_function", False) and not {"DoCalcTimeDerivatives"} & {*vars(kind)}
+def _is_one_function(leaf: Any) -> bool:
+    """Whether a `TracedBlock`'s function is all of a leaf, whatever class below it is."""
+    if not hasattr(leaf, "own_outputs") or leaf.num_output_ports() != leaf.own_outputs:
+        return False
+    package = __name__.split(".")[0]
+    of_users = (k for k in type(leaf).__mro__ if k.__module__.split(".")[0] != package)
+    own = {name for k in of_users if not k.__module__.startswith("pydrake") for name in vars(k)}
+    return "DoCalcTimeDerivatives" not in own
 
 
 def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], bool]) -> Any:
@@ -145,7 +150,7 @@ def _content(system: Any, outside: Callable[[System], bool]) -> Any:
         return (kind,)
     if not hasattr(system, "trace_key"):
         return None
-    is_own = is_of_package(system) or "trace_key" in vars(kind) or _is_one_function(kind)
+    is_own = is_of_package(system) or "trace_key" in vars(kind) or _is_one_function(system)
     key = system.trace_key if is_own else None
     return None if key is None else (kind, key)
 

@@ -57,9 +57,12 @@ class LoopBlocks:
             for name, block in self.blocks.items()
         }
 
-    def at_start(self, signal: str) -> NDArray | None:
-        """What `load_trajectory` makes at t = 0; None: it needs other blocks for it."""
-        trajectory = self.get("load_trajectory")
+    def at_start(self, signal: str, maker: System | None = None) -> NDArray | None:
+        """What a block makes at t = 0, that of `load_trajectory` unless another one is given.
+
+        None: it needs other blocks for it.
+        """
+        trajectory = maker or self.get("load_trajectory")
         if trajectory is None or trajectory.num_input_ports() > 0:
             return None
         try:
@@ -75,7 +78,7 @@ class LoopBlocks:
             ScenarioError: a block cannot be flown with the others.
         """
         for block in self.blocks.values():
-            yield from getattr(block, "requires", _nothing)(self)
+            yield from getattr(block, "requires", _nothing)(self) or ()
 
 
 def _nothing(loop: LoopBlocks) -> tuple[str, ...]:

@@ -68,9 +68,9 @@ class LaterOutputs(NamedTuple):
 class TracedBlock(LeafBlock):
     """A block whose outputs are a traced function of its inputs.
 
-    What feeds through to an output are the inputs that its trace reads. Outputs that do not read
-    the same inputs are made by calls of their own into Python. On AutoDiffXd and Expression the
-    function itself is evaluated, on object arrays.
+    What feeds through to an output are the inputs that its trace reads. Each output is made by a
+    call of its own into Python, or, where the function is large, with those that read the same. On
+    AutoDiffXd and Expression the function itself is evaluated, on object arrays.
 
     Args:
         function: takes one flat array per entry of `inputs`, and returns one per entry of
@@ -84,8 +84,8 @@ class TracedBlock(LeafBlock):
         parameters: what `function` takes by name, as arrays, numbers as (1,), besides: a numeric
             parameter of the context.
         key: as of `TracedFunction`; the parameters' values are no part of it.
-        is_one_call: all outputs are made by one call into Python, and each depends on what any of
-            them reads.
+        is_joint: each output depends on what any of them reads, so that large ones are made by one
+            call.
         late: makes further outputs, which most loops do not read.
         later: makes some outputs of others and the time.
 
@@ -105,14 +105,15 @@ class TracedBlock(LeafBlock):
         reads_time: bool = False,
         parameters: NumericParameters | None = None,
         key: Any = None,
-        is_one_call: bool = False,
+        is_joint: bool = False,
         late: LateOutputs | None = None,
         later: LaterOutputs | None = None,
         **former: Any,
     ):
-        if former:
-            names = ", ".join(former)
-            raise TypeError(f"{names}: give it to TracedDynamics, whose state is an array")
+        if unknown := ", ".join(former):
+            is_state = former.keys() <= {"state", "state_port"}
+            said = "give it to TracedDynamics, whose state is an array"
+            raise TypeError(f"{unknown}: {said if is_state else 'no such argument'}")
         super().__init__()
         parameters = parameters or NumericParameters({})
         size = self._declare_state()
@@ -130,7 +131,7 @@ class TracedBlock(LeafBlock):
             read |= {_TIME: 1}
         trace = Trace(function, [*read.values()], key=key)
         dependence = trace.dependence
-        if is_one_call:
+        if is_joint:
             dependence = [set().union(*dependence)] * len(dependence)
         others = {*_INNER, *self._known}
         inner = {i for i, name in enumerate(read) if name in others}
@@ -157,6 +158,7 @@ class TracedBlock(LeafBlock):
         for name in [*made, *(late.outputs if late else [])]:
             if name != _RATE:
                 self._declare_output(name)
+        self.own_outputs = self.num_output_ports()  # a subclass may declare more
 
     def _add(self, later: LaterOutputs) -> None:
         """The part of outputs that follow from others, which are one vector in the cache."""
@@ -285,7 +287,8 @@ class TracedBlock(LeafBlock):
             else state
             for name in part.reads
         ]
-        results, _ = part.function()(casadi.vertcat(*np.concatenate(read)) if read else 0)
+        taken = casadi.SX(casadi.vertcat(*np.concatenate(read))) if read else 0
+        results, _ = part.function()(taken)
         return object_array(results)
 
     def _traced_value(self, name: str, at: At, optional: Mapping[str, int]) -> NDArray:
@@ -341,16 +344,33 @@ class TracedDynamics(TracedBlock):
     ):
         self._initial, self._period = np.array([] if state is None else state, float), period
         self.updates_first, self._start = updates_first, start
-        self._is_held = is_held and period > 0
+        if len(self._initial) == 0 and (state_port or start):
+            raise ValueError("state = none: give one, or neither state_port nor start")
+        self._is_held = is_held and period > 0 and len(self._initial) > 0
         self._held: list[str] = []  # the outputs of the discrete groups behind the state
         super().__init__(function, **others)
+        self._state_port = state_port
         if state_port:
             self.DeclareStateOutputPort(state_port, self._state_index)
+            self.own_outputs = self.num_output_ports()
         if start is not None:
             self.DeclareInitializationUnrestrictedUpdateEvent(weakly(self._begin))
         if self._is_held:
             self.DeclareInitializationDiscreteUpdateEvent(weakly(self._hold))
         self.updates_at_start = start is not None or self._is_held
+        self.starts_first = start is not None and not self._is_held
+
+    @property
+    def period(self) -> float:
+        """Of the samples of the state, s; 0: it is continuous, or there is none."""
+        return self._period if len(self._initial) else 0.0
+
+    @property
+    def trace_key(self) -> Any:
+        """As of `TracedBlock`, and how the state goes on and starts."""
+        key, start = super().trace_key, self._start
+        how = self.period, self.updates_first, self._is_held, start and (start[0], tuple(start[1]))
+        return None if key is None else (key, how)
 
     def _declare_state(self) -> int:
         if len(self._initial) == 0:
@@ -415,7 +435,7 @@ class TracedDynamics(TracedBlock):
         """As of `systems.diagram_trace`."""
         if port in self._held:
             return at.state(2 + self._held.index(port))
-        return super().traced_output(port, at) if port in self._places else self._traced_state(at)
+        return self._traced_state(at) if port == self._state_port else self._traced_result(port, at)
 
     def _traced_state(self, at: At) -> NDArray:
         return at.state(0 if self._period == 0 else 1)

@@ -443,7 +443,7 @@ def test_a_trace_without_a_key_is_not_shared():
 def test_what_a_diagram_checks_or_samples_otherwise_is_named():
     scenario = load_scenario("quintic", [CONSTANT])
     diagram = make_nonstop(scenario)
-    for period, said in ((0.02, "than the controllers, every 0.02 s"), (-0.01, "^control_period")):
+    for period, said in ((0.02, "it samples every 0.01 s"), (-0.01, "^control_period")):
         with pytest.raises(ScenarioError, match=said):
             CompiledLoop(diagram, scenario.simulator_config, period)
     with pytest.raises(ScenarioError, match=r"^signals = load_stat"):

@@ -9,9 +9,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ZeroOrderHold
 
-from drake_nonstop import load_scenario, simulate
+from drake_nonstop import load_scenario, make_nonstop, simulate
+from drake_nonstop.loop.compiled_loop import reason_against
 from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.systems.block import number
+from drake_nonstop.systems.diagram_trace import is_traceable
 from drake_nonstop.systems.traced_block import TracedBlock, TracedDynamics
 from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction
 
@@ -200,6 +202,82 @@ def test_a_block_of_the_time_alone():
 def test_a_block_of_nothing_is_refused():
     with pytest.raises(ValueError, match="inputs = none: give some, a state, or reads_time"):
         TracedBlock(lambda: np.ones(1), inputs={}, outputs={"one": 1})
+
+
+def integral(**settings):
+    """The integral of a rate of 1."""
+    return TracedDynamics(
+        lambda state: (np.ones(1) + 0 * state, state),
+        inputs={},
+        outputs={"integral": 1},
+        state=np.zeros(1),
+        key="integral",
+        **settings,
+    )
+
+
+def test_what_a_trace_has_of_the_samples_is_in_its_key():
+    settings = [{}, {"period": 0.1}, {"period": 0.2}, {"period": 0.1, "updates_first": True}]
+    keys = [integral(**each).trace_key for each in settings]
+    assert len({*keys}) == len(keys)
+    assert integral(period=0.1).trace_key == keys[1]
+
+
+class Rated(TracedDynamics):
+    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
+        derivatives.SetFromVector(np.full(1, 2.0))
+
+
+class Below(Rated):
+    pass
+
+
+class WithPower(TracedDynamics):
+    def __init__(self, function, **others):
+        super().__init__(function, **others)
+        self.DeclareVectorOutputPort("power", 1, lambda context, output: None)
+
+
+@pytest.mark.parametrize("kind", [TracedDynamics, Rated, Below, WithPower])
+def test_a_class_below_that_computes_more_is_not_traced(kind):
+    block = kind(lambda x, u: (u, x), inputs={"u": 1}, outputs={"y": 1}, state=np.zeros(1))
+    assert is_traceable(block) == (kind is TracedDynamics)
+
+
+def started(model):
+    return TracedDynamics(
+        lambda x, tensions: (0 * x, x),
+        inputs={"tensions": model.n},
+        outputs={"first_tension": 1},
+        state=np.zeros(1),
+        start=(lambda tensions: tensions[:1], ["tensions"]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("period", "said"), [(0.0, "phase = "), (0.01, "its continuous state starts of its inputs")]
+)
+def test_continuous_states_that_no_trace_starts_are_named(period, said):
+    overrides = [f"control_period={period}", "optimization_layer=ConstantParameters"]
+    scenario = load_scenario("line", overrides)
+    loop = make_nonstop(scenario, at_equilibrium=False, extra={"own": started})
+    assert said in reason_against(loop, scenario.simulator_config, 0.01)
+
+
+def test_samples_of_another_period_are_named():
+    loop = make_nonstop(
+        load_scenario("quintic"),
+        at_equilibrium=False,
+        extra={"own": lambda model: integral(period=0.02, updates_first=True)},
+    )
+    reason = reason_against(loop, load_scenario("quintic").simulator_config, 0.01)
+    assert "it samples every 0.02 s" in reason
+
+
+@pytest.mark.parametrize("settings", [{"state_port": "x"}, {"start": (np.copy, ["u"])}])
+def test_what_needs_a_state_is_refused_without_one(settings):
+    with pytest.raises(ValueError, match="state = none: give one"):
+        TracedDynamics(lambda u: u, inputs={"u": 1}, outputs={"y": 1}, state=None, **settings)
 
 
 def test_a_state_is_one_of_another_class():
