@@ -4,7 +4,7 @@ import contextlib
 import copy
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -131,7 +131,7 @@ def make_parts(
         trajectory = blocks.get("load_trajectory")
         remedy = "give a block for load_trajectory, or leave reference_governor out"
         require(trajectory is not None, "load_trajectory", None, remedy)
-        blocks["load_trajectory"] = governed(
+        slowed = governed(
             believed,
             scenario.reference_governor,
             trajectory,
@@ -139,6 +139,8 @@ def make_parts(
             scenario.simulation_duration,
             loop.maker_of("wind_estimate"),
         )
+        blocks = blocks | {"load_trajectory": slowed}
+        loop = replace(loop, blocks=blocks)
     held = _sample_and_hold(loop) if scenario.control_period > 0 else {}
     return Parts(loop, blocks | held, watched, margin)
 

@@ -162,7 +162,8 @@ class Flight:
             self._start = time.perf_counter()
             if not self._is_second:
                 self._interruption.collect = lambda: self.run(self._interrupted)
-            for self._engine in engines:
+            for each in engines:
+                self._engine = each
                 if not (is_begun and self._is_over):
                     is_begun = self._engine.fly(
                         duration, self._monitor, lambda: self.saved.next_time, is_begun=is_begun

@@ -93,8 +93,6 @@ class TracedBlock(LeafBlock):
         ValueError: there is nothing to take: neither an input nor a state nor the time.
     """
 
-    is_one_function = True
-
     def __init__(
         self,
         function: Callable,
@@ -275,7 +273,11 @@ class TracedBlock(LeafBlock):
 
     def traced_output(self, port: str, at: At) -> NDArray:
         """As of `systems.diagram_trace`."""
-        k, place = self._places[port]
+        return self._traced_at(self._places[port], at)
+
+    def _traced_at(self, where: tuple[int, slice], at: At) -> NDArray:
+        """What a part makes at a place, in symbols."""
+        k, place = where
         return at.once(k, lambda: self._traced(k, at))[place]
 
     def _traced(self, k: int, at: At, state: NDArray | None = None) -> NDArray:
@@ -295,10 +297,7 @@ class TracedBlock(LeafBlock):
         if name in optional:
             return at.input_or(name, np.zeros(optional[name]))
         if name == _BEFORE:
-            made = (
-                (at.once(k, functools.partial(self._traced, k, at)), p) for k, p in self._before
-            )
-            return np.concatenate([values[place] for values, place in made])
+            return np.concatenate([self._traced_at(where, at) for where in self._before])
         if name == _NUMBERS:
             return at.parameters
         if name == _TIME:
@@ -457,7 +456,7 @@ class TracedDynamics(TracedBlock):
 
     def _traced_result(self, name: str, at: At) -> NDArray:
         """What is made, and not what is held."""
-        return super().traced_output(name, at)
+        return self._traced_at(self._places[name], at)
 
     @property
     def traced_start(self) -> Callable[[At], list[NDArray]]:
