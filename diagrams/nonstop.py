@@ -45,21 +45,25 @@ from drake_nonstop.loop.box import Box, Kind, Place
 from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.mechanics import signal_layouts
-from drake_nonstop.mechanics.signal_layouts import Layout, Part
-from drake_nonstop.optimization.diagnostics import DIAGNOSTICS, MISSED_LIMITS
+from drake_nonstop.mechanics.signal_layouts import Layout
+from drake_nonstop.optimization.diagnostics import LAYER_LAYOUTS
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import require_flags, warn_user
+
+
+def _layouts(*signals: str) -> dict[str, Layout | None]:
+    """Of the signals of a box; those of a layer's reports stand beside what they count."""
+    known = signal_layouts.SIGNALS | dict(LAYER_LAYOUTS)
+    return {signal: known[signal] for signal in signals}
+
 
 # The boxes of the figure, in its order.
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
-        signals={
-            "reference": signal_layouts.LOAD_REFERENCE,
-            "reference_higher_rates": signal_layouts.REFERENCE_HIGHER_RATES,
-            "reference_preview": None,
-            "reference_delay": Layout(Part("", "1", "s")),
-        },
+        signals=_layouts(
+            "reference", "reference_higher_rates", "reference_preview", "reference_delay"
+        ),
         optional={"reference_higher_rates": "", "reference_preview": "", "reference_delay": ""},
         recorded_where_read=("reference_higher_rates",),
         place=Place(0, 1, 1, Kind.TRAJECTORY),
@@ -67,29 +71,20 @@ BOXES: dict[str, Box] = {
     ),
     "load_feedback": Box(
         variants=load_feedback.VARIANTS,
-        signals={"measured_load_state": signal_layouts.LOAD_STATE},
+        signals=_layouts("measured_load_state"),
         place=Place(0, 2, 1, Kind.ADDITION),
     ),
     "wrench_controller": Box(
         variants=wrench_controller.VARIANTS,
-        signals={
-            "wrench": signal_layouts.WRENCH,
-            "wrench_rate": signal_layouts.WRENCH_RATE,
-            "tracking_error": signal_layouts.TRACKING_ERROR,
-        },
+        signals=_layouts("wrench", "wrench_rate", "tracking_error"),
         optional={"tracking_error": ""},
         place=Place(2, 2, 1, Kind.WRENCH),
     ),
     "optimization_layer": Box(
         variants=optimization_layer.VARIANTS,
-        signals={
-            "parameters": signal_layouts.PARAMETERS,
-            "diagnostics": DIAGNOSTICS,
-            "plan": signal_layouts.PLANNED_PARAMETERS,
-            "solve_time": Layout(Part("", "1", "s")),
-            "speed_bound": Layout(Part("", "1", "m/s")),
-            "missed_limits": MISSED_LIMITS,
-        },
+        signals=_layouts(
+            "parameters", "diagnostics", "plan", "solve_time", "speed_bound", "missed_limits"
+        ),
         optional={"plan": "RecedingHorizonOptimizer"}
         | dict.fromkeys(("diagnostics", "solve_time", "speed_bound", "missed_limits"), ""),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
@@ -97,10 +92,7 @@ BOXES: dict[str, Box] = {
     ),
     "phase": Box(
         variants=phase.VARIANTS,
-        signals={
-            "phase": signal_layouts.PHASE,
-            "planned": signal_layouts.PLANNED_PARAMETERS,
-        },
+        signals=_layouts("phase", "planned"),
         optional={"planned": "ShapedPhase"},
         expected_inputs={
             "plan": "it does not read the plan of optimization_layer, and departs from the phase "
@@ -113,10 +105,7 @@ BOXES: dict[str, Box] = {
     ),
     "internal_force": Box(
         variants=internal_force.VARIANTS,
-        signals={
-            "internal_force": signal_layouts.INTERNAL_FORCE,
-            "internal_force_higher_rates": signal_layouts.INTERNAL_FORCE_HIGHER_RATES,
-        },
+        signals=_layouts("internal_force", "internal_force_higher_rates"),
         optional={"internal_force_higher_rates": "InternalForceTrajectory"},
         alternatives={"planned": "InternalForceTrajectory"},
         recorded_where_read=("internal_force_higher_rates",),
@@ -124,19 +113,14 @@ BOXES: dict[str, Box] = {
     ),
     "force_distribution": Box(
         variants=force_distribution.VARIANTS,
-        signals={
-            "desired_cable_forces": Layout(Part("", "3n", "N", "W")),
-            "desired_cable_force_rates": Layout(Part("", "3n", "N/s", "W")),
-        },
+        signals=_layouts("desired_cable_forces", "desired_cable_force_rates"),
         place=Place(3, 2, 1, Kind.INNER_LOOP),
     ),
     "carrier_trajectory": Box(
         variants=carrier_trajectory.VARIANTS,
-        signals={
-            "carrier_reference": signal_layouts.CARRIER_STATES,
-            "carrier_reference_acceleration": Layout(Part("", "3n", "m/s²", "W")),
-            "carrier_reference_jerk": Layout(Part("", "3n", "m/s³", "W")),
-        },
+        signals=_layouts(
+            "carrier_reference", "carrier_reference_acceleration", "carrier_reference_jerk"
+        ),
         optional=dict.fromkeys(
             ("carrier_reference_acceleration", "carrier_reference_jerk"), "CarrierTrajectory"
         ),
@@ -145,11 +129,7 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_controller": Box(
         variants=carrier_controller.VARIANTS,
-        signals={
-            "carrier_forces": Layout(Part("", "3n", "N", "W")),
-            "aircraft_command": signal_layouts.AIRCRAFT_COMMAND,
-            "command_saturation": signal_layouts.COMMAND_SATURATION,
-        },
+        signals=_layouts("carrier_forces", "aircraft_command", "command_saturation"),
         optional={"carrier_forces": "CarrierPid"}
         | dict.fromkeys(("aircraft_command", "command_saturation"), "FixedWingController"),
         alternatives=dict.fromkeys(
@@ -159,11 +139,7 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_dynamics": Box(
         variants=carrier_dynamics.VARIANTS,
-        signals={
-            "carrier_state": signal_layouts.CARRIER_STATES,
-            "aircraft_state": signal_layouts.AIRCRAFT_STATE,
-            "carrier_acceleration": Layout(Part("", "3n", "m/s²", "W")),
-        },
+        signals=_layouts("carrier_state", "aircraft_state", "carrier_acceleration"),
         optional=dict.fromkeys(("aircraft_state", "carrier_acceleration"), "FixedWingDynamics"),
         alternatives={"carrier_forces": "FixedWingDynamics", "aircraft_command": "CarrierDynamics"},
         place=Place(3, 3, -1, Kind.PLANT),
@@ -171,30 +147,23 @@ BOXES: dict[str, Box] = {
     ),
     "cables": Box(
         variants=cables.VARIANTS,
-        signals={
-            "cable_forces": Layout(Part("", "3n", "N", "W")),
-            "tensions": Layout(Part("", "n", "N")),
-        },
+        signals=_layouts("cable_forces", "tensions"),
         place=Place(2, 3, -1, Kind.PLANT),
         is_simulated=True,
     ),
     "load_disturbance": Box(
         variants=load_disturbance.VARIANTS,
-        signals={"disturbance_wrench": signal_layouts.WRENCH},
+        signals=_layouts("disturbance_wrench"),
         place=Place(0, 4, 1, Kind.ADDITION),
     ),
     "wind": Box(
         variants=wind.VARIANTS,
-        signals={
-            "wind": Layout(Part("", "3n", "m/s", "W")),
-            "load_wind": Layout(Part("", "3", "m/s", "W")),
-            "wind_estimate": Layout(Part("", "3", "m/s", "W")),
-        },
+        signals=_layouts("wind", "load_wind", "wind_estimate"),
         place=Place(1, 4, 1, Kind.ADDITION),
     ),
     "load_plant": Box(
         variants=load_plant.VARIANTS,
-        signals={"load_state": signal_layouts.LOAD_STATE},
+        signals=_layouts("load_state"),
         expected_inputs={
             "load_wind": "no wind acts on the load, since this block does not read it; give it an "
             "input port load_wind (3), the air's velocity in m/s, in W, or have still air by "

@@ -1,31 +1,21 @@
 """How the reference shows docstrings: an extension of Griffe, by which mkdocstrings reads them."""
 
+import importlib
 import inspect
 import re
 from typing import Any
 
 import griffe
-import yaml
 
 
-class PortsInWords(griffe.Extension):
-    """Has the reference tell in words what Drake's directive tells of a block's ports."""
+class DeclaredPorts(griffe.Extension):
+    """Has the reference show what a block's class declares, as `help` does, in lists alone."""
 
-    def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
-        """Changes a docstring that has the directive."""
-        if obj.docstring is not None:
-            text = obj.docstring.value
-            obj.docstring.value = re.sub(
-                r"\.\. pydrake_system::\n\n((?: +.*\n?)+)", _ports_in_words, text
-            )
-
-
-def _ports_in_words(directive: re.Match[str]) -> str:
-    ports = yaml.safe_load(inspect.cleandoc(directive[1]))
-    texts = []
-    for word, kind in (("Reads", "input_ports"), ("makes", "output_ports")):
-        if ports.get(kind):
-            names = (re.sub(r"<[^>]*>", "", str(name)) for name in ports[kind])
-            texts.append(f"{word} {', '.join(f'`{name}`' for name in names)}")
-    text = "; ".join(texts)
-    return f"{text[:1].upper()}{text[1:]}.\n" if text else ""
+    def on_class_instance(self, *, cls: griffe.Class, **_: Any) -> None:
+        """Takes the docstring of the class itself, which is put together when it is asked for."""
+        if cls.docstring is None:
+            return
+        module = importlib.import_module(cls.module.path)
+        text = inspect.getdoc(getattr(module, cls.name, None)) or ""
+        if ".. pydrake_system::" in text:
+            cls.docstring.value = re.sub(r"\.\. pydrake_system::\n\n(?: +.*\n)+\n?", "", text)

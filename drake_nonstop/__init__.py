@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from drake_nonstop.version import __version__ as __version__
 
-_FORMER = {"Wind": "DisturbanceForce", "WindConfig": "DisturbanceForceConfig"}
+_FORMER = {
+    "Wind": "DisturbanceForce",
+    "WindConfig": "DisturbanceForceConfig",
+}
 
 if TYPE_CHECKING:
     from drake_nonstop.public import *  # noqa: F403

@@ -40,6 +40,7 @@ from drake_nonstop.optimization.diagnostics import Outcome as Outcome
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold as SampleAndHold
 from drake_nonstop.systems.point_forces import PointForces as PointForces
 from drake_nonstop.systems.block import LeafBlock as LeafBlock
+from drake_nonstop.model.block import Block as Block
 from drake_nonstop.systems.traced_block import TracedBlock as TracedBlock
 from drake_nonstop.systems.traced_block import TracedDynamics as TracedDynamics
 from drake_nonstop.mechanics.signal_layouts import Layout as Layout, Part as Part

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers import nightly_beyond
 
@@ -144,10 +145,7 @@ def test_commands_of_a_page_are_commands(page):
 def test_a_layer_of_a_page_runs_in_an_ablation(tmp_path, monkeypatch):
     """The custom optimization layer, as a file in the current folder, and the page's command."""
     page = "docs/swap.md"
-    (code,) = [code for code in BLOCKS[page] if file_name(code)]
-    (tmp_path / file_name(code)).write_text(code)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
+    code = module_of(page, "my_layers.py", tmp_path, monkeypatch)
     after = PAGES[page][PAGES[page].index(code) :]
     command = re.search(r"drake-nonstop (ablate .*?)```", after, re.DOTALL).group(1)
     arguments = shlex.split(command.replace("\\\n", " "))
@@ -157,6 +155,33 @@ def test_a_layer_of_a_page_runs_in_an_ablation(tmp_path, monkeypatch):
     table = (tmp_path / "out" / "table.md").read_text()
     assert "Faster" in table
     assert "ConstantParameters" in table
+
+
+def module_of(page, name, tmp_path, monkeypatch):
+    """A module that a page has its readers save, in the current folder."""
+    (code,) = [code for code in BLOCKS[page] if file_name(code) == name]
+    (tmp_path / name).write_text(code)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    return code
+
+
+def test_a_block_of_a_page_is_the_same_in_both_engines_and_on_autodiff(tmp_path, monkeypatch):
+    code = module_of("docs/swap.md", "my_controllers.py", tmp_path, monkeypatch)
+    definition = code[code.index("@dataclass") :]
+    assert len(definition.splitlines()) <= 30
+    settings = ["simulation_duration=1", "optimization_layer=ConstantParameters"]
+    named = ["wrench_controller=my_controllers.PositionPd", "wrench_controller.stiffness=15"]
+    scenario = drake_nonstop.load_scenario("quintic", [*settings, *named], trust=True)
+    runs = [drake_nonstop.simulate(scenario, engine=each) for each in ("compiled", "diagram")]
+    states = [run.signals["load_plant.load_state"] for run in runs]
+    np.testing.assert_allclose(*states, rtol=0, atol=1e-9)
+    block = type(runs[0].diagram.GetSubsystemByName("wrench_controller"))
+    assert "- `stiffness`: N/m" in block.__doc__
+    assert "- `wrench` (6): torque (3) N m" in block.__doc__
+    diagram = drake_nonstop.make_nonstop(scenario).ToAutoDiffXd()
+    assert diagram.CreateDefaultContext().num_continuous_states() > 0
+    sys.modules.pop("my_controllers")
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -133,7 +133,7 @@ class BlockTimers:
         boxes, stack, clock = self._boxes, self._stack, self._clock
 
         @functools.wraps(function)
-        def timed(system: System, *arguments: Any, **named: Any) -> Any:
+        def timed(system: System, /, *arguments: Any, **named: Any) -> Any:
             box, caller = boxes.get(id(system)), stack[-1]
             if box is None or box == caller.box:  # a block's own functions call each other
                 return function(system, *arguments, **named)

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions, cables_elastic_energy
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
-from drake_nonstop.model.block_parameters import BlockParameters, Rules
+from drake_nonstop.model.block import Block
+from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.parameters import parameters_in
-from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import StrictFields, is_number, require, require_array
 
 # What the cables are made of, and the fields of the system that say it.
@@ -23,50 +22,30 @@ _OF_SYSTEM = {
 }
 
 
-class _CableForces(TracedBlock):
-    """Massless, tension-only spring-dampers from the load to the carriers.
+class _CableForces(Block):
+    """Massless, tension-only spring-dampers from the load to the carriers."""
 
-    Args:
-        model: the model with the attachments.
-        config: the block's.
-        check: of the block.
-        own: what the config says of each cable; else the system says it of all.
-    """
+    reads = ("load_state", "carrier_state")
+    makes = ("cable_forces", "tensions")
+    system = tuple(_OF_SYSTEM.values())
+    of_model = ("attachments",)
 
-    def __init__(self, model: Model, config: Any, check: Any, own: tuple[str, ...] = ()):
-        attachments = model.attachments
-
-        def forces(
-            load_state: NDArray, carrier_state: NDArray, **cables: NDArray
-        ) -> tuple[NDArray, NDArray]:
-            return cable_forces_and_tensions(
-                load_state, carrier_state, attachments=attachments, **_columns(cables)
-            )
-
-        super().__init__(
-            forces,
-            inputs={"load_state": LOAD_STATE_SIZE, "carrier_state": 6 * model.n},
-            outputs={"cable_forces": 3 * model.n, "tensions": model.n},
-            parameters=BlockParameters(
-                model,
-                [field for name, field in _OF_SYSTEM.items() if name not in own],
-                config=config,
-                own=own,
-                rules=Rules(
-                    check=check,
-                    structure=lambda _, config: [len(getattr(config, name)) for name in own],
-                ),
-            ),
-            key=("cables", attachments, own),
+    @staticmethod
+    def equations(
+        load_state: NDArray, carrier_state: NDArray, *, attachments: NDArray, **cables: NDArray
+    ) -> tuple[NDArray, NDArray]:
+        return cable_forces_and_tensions(
+            load_state, carrier_state, attachments=attachments, **_columns(cables)
         )
-        self._attachments = attachments
 
     def CalcPotentialEnergy(self, context: Context) -> float:
         """That of the stretched cables, J; the context is the block's own."""
-        states = (self.GetInputPort(name).Eval(context) for name in ("load_state", "carrier_state"))
+        states = (self.GetInputPort(name).Eval(context) for name in self.reads)
         columns = _columns(parameters_in(self, context))
         del columns["damping"]
-        return float(cables_elastic_energy(*states, attachments=self._attachments, **columns)[0])
+        return float(
+            cables_elastic_energy(*states, attachments=self.model.attachments, **columns)[0]
+        )
 
 
 def _columns(parameters: dict[str, NDArray]) -> dict[str, NDArray]:
@@ -87,36 +66,19 @@ class Cables(_CableForces):
 
     Massless, tension-only spring-dampers (eq. 4), see `mechanics.cable`.
 
-    .. pydrake_system::
-
-        name: Cables
-        input_ports:
-        - load_state
-        - carrier_state
-        output_ports:
-        - cable_forces
-        - tensions
-
-    `load_state` (13), SI, and `carrier_state` (6n) = [positions (m), velocities (m/s)] in W;
-    `cable_forces` (3n) are those on the load, in N, in W; `tensions` (n) in N, 0 where slack.
-
     Raises:
         ScenarioError: the simulated stiffness is not finite.
     """
 
-    def __init__(self, model: Model, config: CablesConfig | None = None):
-        _check(model, config)
-        super().__init__(model, config, _check)
-
-
-def _check(model: Model, config: CablesConfig | None) -> None:
-    require(
-        is_number(model.system.cable_stiffness),
-        "simulated.cable_stiffness",
-        model.system.cable_stiffness,
-        "simulated cables stretch: give a finite number greater than zero here, also where "
-        "system.cable_stiffness is .inf",
-    )
+    @classmethod
+    def check(cls, model: Model, config: Any) -> None:
+        require(
+            is_number(model.system.cable_stiffness),
+            "simulated.cable_stiffness",
+            model.system.cable_stiffness,
+            "simulated cables stretch: give a finite number greater than zero here, also where "
+            "system.cable_stiffness is .inf",
+        )
 
 
 @dataclass(kw_only=True)
@@ -133,43 +95,30 @@ class IndividualCables(_CableForces):
 
     Massless, tension-only spring-dampers (eq. 4), see `mechanics.cable`.
 
-    .. pydrake_system::
-
-        name: IndividualCables
-        input_ports:
-        - load_state
-        - carrier_state
-        output_ports:
-        - cable_forces
-        - tensions
-
-    `load_state` (13), SI, and `carrier_state` (6n) = [positions (m), velocities (m/s)] in W;
-    `cable_forces` (3n) are those on the load, in N, in W; `tensions` (n) in N, 0 where slack.
-
-    Parameters, the fields of `IndividualCablesConfig`:
-        stiffness: N/m
-        damping: N s/m
-        rest_length: m, unstretched
-
     Raises:
         ScenarioError: a list has another length than there are cables, or a number in it is
             out of range.
     """
 
-    def __init__(self, model: Model, config: IndividualCablesConfig | None = None):
-        config = config or IndividualCablesConfig()
-        _check_individual(model, config)
-        given = tuple(name for name in _OF_SYSTEM if getattr(config, name))
-        super().__init__(model, config, _check_individual, given)
+    @classmethod
+    def check(cls, model: Model, config: IndividualCablesConfig) -> None:
+        system = model.system
+        stiffness = _each(model, "stiffness", config.stiffness, system.cable_stiffness)
+        _each(model, "damping", config.damping, system.cable_damping)
+        rest_length = _each(model, "rest_length", config.rest_length, system.cable_length)
+        require(np.all(stiffness > 0), "cables.stiffness", config.stiffness, "give no zero")
+        require(np.all(rest_length > 0), "cables.rest_length", config.rest_length, "give no zero")
 
-
-def _check_individual(model: Model, config: IndividualCablesConfig) -> None:
-    system = model.system
-    stiffness = _each(model, "stiffness", config.stiffness, system.cable_stiffness)
-    _each(model, "damping", config.damping, system.cable_damping)
-    rest_length = _each(model, "rest_length", config.rest_length, system.cable_length)
-    require(np.all(stiffness > 0), "cables.stiffness", config.stiffness, "give no zero")
-    require(np.all(rest_length > 0), "cables.rest_length", config.rest_length, "give no zero")
+    def block_parameters(self, model: Model, config: IndividualCablesConfig) -> BlockParameters:
+        given = [name for name in _OF_SYSTEM if getattr(config, name)]
+        others = [field for name, field in _OF_SYSTEM.items() if name not in given]
+        return self.parameters_of(
+            model,
+            config,
+            given,
+            system=others,
+            structure=lambda _, config: [len(getattr(config, name)) for name in given],
+        )
 
 
 def _each(model: Model, name: str, given: list[float], default: float) -> NDArray:

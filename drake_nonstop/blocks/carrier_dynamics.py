@@ -26,6 +26,7 @@ from drake_nonstop.mechanics.carrier import (
     double_integrator_rate,
     loaded_carrier_rate,
 )
+from drake_nonstop.model.block import Block
 from drake_nonstop.model.block_parameters import (
     AIRCRAFT_NUMBERS,
     BlockParameters,
@@ -35,9 +36,10 @@ from drake_nonstop.model.block_parameters import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType
+from drake_nonstop.systems.documentation import documented
 from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.traced_block import TracedDynamics, stacking
+from drake_nonstop.systems.traced_block import stacking
 from drake_nonstop.validation import StrictFields, is_number, require
 
 
@@ -56,34 +58,24 @@ class CarrierDynamicsConfig(StrictFields):
     """No parameters: the carrier mass is the system's."""
 
 
-class CarrierDynamics(TracedDynamics):
+class CarrierDynamics(Block):
     """Double integrators: m_c p̈ = u, without weight or cable reaction, as in the paper.
 
-    .. pydrake_system::
-
-        name: CarrierDynamics
-        input_ports:
-        - carrier_forces
-        output_ports:
-        - carrier_state
-
-    `carrier_forces` (3n) in N, in W; `carrier_state` (6n) = [positions (m), velocities (m/s)], in
-    W, is the state.
+    `carrier_state` is the state.
     """
 
+    reads = ("carrier_forces",)
+    makes = ("carrier_state",)
+    state_port = "carrier_state"
+    system = ("carrier_mass",)
     requires = _requires_points
 
-    def __init__(self, model: Model, config: CarrierDynamicsConfig | None = None):
-        super().__init__(
-            lambda state, forces, carrier_mass: double_integrator_rate(
-                state, forces, mass=carrier_mass
-            ),
-            inputs={"carrier_forces": 3 * model.n},
-            state=model.initial_carrier_state,
-            state_port="carrier_state",
-            parameters=BlockParameters(model, ("carrier_mass",)),
-            key=("double integrators", model.n),
-        )
+    @staticmethod
+    def equations(state: NDArray, forces: NDArray, *, carrier_mass: NDArray) -> NDArray:
+        return double_integrator_rate(state, forces, mass=carrier_mass)
+
+    def state(self, model: Model) -> NDArray:
+        return model.initial_carrier_state
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
@@ -100,53 +92,46 @@ class LoadedCarrierDynamicsConfig(StrictFields):
     max_force: float = math.inf  # N, of a carrier
 
 
-class LoadedCarrierDynamics(TracedDynamics):
+class LoadedCarrierDynamics(Block):
     """Carriers with weight and cable reaction: m_c p̈ = sat(u) − m_c g e₃ − f.
 
     They sag under a controller that compensates for neither; see `LoadedCarrierPid`.
 
-    .. pydrake_system::
-
-        name: LoadedCarrierDynamics
-        input_ports:
-        - carrier_forces
-        - cable_forces
-        output_ports:
-        - carrier_state
-
-    `carrier_forces` (3n), each limited to `max_force`, and `cable_forces` (3n) on the load
-    in N, in W; `carrier_state` (6n) = [positions (m), velocities (m/s)], in W, is the state.
-
-    Parameters, the fields of `LoadedCarrierDynamicsConfig`:
-        max_force: N, of a carrier
+    Each of the `carrier_forces` is limited to `max_force`; `carrier_state` is the state.
 
     Raises:
         ScenarioError: `max_force` is not positive.
     """
 
+    reads = ("carrier_forces", "cable_forces")
+    makes = ("carrier_state",)
+    state_port = "carrier_state"
+    system = ("carrier_mass", "gravity")
     requires = _requires_points
 
-    def __init__(self, model: Model, config: LoadedCarrierDynamicsConfig | None = None):
-        config = config or LoadedCarrierDynamicsConfig()
-        _check(model, config)
-        n = model.n
-        super().__init__(
-            lambda *values, carrier_mass, gravity, max_force=None: loaded_carrier_rate(
-                *values, mass=carrier_mass, gravity=gravity, max_force=max_force
-            ),
-            inputs={"carrier_forces": 3 * n, "cable_forces": 3 * n},
-            state=model.initial_carrier_state,
-            state_port="carrier_state",
-            parameters=BlockParameters(
-                model,
-                ("carrier_mass", "gravity"),
-                config=config,
-                own=("max_force",) if _is_limited(model, config) else (),
-                rules=Rules(check=_check, structure=_is_limited),
-            ),
-            key=("loaded carriers", n, _is_limited(model, config)),
+    @staticmethod
+    def equations(
+        *values: NDArray, carrier_mass: NDArray, gravity: NDArray, max_force: Any = None
+    ) -> NDArray:
+        return loaded_carrier_rate(*values, mass=carrier_mass, gravity=gravity, max_force=max_force)
+
+    @classmethod
+    def check(cls, model: Model, config: LoadedCarrierDynamicsConfig) -> None:
+        limit = config.max_force
+        require(
+            (is_number(limit) and limit > 0) or limit == math.inf,
+            "carrier_dynamics.max_force",
+            limit,
+            "give a number greater than zero, or .inf for no limit",
         )
 
+    def block_parameters(
+        self, model: Model, config: LoadedCarrierDynamicsConfig
+    ) -> BlockParameters:
+        own = ("max_force",) if _is_limited(model, config) else ()
+        return self.parameters_of(model, config, own, structure=_is_limited)
+
+    state = CarrierDynamics.state
     SetCarrierState = CarrierDynamics.SetCarrierState
 
     def CalcKineticEnergy(self, context: Context) -> float:
@@ -169,16 +154,6 @@ def _kinetic_energy(block: System, context: Context) -> float:
     return float(carriers_kinetic_energy(state, mass=mass)[0])
 
 
-def _check(model: Model, config: LoadedCarrierDynamicsConfig) -> None:
-    limit = config.max_force
-    require(
-        (is_number(limit) and limit > 0) or limit == math.inf,
-        "carrier_dynamics.max_force",
-        limit,
-        "give a number greater than zero, or .inf for no limit",
-    )
-
-
 def _is_limited(model: Model, config: LoadedCarrierDynamicsConfig) -> bool:
     return config.max_force < math.inf
 
@@ -188,22 +163,16 @@ class IdealCarriersConfig(StrictFields):
     """No parameters."""
 
 
+@documented
 class IdealCarriers(Selector, metaclass=BlockType):
     """Ideal tracking: the carriers' state is their reference, whatever the controller does.
 
     The load's error that remains with them is not due to the carriers. Behind sampled
     controllers the references, and so the carriers, jump a little at every sample.
-
-    .. pydrake_system::
-
-        name: IdealCarriers
-        input_ports:
-        - carrier_reference
-        output_ports:
-        - carrier_state
-
-    Both (6n) = [positions (m), velocities (m/s)], in W.
     """
+
+    reads = ("carrier_reference",)
+    makes = ("carrier_state",)
 
     requires = _requires_points
 
@@ -228,7 +197,7 @@ class FixedWingDynamicsConfig(StrictFields):
     )
 
 
-class FixedWingDynamics(TracedDynamics):
+class FixedWingDynamics(Block):
     """Fixed-wing aircraft: 3-DoF point masses with lift, bank and thrust that lag their commands.
 
     With the airspeed V, forward x, the lift's direction l at the bank μ, and q = ½ ρ V²,
@@ -239,61 +208,38 @@ class FixedWingDynamics(TracedDynamics):
     thrust, and the gusts' angle of attack. A wing whose C_L reaches C_Lmax, or an airspeed below
     the stall speed, is a stall: the lift stays at that of C_Lmax.
 
-    .. pydrake_system::
-
-        name: FixedWingDynamics
-        input_ports:
-        - aircraft_command
-        - cable_forces
-        - wind
-        output_ports:
-        - carrier_state
-        - aircraft_state
-        - carrier_acceleration
-
-    `aircraft_command` (3n) = [C_L; bank (rad, positive to the right); thrust (N)], `cable_forces`
-    (3n) on the load in N, `wind` (3n) in m/s; `carrier_state` (6n) = [positions (m), velocities
-    (m/s)], `aircraft_state` (4n) = [C_L with the gusts' part; bank (rad); thrust (N); airspeed
-    (m/s)], `carrier_acceleration` (3n) in m/s²; vectors are in W.
-
-    Parameters, the fields of `FixedWingDynamicsConfig`:
-        stops_at_stall: the run ends at the first stall; false: with stalled lift it goes on
-
     Raises:
         ScenarioError: the system has no aircraft.
     """
 
+    reads = ("aircraft_command", "cable_forces", "wind")
+    makes = ("carrier_state", "aircraft_state", "carrier_acceleration")
+    system = AIRCRAFT_NUMBERS
     ending_signal = "aircraft_state"
 
-    def __init__(self, model: Model, config: FixedWingDynamicsConfig | None = None):
-        aircraft = required_aircraft(model, "carrier_dynamics", "FixedWingDynamics")
-        n = model.n
-        zeros = FlightStates(model.initial_carrier_state, *(np.zeros(k * n) for k in (1, 1, 1, 3)))
-
-        def flight(*values: NDArray, **numbers: Any) -> tuple[NDArray, ...]:
-            states, _, pull, wind = values
-            flying = aircraft_of(aircraft, numbers)
-            return (
-                flight_rate(flying, *values),
-                states[: 6 * n],
-                shown_state(flying, states, wind),
-                flight_acceleration(flying, states, pull, wind),
-            )
-
-        super().__init__(
-            flight,
-            inputs={"aircraft_command": 3 * n, "cable_forces": 3 * n, "wind": 3 * n},
-            outputs={
-                "carrier_state": 6 * n,
-                "aircraft_state": 4 * n,
-                "carrier_acceleration": 3 * n,
-            },
-            state=np.concatenate(zeros),
-            parameters=BlockParameters(model, AIRCRAFT_NUMBERS),
-            key=("fixed-wing aircraft", n),
+    @staticmethod
+    def equations(
+        states: NDArray,
+        command: NDArray,
+        pull: NDArray,
+        wind: NDArray,
+        **numbers: Any,
+    ) -> tuple[NDArray, ...]:
+        flying = aircraft_of(numbers)
+        return (
+            flight_rate(flying, states, command, pull, wind),
+            states[: 2 * len(pull)],
+            shown_state(flying, states, wind),
+            flight_acceleration(flying, states, pull, wind),
         )
-        self._stops_at_stall = (config or FixedWingDynamicsConfig()).stops_at_stall
-        self._aircraft = aircraft
+
+    @classmethod
+    def check(cls, model: Model, config: Any) -> None:
+        required_aircraft(model, "carrier_dynamics", "FixedWingDynamics")
+
+    def state(self, model: Model) -> NDArray:
+        others = (np.zeros(k * model.n) for k in (1, 1, 1, 3))
+        return np.concatenate(FlightStates(model.initial_carrier_state, *others))
 
     def SetCarrierState(self, context: Context, value: NDArray) -> None:
         states = context.get_continuous_state_vector().CopyToVector()
@@ -315,10 +261,10 @@ class FixedWingDynamics(TracedDynamics):
             shown: the `aircraft_state`.
         """
         aircraft = self._aircraft_in(context)
-        return self._stops_at_stall and bool(np.any(is_stalled(aircraft, shown)))
+        return self.config.stops_at_stall and bool(np.any(is_stalled(aircraft, shown)))
 
     def _aircraft_in(self, context: Context) -> Aircraft:
-        return aircraft_of(self._aircraft, parameters_in(self, context))
+        return aircraft_of(parameters_in(self, context))
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m Σ ‖v_i‖², J; the context is the block's own."""

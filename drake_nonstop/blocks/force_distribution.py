@@ -16,11 +16,11 @@ from drake_nonstop.mechanics.grasp import (
     null_space_correction,
 )
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WRENCH_SIZE, LoadState
+from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.model.block import Block
 from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import weakly
-from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.validation import StrictFields, is_number, require, require_non_negative
 
 _OUTPUTS = ("desired_cable_forces", "desired_cable_force_rates")
@@ -37,52 +37,28 @@ class CableForceDistributionConfig(StrictFields):
     """No parameters: the pattern is the scenario's."""
 
 
-class CableForceDistribution(TracedBlock):
-    """f_d = G† w_d + f̃⁰ + N λ and its exact rate (eqs. 16, 19-21).
+class CableForceDistribution(Block):
+    """f_d = G† w_d + f̃⁰ + N λ and its exact rate (eqs. 16, 19-21)."""
 
-    .. pydrake_system::
-
-        name: CableForceDistribution
-        input_ports:
-        - measured_load_state
-        - wrench
-        - wrench_rate
-        - internal_force
-        output_ports:
-        - desired_cable_forces
-        - desired_cable_force_rates
-
-    `measured_load_state` (13), SI, in W; `wrench` and `wrench_rate` (6), [torque (N m); force (N)]
-    and its rate, in W; `internal_force` (2m) = [λ (N); λ̇ (N/s)]; `desired_cable_forces` (3n, N)
-    and their rates (3n, N/s) on the load, in W.
-    """
-
+    reads = ("measured_load_state", "wrench", "wrench_rate", "internal_force")
+    makes = _OUTPUTS
+    of_model = ("pseudo_inverse", "pattern.basis")
     is_sampled = True
 
-    def __init__(self, model: Model, config: CableForceDistributionConfig | None = None):
-        pseudo_inverse, basis, none = (
-            model.pseudo_inverse,
-            model.pattern.basis,
-            np.zeros(3 * model.n),
+    @staticmethod
+    def equations(
+        *inputs: NDArray,
+        pseudo_inverse: NDArray,
+        basis: NDArray,
+        pattern_offset: NDArray | None = None,
+    ) -> tuple[NDArray, NDArray]:
+        offset = np.zeros(len(basis)) if pattern_offset is None else pattern_offset
+        return cable_forces_and_rates(
+            *inputs, pseudo_inverse=pseudo_inverse, basis=basis, offset=offset
         )
 
-        def distribute(*inputs: NDArray, pattern_offset: NDArray = none) -> tuple[NDArray, NDArray]:
-            return cable_forces_and_rates(
-                *inputs, pseudo_inverse=pseudo_inverse, basis=basis, offset=pattern_offset
-            )
-
-        super().__init__(
-            distribute,
-            inputs={
-                "measured_load_state": LOAD_STATE_SIZE,
-                "wrench": WRENCH_SIZE,
-                "wrench_rate": WRENCH_SIZE,
-                "internal_force": 2 * model.m,
-            },
-            outputs=dict.fromkeys(_OUTPUTS, 3 * model.n),
-            parameters=BlockParameters(model, model.offset_parameter),
-            key=("distribution", pseudo_inverse, basis, model.offset_parameter),
-        )
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        return self.parameters_of(model, config, (), system=model.offset_parameter)
 
 
 @dataclass(kw_only=True)
@@ -108,26 +84,6 @@ class BoundedTensionDistribution(CableForceDistribution):
     a `min_tension` of 2.9 N, CarrierPid and the hold "velocity" the tensions fall to 2.85 N,
     because 0.1 mm are 0.05 N (2.89 N with FeedforwardCarrierPid). A run warns of it.
 
-    .. pydrake_system::
-
-        name: BoundedTensionDistribution
-        input_ports:
-        - measured_load_state
-        - wrench
-        - wrench_rate
-        - internal_force
-        output_ports:
-        - desired_cable_forces
-        - desired_cable_force_rates
-
-    `measured_load_state` (13), SI, in W; `wrench` and `wrench_rate` (6), [torque (N m); force (N)]
-    and its rate, in W; `internal_force` (2m) = [λ (N); λ̇ (N/s)]; `desired_cable_forces` (3n, N)
-    and their rates (3n, N/s) on the load, in W.
-
-    Parameters, the fields of `BoundedTensionDistributionConfig`:
-        min_tension: N
-        max_tension: N
-
     Raises:
         ScenarioError: a bound is negative, or the two are not in order.
         RuntimeError: during a run, if no such cable forces are found.
@@ -136,9 +92,18 @@ class BoundedTensionDistribution(CableForceDistribution):
     traced_output: Any = None  # a search is no function that can be traced
 
     def __init__(self, model: Model, config: BoundedTensionDistributionConfig | None = None):
-        super().__init__(model)
-        config = config or BoundedTensionDistributionConfig()
-        self._config = config
+        super().__init__(model, config)
+        # The last rows of Vᵀ span the null space of the grasp matrix, which has rank 6.
+        self._null_space = np.linalg.svd(grasp_matrix(model.attachments))[2][6:].T
+        entry = self.DeclareCacheEntry(
+            "cables on a bound",
+            ValueProducer(Value(()).Clone, weakly(self._calc_active)),
+            self._tickets[_OUTPUTS[0]],
+        )
+        self._entry_index = entry.cache_index()  # the entry would keep this block alive
+
+    @classmethod
+    def check(cls, model: Model, config: BoundedTensionDistributionConfig) -> None:
         require_non_negative(_BOX, min_tension=config.min_tension)
         limit = config.max_tension
         require(
@@ -147,15 +112,6 @@ class BoundedTensionDistribution(CableForceDistribution):
             limit,
             f"give more than min_tension = {config.min_tension:g} N, or .inf for no limit",
         )
-        # The last rows of Vᵀ span the null space of the grasp matrix, which has rank 6.
-        self._null_space = np.linalg.svd(grasp_matrix(model.attachments))[2][6:].T
-        self._measured_load_state = self.GetInputPort("measured_load_state")
-        entry = self.DeclareCacheEntry(
-            "cables on a bound",
-            ValueProducer(Value(()).Clone, weakly(self._calc_active)),
-            self._tickets[_OUTPUTS[0]],
-        )
-        self._entry_index = entry.cache_index()  # the entry would keep this block alive
 
     def _evaluated(self, context: Context, name: str) -> NDArray:
         """As of `TracedBlock`, within the bounds."""
@@ -164,6 +120,9 @@ class BoundedTensionDistribution(CableForceDistribution):
         if name == forces:
             return self._bounded(context, found, np.zeros(found.shape))[0].ravel()
         return self._bounded(context, found, self._least(context, rates))[1].ravel()
+
+    def _load_state(self, context: Context) -> LoadState:
+        return LoadState.view(self._inputs["measured_load_state"].Eval(context))
 
     def _least(self, context: Context, name: str) -> NDArray:
         """The pseudo-inverse's forces, or their rates (n, 3)."""
@@ -174,11 +133,11 @@ class BoundedTensionDistribution(CableForceDistribution):
         self.require_floats("give CableForceDistribution in place of BoundedTensionDistribution")
         forces = self._least(context, _OUTPUTS[0])
         tensions = np.linalg.norm(forces, axis=1)
-        low, high = self._config.min_tension - tensions, self._config.max_tension - tensions
+        low, high = self.config.min_tension - tensions, self.config.max_tension - tensions
         if np.all(low <= 0) and np.all(high >= 0):
             value.set_value(())
             return
-        R_WL = rotation_matrix(LoadState.view(self._measured_load_state.Eval(context)).quaternion)
+        R_WL = rotation_matrix(self._load_state(context).quaternion)
         directions = forces @ R_WL / tensions[:, None]
         value.set_value((directions, *self._active_bounds(directions, low, high)))
 
@@ -190,7 +149,7 @@ class BoundedTensionDistribution(CableForceDistribution):
         if not found:
             return forces, rates
         directions, active, shortfalls = found
-        load = LoadState.view(self._measured_load_state.Eval(context))
+        load = self._load_state(context)
         R_WL, angular_velocity = rotation_matrix(load.quaternion), load.angular_velocity
         # In the load frame, where the null space is constant.
         forces_L = forces @ R_WL
@@ -205,7 +164,7 @@ class BoundedTensionDistribution(CableForceDistribution):
         change, change_rate = null_space_correction(
             rows, row_rates, shortfalls, -tension_rates[active], self._null_space
         )
-        if np.max(np.linalg.norm(forces_L + change, axis=1)) > _SLACK * self._config.max_tension:
+        if np.max(np.linalg.norm(forces_L + change, axis=1)) > _SLACK * self.config.max_tension:
             raise RuntimeError(self._failure())
         forces = (forces_L + change) @ R_WL.T
         rates = (rates_L + change_rate) @ R_WL.T + np.cross(angular_velocity, forces)
@@ -213,8 +172,8 @@ class BoundedTensionDistribution(CableForceDistribution):
 
     def _failure(self) -> str:
         return (
-            f"no cable forces with tensions from {self._config.min_tension:g} to "
-            f"{self._config.max_tension:g} N that make the wrench were found near those of the "
+            f"no cable forces with tensions from {self.config.min_tension:g} to "
+            f"{self.config.max_tension:g} N that make the wrench were found near those of the "
             "pattern; widen force_distribution.min_tension and max_tension"
         )
 

@@ -73,29 +73,8 @@ class JsbsimCarriers(DiagramBlock):
     to AutoDiffXd or Expression, and a context that was copied during a flight cannot go on once
     the other one has.
 
-    .. pydrake_system::
-
-        name: JsbsimCarriers
-        input_ports:
-        - aircraft_command
-        - cable_forces
-        - wind
-        output_ports:
-        - carrier_state
-        - aircraft_state
-        - carrier_acceleration
-
-    `aircraft_command` (3n) = [C_L; bank (rad, positive to the right); thrust (N)], `cable_forces`
-    (3n) on the load in N, `wind` (3n) in m/s; `carrier_state` (6n) = [positions (m), velocities
-    (m/s)] of the hooks, `aircraft_state` (4n) = [C_L, at most C_Lmax; bank (rad); thrust (N);
-    airspeed (m/s)], `carrier_acceleration` (3n) in m/s², of the centres of gravity, the mean over
-    the last step; vectors are in W.
-
-    Parameters, the fields of `JsbsimCarriersConfig`:
-        aircraft_file: path of a JSBSim aircraft; empty: the package's of system.aircraft
-        hook: m, the cable's end, forward, right and up of the centre of gravity
-        step: s, of JSBSim, from 0.001 to 0.01
-        stops_at_stall: the run ends at the first stall; false: with stalled lift it goes on
+    Positions and velocities are those of the hooks, `carrier_acceleration` that of the centres of
+    gravity, the mean over the last step.
 
     Raises:
         ScenarioError: the system has no aircraft; JSBSim is not installed, or does not load the
@@ -103,6 +82,9 @@ class JsbsimCarriers(DiagramBlock):
             is out of its range. As it runs: its context was copied from another one that has flown
             on, its time was set, or it starts between two steps.
     """
+
+    reads = ("aircraft_command", "cable_forces", "wind")
+    makes = ("carrier_state", "aircraft_state", "carrier_acceleration")
 
     has_state_outside = True
     ending_signal = "aircraft_state"

@@ -14,10 +14,9 @@ from drake_nonstop.mechanics.coloured_noise import (
     wave_frequencies,
 )
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
+from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
-from drake_nonstop.systems.diagram_trace import At
-from drake_nonstop.systems.tracing import constants
 from drake_nonstop.validation import (
     StrictFields,
     require_array,
@@ -35,33 +34,15 @@ class NoDisturbanceConfig(StrictFields):
     """No parameters."""
 
 
-class NoDisturbance(LeafBlock):
-    """Only cables and gravity act on the load.
+class NoDisturbance(Block):
+    """Only cables and gravity act on the load."""
 
-    .. pydrake_system::
-
-        name: NoDisturbance
-        output_ports:
-        - disturbance_wrench
-
-    `disturbance_wrench` (6) = [torque (N m); force (N)] at the centre of mass, in W: zero.
-    """
-
+    makes = ("disturbance_wrench",)
     is_sampled = True
 
-    def __init__(self, model: Model, config: NoDisturbanceConfig | None = None):
-        super().__init__()
-        self.DeclareVectorOutputPort(
-            "disturbance_wrench", WRENCH_SIZE, self._calc, {self.nothing_ticket()}
-        )
-
-    trace_key = ()
-
-    def traced_output(self, port: str, at: At) -> NDArray:
-        return constants(np.zeros(self.GetOutputPort(port).size()))
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.zeros(WRENCH_SIZE))
+    @staticmethod
+    def equations() -> NDArray:
+        return np.zeros(WRENCH_SIZE)
 
 
 @dataclass(kw_only=True)
@@ -82,22 +63,6 @@ class DisturbanceForce(LeafBlock):
     The gust is that of `mechanics.coloured_noise` with 32 waves on each axis, up to ωτ = 30: a
     function of time alone, so that runs repeat to the bit whatever the integrator's steps are.
 
-    .. pydrake_system::
-
-        name: DisturbanceForce
-        output_ports:
-        - disturbance_wrench
-
-    `disturbance_wrench` (6) = [torque (N m); force (N)] at the centre of mass, in W.
-
-    Parameters, the fields of `DisturbanceForceConfig`:
-        force: N, in W
-        torque: N m, in W
-        start_time: s, nothing before it
-        gust_force: N, standard deviation on each axis
-        gust_time: s, correlation time of the gust
-        seed: of the gust
-
     Attributes:
         wrench: (6,), the constant part.
         gust_force: N, standard deviation on each axis.
@@ -107,6 +72,7 @@ class DisturbanceForce(LeafBlock):
         ScenarioError: a field is out of range.
     """
 
+    makes = ("disturbance_wrench",)
     is_sampled = True
 
     def __init__(self, model: Model, config: DisturbanceForceConfig | None = None):

@@ -20,9 +20,11 @@ from drake_nonstop.mechanics.signals import (
     LoadState,
     TrackingError,
 )
+from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, LeafBlock, number
 from drake_nonstop.systems.diagram_trace import At
+from drake_nonstop.systems.documentation import documented
 from drake_nonstop.systems.traced_block import stacking
 from drake_nonstop.systems.tracing import chosen, object_array
 from drake_nonstop.validation import (
@@ -43,20 +45,12 @@ class IdealFeedbackConfig(StrictFields):
     """No parameters."""
 
 
+@documented
 class IdealFeedback(Selector, metaclass=BlockType):
-    """The load's state, exact and without delay.
+    """The load's state, exact and without delay."""
 
-    .. pydrake_system::
-
-        name: IdealFeedback
-        input_ports:
-        - load_state
-        output_ports:
-        - measured_load_state
-
-    Both (13) = [quaternion w x y z, position (m), angular velocity
-    (rad/s), velocity (m/s)], in W.
-    """
+    reads = ("load_state",)
+    makes = ("measured_load_state",)
 
     def __init__(self, model: Model, config: IdealFeedbackConfig | None = None):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""
@@ -68,38 +62,19 @@ class DesiredStateFeedbackConfig(StrictFields):
     """No parameters."""
 
 
-class DesiredStateFeedback(LeafBlock):
+class DesiredStateFeedback(Block):
     """Opens the loop: the controllers get the reference in place of the load's state.
 
     The wrench controller then demands the wrench of the desired motion alone: the open-loop
     method that the paper starts from.
-
-    .. pydrake_system::
-
-        name: DesiredStateFeedback
-        input_ports:
-        - reference
-        output_ports:
-        - measured_load_state
-
-    `measured_load_state` (13) = [quaternion w x y z, position (m), angular velocity
-    (rad/s), velocity (m/s)], in W: the first part of `reference` (22).
     """
 
-    def __init__(self, model: Model, config: DesiredStateFeedbackConfig | None = None):
-        super().__init__()
-        self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
-        self.DeclareVectorOutputPort(
-            "measured_load_state", LOAD_STATE_SIZE, self._calc, {self.all_input_ports_ticket()}
-        )
+    reads = ("reference",)
+    makes = ("measured_load_state",)
 
-    trace_key = ()
-
-    def traced_output(self, port: str, at: At) -> NDArray:
-        return at.input("reference")[:LOAD_STATE_SIZE]
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._reference.Eval(context)[:LOAD_STATE_SIZE])
+    @staticmethod
+    def equations(reference: NDArray) -> NDArray:
+        return reference[:LOAD_STATE_SIZE]
 
 
 @dataclass(kw_only=True)
@@ -107,6 +82,7 @@ class DesiredAttitudeFeedbackConfig(StrictFields):
     """No parameters."""
 
 
+@documented
 class DesiredAttitudeFeedback(Selector, metaclass=BlockType):
     """The load's position and velocity, exact and without delay; its attitude as desired.
 
@@ -114,19 +90,11 @@ class DesiredAttitudeFeedback(Selector, metaclass=BlockType):
     the load's tilt. Cables of 100 m and more need that, since a change of 1 N, or of a hundredth of
     a radian, moves the carriers by metres.
 
-    .. pydrake_system::
-
-        name: DesiredAttitudeFeedback
-        input_ports:
-        - load_state
-        - reference
-        output_ports:
-        - measured_load_state
-
-    `load_state` and `measured_load_state` (13) = [quaternion w x y z, position (m), angular
-    velocity (rad/s), velocity (m/s)], in W; quaternion and angular velocity are those of
-    `reference` (22).
+    Quaternion and angular velocity are those of the `reference`.
     """
+
+    reads = ("load_state", "reference")
+    makes = ("measured_load_state",)
 
     def __init__(self, model: Model, config: DesiredAttitudeFeedbackConfig | None = None):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""
@@ -170,26 +138,6 @@ class NoisyFeedback(LeafBlock):
     samples every period gets the state of N periods before; in the first N periods the state at
     the start.
 
-    .. pydrake_system::
-
-        name: NoisyFeedback
-        input_ports:
-        - load_state
-        output_ports:
-        - measured_load_state
-
-    Both (13) = [quaternion w x y z, position (m), angular velocity
-    (rad/s), velocity (m/s)], in W.
-
-    Parameters, the fields of `NoisyFeedbackConfig`:
-        position_noise: m
-        orientation_noise: rad
-        velocity_noise: m/s
-        angular_velocity_noise: rad/s
-        delay: s, a multiple of the period
-        period: s, between samples of the noise and of the delayed state
-        seed: of the noise
-
     Attributes:
         deviations: (12,), standard deviations of the errors, in the order of a `TrackingError`.
         delay_periods: the delay in periods.
@@ -198,6 +146,9 @@ class NoisyFeedback(LeafBlock):
     Raises:
         ScenarioError: a field is out of range, or the delay no multiple of the period.
     """
+
+    reads = ("load_state",)
+    makes = ("measured_load_state",)
 
     def __init__(self, model: Model, config: NoisyFeedbackConfig | None = None):
         super().__init__()
@@ -360,32 +311,6 @@ class EstimatedFeedback(NoisyFeedback):
     The estimate begins with the load's true state, and is made anew every `period`: at the instant
     of a sample, the one that a controller holds has that instant's measurement in it; between two
     samples it goes on with its velocities. It is one of the delayed state: no delay is made up for.
-
-    .. pydrake_system::
-
-        name: EstimatedFeedback
-        input_ports:
-        - load_state
-        output_ports:
-        - measured_load_state
-
-    Both (13) = [quaternion w x y z, position (m), angular velocity
-    (rad/s), velocity (m/s)], in W.
-
-    Parameters, the fields of `EstimatedFeedbackConfig`:
-        position_noise: m
-        orientation_noise: rad
-        velocity_noise: m/s
-        angular_velocity_noise: rad/s
-        delay: s, a multiple of the period
-        period: s, between samples of the noise and of the delayed state
-        seed: of the noise
-        believed_position_noise: m
-        believed_orientation_noise: rad
-        believed_velocity_noise: m/s; 0: measured exactly
-        believed_angular_velocity_noise: rad/s; 0: measured exactly
-        process_acceleration: m/s², deviation of its mean over a period
-        process_angular_acceleration: rad/s², likewise
 
     Attributes:
         deviations, delay_periods, period: as of `NoisyFeedback`.

@@ -22,12 +22,12 @@ from drake_nonstop.mechanics.signals import (
     LoadState,
     Wrench,
 )
+from drake_nonstop.model.block import Block
 from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.parameters import declare_parameters, parameters_in
 from drake_nonstop.systems.point_forces import applied_force, no_forces
-from drake_nonstop.systems.traced_block import TracedDynamics
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import StrictFields
 
@@ -37,51 +37,34 @@ class LoadPlantConfig(StrictFields):
     """No parameters: mass, inertia, drag and attachments are the system's."""
 
 
-class LoadPlant(TracedDynamics):
+class LoadPlant(Block):
     """The rigid load: Newton-Euler with drag linear in the velocity through the air (eqs. 5-6).
 
-    .. pydrake_system::
-
-        name: LoadPlant
-        input_ports:
-        - cable_forces
-        - disturbance_wrench
-        - load_wind
-        output_ports:
-        - load_state
-
-    `cable_forces` (3n, N) act at the attachments, `disturbance_wrench` (6) = [torque (N m);
-    force (N)] at the centre of mass, in W. `load_wind` (3, m/s) is the air's velocity at the load,
-    in W. `load_state` (13) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity
-    (m/s)], in W, is the state, in the order of a free body in MultibodyPlant.
+    `load_state` is the state, in the order of a free body in MultibodyPlant.
     """
 
-    def __init__(self, model: Model, config: LoadPlantConfig | None = None):
-        attachments = model.attachments
+    reads = ("cable_forces", "disturbance_wrench", "load_wind")
+    makes = ("load_state",)
+    state_port = "load_state"
+    system = LOAD
+    of_model = ("attachments",)
 
-        def rate(
-            state: NDArray,
-            cable_forces: NDArray,
-            disturbance: NDArray,
-            wind: NDArray,
-            **load: NDArray,
-        ) -> NDArray:
-            return load_state_rate(
-                rigid_load(**load), state, cable_forces, disturbance, wind, attachments=attachments
-            )
-
-        super().__init__(
-            rate,
-            inputs={
-                "cable_forces": 3 * model.n,
-                "disturbance_wrench": WRENCH_SIZE,
-                "load_wind": WIND_SIZE,
-            },
-            state=model.initial_load_state,
-            state_port="load_state",
-            parameters=BlockParameters(model, LOAD),
-            key=("load", attachments),
+    @staticmethod
+    def equations(
+        state: NDArray,
+        cable_forces: NDArray,
+        disturbance: NDArray,
+        wind: NDArray,
+        *,
+        attachments: NDArray,
+        **load: NDArray,
+    ) -> NDArray:
+        return load_state_rate(
+            rigid_load(**load), state, cable_forces, disturbance, wind, attachments=attachments
         )
+
+    def state(self, model: Model) -> NDArray:
+        return model.initial_load_state
 
     def SetLoadState(self, context: Context, value: NDArray) -> None:
         context.SetContinuousState(value)
@@ -113,22 +96,9 @@ class MultibodyLoadPlant(DiagramBlock):
 
     It has the ports of `LoadPlant` and shares no equation with it: the cables' forces act at the
     attachment points, and gravity, gyroscopic terms and the quaternion's kinematics are Drake's.
-
-    .. pydrake_system::
-
-        name: MultibodyLoadPlant
-        input_ports:
-        - cable_forces
-        - disturbance_wrench
-        - load_wind
-        output_ports:
-        - load_state
-
-    `cable_forces` (3n, N) act at the attachments, `disturbance_wrench` (6) = [torque (N m);
-    force (N)] at the centre of mass, in W. `load_wind` (3, m/s) is the air's velocity at the load,
-    in W. `load_state` (13) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity
-    (m/s)], in W, is the plant's state.
     """
+
+    reads, makes = LoadPlant.reads, LoadPlant.makes
 
     def __init__(self, model: Model, config: MultibodyLoadPlantConfig | None = None):
         super().__init__()

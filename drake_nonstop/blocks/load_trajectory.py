@@ -114,18 +114,7 @@ class _AlongTrajectory(TracedBlock):
 class LoadTrajectory(_AlongTrajectory):
     """The desired motion of the load along a piecewise polynomial.
 
-    .. pydrake_system::
-
-        name: LoadTrajectory
-        output_ports:
-        - reference
-        - reference_higher_rates
-        - reference_preview
-
-    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
-    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
+    `reference_preview` is a `ReferencePreview`: the reference at any time.
 
     Args:
         trajectory: the rows [roll, pitch, yaw (rad), x, y, z (m)], or other coordinates that
@@ -136,6 +125,8 @@ class LoadTrajectory(_AlongTrajectory):
             pitch, yaw, x, y, z], (5, 6), and runs on object arrays. None: the rows are these.
         yaw_rate: rad/s, at which the load turns about the vertical besides, at all times.
     """
+
+    makes = ("reference", "reference_higher_rates", "reference_preview")
 
     traced_output: Any = None  # all of it is known beforehand, see `known_over`
 
@@ -326,29 +317,6 @@ class RestToRest(LoadTrajectory):
 
     A quintic's jerk steps where it begins and ends; that of `blend` "c4" is continuous.
 
-    .. pydrake_system::
-
-        name: RestToRest
-        output_ports:
-        - reference
-        - reference_higher_rates
-        - reference_preview
-
-    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
-    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
-
-    Parameters, the fields of `RestToRestConfig`:
-        start_position: m
-        start_roll_pitch_yaw: rad
-        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
-            septic.
-        displacement: m
-        roll_pitch_yaw: rad, change
-        start_time: s
-        move_time: s
-
     Raises:
         ScenarioError: move_time is not above zero, start_time is negative, a vector does not
             hold 3 finite numbers, or `blend` is another text.
@@ -387,29 +355,6 @@ class ConstantVelocityMove(LoadTrajectory):
     The paper's steps in velocity are blended over `blend_time`, by a quintic (so that the jerk is
     continuous) centred on the step: the line has the same length and is crossed at the same times.
     With `blend` "c4" the jerk's rate is continuous, too.
-
-    .. pydrake_system::
-
-        name: ConstantVelocityMove
-        output_ports:
-        - reference
-        - reference_higher_rates
-        - reference_preview
-
-    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
-    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
-
-    Parameters, the fields of `ConstantVelocityMoveConfig`:
-        start_position: m
-        start_roll_pitch_yaw: rad
-        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
-            septic.
-        velocity: m/s
-        start_time: s
-        move_time: s
-        blend_time: s, of each change of velocity, centred on it; 0: a step
 
     Raises:
         ScenarioError: move_time is not above zero, start_time or blend_time is negative,
@@ -476,29 +421,6 @@ class Waypoints(LoadTrajectory):
     `RestToRest`: velocity and acceleration are continuous and are zero at each waypoint, and with
     `blend` "c4" the jerk.
     Angles are interpolated as given: from yaw 3 to yaw −3 the load rotates back by 6 rad.
-
-    .. pydrake_system::
-
-        name: Waypoints
-        output_ports:
-        - reference
-        - reference_higher_rates
-        - reference_preview
-
-    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
-    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
-
-    Parameters, the fields of `WaypointsConfig`:
-        start_position: m
-        start_roll_pitch_yaw: rad
-        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
-            septic.
-        positions: m, in W, a row per waypoint
-        roll_pitch_yaw: rad, a row per waypoint; empty: the start's
-        move_times: s, of each leg
-        rest_times: s, before each leg; empty: none
 
     Raises:
         ScenarioError: the config's lists do not hold a finite row, and a time, per waypoint;
@@ -568,31 +490,6 @@ class Circle(LoadTrajectory):
     or, with `blend` "c4", a septic, and the jerk is. The position is on the circle to rounding:
     p = c + r (cos θ, sin θ), with its derivatives by the chain rule.
 
-    .. pydrake_system::
-
-        name: Circle
-        output_ports:
-        - reference
-        - reference_higher_rates
-        - reference_preview
-
-    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
-    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
-
-    Parameters, the fields of `CircleConfig`:
-        start_position: m
-        start_roll_pitch_yaw: rad
-        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
-            septic.
-        radius: m
-        centre_direction: rad, of the centre seen from the start, x to y
-        turns: number of rounds, counter-clockwise from above; negative: clockwise
-        turns_with_path: whether the load's yaw rotates as much as its path
-        start_time: s
-        move_time: s
-
     Raises:
         ScenarioError: radius or move_time is not above zero, start_time is negative,
             another number is not finite, or `blend` is another text.
@@ -644,29 +541,6 @@ class SteadyTurn(LoadTrajectory):
     metre. Its position moves from rest to rest as in `RestToRest`; roll and pitch stay those of the
     start. With `ConstantSpread` the carriers fly level circles at a constant tension.
 
-    .. pydrake_system::
-
-        name: SteadyTurn
-        output_ports:
-        - reference
-        - reference_higher_rates
-        - reference_preview
-
-    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
-    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
-
-    Parameters, the fields of `SteadyTurnConfig`:
-        start_position: m
-        start_roll_pitch_yaw: rad
-        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
-            septic.
-        yaw_rate: rad/s, at all times, counter-clockwise from above; not 0
-        displacement: m
-        start_time: s, of the displacement
-        move_time: s, of the displacement
-
     Raises:
         ScenarioError: yaw_rate is 0, move_time is not above zero, start_time is negative, a
             vector does not hold 3 finite numbers, or `blend` is another text.
@@ -714,33 +588,13 @@ class PlannedTurn(_AlongTrajectory):
     to make smooth ξ: give `phase: !ShapedPhase`. With `ConstantSpread` the carriers fly level
     circles.
 
-    .. pydrake_system::
-
-        name: PlannedTurn
-        input_ports:
-        - planned
-        output_ports:
-        - reference
-        - reference_higher_rates
-
-    `planned` (8) = [θ (rad), ξ (rad/s), A (N), ξ̇ (rad/s²), Ȧ (N/s), ξ̈ (rad/s³), Ä (N/s²), A⃛
-    (N/s³)], of which those of θ and ξ count; `reference` (22) = [quaternion w x y z, position (m),
-    angular velocity (rad/s), velocity (m/s), angular acceleration (rad/s²), acceleration (m/s²),
-    jerk (m/s³)], in W. `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
-
-    Parameters, the fields of `PlannedTurnConfig`:
-        start_position: m
-        start_roll_pitch_yaw: rad
-        blend: "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a
-            septic.
-        displacement: m
-        start_time: s, of the displacement
-        move_time: s, of the displacement
-
     Raises:
         ScenarioError: move_time is not above zero, start_time is negative, a vector does not hold
             3 finite numbers, or `blend` is another text.
     """
+
+    reads = ("planned",)
+    makes = ("reference", "reference_higher_rates")
 
     def __init__(self, model: Model, config: PlannedTurnConfig | None = None):
         config = config or PlannedTurnConfig()
@@ -814,25 +668,6 @@ class SampledTrajectory(LoadTrajectory):
     the velocity is zero, and the acceleration steps: samples that begin and end at rest for a
     while make these steps small. The jerk steps at each sample. Omitted angles are zero; given
     ones are not unwrapped, so that a yaw that jumps by 2π makes the load rotate once.
-
-    .. pydrake_system::
-
-        name: SampledTrajectory
-        output_ports:
-        - reference
-        - reference_higher_rates
-        - reference_preview
-
-    `reference` (22) = [quaternion w x y z, position (m), angular velocity (rad/s), velocity (m/s),
-    angular acceleration (rad/s²), acceleration (m/s²), jerk (m/s³)], in W.
-    `reference_higher_rates` (6) = [angular jerk (rad/s³), snap (m/s⁴)], in W.
-    `reference_preview` (abstract) is a `ReferencePreview`: the reference at any time.
-
-    Parameters, the fields of `SampledTrajectoryConfig`:
-        file: A CSV file with the samples, read as a scenario is loaded; its first line names the
-            columns t, x, y, z or t, x, y, z, roll, pitch, yaw. Empty: the samples are given here.
-        samples: s, m, rad; Rows of t, x, y, z or of t, x, y, z, roll, pitch, yaw; omitted angles
-            are 0.
 
     Raises:
         ScenarioError: the file cannot be read, or the samples cannot be used: see

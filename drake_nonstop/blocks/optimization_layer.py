@@ -6,7 +6,7 @@ import pickle
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import casadi
 import numpy as np
@@ -37,6 +37,7 @@ from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
+    LAYER_LAYOUTS,
     Diagnostics,
     Outcome,
     count_missed,
@@ -117,72 +118,29 @@ class NonstopOptimizer(SpeedBoundLayer):
     Converted to AutoDiffXd or Expression the layer holds ξ and A, and an update raises
     ScenarioError: it solves with floating-point numbers only.
 
-    .. pydrake_system::
-
-        name: NonstopOptimizer
-        input_ports:
-        - measured_load_state
-        - reference
-        - wrench
-        - wrench_rate
-        - phase
-        - wind_estimate
-        - speed_bound_command
-        output_ports:
-        - parameters
-        - diagnostics
-        - solve_time
-        - speed_bound
-        - missed_limits
-
-    `measured_load_state` (13), `reference` (22), `wrench` and `wrench_rate` (6, [torque; force]),
-    all in W; `phase` (2) = [θ, ∂θ/∂ξ]; `speed_bound_command` (1) in m/s, of the range of
-    `set_speed_bound`, may be left unconnected; `parameters` (2) = [ξ (rad/s), A (N)]; `diagnostics`
-    (7) = [outcome, updates, kept, solved, relaxed, held, predicted smallest speed minus the
-    untightened ε (m/s)], the fields of `Diagnostics`; `solve_time` (1) is the wall time in s that
-    the last update took, from its inputs to its answer; `speed_bound` (1) is the ε that was set or
-    is commanded, in m/s. With aircraft there is `wind_estimate` (3, m/s, in W), which may be left
-    unconnected in still air. `missed_limits` tells how many updates ended without keeping each
-    limit that is asked for, of aircraft also the bound; without any there is no such port. All
-    outputs are state or parameters: nothing feeds through but a command to the `speed_bound`.
-
-    Parameters, the fields of `NonstopOptimizerConfig`:
-        speed_bound: m/s, ε; of aircraft also "1.4 V_s"
-        tightening: the solver aims at (1 + tightening) ε; "auto": computed
-        speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
-        model_error: share of the load's weight by which its wrench may be off
-        frequency: rad/s, ξ at the start
-        amplitude: N, A at the start
-        frequency_bounds: rad/s
-        amplitude_bounds: N; none: from the load's weight
-        max_frequency_rate: rad/s²
-        max_amplitude_rate: N/s
-        max_speed: m/s, of a carrier
-        min_tension: N; 0: any
-        max_tension: N
-        min_separation: m, of two carriers over a whole orbit; 0: any
-        max_lift_share: of C_Lmax, what aircraft need at most
-        max_bank: rad, of aircraft, to either side
-        max_climb: rad, of aircraft, up or down
-        max_thrust_share: of the range of an aircraft's thrust, about its middle
-        look_ahead_points: instants from now to the next update; 1: now, as in the paper
-        look_ahead_time: s, from the next update to the orbit ahead, where points > 1
-        orbit_points: phases of the orbit ahead; 1: the present one, as in the paper
-        orbit_updates: successive updates that share these phases
-        load_motion: of the carriers; "desired", or "measured" as in the paper
-        internal_force_weight: w_pos of eq. 26
-        internal_force_rate_weight: w_vel of eq. 26
-        anchor_weight: of the distance from the initial ξ and A, at rest
-        period: s, between updates
-        change_time: s, in which a bound or a switch set during a run takes effect
-        solver: "search", "grid", "snopt", "ipopt" or "nlopt"
-        global_search: compare what snopt, ipopt or nlopt finds with the search
+    Without `wind_estimate`, which is there with aircraft, the air is still. `diagnostics` are the
+    fields of `Diagnostics`; `missed_limits` tells how many updates ended without keeping each limit
+    that is asked for, of aircraft also the bound. All outputs are state or parameters: nothing
+    feeds through but a command to the `speed_bound`.
 
     Raises:
         ScenarioError: a parameter is out of range, or the period is no multiple of the
             control period; during a run, the command is out of range.
     """
 
+    reads = (
+        "measured_load_state",
+        "reference",
+        "wrench",
+        "wrench_rate",
+        "phase",
+        "wind_estimate",
+        "speed_bound_command",
+    )
+    makes = ("parameters", "diagnostics", "solve_time", "speed_bound", "missed_limits")
+
+    where: ClassVar = {_WIND: "there are aircraft", "missed_limits": "limits are asked for"}
+    signal_layouts = LAYER_LAYOUTS
     optional_inputs = (COMMAND, _WIND)
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
@@ -225,6 +183,7 @@ class NonstopOptimizer(SpeedBoundLayer):
         self.declare_command()
         self.declare_bound()
         self._counted = missed_limits_of(config, model)
+        self.signal_layouts = {}
         if self._counted:
             self._missed = self.DeclareDiscreteState(len(self._counted))
             self.DeclareStateOutputPort("missed_limits", self._missed)
@@ -411,28 +370,16 @@ class ConstantParametersConfig(StrictFields):
 class ConstantParameters(LeafBlock):
     """Constant ξ and A: the loop without optimization.
 
-    .. pydrake_system::
-
-        name: ConstantParameters
-        input_ports:
-        - speed_bound_command
-        output_ports:
-        - parameters
-        - speed_bound
-
-    `parameters` (2) = [ξ (rad/s), A (N)]; `speed_bound` (1) is ε in m/s, which nothing enforces:
-    the `speed_bound_command` (1), which may be left unconnected, or else what `set_speed_bound`
+    Nothing enforces the `speed_bound`: the `speed_bound_command`, or else what `set_speed_bound`
     changes during a run.
-
-    Parameters, the fields of `ConstantParametersConfig`:
-        frequency: rad/s, ξ
-        amplitude: N, A; 0 for a constant pattern, and for no other
-        speed_bound: m/s, ε; reported, not enforced; also "1.4 V_s"
 
     Raises:
         ScenarioError: frequency or amplitude is not positive, an amplitude is given for a pattern
             without orbits, or the bound is negative; during a run, the command is negative.
     """
+
+    reads = ("speed_bound_command",)
+    makes = ("parameters", "speed_bound")
 
     is_trivial = True  # ξ and A never change
     is_sampled = True

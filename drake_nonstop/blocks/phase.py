@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,11 @@ from pydrake.systems.framework import (
 
 from drake_nonstop.mechanics.shaping import Smoothing
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, PLANNED_SIZE
+from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, weakly
 from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.traced_block import TracedDynamics
 from drake_nonstop.validation import StrictFields, require_positive
 
 _BOX = "phase"
@@ -33,45 +33,29 @@ class AccumulatedPhaseConfig(StrictFields):
     """No parameters."""
 
 
-class AccumulatedPhase(TracedDynamics):
+class AccumulatedPhase(Block):
     """θ̇ = ξ: the phase is continuous, also where ξ jumps.
 
     The paper's cos(ξ(t) t + φ), that of `PaperPhase`, jumps by t Δξ when ξ changes.
 
-    .. pydrake_system::
-
-        name: AccumulatedPhase
-        input_ports:
-        - parameters
-        output_ports:
-        - phase
-        - planned
-
-    `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ (rad), ∂θ/∂ξ = 0 (s)] is
-    the state: continuous, or stepped at each sample where the model has a control period.
-    `planned` (8) = [θ, ξ, A, 0, 0, 0, 0, 0] tells no rates: those of constant ξ and A.
+    `phase` is the state: continuous, or stepped at each sample where the model has a control
+    period. `planned` tells no rates: those of constant ξ and A.
     """
 
+    reads = ("parameters",)
+    makes = ("phase", "planned")
+    state_port = "phase"
     is_sampled = True
+    updates_first = True  # the optimization layer, which updates then, too, reads the new phase
 
-    def __init__(self, model: Model, config: AccumulatedPhaseConfig | None = None):
-        # The optimization layer, which updates at the same instant, reads the stepped phase.
-        super().__init__(
-            _accumulated,
-            inputs={"parameters": PARAMETERS_SIZE},
-            outputs={"phase": PHASE_SIZE, "planned": PLANNED_SIZE},
-            state=np.zeros(PHASE_SIZE),
-            period=model.control_period,
-            updates_first=True,
-            key="accumulated phase",
-        )
+    @staticmethod
+    def equations(phase: NDArray, parameters: NDArray) -> tuple[NDArray, NDArray]:
+        none = 0 * parameters[:1]
+        rate = np.concatenate([parameters[:1], none])
+        return rate, np.concatenate([phase[:1], parameters, *[none] * 5])
 
-
-def _accumulated(phase: NDArray, parameters: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """The rate of the phase, itself, and `planned`."""
-    none = 0 * parameters[:1]
-    rate = np.concatenate([parameters[:1], none])
-    return rate, phase, np.concatenate([phase[:1], parameters, *[none] * 5])
+    def state(self, model: Model) -> NDArray:
+        return np.zeros(PHASE_SIZE)
 
 
 @dataclass(kw_only=True)
@@ -79,63 +63,30 @@ class PaperPhaseConfig(StrictFields):
     """No parameters."""
 
 
-class PaperPhase(LeafBlock):
+class PaperPhase(Block):
     """θ = ξ(t) t with the current frequency ξ, as printed in the paper (eq. 23).
 
-    .. pydrake_system::
-
-        name: PaperPhase
-        input_ports:
-        - parameters
-        - sample_time (where the model has a control period)
-        output_ports:
-        - phase
-        - planned
-
-    `parameters` (2) = [ξ (rad/s), A (N)]; `phase` (2) = [θ = ξ t (rad), ∂θ/∂ξ = t (s)].
-    Behind a sampled controller t is the `sample_time` (1), in s. `planned` (8) =
-    [θ, ξ, A, 0, 0, 0, 0, 0] tells no rates: those of constant ξ and A.
+    Behind a sampled controller t is the `sample_time`. `planned` tells no rates: those of constant
+    ξ and A.
     """
 
+    reads = ("parameters", "sample_time")
+    makes = ("phase", "planned")
+    where: ClassVar = {"sample_time": "the model has a control period"}
     is_sampled = True
 
     def __init__(self, model: Model, config: PaperPhaseConfig | None = None):
-        super().__init__()
-        self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
-        self._sample_time = None
-        prerequisites = {self.all_input_ports_ticket()}
-        if model.control_period > 0:
-            self._sample_time = self.DeclareVectorInputPort("sample_time", 1)
-        else:
-            prerequisites.add(self.time_ticket())
-        for name, size, calc in (
-            ("phase", PHASE_SIZE, self._calc_phase),
-            ("planned", PLANNED_SIZE, self._calc_planned),
-        ):
-            self.DeclareVectorOutputPort(name, size, calc, prerequisites)
+        self.reads_time = model.control_period == 0
+        super().__init__(model, config)
 
-    def _time(self, context: Context) -> Any:
-        if self._sample_time is not None:
-            return self._sample_time.Eval(context)[0]
-        return context.get_time()
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        return self.reads if model.control_period > 0 else self.reads[:1]
 
-    trace_key = ()  # the ports tell whether there are samples
-
-    def traced_output(self, port: str, at: At) -> NDArray:
-        frequency, amplitude = at.input("parameters")
-        (time,) = at.time if self._sample_time is None else at.input("sample_time")
-        if port == "phase":
-            return np.array([frequency * time, time])
-        return np.array([frequency * time, frequency, amplitude, *[0.0 * time] * 5])
-
-    def _calc_phase(self, context: Context, output: BasicVector) -> None:
-        time = self._time(context)
-        frequency, _ = self._parameters.Eval(context)
-        output.SetFromVector([frequency * time, time])
-
-    def _calc_planned(self, context: Context, output: BasicVector) -> None:
-        frequency, amplitude = self._parameters.Eval(context)
-        output.SetFromVector([frequency * self._time(context), frequency, amplitude, *[0.0] * 5])
+    @staticmethod
+    def equations(parameters: NDArray, time: NDArray) -> tuple[NDArray, NDArray]:
+        angle = parameters[:1] * time
+        planned = np.concatenate([angle, parameters, *[0 * time] * 5])
+        return np.concatenate([angle, time]), planned
 
 
 @dataclass(kw_only=True)
@@ -156,30 +107,15 @@ class ShapedPhase(LeafBlock):
     largest rate, whatever the parameters do. It starts at the parameters of the first sample, or
     step, with rates of zero.
 
-    .. pydrake_system::
-
-        name: ShapedPhase
-        input_ports:
-        - parameters
-        - plan
-        output_ports:
-        - phase
-        - planned
-
-    `parameters` (2) = [ξ (rad/s), A (N)], what ξ and A are to become; `plan` (8), which may be
-    left unconnected, and `planned` (8) = [θ (rad), ξ (rad/s), A (N), ξ̇ (rad/s²), Ȧ (N/s),
-    ξ̈ (rad/s³), Ä (N/s²), A⃛ (N/s³)]; `phase` (2) = [θ (rad), ∂θ/∂ξ = 0 (s)]. θ, ξ, A and their
-    rates are the state: continuous, or stepped at each sample, exactly, where the model has a
-    control period.
-
-    Parameters, the fields of `ShapedPhaseConfig`:
-        bandwidth: rad/s, of each of three equal poles
-        max_frequency_rate: rad/s², of ξ
-        max_amplitude_rate: N/s, of A
+    θ, ξ, A and their rates are the state: continuous, or stepped at each sample, exactly, where the
+    model has a control period.
 
     Raises:
         ScenarioError: a parameter is not positive, or the bandwidth is not finite.
     """
+
+    reads = ("parameters", "plan")
+    makes = ("phase", "planned")
 
     is_sampled = True
     optional_inputs = ("plan",)

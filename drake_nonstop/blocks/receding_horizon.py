@@ -4,7 +4,7 @@ import math
 import threading
 import time as clock
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import casadi
 import numpy as np
@@ -39,6 +39,7 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
+    LAYER_LAYOUTS,
     Outcome,
     count_missed,
     count_update,
@@ -122,68 +123,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     Converted to AutoDiffXd or Expression the layer goes on with its plan, and an update raises
     ScenarioError: it solves with floating-point numbers only.
 
-    .. pydrake_system::
-
-        name: RecedingHorizonOptimizer
-        input_ports:
-        - reference
-        - reference_preview
-        - wind_estimate
-        - speed_bound_command
-        output_ports:
-        - parameters
-        - plan
-        - diagnostics
-        - solve_time
-        - speed_bound
-        - missed_limits
-
-    `reference` (22) in W; `reference_preview`, abstract-valued, a `ReferencePreview`,
-    `wind_estimate` (3) in m/s, in W, and `speed_bound_command` (1) in m/s may be left unconnected;
-    `parameters` (2) = [ξ (rad/s), A (N)]; `plan` (8) = [θ (rad), ξ (rad/s), A (N), ξ̇ (rad/s²),
-    Ȧ (N/s), ξ̈ (rad/s³), Ä (N/s²), A⃛ (N/s³)]; `diagnostics` (7), the fields of `Diagnostics`,
-    whose speed margin is the smallest of the whole horizon; `solve_time` (1) is the wall time in s
-    that the last plan took; `speed_bound` (1) is the ε that was set or is commanded, in m/s;
-    `missed_limits` tells how many plans do not keep each limit that is asked for, of aircraft also
-    the bound; without any there is no such port.
-
-    Parameters, the fields of `RecedingHorizonOptimizerConfig`:
-        speed_bound: m/s, ε; of aircraft also "1.4 V_s"
-        tightening: the solver aims at (1 + tightening) ε; "auto": computed
-        speed_margin: m/s above ε that "auto" aims at; 0: computed for the loop
-        model_error: share of the load's weight by which its wrench may be off
-        frequency: rad/s, ξ at the start
-        amplitude: N, A at the start
-        frequency_bounds: rad/s
-        amplitude_bounds: N; none: from the load's weight
-        max_frequency_rate: rad/s²
-        max_amplitude_rate: N/s
-        max_speed: m/s, of a carrier
-        min_tension: N; 0: any
-        max_tension: N
-        min_separation: m, of two carriers over a whole orbit; 0: any
-        max_lift_share: of C_Lmax, what aircraft need at most
-        max_bank: rad, of aircraft, to either side
-        max_climb: rad, of aircraft, up or down
-        max_thrust_share: of the range of an aircraft's thrust, about its middle
-        horizon: s; 0: nearly two turns, at least 15 intervals between knots
-        knot_spacing: s, also the time between two plans; 0: an eighth of a turn
-        instants: between two knots, at which the carriers' flight is constrained
-        terminal_knots: of the last part, in which all phases of the orbit are constrained
-        terminal_instants: of it, between two knots
-        terminal_phases: of the orbit
-        terminal_amplitudes: of the table
-        amplitude_weight: w_A
-        smoothing: τ, in intervals between knots
-        slack_weight: ρ
-        fixed_coefficients: the first of ξ and A: 4 for three continuous rates
-        overshoot: of a carrier's velocity after a jump of the plan's, of that jump
-        settling_time: s, of that overshoot
-        orbit_tightening: of the speed of the nominal orbits, the least margin
-        preview: read the motion ahead; without it the motion goes on as it does
-        wind: count the wind that aircraft fly in; without it their ground speed counts
-        max_iterations: quadratic programs of a plan
-        time_limit: s, of wall time, beyond which the plan that exists goes on
+    `diagnostics` are the fields of `Diagnostics`, whose speed margin is the smallest of the whole
+    horizon; `missed_limits` tells how many plans do not keep each limit that is asked for, of
+    aircraft also the bound.
 
     Raises:
         ScenarioError: a parameter is out of range, the horizon is shorter than a turn or the knots
@@ -191,6 +133,11 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             preview ends before the horizon.
     """
 
+    reads = ("reference", "reference_preview", "wind_estimate", "speed_bound_command")
+    makes = ("parameters", "plan", "diagnostics", "solve_time", "speed_bound", "missed_limits")
+
+    where: ClassVar = {_WIND: "there are aircraft", "missed_limits": "limits are asked for"}
+    signal_layouts = LAYER_LAYOUTS
     optional_inputs = (_PREVIEW, _WIND, COMMAND)
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
@@ -229,6 +176,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         self.DeclareStateOutputPort("solve_time", self._solve_time)
         self.declare_bound()
         self._counted = missed_limits_of(config, model)
+        self.signal_layouts = {}
         if self._counted:
             self._missed = self.DeclareDiscreteState(len(self._counted))
             self.DeclareStateOutputPort("missed_limits", self._missed)

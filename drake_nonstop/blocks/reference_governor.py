@@ -68,19 +68,8 @@ class ReferenceGovernor(LeafBlock):
     at the time and place of its reference. ξ and A are looked for within a factor of 1.5 of the
     nominal ones.
 
-    .. pydrake_system::
-
-        name: ReferenceGovernor
-        output_ports:
-        - reference
-        - reference_higher_rates
-        - reference_preview
-        - reference_delay
-
-    `reference` (22) is that of trajectories, in W, and so is `reference_higher_rates` (6), which
-    is left out where the trajectory's preview does not tell it; its snap steps at the knots of d.
-    `reference_preview` (abstract) is a `ReferencePreview`: the same at any time; `reference_delay`
-    (1) = d in s.
+    `reference_higher_rates` is left out where the trajectory's preview does not tell it; its snap
+    steps at the knots of d. `reference_preview` is a `ReferencePreview`.
 
     Args:
         preview: of the trajectory.
@@ -90,6 +79,8 @@ class ReferenceGovernor(LeafBlock):
         ScenarioError: the time of a context of AutoDiffXd has derivatives, or one of Expression
             has variables.
     """
+
+    makes = ("reference", "reference_higher_rates", "reference_preview", "reference_delay")
 
     def __init__(self, preview: ReferencePreview, delay: PathDelay):
         super().__init__()

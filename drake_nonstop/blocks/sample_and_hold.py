@@ -36,24 +36,7 @@ class SampleAndHold(LeafBlock):
     the same instant reads the new sample (Drake's ZeroOrderHold is a discrete update and
     would give it the one before).
 
-    .. pydrake_system::
-
-        name: SampleAndHold
-        input_ports:
-        - measured_load_state
-        - reference
-        - reference_higher_rates
-        - wind_estimate (where it is held)
-        output_ports:
-        - held_measured_load_state
-        - held_reference
-        - held_reference_higher_rates
-        - held_wind_estimate (where it is held)
-        - sample_time
-
-    `measured_load_state` (13), `reference` (22), `reference_higher_rates` (6), which may be left
-    unconnected and then are held as zero, and `wind_estimate` (3) are SI, in W, and so are the
-    held ones; `sample_time` (1) is the time of the sample in s.
+    What is left unconnected is held as zero.
 
     Args:
         model: its control period.
@@ -64,6 +47,16 @@ class SampleAndHold(LeafBlock):
     Attributes:
         period: s, between samples.
     """
+
+    reads = ("measured_load_state", "reference", "reference_higher_rates", "wind_estimate")
+    makes = (
+        "held_measured_load_state",
+        "held_reference",
+        "held_reference_higher_rates",
+        "held_wind_estimate",
+        "sample_time",
+    )
+    where: ClassVar = {"wind_estimate": "it is held", "held_wind_estimate": "it is held"}
 
     optional_inputs = (_HIGHER_RATES,)
     signal_layouts: ClassVar = {"sample_time": Layout(Part("", "1", "s"))}

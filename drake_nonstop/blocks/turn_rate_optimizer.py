@@ -23,6 +23,7 @@ from drake_nonstop.model.block_parameters import (
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
+    LAYER_LAYOUTS,
     count_missed,
     count_update,
     missed_layout,
@@ -89,47 +90,20 @@ class TurnRateOptimizer(LeafBlock):
     `optimization.turn_rate`. Where it is empty ξ is the least infeasible one; the airspeed comes
     first.
 
-    .. pydrake_system::
-
-        name: TurnRateOptimizer
-        input_ports:
-        - reference
-        - wrench
-        - wrench_rate
-        - wind_estimate
-        output_ports:
-        - parameters
-        - diagnostics
-        - solve_time
-        - speed_bound
-        - missed_limits
-
-    `reference` (22), `wrench` and `wrench_rate` (6, [torque; force]), in W; `wind_estimate` (3,
-    m/s) in W, which may be left unconnected in still air; `parameters` (2) = [ξ (rad/s), 0];
-    `diagnostics` (7), the fields of `Diagnostics`; `solve_time` (1) is the wall time in s of the
-    last update; `speed_bound` (1) is ε in m/s; `missed_limits` tells how many updates ended without
-    keeping the bound, and each limit that is asked for. All outputs are state or parameters.
-
-    Parameters, the fields of `TurnRateOptimizerConfig`:
-        speed_bound: m/s, ε; also "1.4 V_s"
-        tightening: the solver aims at (1 + tightening) ε
-        frequency: rad/s, ξ at the start
-        frequency_bounds: rad/s
-        max_frequency_rate: rad/s²
-        max_lift_share: of C_Lmax, what aircraft need at most
-        max_bank: rad, of aircraft, to either side
-        max_climb: rad, of aircraft, up or down
-        max_thrust_share: of the range of an aircraft's thrust, about its middle
-        anchor_weight: of the distance from the initial ξ
-        orbit_points: phases of a turn at which all this holds
-        period: s, between updates
+    A of the `parameters` is 0. `diagnostics` are the fields of `Diagnostics`; `missed_limits` tells
+    how many updates ended without keeping the bound, and each limit that is asked for. All outputs
+    are state or parameters.
 
     Raises:
         ScenarioError: the system has no aircraft, a parameter is out of range, or the period is no
             multiple of the control period.
     """
 
+    reads = ("reference", "wrench", "wrench_rate", "wind_estimate")
+    makes = ("parameters", "diagnostics", "solve_time", "speed_bound", "missed_limits")
+
     is_sampled = True
+    signal_layouts = LAYER_LAYOUTS
     optional_inputs = (_WIND,)
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:

@@ -20,6 +20,7 @@ from drake_nonstop.mechanics.coloured_noise import (
 )
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierStates, LoadState
 from drake_nonstop.mechanics.wind import LOWEST_HEIGHT, power_law, risen_share
+from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.systems.diagram_trace import At
@@ -47,36 +48,18 @@ class StillAirConfig(StrictFields):
     """No parameters."""
 
 
-class StillAir(LeafBlock):
-    """No wind.
+class StillAir(Block):
+    """No wind."""
 
-    .. pydrake_system::
-
-        name: StillAir
-        output_ports:
-        - wind
-        - load_wind
-        - wind_estimate
-
-    `wind` (3n) at the carriers, `load_wind` (3) at the load and `wind_estimate` (3), which the
-    controllers believe, in m/s, in W: zero.
-    """
+    makes = ("wind", "load_wind", "wind_estimate")
 
     is_trivial = True  # nothing blows
     is_sampled = True
+    of_model = ("n",)
 
-    def __init__(self, model: Model, config: StillAirConfig | None = None):
-        super().__init__()
-        for name, size in (("wind", 3 * model.n), ("load_wind", 3), ("wind_estimate", 3)):
-            self.DeclareVectorOutputPort(name, size, self._calc, {self.nothing_ticket()})
-
-    trace_key = ()
-
-    def traced_output(self, port: str, at: At) -> NDArray:
-        return constants(np.zeros(self.GetOutputPort(port).size()))
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.zeros(output.size()))
+    @staticmethod
+    def equations(*, n: int) -> tuple[NDArray, NDArray, NDArray]:
+        return np.zeros(3 * n), np.zeros(3), np.zeros(3)
 
 
 @dataclass(kw_only=True)
@@ -104,6 +87,8 @@ class _MeanWind(LeafBlock):
         believed: (3,), m/s, in W, what the controllers believe; None: the mean wind at the load.
         jumps: whether the mean wind comes at once after the start.
     """
+
+    makes = StillAir.makes
 
     def __init__(self, config: _MeanWindFields):
         super().__init__()
@@ -150,23 +135,6 @@ def _checked_velocity(name: str, value: Any) -> NDArray:
 class SteadyWind(_MeanWind):
     """The same wind everywhere, from the beginning on or rising linearly from still air.
 
-    .. pydrake_system::
-
-        name: SteadyWind
-        output_ports:
-        - wind
-        - load_wind
-        - wind_estimate
-
-    `wind` (3n) at the carriers, `load_wind` (3) at the load and `wind_estimate` (3), which the
-    controllers believe, in m/s, in W.
-
-    Parameters, the fields of `SteadyWindConfig`:
-        velocity: m/s, in W
-        start_time: s, still air before it
-        rise_time: s, in which it then rises linearly to the velocity; 0: at once
-        believed: m/s, in W, wind_estimate; null: the mean wind at the load
-
     Raises:
         ScenarioError: a field is out of range.
     """
@@ -208,6 +176,8 @@ class _Profile(_MeanWind):
         model: of the carriers.
         config: the block's.
     """
+
+    reads = ("carrier_state", "load_state")
 
     def __init__(self, model: Model, config: _ProfileFields):
         super().__init__(config)
@@ -295,30 +265,7 @@ class WindProfile(_Profile):
 
     w = w_r (h/h_r)^α at the height h, which counts as 1 m below 1 m, see `mechanics.wind`.
 
-    .. pydrake_system::
-
-        name: WindProfile
-        input_ports:
-        - carrier_state
-        - load_state
-        output_ports:
-        - wind
-        - load_wind
-        - wind_estimate
-
-    `carrier_state` (6n) = [positions (m), velocities (m/s)] and `load_state` (13) = [quaternion
-    w x y z, position (m), angular velocity (rad/s), velocity (m/s)], in W, tell the heights;
-    `wind` (3n) at the carriers, `load_wind` (3) at the load and `wind_estimate` (3), which the
-    controllers believe, in m/s, in W.
-
-    Parameters, the fields of `WindProfileConfig`:
-        velocity: m/s, in W
-        start_time: s, still air before it
-        rise_time: s, in which it then rises linearly to the velocity; 0: at once
-        believed: m/s, in W, wind_estimate; null: the mean wind at the load
-        exponent: of the height; 0.14: open land, 0: the same wind everywhere
-        reference_height: m, above the ground, where the wind has the velocity
-        ground_height: m, z of the ground in W
+    Carrier and load states tell the heights.
 
     Raises:
         ScenarioError: a field is out of range.
@@ -349,37 +296,6 @@ class GustyWind(_Profile):
     the correlation length over the airspeed: a function of time alone, so that runs repeat to the
     bit whatever the integrator's steps are. A carrier's gusts follow from the seed and its number.
     They are there from the start on; a mean wind may rise later.
-
-    .. pydrake_system::
-
-        name: GustyWind
-        input_ports:
-        - carrier_state
-        - load_state
-        output_ports:
-        - wind
-        - load_wind
-        - wind_estimate
-
-    `carrier_state` (6n) = [positions (m), velocities (m/s)] and `load_state` (13) = [quaternion
-    w x y z, position (m), angular velocity (rad/s), velocity (m/s)], in W, tell the heights;
-    `wind` (3n) at the carriers, `load_wind` (3) at the load and `wind_estimate` (3), which the
-    controllers believe, in m/s, in W.
-
-    Parameters, the fields of `GustyWindConfig`:
-        velocity: m/s, in W, the mean
-        start_time: s, still air before it
-        rise_time: s, in which it then rises linearly to the velocity; 0: at once
-        believed: m/s, in W, wind_estimate; null: the mean wind at the load
-        exponent: of the height; 0.14: open land, 0: the same wind everywhere
-        reference_height: m, above the ground, where the wind has the velocity
-        ground_height: m, z of the ground in W
-        gust: m/s, standard deviation at a carrier, on each horizontal axis
-        vertical_share: of that, the standard deviation on the vertical axis
-        gust_length: m, correlation length
-        airspeed: m/s, at which carriers fly through the gusts
-        load_gust: m/s, as gust, of the load's own gusts, which last as long
-        seed: of the gusts
 
     Attributes:
         load_deviations: (3,), m/s, in W, standard deviations of the load's gusts.

@@ -1,7 +1,7 @@
 """Box "Load Wrench Controller" of the figure."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -9,118 +9,91 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import wrench
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
-    LOAD_STATE_SIZE,
-    TRACKING_ERROR_SIZE,
-    WIND_SIZE,
-    WRENCH_SIZE,
-    TrackingError,
-)
+from drake_nonstop.mechanics.signals import TrackingError
 from drake_nonstop.mechanics.tuning import load_gains, pid_gains
-from drake_nonstop.model.block_parameters import AUTO, LOAD, BlockParameters, Rules, rigid_load
+from drake_nonstop.model.block import Block
+from drake_nonstop.model.block_parameters import AUTO, LOAD, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import number
-from drake_nonstop.systems.traced_block import TracedDynamics
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
 
 _BOX = "wrench_controller"
-_INTEGRALS_SIZE = 6  # of the errors of orientation and position
 _FOLLOWED = ("load_mass", "load_inertia", "cable_length", "gravity")  # by gains that are `AUTO`
 
 
-class _WrenchPid(TracedDynamics):
+class _WrenchPid(Block):
     """PID on the load's pose with feedforward, and the exact rate of its wrench.
 
-    Equations 14-15 and `mechanics.wrench`. The integrals are the block's state, where one of
-    their gains is not zero: continuous, or discrete where the model has a control period.
-
-    Args:
-        model: the controller's model of the load.
-        config: the block's.
-        check: of the block.
-        gains: takes the load and, by name, the fields of the config, numbers or symbols, and
-            returns the gains of `mechanics.wrench.wrench_and_rate` and its `feedforward`.
-
-    Attributes:
-        gains: what `gains` returns of the model's load.
+    Equations 14-15 and `mechanics.wrench`. The integrals of e_R and e_p (6) are the state, where
+    one of their gains is not zero: continuous, or discrete where the model has a control period.
     """
 
+    reads = ("measured_load_state", "reference", "wind_estimate")
+    makes = ("wrench", "wrench_rate", "tracking_error")
+    system = LOAD
     is_sampled = True
+    is_joint = True  # a second function for what does not read the wind would take longer
 
-    def __init__(
-        self,
-        model: Model,
-        config: Any,
-        check: Callable[[Model, Any], None],
-        gains: Callable[..., dict[str, Any]],
-    ):
-        check(model, config)
-        can_follow = AUTO in asdict(type(config)()).values()
-
-        def outputs(
-            integrals: NDArray,
-            state: NDArray,
-            reference: NDArray,
-            wind: NDArray,
-            **numbers: NDArray,
-        ) -> tuple:
-            load = rigid_load(**{name: numbers.pop(name) for name in LOAD})
-            numbers.pop("cable_length", None)
-            error = wrench.tracking_error(state, reference)
-            return (
-                np.concatenate(TrackingError.view(error)[:2]),  # e_R and e_p
-                *wrench.wrench_and_rate(
-                    load, state, reference, integrals, wind, **gains(load, **numbers)
-                ),
-                error,
-            )
-
-        def has_integral(model: Model, config: Any) -> bool:
-            found = gains(model.load, **_numbers(model, config))
-            names = ("position_integral_gain", "orientation_integral_gain")
-            return any(np.any(found[name]) for name in names)
-
-        integrates = has_integral(model, config)
-        rules = Rules(check=check, structure=has_integral)
-        super().__init__(
-            outputs
-            if integrates
-            else lambda *inputs, **numbers: outputs(np.zeros(_INTEGRALS_SIZE), *inputs, **numbers)[
-                1:
-            ],
-            inputs={
-                "measured_load_state": LOAD_STATE_SIZE,
-                "reference": LOAD_REFERENCE_SIZE,
-                "wind_estimate": WIND_SIZE,
-            },
-            outputs={
-                "wrench": WRENCH_SIZE,
-                "wrench_rate": WRENCH_SIZE,
-                "tracking_error": TRACKING_ERROR_SIZE,
-            },
-            state=np.zeros(_INTEGRALS_SIZE) if integrates else None,
-            period=model.control_period,
-            parameters=BlockParameters(
-                model,
-                (*LOAD, "cable_length") if can_follow else LOAD,
-                config=config,
-                own=asdict(config),
-                rules=replace(rules, follow=_following) if can_follow else rules,
+    @staticmethod
+    def equations(
+        integrals: NDArray,
+        state: NDArray,
+        reference: NDArray,
+        wind: NDArray,
+        *,
+        law: Callable[..., dict[str, Any]],
+        **numbers: NDArray,
+    ) -> tuple[NDArray, ...]:
+        load = rigid_load(**{name: numbers.pop(name) for name in LOAD})
+        numbers.pop("cable_length", None)
+        error = wrench.tracking_error(state, reference)
+        return (
+            np.concatenate(TrackingError.view(error)[:2]),  # e_R and e_p
+            *wrench.wrench_and_rate(
+                load, state, reference, integrals, wind, **law(load, **numbers)
             ),
-            key=("wrench", integrates, gains.__module__, gains.__qualname__),
-            is_joint=True,  # a second one for what does not read the wind would take longer
+            error,
         )
-        self.gains = gains(model.load, **_numbers(model, config))
 
+    @staticmethod
+    def law(load: RigidLoad, **gains: Any) -> dict[str, Any]:
+        """The gains of `mechanics.wrench.wrench_and_rate` and its `feedforward`.
 
-def _check(model: Model, config: Any) -> None:
-    for name, value in asdict(config).items():
-        if isinstance(value, str):
-            remedy = f'give a number, without quotes, or "{AUTO}"'
-            require(value == AUTO, f"{_BOX}.{name}", value, remedy)
-        else:
-            require_non_negative(_BOX, **{name: value})
+        Of the load and, by name, the fields of the config, numbers or symbols.
+        """
+        return gains
+
+    @classmethod
+    def check(cls, model: Model, config: Any) -> None:
+        for name, value in asdict(config).items():
+            if isinstance(value, str):
+                remedy = f'give a number, without quotes, or "{AUTO}"'
+                require(value == AUTO, f"{_BOX}.{name}", value, remedy)
+            else:
+                require_non_negative(_BOX, **{name: value})
+
+    def constants(self, model: Model, config: Any) -> dict[str, Any]:
+        return {"law": self.law}
+
+    def state(self, model: Model) -> NDArray:
+        return np.zeros(6)
+
+    @classmethod
+    def has_state(cls, model: Model, config: Any) -> bool:
+        found = cls.law(model.load, **_numbers(model, config))
+        names = ("position_integral_gain", "orientation_integral_gain")
+        return any(np.any(found[name]) for name in names)
+
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        if AUTO not in asdict(type(config)()).values():
+            return super().block_parameters(model, config)
+        system = (*LOAD, "cable_length")
+        return self.parameters_of(model, config, asdict(config), system=system, follow=_following)
+
+    @property
+    def gains(self) -> dict[str, Any]:
+        """What `law` returns of the model's load."""
+        return self.law(self.model.load, **_numbers(self.model, self.config))
 
 
 def _numbers(model: Model, config: Any) -> dict[str, Any]:
@@ -138,10 +111,6 @@ def _following(numbers: Mapping[str, Any]) -> dict[str, Any]:
     _, axes = np.linalg.eigh([[number(entry) for entry in row] for row in inertia])
     least = axes[:, 0] @ inertia @ axes[:, 0]
     return load_gains(numbers["load_mass"], least, numbers["cable_length"], numbers["gravity"])
-
-
-def _as_given(load: RigidLoad, **gains: Any) -> dict[str, Any]:
-    return gains
 
 
 @dataclass(kw_only=True)
@@ -170,40 +139,9 @@ class WrenchController(_WrenchPid):
     `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
     position and a quarter of the torques.
 
-    .. pydrake_system::
-
-        name: WrenchController
-        input_ports:
-        - measured_load_state
-        - reference
-        - wind_estimate
-        output_ports:
-        - wrench
-        - wrench_rate
-        - tracking_error
-
-    `measured_load_state` (13) and `reference` (22), SI, in W; `wind_estimate` (3, m/s) in W, from
-    which the load's drag follows; `wrench` (6) = [torque (N m); force (N)] at the centre of mass
-    and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
-    (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W. The integrals
-    of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
-    discrete where the model has a control period.
-
-    Parameters, the fields of `WrenchControllerConfig`:
-        position_gain: N/m, K_p; auto: by mass and cables
-        velocity_gain: N s/m, K_v; auto: by mass and cables
-        position_integral_gain: N/(m s), K_i; auto: by mass and cables
-        orientation_gain: N m, K_R; auto: by inertia and cables
-        angular_velocity_gain: N m s, K_omega; auto: by inertia and cables
-        orientation_integral_gain: N m/s, K_iR; auto: by inertia and cables
-        feedforward: weight of the reference's own wrench; 0: as in the paper
-
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".
     """
-
-    def __init__(self, model: Model, config: WrenchControllerConfig | None = None):
-        super().__init__(model, config or WrenchControllerConfig(), _check, _as_given)
 
 
 @dataclass(kw_only=True)
@@ -224,44 +162,13 @@ class PaperWrenchController(_WrenchPid):
     `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
     position and a quarter of the torques.
 
-    .. pydrake_system::
-
-        name: PaperWrenchController
-        input_ports:
-        - measured_load_state
-        - reference
-        - wind_estimate
-        output_ports:
-        - wrench
-        - wrench_rate
-        - tracking_error
-
-    `measured_load_state` (13) and `reference` (22), SI, in W; `wind_estimate` (3, m/s) in W, from
-    which the load's drag follows; `wrench` (6) = [torque (N m); force (N)] at the centre of mass
-    and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
-    (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W. The integrals
-    of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
-    discrete where the model has a control period.
-
-    Parameters, the fields of `PaperWrenchControllerConfig`:
-        position_gain: N/m, K_p; auto: by mass and cables
-        velocity_gain: N s/m, K_v; auto: by mass and cables
-        position_integral_gain: N/(m s), K_i; auto: by mass and cables
-        orientation_gain: N m, K_R; auto: by inertia and cables
-        angular_velocity_gain: N m s, K_omega; auto: by inertia and cables
-        orientation_integral_gain: N m/s, K_iR; auto: by inertia and cables
-        feedforward: weight of the reference's own wrench; 0: as in the paper
-
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".
     """
 
-    def __init__(self, model: Model, config: PaperWrenchControllerConfig | None = None):
-        super().__init__(model, config or PaperWrenchControllerConfig(), _check, _papers)
-
-
-def _papers(load: RigidLoad, **gains: Any) -> dict[str, Any]:
-    return gains | {"angular_velocity_gain": -gains["angular_velocity_gain"]}
+    @staticmethod
+    def law(load: RigidLoad, **gains: Any) -> dict[str, Any]:
+        return gains | {"angular_velocity_gain": -gains["angular_velocity_gain"]}
 
 
 @dataclass(kw_only=True)
@@ -281,40 +188,14 @@ class GeometricPd(_WrenchPid):
     `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
     position and a quarter of the torques.
 
-    .. pydrake_system::
-
-        name: GeometricPd
-        input_ports:
-        - measured_load_state
-        - reference
-        - wind_estimate
-        output_ports:
-        - wrench
-        - wrench_rate
-        - tracking_error
-
-    `measured_load_state` (13) and `reference` (22), SI, in W; `wind_estimate` (3, m/s) in W, from
-    which the load's drag follows; `wrench` (6) = [torque (N m); force (N)] at the centre of mass
-    and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
-    (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W.
-
-    Parameters, the fields of `GeometricPdConfig`:
-        position_gain: N/m, K_p; auto: by mass and cables
-        velocity_gain: N s/m, K_v; auto: by mass and cables
-        orientation_gain: N m, K_R; auto: by inertia and cables
-        angular_velocity_gain: N m s, K_omega; auto: by inertia and cables
-
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".
     """
 
-    def __init__(self, model: Model, config: GeometricPdConfig | None = None):
-        super().__init__(model, config or GeometricPdConfig(), _check, _without_integrals)
-
-
-def _without_integrals(load: RigidLoad, **gains: Any) -> dict[str, Any]:
-    names = ("position_integral_gain", "orientation_integral_gain", "feedforward")
-    return gains | dict.fromkeys(names, 0.0)
+    @staticmethod
+    def law(load: RigidLoad, **gains: Any) -> dict[str, Any]:
+        names = ("position_integral_gain", "orientation_integral_gain", "feedforward")
+        return gains | dict.fromkeys(names, 0.0)
 
 
 @dataclass(kw_only=True)
@@ -337,83 +218,52 @@ class TunedWrenchController(_WrenchPid):
     to the inertia, so that roll, pitch and yaw respond alike. The damping of the load's drag is
     taken into account.
 
-    .. pydrake_system::
-
-        name: TunedWrenchController
-        input_ports:
-        - measured_load_state
-        - reference
-        - wind_estimate
-        output_ports:
-        - wrench
-        - wrench_rate
-        - tracking_error
-
-    `measured_load_state` (13) and `reference` (22), SI, in W; `wind_estimate` (3, m/s) in W, from
-    which the load's drag follows; `wrench` (6) = [torque (N m); force (N)] at the centre of mass
-    and `wrench_rate` (6), in W; `tracking_error` (12) = [e_R
-    (rad), e_p (m), e_ω (rad/s), e_v (m/s)], e_R and e_ω in L, the others in W. The integrals
-    of e_R and e_p (6) are the state, where one of their gains is not zero: continuous, or
-    discrete where the model has a control period.
-
-    Parameters, the fields of `TunedWrenchControllerConfig`:
-        position_frequency: rad/s, natural frequency
-        position_damping: damping ratio
-        position_integral_rate: rad/s, of the pole that the integral adds
-        orientation_frequency: rad/s, natural frequency
-        orientation_damping: damping ratio
-        orientation_integral_rate: rad/s, of the pole that the integral adds
-        feedforward: weight of the reference's own wrench
-
     Raises:
         ScenarioError: a frequency is not positive, another parameter is negative, or the
             drag alone damps more than desired.
     """
 
-    def __init__(self, model: Model, config: TunedWrenchControllerConfig | None = None):
-        super().__init__(model, config or TunedWrenchControllerConfig(), _check_tuned, _tuned)
-
-
-def _tuned(load: RigidLoad, **poles: Any) -> dict[str, Any]:
-    position, velocity, integral = pid_gains(
-        poles["position_frequency"], poles["position_damping"], poles["position_integral_rate"]
-    )
-    gains = {
-        "feedforward": poles["feedforward"],
-        "position_gain": load.mass * position,
-        "velocity_gain": load.mass * velocity - load.drag,
-        "position_integral_gain": load.mass * integral,
-    }
-    position, velocity, integral = pid_gains(
-        poles["orientation_frequency"],
-        poles["orientation_damping"],
-        poles["orientation_integral_rate"],
-    )
-    return gains | {
-        "orientation_gain": load.inertia * position,
-        "angular_velocity_gain": load.inertia * velocity - load.angular_drag * np.eye(3),
-        "orientation_integral_gain": load.inertia * integral,
-    }
-
-
-def _check_tuned(model: Model, config: TunedWrenchControllerConfig) -> None:
-    _check(model, config)
-    require_positive(
-        _BOX,
-        position_frequency=config.position_frequency,
-        orientation_frequency=config.orientation_frequency,
-    )
-    gains = _tuned(model.load, **asdict(config))
-    for name, damping in (
-        ("position", gains["velocity_gain"]),
-        ("orientation", np.linalg.eigvalsh(gains["angular_velocity_gain"])[0]),
-    ):
-        require(
-            damping >= 0,
-            f"{_BOX}.{name}_damping",
-            getattr(config, f"{name}_damping"),
-            "the load's drag alone damps more; give more damping or a higher frequency",
+    @staticmethod
+    def law(load: RigidLoad, **poles: Any) -> dict[str, Any]:
+        position, velocity, integral = pid_gains(
+            poles["position_frequency"], poles["position_damping"], poles["position_integral_rate"]
         )
+        gains = {
+            "feedforward": poles["feedforward"],
+            "position_gain": load.mass * position,
+            "velocity_gain": load.mass * velocity - load.drag,
+            "position_integral_gain": load.mass * integral,
+        }
+        position, velocity, integral = pid_gains(
+            poles["orientation_frequency"],
+            poles["orientation_damping"],
+            poles["orientation_integral_rate"],
+        )
+        return gains | {
+            "orientation_gain": load.inertia * position,
+            "angular_velocity_gain": load.inertia * velocity - load.angular_drag * np.eye(3),
+            "orientation_integral_gain": load.inertia * integral,
+        }
+
+    @classmethod
+    def check(cls, model: Model, config: TunedWrenchControllerConfig) -> None:
+        super().check(model, config)
+        require_positive(
+            _BOX,
+            position_frequency=config.position_frequency,
+            orientation_frequency=config.orientation_frequency,
+        )
+        gains = cls.law(model.load, **asdict(config))
+        for name, damping in (
+            ("position", gains["velocity_gain"]),
+            ("orientation", np.linalg.eigvalsh(gains["angular_velocity_gain"])[0]),
+        ):
+            require(
+                damping >= 0,
+                f"{_BOX}.{name}_damping",
+                getattr(config, f"{name}_damping"),
+                "the load's drag alone damps more; give more damping or a higher frequency",
+            )
 
 
 # The blocks that the box can be, the default first.

@@ -12,6 +12,7 @@ from pydrake.systems.framework import System
 
 from drake_nonstop.mechanics.signal_layouts import Layout, SomeOf
 from drake_nonstop.model.system import Model
+from drake_nonstop.systems.documentation import config_class
 from drake_nonstop.validation import require
 
 
@@ -101,11 +102,6 @@ class Box:
                 sizes[signal] = own.count(model.n, model.m)
         optional = {signal: sizes.pop(signal) for signal in self.signals if signal in self.optional}
         return sizes, optional
-
-
-def config_class(block: type[System]) -> type:
-    """The dataclass of a block's parameters: XConfig in the module of block X."""
-    return getattr(sys.modules[block.__module__], f"{block.__name__}Config")
 
 
 def block_class(box: str, config: type) -> type[System]:

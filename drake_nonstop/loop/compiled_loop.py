@@ -49,7 +49,7 @@ from drake_nonstop.systems.diagram_trace import (
     trace_content,
     updates_in_trace,
 )
-from drake_nonstop.systems.traced_block import TracedDynamics
+from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.systems.wiring import require_context
 from drake_nonstop.validation import ScenarioError, require, require_known
@@ -103,7 +103,7 @@ def reason_against(
 
 def _complaint_of_trace(leaf: Any, control_period: float) -> str:
     """Why the trace of a leaf has not its updates; empty where it may have."""
-    period = leaf.period if isinstance(leaf, (SampleAndHold, TracedDynamics)) else 0.0
+    period = leaf.period if isinstance(leaf, (SampleAndHold, TracedBlock)) else 0.0
     if period > 0:
         return "" if period == control_period else f"it samples every {period:g} s"
     if getattr(leaf, "updates_at_start", False) and not updates_in_trace(leaf):

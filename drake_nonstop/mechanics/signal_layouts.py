@@ -36,9 +36,9 @@ class Part(NamedTuple):
     meaning: str = ""
 
     def __str__(self) -> str:
-        """Such as "position (3) m, in W"."""
+        """Such as "position (3) m, in W"; without a name and a size where it has no name."""
         frame = f"in {self.frame}" if self.frame else ""
-        head = f"{self.name} ({self.size}) {self.unit}".strip()
+        head = f"{self.name} ({self.size}) {self.unit}".strip() if self.name else self.unit
         return ", ".join(filter(None, [head, frame, self.meaning]))
 
     @property
@@ -100,6 +100,10 @@ class Layout:
                 "coordinates, not of both"
             )
         object.__setattr__(self, "parts", parts)
+
+    def __str__(self) -> str:
+        """Its parts in words."""
+        return "; ".join(map(str, self.parts))
 
     @property
     def size(self) -> str:
@@ -170,7 +174,9 @@ LOAD_REFERENCE = Layout(
 REFERENCE_HIGHER_RATES = Layout(
     Part("angular_jerk", "3", "rad/s³", "W"), Part("snap", "3", "m/s⁴", "W")
 )
-WRENCH = Layout(Part("torque", "3", "N m", "W"), Part("force", "3", "N", "W"))
+WRENCH = Layout(
+    Part("torque", "3", "N m", "W", "about the load's centre of mass"), Part("force", "3", "N", "W")
+)
 WRENCH_RATE = Layout(Part("torque", "3", "N m/s", "W"), Part("force", "3", "N/s", "W"))
 TRACKING_ERROR = Layout(
     Part("orientation", "3", "rad", "L", "e_R"),
@@ -192,7 +198,9 @@ PLANNED_PARAMETERS = Layout(
     Part("amplitude_third_rate", "1", "N/s³", "", "A⃛"),
 )
 INTERNAL_FORCE = Layout(Part("values", "m", "N", "", "λ"), Part("rates", "m", "N/s", "", "λ̇"))
-INTERNAL_FORCE_HIGHER_RATES = Layout(Part("second", "m", "N/s²"), Part("third", "m", "N/s³"))
+INTERNAL_FORCE_HIGHER_RATES = Layout(
+    Part("second", "m", "N/s²", "", "λ̈"), Part("third", "m", "N/s³", "", "λ⃛")
+)
 AIRCRAFT_COMMAND = Layout(
     Part("lift", "n", "", "", "C_L"),
     Part("bank", "n", "rad", "", "positive to the right"),
@@ -206,3 +214,43 @@ AIRCRAFT_STATE = Layout(
     *AIRCRAFT_COMMAND.parts[1:],
     Part("airspeed", "n", "m/s"),
 )
+
+# By the names of signals; None: one is no vector. Besides, a block may have `signal_layouts`.
+SIGNALS: dict[str, Layout | None] = {
+    "reference": LOAD_REFERENCE,
+    "reference_higher_rates": REFERENCE_HIGHER_RATES,
+    "reference_preview": None,
+    "reference_delay": Layout(Part("", "1", "s", "", "d of the governed time t − d")),
+    "load_state": LOAD_STATE,
+    "measured_load_state": LOAD_STATE,
+    "wrench": WRENCH,
+    "wrench_rate": WRENCH_RATE,
+    "tracking_error": TRACKING_ERROR,
+    "parameters": PARAMETERS,
+    "plan": PLANNED_PARAMETERS,
+    "planned": PLANNED_PARAMETERS,
+    "phase": PHASE,
+    "solve_time": Layout(Part("", "1", "s", "", "wall time of the last update")),
+    "speed_bound": Layout(Part("", "1", "m/s", "", "ε, set or commanded")),
+    "speed_bound_command": Layout(Part("", "1", "m/s", "", "ε, in place of the one that is set")),
+    "sample_time": Layout(Part("", "1", "s", "", "of the last sample")),
+    "internal_force": INTERNAL_FORCE,
+    "internal_force_higher_rates": INTERNAL_FORCE_HIGHER_RATES,
+    "desired_cable_forces": Layout(Part("", "3n", "N", "W", "on the load")),
+    "desired_cable_force_rates": Layout(Part("", "3n", "N/s", "W")),
+    "carrier_reference": CARRIER_STATES,
+    "carrier_reference_acceleration": Layout(Part("", "3n", "m/s²", "W")),
+    "carrier_reference_jerk": Layout(Part("", "3n", "m/s³", "W")),
+    "carrier_forces": Layout(Part("", "3n", "N", "W")),
+    "aircraft_command": AIRCRAFT_COMMAND,
+    "command_saturation": COMMAND_SATURATION,
+    "carrier_state": CARRIER_STATES,
+    "aircraft_state": AIRCRAFT_STATE,
+    "carrier_acceleration": Layout(Part("", "3n", "m/s²", "W")),
+    "cable_forces": Layout(Part("", "3n", "N", "W", "on the load, at its attachments")),
+    "tensions": Layout(Part("", "n", "N", "", "0 where slack")),
+    "disturbance_wrench": WRENCH,
+    "wind": Layout(Part("", "3n", "m/s", "W", "of the air at the carriers")),
+    "load_wind": Layout(Part("", "3", "m/s", "W", "of the air at the load")),
+    "wind_estimate": Layout(Part("", "3", "m/s", "W", "what the controllers believe")),
+}

@@ -1,5 +1,6 @@
 """What a block's context holds of the scenario: numbers of the system and of the block's config."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -110,7 +111,7 @@ def required_aircraft(model: Model, box: str, block: str) -> Aircraft:
     return model.aircraft
 
 
-def aircraft_of(aircraft: Aircraft, numbers: Mapping[str, Any]) -> Aircraft:
-    """The aircraft with those of its `AIRCRAFT_NUMBERS`, numbers or symbols, that are given."""
-    given = {name.removeprefix(AIRCRAFT): value for name, value in numbers.items()}
-    return aircraft._replace(**given)
+def aircraft_of(numbers: Mapping[str, Any]) -> Aircraft:
+    """The aircraft of `AIRCRAFT_NUMBERS`, numbers or symbols; what flight does not go by is NaN."""
+    given = {name.removeprefix(AIRCRAFT): numbers[name] for name in AIRCRAFT_NUMBERS}
+    return Aircraft._make(given.get(name, math.nan) for name in Aircraft._fields)

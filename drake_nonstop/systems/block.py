@@ -24,6 +24,7 @@ import functools
 import pickle
 import types
 import weakref
+from collections.abc import Mapping
 from dataclasses import is_dataclass
 from typing import Any, ClassVar
 
@@ -43,6 +44,7 @@ from pydrake.systems.framework import (
     SystemScalarConverter,
 )
 
+from drake_nonstop.systems.documentation import documented
 from drake_nonstop.validation import ScenarioError
 
 _IS_NANOBIND = type(LeafSystem).__module__.startswith("nanobind")
@@ -55,6 +57,8 @@ def _type_of_blocks() -> Any:
         return kind
 
     class Slotted(kind):
+        __doc__ = vars(type)["__doc__"]  # that of a class, for `help`, which asks the metaclass
+
         def __new__(cls, name: str, bases: tuple[type, ...], members: dict[str, Any]) -> type:
             return super().__new__(cls, name, bases, {"__slots__": (), **members})
 
@@ -69,13 +73,20 @@ class DiagramBlock(Diagram, metaclass=BlockType):  # type: ignore[metaclass]
     """A Diagram that is freed.
 
     Attributes:
+        reads, makes, where: what its docstring tells of its ports, see `documented`.
         is_sampled: whether its outputs, with a control period, change at the controllers' samples
             only, or, as `carrier_reference`, move along their rates in between.
         has_state_outside: whether part of its state is not in the context: a run cannot go back.
     """
 
+    reads: ClassVar[tuple[str, ...]] = ()
+    makes: ClassVar[tuple[str, ...]] = ()
+    where: ClassVar[Mapping[str, str]] = {}
     is_sampled = False
     has_state_outside = False
+
+    def __init_subclass__(cls) -> None:
+        documented(cls)
 
     def __init__(self) -> None:
         """Makes the block; a box's takes a `model` and a `config` (None: the default values)."""
@@ -89,7 +100,7 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
     ports give, and take, object arrays.
 
     Attributes:
-        is_sampled: as of `DiagramBlock`.
+        reads, makes, where, is_sampled: as of `DiagramBlock`.
         has_state_outside: as of `DiagramBlock`.
         is_for_users: whether it may be in a Diagram of the user's own, and not in a `DiagramBlock`.
         scalar: the type of its numbers: float, AutoDiffXd or Expression.
@@ -98,11 +109,17 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
             can be hashed; None: it is not known.
     """
 
+    reads: ClassVar[tuple[str, ...]] = ()
+    makes: ClassVar[tuple[str, ...]] = ()
+    where: ClassVar[Mapping[str, str]] = {}
     is_sampled = False
     has_state_outside = False
     is_for_users = True
     scalar: ClassVar[type] = float
     _arguments: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def __init_subclass__(cls) -> None:
+        documented(cls)
 
     def __new__(cls, *arguments: Any, **named: Any) -> "LeafBlock":
         """Remembers the arguments, for a conversion; a config may change after that."""

@@ -92,10 +92,9 @@ def _is_one_function(leaf: Any) -> bool:
     """Whether a `TracedBlock`'s function is all of a leaf, whatever class below it is."""
     if not hasattr(leaf, "own_outputs") or leaf.num_output_ports() != leaf.own_outputs:
         return False
-    package = __name__.split(".")[0]
-    of_users = (k for k in type(leaf).__mro__ if k.__module__.split(".")[0] != package)
-    own = {name for k in of_users if not k.__module__.startswith("pydrake") for name in vars(k)}
-    return "DoCalcTimeDerivatives" not in own
+    known = __name__.split(".")[0], "pydrake"
+    rates = (vars(kind).get("DoCalcTimeDerivatives") for kind in type(leaf).__mro__)
+    return all(own is None or own.__module__.split(".")[0] in known for own in rates)
 
 
 def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], bool]) -> Any:

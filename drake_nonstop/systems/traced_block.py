@@ -1,9 +1,9 @@
 """Blocks that are one traced function: of inputs, state, parameters and the time."""
 
 import functools
-import pickle
 import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi
@@ -25,58 +25,49 @@ from pydrake.systems.primitives import SelectorParams
 from drake_nonstop.systems.block import LeafBlock, number, weakly
 from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
-from drake_nonstop.systems.tracing import ArrayFunction, LateFunction, Trace, object_array
+from drake_nonstop.systems.tracing import Trace, object_array
 
 # What the function takes besides the input ports, and the rate that it makes: no names of ports.
 _STATE, _RATE, _NUMBERS, _TIME = "(state)", "(rate)", "(parameters)", "(time)"
 _LARGE = 600  # operations of a part whose outputs are kept in the cache
-_BEFORE = "(before)"  # the outputs that later ones follow from
-_INNER = {_STATE, _NUMBERS, _TIME}
+_AT_SAMPLE = "(at the sample)"  # the outputs that move from there
+SAMPLE_TIME = "sample_time"
 
 
-class LateOutputs(NamedTuple):
-    """Outputs that are traced when one of them is evaluated for the first time.
+class BetweenSamples(NamedTuple):
+    """How outputs that are computed at a sample move until the next one.
 
-    `function` takes the block's inputs whose names `reads` has, those of `optional`, and its
-    parameters; every output feeds through all of these inputs. Those of `optional`, names and
-    sizes, are inputs of the block besides, which may be left unconnected, and then are zero.
-    `outputs` and `key` are as of the block.
+    `function` takes the outputs of these names as they are at the sample, and the time (1,) in s
+    since then. What it returns takes the place of the outputs whose names `makes` has.
     """
 
     function: Callable
     reads: Sequence[str]
-    outputs: Mapping[str, int]
-    optional: Mapping[str, int] = {}
-    key: Any = None
+    makes: Sequence[str]
+    key: Any = None  # as of the block
 
 
-class LaterOutputs(NamedTuple):
-    """Outputs that follow from others of a block and the time: how these go on after a sample.
+class Start(NamedTuple):
+    """What makes the state at the start of a run, of these inputs."""
 
-    `function` takes the outputs whose names `reads` has, as they are without it, those of `inputs`,
-    further inputs of the block, and the time (1,). Its `outputs` take the place of those of the
-    same name. `key` is as of the block.
-    """
-
-    function: Callable
+    function: Callable[..., NDArray]
     reads: Sequence[str]
-    inputs: Mapping[str, int]
-    outputs: Sequence[str]
-    key: Any = None
 
 
 class TracedBlock(LeafBlock):
-    """A block whose outputs are a traced function of its inputs.
+    """A block whose outputs, and the rate of whose state, are a traced function of its inputs.
 
     What feeds through to an output are the inputs that its trace reads. Each output is made by a
     call of its own into Python, or, where the function is large, with those that read the same. On
     AutoDiffXd and Expression the function itself is evaluated, on object arrays.
 
     Args:
-        function: takes one flat array per entry of `inputs`, and returns one per entry of
-            `outputs`. It is traced, see `TracedFunction`.
+        function: takes the state, if there is one, and one flat array per entry of `inputs`, and
+            returns the state's rate, if there is one, and one array per entry of `outputs`. It is
+            traced, see `TracedFunction`.
         inputs: the names of the input ports and their sizes.
         outputs: the names of the output ports and their sizes.
+        optional: the names of inputs that may be left unconnected, and then are zero.
         known: names and sizes of what `function` takes after the inputs: functions of the time
             alone, whose rows (k, size) at times (k,) in s the method `quantities_over(names,
             times)` makes, and `quantity_rates_over` their rates, for other scalar types.
@@ -86,12 +77,19 @@ class TracedBlock(LeafBlock):
         key: as of `TracedFunction`; the parameters' values are no part of it.
         is_joint: each output depends on what any of them reads, so that large ones are made by one
             call.
-        late: makes further outputs, which most loops do not read.
-        later: makes some outputs of others and the time.
-
-    Raises:
-        ValueError: there is nothing to take: neither an input nor a state nor the time.
+        between: how some outputs go on between samples; the block then reads `sample_time`.
+        state: (s,), the initial one; None: there is none.
+        state_port: the name of the output port that shows the state; it is among the `outputs`, and
+            `function` does not make it. None: no port does.
+        period: s, at every sample but the first of which the state changes by as much times its
+            rate; 0: it is continuous.
+        updates_first: whether a sampled state changes before the updates of all other blocks.
+        start: makes the state at the start of a run; None: it is the initial one.
+        is_held: whether the outputs of a sampled state are held from sample to sample. They are
+            made after the updates of blocks that update first, of the state before its own.
     """
+
+    has_rates = False
 
     def __init__(
         self,
@@ -99,133 +97,148 @@ class TracedBlock(LeafBlock):
         *,
         inputs: Mapping[str, int],
         outputs: Mapping[str, int] | None = None,
+        optional: Collection[str] = (),
         known: Mapping[str, int] | None = None,
         reads_time: bool = False,
         parameters: NumericParameters | None = None,
         key: Any = None,
         is_joint: bool = False,
-        late: LateOutputs | None = None,
-        later: LaterOutputs | None = None,
-        **former: Any,
+        between: BetweenSamples | None = None,
+        state: NDArray | None = None,
+        state_port: str | None = None,
+        period: float = 0.0,
+        updates_first: bool = False,
+        start: Start | None = None,
+        is_held: bool = False,
     ):
-        if unknown := ", ".join(former):
-            is_state = former.keys() <= {"state", "state_port"}
-            said = "give it to TracedDynamics, whose state is an array"
-            raise TypeError(f"{unknown}: {said if is_state else 'no such argument'}")
         super().__init__()
-        parameters = parameters or NumericParameters({})
-        size = self._declare_state()
-        state, rate = ({_STATE: size}, [_RATE]) if size else ({}, [])
+        self._initial, self._period = np.array([] if state is None else state, float), period
+        self.updates_first, self._start, self._state_port = updates_first, start, state_port
+        size = len(self._initial)
+        if size > 0 and not self.has_rates:
+            raise TypeError("state: give it to TracedDynamics, which has rates")
+        if size == 0 and (state_port or start):
+            raise ValueError("state = none: give one, or neither state_port nor start")
+        self._is_held = is_held and self.period > 0
+        self._held: list[str] = []  # the outputs of the discrete groups behind the state
+        self.updates_at_start = start is not None or self._is_held
+        self.starts_first = start is not None and not self._is_held
+        if size > 0:
+            self._declare_state()
         self._known = dict(known or {})
-        read, made = state | dict(inputs) | self._known, [*rate, *(outputs or {})]
-        if not read and not reads_time:
-            raise ValueError("inputs = none: give some, a state, or reads_time")
-        if len(parameters) > 0:
+        read = ({_STATE: size} if size else {}) | dict(inputs) | self._known
+        made = [*([_RATE] if size else []), *(n for n in outputs or () if n != state_port)]
+        if parameters is not None and len(parameters) > 0:
             function = parameters.as_argument(function, len(read))
             read |= {_NUMBERS: len(parameters)}
             self.parameters = parameters
             declare_parameters(self, parameters)
+            if key is not None:
+                key = key, tuple((k, v.shape) for k, v in parameters.defaults.items())
         if reads_time:
             read |= {_TIME: 1}
+        self._optional = {name: np.zeros(read[name]) for name in optional}
+        if optional:
+            self.optional_inputs = (*optional,)
         trace = Trace(function, [*read.values()], key=key)
-        dependence = trace.dependence
-        if is_joint:
-            dependence = [set().union(*dependence)] * len(dependence)
-        others = {*_INNER, *self._known}
-        inner = {i for i, name in enumerate(read) if name in others}
-        groups = _groups(dependence, inner, has_state=size > 0)
-        self._parts = [_part_of(trace, group, [*read], made) for group in groups]
-        if late is not None:
-            self._parts.append(_late_part(late, read, parameters))
-            self.optional_inputs = tuple(late.optional)
-        ports = read | dict(late.optional if late else {}) | dict(later.inputs if later else {})
+        ports = dict(inputs) | ({SAMPLE_TIME: 1} if between else {})
         self._inputs: dict[str, InputPort] = {
-            name: self.DeclareVectorInputPort(name, size)
-            for name, size in ports.items()
-            if name not in others
+            name: self.DeclareVectorInputPort(name, size) for name, size in ports.items()
         }
+        self._parts: list[_Part] = []
+        self._entries: list[Any] = []  # of the parts in the cache: their index and ticket
         self._places: dict[str, tuple[int, slice]] = {}  # of the outputs: part, and where in it
         # What evaluates each output, and what gives that its arguments.
         self._evaluators: dict[str, tuple[Callable, list[Callable[[Context], NDArray]]]] = {}
         self._tickets: dict[str, set[Any]] = {}  # what each output depends on
         self._wholes: dict[int, tuple[Callable, list]] = {}  # as the evaluators, of whole parts
-        for k in range(len(self._parts)):
-            self._declare(k)
-        if later is not None:
-            self._add(later)
-        for name in [*made, *(late.outputs if late else [])]:
-            if name != _RATE:
-                self._declare_output(name)
+        dependence = trace.dependence
+        if is_joint:
+            dependence = [set().union(*dependence)] * len(dependence)
+        apart: list[int] = []
+        if between is not None:
+            apart = [made.index(name) for name in between.reads]
+            reads = sorted(set().union(*(dependence[i] for i in apart)))
+            self._add(trace, _Group(reads, apart), [*read], made, is_shared=True)
+        inner = {i for i, name in enumerate(read) if name not in inputs}
+        others = [i for i in range(len(made)) if i not in apart]
+        for group in _groups(dependence, others, inner, has_state=size > 0):
+            self._add(trace, group, [*read], made)
+        if between is not None:
+            self._add_moved(between)
+        for name, output_size in (outputs or {}).items():
+            self._declare_output(name, output_size)
         self.own_outputs = self.num_output_ports()  # a subclass may declare more
-
-    def _add(self, later: LaterOutputs) -> None:
-        """The part of outputs that follow from others, which are one vector in the cache."""
-        places = [self._places[name] for name in later.reads]
-        ends = np.cumsum([place.stop - place.start for _, place in places]).tolist()
-
-        def function(before: NDArray, *others: NDArray) -> Any:
-            return later.function(*np.split(before, ends[:-1]), *others)
-
-        self._before = places
-        self._earlier = [self._evaluators[name] for name in later.reads]
-        produced = ValueProducer(Value(np.zeros(0)).Clone, weakly(self._calc_before))
-        tickets = set().union(*(self._tickets[name] for name in later.reads))
-        entry = self.DeclareCacheEntry("before", produced, tickets)
-        self._before_index, self._before_ticket = entry.cache_index(), entry.ticket()
-        read = {_BEFORE: ends[-1]} | dict(later.inputs) | {_TIME: 1}
-        trace = Trace(function, [*read.values()], key=later.key)
-        for group in _groups(trace.dependence, {*range(len(read))}, has_state=False):
-            self._parts.append(_part_of(trace, group, [*read], later.outputs))
-            self._declare(len(self._parts) - 1)
-
-    def _calc_before(self, context: Context, value: Any) -> None:
-        made = ((evaluate, [read(context) for read in reads]) for evaluate, reads in self._earlier)
-        value.set_value(np.concatenate([evaluate(values).copy() for evaluate, values in made]))
-
-    def _declare_output(self, name: str) -> None:
-        _, place = self._places[name]
-        calc = _calc(weakref.ref(self), name)
-        self.DeclareVectorOutputPort(name, place.stop - place.start, calc, self._tickets[name])
-
-    def _declare_state(self) -> int:
-        """Declares the state; its size."""
-        return 0
+        if start is not None:
+            self.DeclareInitializationUnrestrictedUpdateEvent(weakly(self._begin))
+        if self._is_held:
+            self.DeclareInitializationDiscreteUpdateEvent(weakly(self._hold))
 
     @property
-    def _state(self) -> Callable[[Context], NDArray]:
-        """What gives the state of a context."""
-        raise NotImplementedError("there is no state")
+    def period(self) -> float:
+        """Of the samples of the state, s; 0: it is continuous, or there is none."""
+        return self._period if len(self._initial) else 0.0
 
-    def _declare(self, k: int) -> None:
-        """The outputs of a part: each a function of its own, or all one in a cache entry.
+    @property
+    def trace_key(self) -> Any:
+        """The functions of the parts, and how the state goes on and starts."""
+        keys = tuple(part.key for part in self._parts)
+        start = self._start and (self._start.function, tuple(self._start.reads))
+        return keys, self.period, self.updates_first, self._is_held, start
+
+    def _add_moved(self, between: BetweenSamples) -> None:
+        """The part of the outputs that move, from the first part, on to a time."""
+        sizes = [place.stop - place.start for place in self._parts[0].outputs.values()]
+        ends = np.cumsum(sizes).tolist()
+
+        def function(at_sample: NDArray, sample_time: NDArray, time: NDArray) -> Any:
+            return between.function(*np.split(at_sample, ends[:-1]), time - sample_time)
+
+        read = {_AT_SAMPLE: ends[-1], SAMPLE_TIME: 1, _TIME: 1}
+        trace = Trace(function, [*read.values()], key=between.key)
+        for group in _groups(trace.dependence, range(len(between.makes)), {*range(3)}):
+            self._add(trace, group, [*read], between.makes)
+
+    def _add(
+        self,
+        trace: Trace,
+        group: "_Group",
+        read: Sequence[str],
+        made: Sequence[str],
+        *,
+        is_shared: bool = False,
+    ) -> None:
+        """A part: its outputs are each a function of its own, or all one in a cache entry.
 
         To look into the cache takes as long as some hundred operations.
         """
-        part = self._parts[k]
-        readers = [self._reader(name, part.optional) for name in part.reads] or [_time_of]
+        k, part = len(self._parts), _part_of(trace, group, read, made)
+        self._parts.append(part)
+        readers = [self._reader(name) for name in part.reads] or [_time_of]
         tickets = {self._ticket(name) for name in part.reads} or {self.nothing_ticket()}
         numbers, entry = range(len(part.outputs)), None
-        is_shared = part.is_large or not self._known.keys().isdisjoint(part.reads)
-        if is_shared and len(part.outputs) > 1:
+        knows = not self._known.keys().isdisjoint(part.reads)
+        if is_shared or (len(part.outputs) > 1 and (part.is_large or knows)):
             self._wholes[k] = part.make(self.scalar, weakly(self.box), numbers).of_vectors, readers
             produced = ValueProducer(Value(np.zeros(0)).Clone, _calc_whole(weakref.ref(self), k))
-            declared = self.DeclareCacheEntry(f"part {k}", produced, tickets)
-            entry, tickets = declared.cache_index(), {declared.ticket()}
+            entry = self.DeclareCacheEntry(f"part {k}", produced, tickets)
+            self._entries.append((entry.cache_index(), entry.ticket()))
+            tickets = {entry.ticket()}
         for i, (name, place) in zip(numbers, part.outputs.items(), strict=True):
             self._places[name], self._tickets[name] = (k, place), tickets
             if entry is None:
                 function = part.make(self.scalar, weakly(self.box), [i])
                 self._evaluators[name] = function.of_vectors, readers
             else:
-                self._evaluators[name] = _at(place), [self._cached(entry)]
+                self._evaluators[name] = _at(place), [self._cached(self._entries[-1][0])]
 
     def _cached(self, entry: Any) -> Callable[[Context], NDArray]:
         me: Any = weakref.ref(self)
         return lambda context: me().get_cache_entry(entry).Eval(context)
 
     def _ticket(self, name: str) -> Any:
-        if name == _BEFORE:
-            return self._before_ticket
+        if name == _AT_SAMPLE:
+            return self._entries[0][1]
         if name == _STATE:
             return self.all_state_ticket()
         if name == _NUMBERS:
@@ -234,23 +247,25 @@ class TracedBlock(LeafBlock):
             return self.time_ticket()
         return self.input_port_ticket(self._inputs[name].get_index())
 
+    def _reader(self, name: str) -> Callable[[Context], NDArray]:
+        """What gives a value that a part takes, of a context."""
+        if name in self._optional:
+            return functools.partial(_input_or, self._inputs[name], self._optional[name])
+        if name in self._inputs:
+            return self._inputs[name].Eval
+        if name == _AT_SAMPLE:
+            return self._cached(self._entries[0][0])
+        if name in self._known:
+            quantity = weakly(self._quantity)
+            return lambda context: quantity(context, name)
+        if name == _STATE:
+            return _continuous_state_of if self._period == 0 else _discrete_state_of
+        return {_NUMBERS: _parameters_of, _TIME: _time_of}[name]
+
     def _evaluated(self, context: Context, name: str) -> NDArray:
         """An output as it is made, in a view of scratch memory."""
         evaluate, readers = self._evaluators[name]
         return evaluate([read(context) for read in readers])
-
-    def _reader(self, name: str, optional: Mapping[str, int]) -> Callable[[Context], NDArray]:
-        """What gives a value that a part takes, of a context."""
-        if name in optional:
-            return functools.partial(_input_or, self._inputs[name], np.zeros(optional[name]))
-        if name in self._inputs:
-            return self._inputs[name].Eval
-        if name == _BEFORE:
-            return self._cached(self._before_index)
-        if name in self._known:
-            quantity = weakly(self._quantity)
-            return lambda context: quantity(context, name)
-        return self._state if name == _STATE else {_NUMBERS: _parameters_of, _TIME: _time_of}[name]
 
     def _quantity(self, context: Context, name: str) -> NDArray:
         """What is known of the time; of other scalar types, with its rate."""
@@ -265,152 +280,32 @@ class TracedBlock(LeafBlock):
         """A row of `quantities_over`."""
         return self.quantities_over([name], np.array([time]))[0][0]
 
-    @property
-    def trace_key(self) -> Any:
-        """The functions of the parts."""
-        keys = tuple(part.key for part in self._parts)
-        return None if None in keys else keys
-
-    def traced_output(self, port: str, at: At) -> NDArray:
-        """As of `systems.diagram_trace`."""
-        return self._traced_at(self._places[port], at)
-
-    def _traced_at(self, where: tuple[int, slice], at: At) -> NDArray:
-        """What a part makes at a place, in symbols."""
-        k, place = where
-        return at.once(k, lambda: self._traced(k, at))[place]
-
-    def _traced(self, k: int, at: At, state: NDArray | None = None) -> NDArray:
-        """What a part makes, in symbols; `state` is in place of the present one."""
-        part = self._parts[k]
-        read = [
-            self._traced_value(name, at, part.optional)
-            if state is None or name != _STATE
-            else state
-            for name in part.reads
-        ]
-        taken = casadi.SX(casadi.vertcat(*np.concatenate(read))) if read else 0
-        results, _ = part.function()(taken)
-        return object_array(results)
-
-    def _traced_value(self, name: str, at: At, optional: Mapping[str, int]) -> NDArray:
-        if name in optional:
-            return at.input_or(name, np.zeros(optional[name]))
-        if name == _BEFORE:
-            return np.concatenate([self._traced_at(where, at) for where in self._before])
-        if name == _NUMBERS:
-            return at.parameters
-        if name == _TIME:
-            return at.time
-        if name in self._known:
-            return at.known(name, self._known[name])
-        return self._traced_state(at) if name == _STATE else at.input(name)
-
-    def _traced_state(self, at: At) -> NDArray:
-        raise NotImplementedError("there is no state")
-
-
-class TracedDynamics(TracedBlock):
-    """A `TracedBlock` with a state.
-
-    `function` takes it first, and returns its rate first. The other arguments are as there.
-
-    Args:
-        function: as there.
-        state: (s,), the initial one; None: there is none after all.
-        state_port: the name of the output port that shows the state, the last one; none: no port
-            does.
-        period: s, at every sample but the first of which the state changes by as much times its
-            rate; 0: it is continuous.
-        updates_first: whether a sampled state changes before the updates of all other blocks.
-        start: makes the state at the start of a run of these inputs; None: it is the initial one.
-        is_held: whether the outputs of a sampled state are held from sample to sample. They are
-            made after the updates of blocks that update first, of the state before its own.
-        others: as there.
-    """
-
-    def __init__(
-        self,
-        function: Callable,
-        *,
-        state: NDArray | None,
-        state_port: str = "",
-        period: float = 0.0,
-        updates_first: bool = False,
-        start: tuple[Callable[..., NDArray], Sequence[str]] | None = None,
-        is_held: bool = False,
-        **others: Any,
-    ):
-        self._initial, self._period = np.array([] if state is None else state, float), period
-        self.updates_first, self._start = updates_first, start
-        if len(self._initial) == 0 and (state_port or start):
-            raise ValueError("state = none: give one, or neither state_port nor start")
-        self._is_held = is_held and period > 0 and len(self._initial) > 0
-        self._held: list[str] = []  # the outputs of the discrete groups behind the state
-        super().__init__(function, **others)
-        self._state_port = state_port
-        if state_port:
-            self.DeclareStateOutputPort(state_port, self._state_index)
-            self.own_outputs = self.num_output_ports()
-        if start is not None:
-            self.DeclareInitializationUnrestrictedUpdateEvent(weakly(self._begin))
-        if self._is_held:
-            self.DeclareInitializationDiscreteUpdateEvent(weakly(self._hold))
-        self.updates_at_start = start is not None or self._is_held
-        self.starts_first = start is not None and not self._is_held
-
-    @property
-    def period(self) -> float:
-        """Of the samples of the state, s; 0: it is continuous, or there is none."""
-        return self._period if len(self._initial) else 0.0
-
-    @property
-    def trace_key(self) -> Any:
-        """As of `TracedBlock`, and how the state goes on and starts."""
-        key, start = super().trace_key, self._start
-        how = self.period, self.updates_first, self._is_held, start and (start[0], tuple(start[1]))
-        return None if key is None else (key, how)
-
-    def _declare_state(self) -> int:
-        if len(self._initial) == 0:
-            return 0
+    def _declare_state(self) -> None:
         vector = BasicVector_[self.scalar](self._initial)
         if self._period == 0:
             self._state_index = self.DeclareContinuousState(vector)
-        else:
-            self._state_index = self.DeclareDiscreteState(vector)
-            times = self._period, self._period
-            if self.updates_first:  # Drake makes unrestricted updates before discrete ones
-                self.DeclarePeriodicUnrestrictedUpdateEvent(*times, weakly(self._step_first))
-            else:
-                self.DeclarePeriodicDiscreteUpdateEvent(*times, weakly(self._step))
-        return len(self._initial)
-
-    def _declare_output(self, name: str) -> None:
-        if not self._is_held:
-            super()._declare_output(name)
             return
-        _, place = self._places[name]
-        vector = BasicVector_[self.scalar](np.zeros(place.stop - place.start))
-        self.DeclareStateOutputPort(name, self.DeclareDiscreteState(vector))
-        self._held.append(name)
+        self._state_index = self.DeclareDiscreteState(vector)
+        times = self._period, self._period
+        if self.updates_first:  # Drake makes unrestricted updates before discrete ones
+            self.DeclarePeriodicUnrestrictedUpdateEvent(*times, weakly(self._step_first))
+        else:
+            self.DeclarePeriodicDiscreteUpdateEvent(*times, weakly(self._step))
 
-    @property
-    def _state(self) -> Callable[[Context], NDArray]:
-        return _continuous_state_of if self._period == 0 else _discrete_state_of
-
-    def _rate(self, context: Context) -> NDArray:
-        return self._evaluated(context, _RATE)
-
-    def DoCalcTimeDerivatives(  # noqa: N802
-        self, context: Context, derivatives: ContinuousState
-    ) -> None:
-        """As LeafSystem's."""
-        if self._period == 0 and len(self._initial):
-            derivatives.SetFromVector(self._rate(context))
+    def _declare_output(self, name: str, size: int) -> None:
+        if name == self._state_port:
+            self.DeclareStateOutputPort(name, self._state_index)
+        elif self._is_held:
+            vector = BasicVector_[self.scalar](np.zeros(size))
+            self.DeclareStateOutputPort(name, self.DeclareDiscreteState(vector))
+            self._held.append(name)
+        else:
+            calc = _calc(weakref.ref(self), name)
+            self.DeclareVectorOutputPort(name, size, calc, self._tickets[name])
 
     def _step(self, context: Context, discrete_state: DiscreteValues) -> None:
-        state = self._state(context) + self._period * self._rate(context)
+        rate = self._evaluated(context, _RATE)
+        state = _discrete_state_of(context) + self._period * rate
         self._hold(context, discrete_state)
         discrete_state.set_value(0, state)
 
@@ -430,23 +325,22 @@ class TracedDynamics(TracedBlock):
     def _step_first(self, context: Context, state: State) -> None:
         self._step(context, state.get_mutable_discrete_state())
 
+    # As of `systems.diagram_trace`.
+
     def traced_output(self, port: str, at: At) -> NDArray:
-        """As of `systems.diagram_trace`."""
+        """What a port shows."""
         if port in self._held:
             return at.state(2 + self._held.index(port))
         return self._traced_state(at) if port == self._state_port else self._traced_result(port, at)
 
-    def _traced_state(self, at: At) -> NDArray:
-        return at.state(0 if self._period == 0 else 1)
-
     def traced_rates(self, at: At) -> NDArray:
-        """As of `systems.diagram_trace`."""
+        """The rate of the state."""
         return self._traced_result(_RATE, at)
 
     @property
     def traced_update(self) -> Callable[[At], list[NDArray]]:
-        """As of `systems.diagram_trace`; what is not sampled has none."""
-        if self._period == 0 or len(self._initial) == 0:
+        """The state and what is held, after a sample; what is not sampled has none."""
+        if self.period == 0:
             raise AttributeError("traced_update: the state is not sampled")
         return self._traced_update
 
@@ -454,13 +348,9 @@ class TracedDynamics(TracedBlock):
         state = self._traced_state(at) + self._period * self.traced_rates(at)
         return [state, *(self._traced_result(name, at) for name in self._held)]
 
-    def _traced_result(self, name: str, at: At) -> NDArray:
-        """What is made, and not what is held."""
-        return self._traced_at(self._places[name], at)
-
     @property
     def traced_start(self) -> Callable[[At], list[NDArray]]:
-        """As of `systems.diagram_trace`."""
+        """The state and what is held at the start of a run; none where that is as declared."""
         if self._start is None:
             raise AttributeError("traced_start: the state starts as it was declared")
         return self._traced_start
@@ -472,6 +362,50 @@ class TracedDynamics(TracedBlock):
         places = (self._places[name] for name in self._held)
         return [state, *(self._traced(k, at, state)[place] for k, place in places)]
 
+    def _traced_state(self, at: At) -> NDArray:
+        return at.state(0 if self._period == 0 else 1)
+
+    def _traced_result(self, name: str, at: At) -> NDArray:
+        """What is made, and not what is held."""
+        k, place = self._places[name]
+        return at.once(k, lambda: self._traced(k, at))[place]
+
+    def _traced(self, k: int, at: At, state: NDArray | None = None) -> NDArray:
+        """What a part makes, in symbols; `state` is in place of the present one."""
+        read = [
+            state if name == _STATE and state is not None else self._traced_value(name, at)
+            for name in self._parts[k].reads
+        ]
+        taken = casadi.SX(casadi.vertcat(*np.concatenate(read)) if read else 0)
+        results, _ = self._parts[k].function()(taken)
+        return object_array(results)
+
+    def _traced_value(self, name: str, at: At) -> NDArray:
+        if name in self._optional:
+            return at.input_or(name, self._optional[name])
+        if name == _AT_SAMPLE:
+            return at.once(0, lambda: self._traced(0, at))
+        if name == _NUMBERS:
+            return at.parameters
+        if name == _TIME:
+            return at.time
+        if name in self._known:
+            return at.known(name, self._known[name])
+        return self._traced_state(at) if name == _STATE else at.input(name)
+
+
+class TracedDynamics(TracedBlock):
+    """A `TracedBlock` with a state: Drake asks no other one for rates, which would take 2 µs."""
+
+    has_rates = True
+
+    def DoCalcTimeDerivatives(  # noqa: N802
+        self, context: Context, derivatives: ContinuousState
+    ) -> None:
+        """As LeafSystem's."""
+        if self._period == 0 and len(self._initial):
+            derivatives.SetFromVector(self._evaluated(context, _RATE))
+
 
 class _Group(NamedTuple):
     """Outputs that depend on the same input ports, made together."""
@@ -480,23 +414,26 @@ class _Group(NamedTuple):
     makes: list[int]  # the outputs' numbers
 
 
-def _groups(dependence: list[set[int]], inner: set[int], has_state: bool) -> list[_Group]:
-    """The outputs in groups, in the order of their first ones.
+def _groups(
+    dependence: list[set[int]], made: Sequence[int], inner: set[int], *, has_state: bool = False
+) -> list[_Group]:
+    """Outputs in groups, in the order of their first ones.
 
     Args:
         dependence: as of `Trace`.
+        made: the numbers of the outputs.
         inner: the numbers of the inputs that are no ports. An output is taken to depend on
             one of these where another one of its group does.
         has_state: the first output goes into the state: no port shows on which inputs it
             depends, and it is made with others that read these and more.
     """
-    ports = [frozenset(depends - inner) for depends in dependence]
+    ports = {i: frozenset(dependence[i] - inner) for i in made}
     if has_state:
-        wider = [other for other in ports[1:] if other >= ports[0]]
+        wider = [ports[i] for i in made[1:] if ports[i] >= ports[0]]
         ports[0] = min(wider, key=len, default=ports[0])
     groups = []
-    for own in dict.fromkeys(ports):
-        makes = [i for i, other in enumerate(ports) if other == own]
+    for own in dict.fromkeys(ports.values()):
+        makes = [i for i, other in ports.items() if other == own]
         groups.append(_Group(sorted(set().union(*(dependence[i] for i in makes))), makes))
     return groups
 
@@ -510,14 +447,8 @@ class _Part(NamedTuple):
     # evaluates these: a `TracedFunction` or what stands in for one.
     make: Callable[[type, Callable[[], str], Sequence[int]], Any]
     function: Callable[[], casadi.Function]  # of what is read, stacked
-    key: Any  # equal for parts of one function; None: there is no other
+    key: Any  # equal for parts of one function
     is_large: bool  # all outputs are made at once
-    optional: Mapping[str, int] = {}  # inputs which may be left unconnected, and their sizes
-
-
-def _consecutive(sizes: Mapping[str, int]) -> dict[str, slice]:
-    ends = np.cumsum([0, *sizes.values()]).tolist()
-    return {name: slice(a, b) for name, a, b in zip(sizes, ends, ends[1:], strict=False)}
 
 
 def _part_of(trace: Trace, group: _Group, read: Sequence[str], made: Sequence[str]) -> _Part:
@@ -527,42 +458,15 @@ def _part_of(trace: Trace, group: _Group, read: Sequence[str], made: Sequence[st
         function = trace.compiled if scalar is float else trace.on_arrays
         return function(group.reads, [group.makes[i] for i in numbers], name=name)
 
+    ends = np.cumsum([0, *(trace.output_sizes[i] for i in group.makes)]).tolist()
     return _Part(
         [read[i] for i in group.reads],
-        _consecutive({made[i]: trace.output_sizes[i] for i in group.makes}),
+        {made[i]: slice(*pair) for i, pair in zip(group.makes, pairwise(ends), strict=True)},
         make,
         lambda: trace.part(group.reads, group.makes),
         (trace.identity, *map(tuple, group)),
         trace.part(group.reads, group.makes).n_instructions() > _LARGE,
     )
-
-
-def _late_part(
-    late: LateOutputs, inputs: Mapping[str, int], parameters: NumericParameters
-) -> _Part:
-    """The part for late outputs of a block's inputs, whose names and sizes are given."""
-    names, function = [*late.reads], late.function
-    if len(parameters) > 0:
-        function = parameters.as_argument(function, len(names))
-        names.append(_NUMBERS)
-    sizes = [*(inputs[name] for name in names), *late.optional.values()]
-    names += late.optional
-    all_names = range(len(names))
-
-    @functools.cache
-    def trace() -> Trace:
-        return Trace(function, sizes, key=late.key)
-
-    def make(scalar: type, name: Callable[[], str], numbers: Sequence[int]) -> Any:
-        if scalar is not float:
-            return ArrayFunction(function, sizes, all_names, numbers, name=name)
-        return LateFunction(lambda: trace().compiled(all_names, numbers, name=name))
-
-    def traced() -> casadi.Function:
-        return trace().part(all_names, range(len(late.outputs)))
-
-    key = None if late.key is None else pickle.dumps((late.key, sizes))
-    return _Part(names, _consecutive(late.outputs), make, traced, key, True, dict(late.optional))
 
 
 def _at(place: slice) -> Callable[[Sequence[NDArray]], NDArray]:

@@ -17,7 +17,7 @@ from pydrake.autodiffutils import AutoDiffXd, ExtractValue
 from pydrake.symbolic import Variable
 
 _MAX_TRACES = 32
-_traces: dict[bytes, Any] = {}  # by their keys; the most recently used is the last
+_traces: dict[Any, Any] = {}  # by their keys; the most recently used is the last
 
 LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
 
@@ -52,7 +52,7 @@ class TracedFunction:
             Jacobian of the outputs, flattened and stacked, is one more output (rows,
             columns).
         key: if given, everything that `function` depends on besides its arguments, in a form
-            that can be pickled: a second function with an equal key is not traced again.
+            that can be hashed, or pickled: a second function with an equal key is not traced again.
 
     A call returns the outputs in a tuple, each flat but for the Jacobian. They are views
     of buffers that the thread's next call overwrites; copy them to keep them.
@@ -248,20 +248,6 @@ class ArrayFunction:
         return stacked
 
 
-class LateFunction:
-    """A traced function that `make` returns when it is evaluated for the first time."""
-
-    def __init__(self, make: Callable[[], TracedFunction]):
-        self._make = make
-        self._made: TracedFunction | None = None
-
-    def of_vectors(self, inputs: Sequence[NDArray]) -> NDArray:
-        """As of `TracedFunction`."""
-        if self._made is None:
-            self._made = self._make()
-        return self._made.of_vectors(inputs)
-
-
 class _Expressions:
     """What a function makes of symbols, and functions of parts of it."""
 
@@ -294,21 +280,31 @@ def _expressions(
     outputs = function(*map(object_array, symbols))
     if not isinstance(outputs, tuple):
         outputs = (outputs,)
-    return symbols, [casadi.densify(casadi.vertcat(*output.ravel())) for output in outputs]
+    flat = [casadi.SX(casadi.vertcat(*output.ravel())) for output in outputs]
+    return symbols, [casadi.densify(output) for output in flat]
 
 
 def _cached(make: Callable[[], Any], *key: Any) -> Any:
     """What is made, or what was made for an equal key; the last of it is no key if it is None."""
     if key[-1] is None:
         return make()
-    pickled = pickle.dumps(key)
-    found = _traces.pop(pickled, None)
+    hashed: Any = _hashed(key[:-1]), _hashed(key[-1])
+    found = _traces.pop(hashed, None)
     if found is None:
         found = make()
-    _traces[pickled] = found
+    _traces[hashed] = found
     if len(_traces) > _MAX_TRACES:
         _traces.pop(next(iter(_traces)), None)
     return found
+
+
+def _hashed(key: Any) -> Any:
+    """A key as it is, or pickled where it cannot be hashed."""
+    try:
+        hash(key)
+    except TypeError:
+        return pickle.dumps(key)
+    return key
 
 
 def _traced(

@@ -19,7 +19,6 @@ from drake_nonstop.blocks.carrier_trajectory import (
     MeasuredCarrierTrajectory,
 )
 from drake_nonstop.blocks.internal_force import (
-    InternalForceTrajectory,
     PlannedInternalForceConfig,
 )
 from drake_nonstop.blocks.load_feedback import DesiredStateFeedback
@@ -41,7 +40,6 @@ from drake_nonstop.model.pattern import (
 )
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.systems import traced_block
 from drake_nonstop.systems.wiring import WiringError, connections, input_names
 from drake_nonstop.validation import ScenarioError
 
@@ -441,18 +439,3 @@ def test_what_the_derivatives_need_may_be_left_unconnected(rng):
     assert len(output(block, context, "carrier_reference")) == 24
     with pytest.raises(RuntimeError, match="internal_force_higher_rates"):
         output(block, context, DERIVATIVES[0])
-
-
-def test_derivatives_that_nothing_reads_are_not_even_traced(monkeypatch):
-    boxes = {"internal_force": InternalForceTrajectory, "carrier_controller": CarrierPid}
-    diagram, context = loop_on_its_reference(**boxes)
-    traced = []
-    make = traced_block.Trace
-    monkeypatch.setattr(
-        traced_block, "Trace", lambda *sizes, key: traced.append(1) or make(*sizes, key=key)
-    )
-    diagram.EvalTimeDerivatives(context)
-    carriers_at(diagram, context, 0.1, ["carrier_reference"])
-    assert not traced
-    carriers_at(diagram, context, 0.1)
-    assert traced == [1, 1]  # the higher rates of the internal force are made likewise

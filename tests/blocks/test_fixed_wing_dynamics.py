@@ -62,7 +62,7 @@ def test_trim_gives_the_acceleration(rng, n):
     # Newton's second law with the forces of the shown state.
     shown = AircraftState.view(output(block, context, "aircraft_state"))
     air = (before[3 * n :] - wind).reshape(n, 3)
-    aircraft = block._aircraft
+    aircraft = block.model.aircraft
     force = air_force(aircraft, air, shown.lift, shown.bank, shown.thrust)
     expected = (force - pull.reshape(n, 3)) / 6.0 - [0, 0, 9.81]
     np.testing.assert_allclose(acceleration, expected.ravel(), atol=1e-9)

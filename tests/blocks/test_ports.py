@@ -4,6 +4,7 @@ import functools
 import importlib
 import inspect
 import pkgutil
+import pydoc
 import re
 
 import numpy as np
@@ -84,8 +85,9 @@ from drake_nonstop.blocks.wrench_controller import (
     TunedWrenchController,
     WrenchController,
 )
-from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
 from drake_nonstop.loop.box import config_class
+from drake_nonstop.mechanics.signal_layouts import SIGNALS as LAYOUTS
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.scenario.describe import parameters
 from drake_nonstop.systems.wiring import output_sizes
@@ -608,59 +610,43 @@ MODULES = [
     for module in pkgutil.iter_modules(blocks.__path__)
 ]
 DOCUMENTED = [block for module in MODULES for block in getattr(module, "VARIANTS", ())]
-SOMETIMES = "(where the model has a control period)"
-
-
-PARAMETERS = re.compile(r"\nParameters, the fields of `\w+`:\n((?:    .*\n)+)")
 SECTION = re.compile(r"\.\. pydrake_system::\n\n((?:    .*\n)+)")
 
 
-def docstring(block):
-    """The block's own, and not one that it inherits."""
-    return inspect.cleandoc(vars(block)["__doc__"])
-
-
-def documented_ports(block, period):
-    """The names, inputs and outputs in the `pydrake_system` section of a block's own docstring."""
-    ports = yaml.safe_load(SECTION.search(docstring(block))[1])
-    kinds = [ports.get(f"{kind}_ports", []) for kind in ("input", "output")]
-    present = [[port for port in kind if period > 0 or SOMETIMES not in port] for kind in kinds]
-    return ports["name"], *([port.replace(SOMETIMES, "").strip() for port in p] for p in present)
-
-
 @of_every(DOCUMENTED)
-def test_docstring_lists_exactly_the_ports(block, period):
-    name, inputs, outputs = documented_ports(block, period)
-    assert name == block.__name__
+def test_the_declared_ports_are_those_that_it_has(block, period):
     made = built(block, 4, period)
-    assert inputs == input_names(made)
-    assert outputs == output_names(made)
+    is_there = [
+        name for name in block.reads if period > 0 or "control period" not in where(block, name)
+    ]
+    assert is_there == input_names(made)
+    assert list(block.makes) == output_names(made)
+
+
+def where(block, name):
+    return getattr(block, "where", {}).get(name, "")
 
 
 @pytest.mark.parametrize("block", DOCUMENTED, ids=lambda block: block.__name__)
-def test_docstring_has_the_size_of_each_port_and_names_the_config_that_has_fields(block):
-    text = docstring(block)
-    prose = SECTION.sub("", text)
-    _, inputs, outputs = documented_ports(block, 0.01)
-    assert "ports as" not in text.lower()
-    for port in (*inputs, *outputs):
-        named = f"`{port}`" in prose or "Both (" in prose
-        assert named or (port.endswith("_rates") and "their rates" in prose), port
-    config = inspect.signature(block).parameters["config"].annotation
-    if not isinstance(config, str):
-        config = next(part for part in config.__args__ if part is not type(None))
-        if inspect.signature(config).parameters:
-            assert f"`{config.__name__}`" in text
-
-
-@pytest.mark.parametrize("block", DOCUMENTED, ids=lambda block: block.__name__)
-def test_docstring_lists_exactly_the_fields_of_the_config_with_their_units(block):
-    found = PARAMETERS.search(docstring(block) + "\n")
-    listed = re.split(r"\n    (?! )", "\n" + found[1].rstrip())[1:] if found else []
+def test_docstring_tells_all_that_is_declared(block):
+    text = inspect.getdoc(block)
+    ports = yaml.safe_load(inspect.cleandoc(SECTION.search(text)[1]))
+    assert ports["name"] == block.__name__
+    for kind, names in (("input_ports", block.reads), ("output_ports", block.makes)):
+        assert [port.partition(" ")[0] for port in ports.get(kind, [])] == list(names)
+    for name in (*block.reads, *block.makes):
+        (line,) = {line for line in text.splitlines() if line.startswith(f"- `{name}` (")}
+        layout = {**LAYOUTS, **SIGNALS, **getattr(block, "signal_layouts", {})}[name]
+        size = "abstract" if layout is None else layout.size
+        assert line.startswith((f"- `{name}` ({size})", f"- `{name}` ({size}, "))
     fields = parameters(config_class(block))
     assert all(field.meaning for field in fields)
-    expected = [f"{field.name}: {field.meaning}" for field in fields]
-    assert [" ".join(entry.split()) for entry in listed] == expected
+    for field in fields:
+        assert f"- `{field.name}`: {field.meaning}" in text.splitlines()
+    assert (f"`{config_class(block).__name__}`" in text) == bool(fields)
+    assert block.__doc__ in pydoc.render_doc(block, renderer=pydoc.plaintext).replace(
+        "\n |  ", "\n"
+    )
 
 
 def test_constructors_are_documented_by_the_package_and_not_by_drake():

@@ -10,6 +10,7 @@ import pytest
 from drawn_tasks import draw
 from pydrake.systems.analysis import Simulator
 
+from drake_nonstop.blocks.carrier_controller import CarrierPid
 from drake_nonstop.diagrams.nonstop import make_blocks, make_nonstop
 from drake_nonstop.loop.margin_of_loop import feedback_of, margin_of_loop
 from drake_nonstop.loop.plant_states import PlantStates
@@ -448,17 +449,11 @@ def test_the_grid_counts_as_the_square_of_its_spacing():
 def test_what_is_not_known_is_said_in_one_sentence():
     scenario = load_scenario("three_carriers", ["optimization_layer.tightening=auto"])
 
-    def own(model):
-        from drake_nonstop.blocks.carrier_controller import CarrierPid
+    class Unknown(CarrierPid):
+        gains = None
 
-        block = CarrierPid(model)
-        del block.gains
-        return block
-
-    with pytest.warns(
-        ScenarioWarning, match="carrier_controller = CarrierPid: its response"
-    ) as said:
-        make_nonstop(scenario, carrier_controller=own)
+    with pytest.warns(ScenarioWarning, match="carrier_controller = Unknown: its response") as said:
+        make_nonstop(scenario, carrier_controller=lambda model: Unknown(model))
     assert len([w for w in said if "tightening" in str(w.message)]) == 1
 
 

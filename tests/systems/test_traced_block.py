@@ -28,7 +28,7 @@ def spring(**more):
     return TracedDynamics(
         function,
         inputs={"push": 1, "gain": 1},
-        outputs={"power": 1, "force": 1},
+        outputs={"power": 1, "force": 1} | ({"motion": 2} if "state_port" in more else {}),
         state=np.array([2.0, 3.0]),
         **more,
     )
@@ -107,7 +107,7 @@ def test_an_output_feeds_through_what_its_trace_reads_and_nothing_else():
     block = TracedDynamics(
         function,
         inputs={"a": 1, "b": 1, "unread": 2},
-        outputs={"both": 1, "second": 1, "constant": 1, "own": 1},
+        outputs={"both": 1, "second": 1, "constant": 1, "own": 1, "state": 1},
         state=np.array([2.0]),
         state_port="state",
         reads_time=True,
@@ -199,9 +199,11 @@ def test_a_block_of_the_time_alone():
         assert output(block, context, "ramp") == [2 * time]
 
 
-def test_a_block_of_nothing_is_refused():
-    with pytest.raises(ValueError, match="inputs = none: give some, a state, or reads_time"):
-        TracedBlock(lambda: np.ones(1), inputs={}, outputs={"one": 1})
+def test_a_block_of_nothing_shows_constants():
+    block = TracedBlock(lambda: np.ones(2), inputs={}, outputs={"ones": 2})
+    for own in (block, block.ToAutoDiffXd(), block.ToSymbolic()):
+        values = own.GetOutputPort("ones").Eval(own.CreateDefaultContext())
+        assert [number(value) for value in values] == [1.0, 1.0]
 
 
 def integral(**settings):

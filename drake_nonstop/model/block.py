@@ -1,0 +1,202 @@
+"""The base class of the figure's blocks: what a block is follows from what its class declares."""
+
+import functools
+import numbers
+import pickle
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from operator import attrgetter
+from typing import Any, ClassVar
+
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.signal_layouts import SIGNALS
+from drake_nonstop.model.block_parameters import AUTO, BlockParameters, Rules
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.documentation import own_config_class
+from drake_nonstop.systems.traced_block import BetweenSamples, Start, TracedBlock, TracedDynamics
+
+
+class Block(TracedBlock):
+    """A block that is made by `X(model, config)` of what its class X declares.
+
+    The dataclass of its parameters is XConfig, in the same module; those that are numbers are
+    parameters of the context. Units, sizes and frames of its signals are those of
+    `mechanics.signal_layouts`, or of its own `signal_layouts`:
+
+        @dataclass(kw_only=True)
+        class SpringConfig(StrictFields):
+            stiffness: float = 10.0  # N/m
+
+        class Spring(Block):
+            reads = ("load_state", "reference")
+            makes = ("disturbance_wrench",)
+
+            @staticmethod
+            def equations(load_state, reference, *, stiffness):
+                force = stiffness * (reference[4:7] - load_state[4:7])
+                return np.concatenate([np.zeros(3), force])
+
+    `equations` takes the state, if there is one, an array (size,) for each signal of `reads`, and
+    the time (1,) in s if `reads_time`. By name it takes what is `of_model`, and the parameters of
+    `system` and of the config, as arrays, numbers as (1,). It returns the state's rate, if there is
+    a state, and an array for each signal of `makes` but `state_port`. It is plain arithmetic that
+    runs on arrays of floats, AutoDiffXd, Expressions and symbols of CasADi alike: no branches on
+    values, no `np.linalg.norm`, no writing into arrays. From it follow what feeds through to what,
+    the derivatives, and the block's part of a compiled loop.
+
+    Attributes:
+        reads, makes: names of signals.
+        optional_inputs: of those that it reads: they may be left unconnected, and then are zero.
+        system: names of fields of the system that `equations` takes, and a context can change.
+        of_model: attributes of the `Model` that it takes, and nothing can change, such as
+            "attachments" or "pattern.basis", which it takes by the name basis.
+        state_port: the signal that shows the state; None: none does.
+        is_sampled: with a control period the state changes at the samples alone.
+        reads_time, is_joint, is_held, updates_first: as of `TracedBlock`.
+        model, config: what it was made of.
+
+    Raises:
+        ScenarioError: `check` refuses the config.
+    """
+
+    optional_inputs: tuple[str, ...] = ()
+    system: ClassVar[tuple[str, ...]] = ()
+    of_model: ClassVar[tuple[str, ...]] = ()
+    state_port: ClassVar[str | None] = None
+    reads_time = False
+    is_joint: ClassVar[bool] = False
+    is_held: ClassVar[bool] = False
+    updates_first = False
+    equations: ClassVar[Callable[..., Any]]
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if cls.state is not Block.state:
+            cls.has_rates = True
+            cls.DoCalcTimeDerivatives = (  # type: ignore[method-assign]
+                TracedDynamics.DoCalcTimeDerivatives
+            )
+        if not isinstance(vars(cls).get("equations", staticmethod(len)), staticmethod):
+            raise TypeError(
+                f"{cls.__name__}.equations = a method: make it a @staticmethod, which takes all "
+                "that it needs as arguments"
+            )
+
+    def __init__(self, model: Model, config: Any = None):
+        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
+        config = self.config_of(model, config)
+        self.check(model, config)
+        constants = self.constants(model, config)
+        state, reads, period = self.state(model), self.inputs(model), model.control_period
+        has_state = state is not None and self.has_state(model, config)
+        function: Callable = functools.partial(self.equations, **constants)
+        if state is not None and not has_state:
+            function = _without_state(function, state)
+        kept = ((k, v if callable(v) else pickle.dumps(v)) for k, v in constants.items())
+        super().__init__(
+            function,
+            inputs=self._sizes(model, reads),
+            outputs=self._sizes(model, self.makes),
+            optional=[name for name in self.optional_inputs if name in reads],
+            reads_time=self.reads_time,
+            parameters=self.block_parameters(model, config),
+            key=(self.equations, has_state, *kept),
+            is_joint=self.is_joint,
+            between=self.between_samples(model, config) if period > 0 else None,
+            state=state if has_state else None,
+            state_port=self.state_port,
+            period=period if self.is_sampled else 0.0,
+            updates_first=type(self).updates_first,
+            start=self.start() if has_state else None,
+            is_held=self.is_held,
+        )
+        self.model, self.config = model, config
+
+    def config_of(self, model: Model, config: Any) -> Any:
+        """The config that the block goes by; a class may derive it from the one that is given."""
+        return own_config_class(type(self))() if config is None else config
+
+    @classmethod
+    def check(cls, model: Model, config: Any) -> None:
+        """Raises ScenarioError for a config that cannot be used with the model."""
+
+    def constants(self, model: Model, config: Any) -> dict[str, Any]:
+        """What `equations` takes by name besides parameters: numbers, arrays or functions."""
+        return {name.rpartition(".")[2]: attrgetter(name)(model) for name in self.of_model}
+
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        """The signals that it reads."""
+        return self.reads
+
+    def state(self, model: Model) -> NDArray | None:
+        """The state (s,) in a new context, None if there is none."""
+        return None
+
+    @classmethod
+    def has_state(cls, model: Model, config: Any) -> bool:
+        """Whether the state moves; if not, `equations` always gets that of a new context."""
+        return True
+
+    def start(self) -> Start | None:
+        """What makes the state at the start of a run; None: it stays as it is."""
+        return None
+
+    def between_samples(self, model: Model, config: Any) -> BetweenSamples | None:
+        """How outputs move between the samples of a control period; None: they do not."""
+        return None
+
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        """What of system and config `equations` takes: the fields that are numbers."""
+        own = [name for name, value in asdict(config).items() if _is_numeric(value)]
+        return self.parameters_of(model, config, own)
+
+    def parameters_of(
+        self,
+        model: Model,
+        config: Any,
+        own: Iterable[str],
+        *,
+        system: Iterable[str] | None = None,
+        **rules: Any,
+    ) -> BlockParameters:
+        """The parameters of these fields of the config, and of the `system`.
+
+        The others are as of `Rules`.
+        """
+        return BlockParameters(
+            model,
+            self.system if system is None else system,
+            config=config,
+            own=own,
+            rules=Rules(**{"check": self.check, "structure": self.has_state} | rules),
+        )
+
+    def _sizes(self, model: Model, names: Iterable[str]) -> dict[str, int]:
+        layouts = SIGNALS | getattr(self, "signal_layouts", {})
+        sizes = {}
+        for name in names:
+            layout = layouts.get(name)
+            if layout is None:
+                raise TypeError(
+                    f"{type(self).__name__}: {name} is no vector among the figure's signals; give "
+                    f'its layout, such as signal_layouts = {{"{name}": Layout(Part("", "3", "m"))}}'
+                )
+            sizes[name] = layout.count(model.n, model.m)
+        return sizes
+
+
+def _without_state(function: Callable, state: NDArray) -> Callable:
+    """The function with a state that stays as it is, and without its rate."""
+
+    def outputs(*inputs: NDArray, **values: NDArray) -> Any:
+        return function(state, *inputs, **values)[1:]
+
+    return outputs
+
+
+def _is_numeric(value: Any) -> bool:
+    """Whether a field can be a parameter of the context."""
+    if isinstance(value, list):
+        return len(value) > 0 and all(map(_is_numeric, value))
+    return value == AUTO or (isinstance(value, numbers.Real) and not isinstance(value, bool))

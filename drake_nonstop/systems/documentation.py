@@ -1,0 +1,105 @@
+"""What a block's docstring says of its ports and parameters: all of it from its declarations."""
+
+import functools
+import inspect
+import re
+import sys
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+from drake_nonstop.mechanics.signal_layouts import SIGNALS
+from drake_nonstop.systems.field_comments import meanings
+
+_Kind = TypeVar("_Kind", bound=type)
+
+
+def config_class(block: type) -> type:
+    """The dataclass of a block's parameters: XConfig in the module of block X."""
+    return getattr(sys.modules[block.__module__], f"{block.__name__}Config")
+
+
+def own_config_class(block: type) -> type:
+    """Likewise; of a class without one, that of the nearest class above it."""
+    for kind in block.__mro__:
+        found = getattr(sys.modules.get(kind.__module__), f"{kind.__name__}Config", None)
+        if found is not None:
+            return found
+    raise TypeError(f"{block.__name__}: give {block.__module__} its config {block.__name__}Config")
+
+
+def documented(block: _Kind) -> _Kind:
+    """A block's class, whose docstring goes on with what it reads and makes, and its parameters.
+
+    It is told by the class's attributes `reads` and `makes`, names of signals, `where`, which says
+    of some of them when there is such a port, and the dataclass of its parameters.
+    """
+    text = vars(block).get("__doc__")
+    if isinstance(text, str):
+        block.__doc__ = _Docstring(text)  # type: ignore[assignment]
+    return block
+
+
+class _Docstring:
+    """A docstring that is put together when it is asked for."""
+
+    def __init__(self, text: str):
+        self._text = text
+
+    def __get__(self, block: Any, kind: type) -> str:
+        return _docstring(kind, self._text)
+
+
+@functools.cache
+def _docstring(kind: type, text: str) -> str:
+    """With the generated part in front of the sections."""
+    said, declared = inspect.cleandoc(text), _declared(kind)
+    if not declared:
+        return said
+    section = re.search(r"^(Args|Attributes|Raises):$", said, re.MULTILINE)
+    head, tail = (said[: section.start()], said[section.start() :]) if section else (said, "")
+    return f"{head.rstrip()}\n\n{declared}\n\n{tail}".rstrip()
+
+
+def _declared(kind: Any) -> str:
+    """Drake's directive, and lists of the ports and the parameters."""
+    reads, makes = getattr(kind, "reads", ()), getattr(kind, "makes", ())
+    if not reads and not makes:
+        return ""
+    parts = [_directive(kind, reads, makes)]
+    parts += [_list(f"{word}:", _ports(kind, names)) for word, names in _words(reads, makes)]
+    config: Any = getattr(sys.modules[kind.__module__], f"{kind.__name__}Config", None)
+    if config and (fields := meanings(config)):
+        head = f"Parameters, the fields of `{config.__name__}`:"
+        parts.append(_list(head, (f"`{name}`: {said}" for name, said in fields.items())))
+    return "\n\n".join(parts)
+
+
+def _words(reads: Iterable[str], makes: Iterable[str]) -> list[tuple[str, Iterable[str]]]:
+    return [pair for pair in (("Reads", reads), ("Makes", makes)) if pair[1]]
+
+
+def _directive(kind: Any, reads: Iterable[str], makes: Iterable[str]) -> str:
+    lines = [".. pydrake_system::", "", f"    name: {kind.__name__}"]
+    for word, names in (("input", reads), ("output", makes)):
+        if names:
+            lines += [f"    {word}_ports:", *(f"    - {_where(kind, name)}" for name in names)]
+    return "\n".join(lines)
+
+
+def _where(kind: Any, name: str) -> str:
+    where = getattr(kind, "where", {}).get(name, "")
+    return f"{name} (where {where})" if where else name
+
+
+def _ports(kind: Any, names: Iterable[str]) -> Iterable[str]:
+    layouts = SIGNALS | getattr(kind, "signal_layouts", {})
+    for name in names:
+        layout = layouts.get(name)
+        size, said = ("abstract", "") if layout is None else (layout.size, f": {layout}")
+        when = [f"where {where}"] if (where := getattr(kind, "where", {}).get(name)) else []
+        when += ["may be left unconnected"] if name in getattr(kind, "optional_inputs", ()) else []
+        yield f"`{name}` ({', '.join([size, *when])}){said}"
+
+
+def _list(head: str, items: Iterable[str]) -> str:
+    return "\n".join([head, "", *(f"- {item}" for item in items)])
