@@ -89,7 +89,7 @@ class BoundedTensionDistribution(CableForceDistribution):
         RuntimeError: during a run, if no such cable forces are found.
     """
 
-    traced_output: Any = None  # a search is no function that can be traced
+    is_traced = False  # a search is no function that can be
 
     def __init__(self, model: Model, config: BoundedTensionDistributionConfig | None = None):
         super().__init__(model, config)

@@ -1,14 +1,14 @@
 """Box "load_feedback": the measurement of the load's state, a wire in the paper's figure."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import DiscreteAlgebraicRiccatiEquation
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues
+from pydrake.systems.framework import Context, DiscreteValues
 from pydrake.systems.primitives import Selector
 
 from drake_nonstop.mechanics.load_estimate import corrected_state, predicted_state
@@ -23,10 +23,10 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, LeafBlock, number
-from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.documentation import documented
+from drake_nonstop.systems.in_context import InContext, shown
 from drake_nonstop.systems.traced_block import stacking
-from drake_nonstop.systems.tracing import chosen, object_array
+from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import (
     StrictFields,
     require,
@@ -186,7 +186,7 @@ class NoisyFeedback(LeafBlock):
         self.DeclareVectorOutputPort(
             "measured_load_state",
             LOAD_STATE_SIZE,
-            self._calc,
+            shown(self, "measured_load_state"),
             {self.all_input_ports_ticket(), self.time_ticket(), self.xd_ticket()},
         )
 
@@ -194,12 +194,8 @@ class NoisyFeedback(LeafBlock):
         newest = number(context.get_discrete_state(self._newest)[0])
         if number(context.get_time()) < newest + self.period / 2:
             return  # a run that starts at the instant of a sample triggers both events
-        samples = context.get_discrete_state(self._samples).CopyToVector()
-        count = number(context.get_discrete_state(self._count)[0])
-        samples = np.concatenate([self._load_state.Eval(context), samples[:-LOAD_STATE_SIZE]])
-        discrete_state.set_value(self._samples, samples)
-        discrete_state.set_value(self._newest, [context.get_time()])
-        discrete_state.set_value(self._count, [min(count + 1, self.delay_periods)])
+        for k, values in enumerate(NoisyFeedback.traced_update(self, InContext(self, context))):
+            discrete_state.set_value(k, values)
 
     @property
     def trace_key(self) -> Any:
@@ -208,18 +204,18 @@ class NoisyFeedback(LeafBlock):
 
     updates_at_start = True
 
-    def traced_output(self, port: str, at: At) -> NDArray:
-        return self._traced_measurement(at)
+    def traced_output(self, port: str, at: Any) -> NDArray:
+        return self._measured(at)
 
-    def traced_update(self, at: At) -> list[NDArray]:
+    def traced_update(self, at: Any) -> list[NDArray]:
         if self.delay_periods == 0:
             return []
-        samples, (count,), _ = (at.state(k) for k in (1, 2, 3))
+        samples, count, _ = (at.state(k) for k in (1, 2, 3))
         samples = np.concatenate([at.input("load_state"), samples[:-LOAD_STATE_SIZE]])
-        return [samples, object_array(casadi.fmin(count + 1, self.delay_periods)), at.time]
+        return [samples, chosen(count[0] < self.delay_periods, count + 1, count), at.time]
 
-    def _traced_measurement(self, at: At) -> NDArray:
-        state = at.input("load_state")
+    def _measured(self, at: Any) -> NDArray:
+        state = at.input("load_state")  # at the start
         if self.delay_periods > 0:
             samples, (count,) = at.state(1).reshape(-1, LOAD_STATE_SIZE), at.state(2)
             for k, sample in enumerate(samples):
@@ -234,26 +230,9 @@ class NoisyFeedback(LeafBlock):
         noise = np.array([self._noise(number) for number in numbers.tolist()])
         return [noise[places.ravel()] for _ in names]
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._measured(context))
-
-    def _measured(self, context: Context) -> NDArray:
-        state = self._load_state.Eval(context)
-        if self.delay_periods > 0:
-            count = int(number(context.get_discrete_state(self._count)[0]))
-            if count > 0:  # otherwise the state at the start
-                samples = context.get_discrete_state(self._samples).CopyToVector()
-                state = samples[LOAD_STATE_SIZE * (count - 1) : LOAD_STATE_SIZE * count]
-        return self._noisy(state, number(context.get_time()))
-
-    def _noisy(self, state: NDArray, time: float) -> NDArray:
-        if not self.deviations.any():
-            return state
-        return _with_noise(state, self._noise(int(self._numbers_of(time))))
-
     def _numbers_of(self, times: Any) -> Any:
         """Those of the samples that are held at times in s."""
-        return np.floor(times / self.period + 1e-6).astype(int)
+        return np.array([math.floor(number(time) / self.period + 1e-6) for time in times])
 
     def _noise(self, number: int) -> NDArray:
         """A sample (12,) by its number: all of a `TrackingError` in W."""
@@ -361,49 +340,37 @@ class EstimatedFeedback(NoisyFeedback):
         gains = self.rotation_gain.tobytes(), self.translation_gain.tobytes()
         return super().trace_key, *gains
 
-    def traced_output(self, port: str, at: At) -> NDArray:
+    def traced_output(self, port: str, at: Any) -> NDArray:
         is_due = at.time[0] > at.state(self._first + 1)[0] + _DUE * self.period
-        return chosen(is_due, self._traced_estimate(at, is_due=True), self._traced_estimate(at))
+        return chosen(is_due, lambda: self._estimated(at, is_due=True), lambda: self._estimated(at))
 
-    def traced_update(self, at: At) -> list[NDArray]:
-        return [*super().traced_update(at), self._traced_estimate(at, is_due=True), at.time]
+    def traced_update(self, at: Any) -> list[NDArray]:
+        return [*super().traced_update(at), self._estimated(at, is_due=True), at.time]
 
     @property
     def _first(self) -> int:
         """The place of the estimate among the states."""
         return 4 if self.delay_periods > 0 else 1
 
-    def _traced_estimate(self, at: At, *, is_due: bool = False) -> NDArray:
+    def _estimated(self, at: Any, *, is_due: bool = False) -> NDArray:
         estimate, newest = (at.state(self._first + k) for k in (0, 1))
-        state = predicted_state(estimate, at.time - newest)
-        if is_due:
+
+        def after_the_start() -> NDArray:
+            state = predicted_state(estimate, at.time - newest)
+            if not is_due:
+                return state
             gains = self.rotation_gain, self.translation_gain
-            state = corrected_state(state, self._traced_measurement(at), *gains)
-        return chosen(newest[0] >= 0, state, at.input("load_state"))  # the latter at the start
+            return corrected_state(state, self._measured(at), *gains)
+
+        return chosen(newest[0] >= 0, after_the_start, lambda: at.input("load_state"))
 
     def _correct(self, context: Context, discrete_state: DiscreteValues) -> None:
         newest = number(context.get_discrete_state(self._estimated_at)[0])
         if number(context.get_time()) < newest + self.period / 2:
             return  # a run that starts at the instant of a sample triggers both events
-        discrete_state.set_value(self._estimate, self._estimated(context, is_due=True))
-        discrete_state.set_value(self._estimated_at, [context.get_time()])
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        newest = number(context.get_discrete_state(self._estimated_at)[0])
-        is_due = number(context.get_time()) > newest + _DUE * self.period
-        output.SetFromVector(self._estimated(context, is_due=is_due))
-
-    def _estimated(self, context: Context, *, is_due: bool) -> NDArray:
-        newest = context.get_discrete_state(self._estimated_at)[0]
-        if not np.isfinite(number(newest)):
-            return self._load_state.Eval(context)  # at the start
-        estimate = context.get_discrete_state(self._estimate).CopyToVector()
-        predicted = predicted_state(estimate, context.get_time() - newest)
-        if not is_due:
-            return predicted
-        return corrected_state(
-            predicted, self._measured(context), self.rotation_gain, self.translation_gain
-        )
+        at = InContext(self, context)
+        discrete_state.set_value(self._estimate, self._estimated(at, is_due=True))
+        discrete_state.set_value(self._estimated_at, at.time)
 
 
 def steady_state_gain(

@@ -1,17 +1,17 @@
 """Box "phase" of the internal forces, in the paper a part of their trajectories."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import (
-    BasicVector,
     Context,
     ContinuousState,
     EventStatus,
+    InputPortIndex,
     State,
 )
 
@@ -20,7 +20,7 @@ from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, PLANNED
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, weakly
-from drake_nonstop.systems.diagram_trace import At
+from drake_nonstop.systems.in_context import InContext, shown
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import StrictFields, require_positive
 
@@ -141,29 +141,31 @@ class ShapedPhase(LeafBlock):
             "max_amplitude_rate": config.max_amplitude_rate,
         }
         require_positive(_BOX, **{k: v for k, v in max_rates.items() if v != math.inf})
-        self._period = period = model.control_period
+        period = model.control_period
         self._shape = config.bandwidth, *max_rates.values(), period
         self._frequency, self._amplitude = (
             Smoothing(bandwidth=config.bandwidth, period=period, max_rate=max_rate)
             for max_rate in max_rates.values()
         )
-        self._parameters = self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
+        self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
         self._plan = self.DeclareVectorInputPort("plan", PLANNED_SIZE)
-        plan, states = self.input_port_ticket(self._plan.get_index()), self.all_state_ticket()
-        self.DeclareVectorOutputPort("phase", PHASE_SIZE, self._calc_phase, {plan, states})
-        parameters = self.input_port_ticket(self._parameters.get_index())
-        self.DeclareVectorOutputPort(
-            "planned", PLANNED_SIZE, self._calc_planned, {plan, parameters, states}
-        )
+        parameters, plan = (self.input_port_ticket(InputPortIndex(k)) for k in range(2))
+        states = self.all_state_ticket()
+        for name, size, sources in (
+            ("phase", PHASE_SIZE, {plan, states}),
+            ("planned", PLANNED_SIZE, {plan, parameters, states}),
+        ):
+            self.DeclareVectorOutputPort(name, size, shown(self, name), sources)
+        self._group = int(period > 0)  # that of the state
+        self.is_traced = period > 0
         if period > 0:
             self.DeclareDiscreteState(_STATE_SIZE)
             # Unrestricted for the same reason as the step of an accumulated phase.
             self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, weakly(self._step))
         else:
             self.DeclareContinuousState(_STATE_SIZE)
-            self.traced_output = None  # type: ignore[method-assign,assignment]
             # At the first step, and not at the initialization, which a layer's first update is a
-            # part of.
+            # part of. No trace has such an event.
             self.DeclarePerStepUnrestrictedUpdateEvent(weakly(self._begin))
 
     updates_first = True
@@ -173,26 +175,14 @@ class ShapedPhase(LeafBlock):
         """What shapes ξ and A."""
         return self._shape
 
-    def _state(self, context: Context) -> list[Any]:
-        """The state (8).
+    def _motion(self, at: Any) -> tuple[Any, list[Any], list[Any]]:
+        """θ, and of each of ξ and A the stages and the first one's rate.
 
-        It is θ with the stages of ξ and of A, and whether these have started: 1, or, before that,
-        0, where they are the parameters.
+        The state (8) is θ with the stages of ξ and of A, and whether these have started: 1, or,
+        before that, 0, where they are the parameters.
         """
-        if self._period > 0:
-            return context.get_discrete_state_vector().CopyToVector().tolist()
-        return context.get_continuous_state_vector().CopyToVector().tolist()
-
-    def _motion(self, context: Context) -> tuple[Any, list[Any], list[Any]]:
-        """θ, and of each of ξ and A the stages and the first one's rate."""
-        return self._motion_of(self._state(context), self._parameters.Eval(context).tolist())
-
-    def _motion_of(
-        self, state: Iterable[Any], parameters: Iterable[Any]
-    ) -> tuple[Any, list[Any], list[Any]]:
-        """Likewise of the state and the parameters, numbers of any type."""
-        angle, *stages, started = state
-        frequency, amplitude = parameters
+        angle, *stages, started = at.state(self._group)
+        frequency, amplitude = at.input("parameters")
         if not isinstance(started, float) or started != 1:
             rest = 1 - started
             starts = [frequency] * 3 + [amplitude] * 3
@@ -203,56 +193,39 @@ class ShapedPhase(LeafBlock):
         size.append(self._amplitude.approach(size[0], amplitude))
         return angle, xi, size
 
-    def _calc_phase(self, context: Context, output: BasicVector) -> None:
-        if self._plan.HasValue(context):
-            angle = self._plan.Eval(context)[0]
-        else:
-            angle = self._state(context)[0]
-        output.SetFromVector([angle, 0.0])
-
-    def _calc_planned(self, context: Context, output: BasicVector) -> None:
-        if self._plan.HasValue(context):
-            output.SetFromVector(self._plan.Eval(context))
-            return
-        output.SetFromVector(self._planned(*self._motion(context)))
-
-    def _planned(self, angle: Any, xi: list[Any], size: list[Any]) -> list[Any]:
-        """θ, ξ, A and their rates."""
-        first, second, _ = self._frequency.rates(*xi)
-        size_first, size_second, size_third = self._amplitude.rates(*size)
-        rates = [first, size_first, second, size_second, size_third]
-        return [angle, xi[2], size[2], *rates]
-
-    def traced_output(self, port: str, at: At) -> NDArray:
+    def traced_output(self, port: str, at: Any) -> NDArray:
         if at.has_input("plan"):
             plan = at.input("plan")
             return plan if port == "planned" else np.array([plan[0], 0.0 * plan[0]])
         if port == "phase":
-            return np.array([at.state(1)[0], 0.0 * at.state(1)[0]])
-        return np.array(self._planned(*self._motion_of(at.state(1), at.input("parameters"))))
+            angle = at.state(self._group)[0]
+            return np.array([angle, 0.0 * angle])
+        angle, xi, size = self._motion(at)
+        first, second, _ = self._frequency.rates(*xi)
+        size_first, size_second, size_third = self._amplitude.rates(*size)
+        rates = [first, size_first, second, size_second, size_third]
+        return np.array([angle, xi[2], size[2], *rates])
 
-    def traced_update(self, at: At) -> list[NDArray]:
+    def traced_update(self, at: Any) -> list[NDArray]:
         if at.has_input("plan"):
-            return [at.state(1)]
-        return [np.array(self._stepped(*self._motion_of(at.state(1), at.input("parameters"))))]
+            return [at.state(self._group)]
+        angle, xi, size = self._motion(at)
+        *xi, turn = self._frequency.after(*xi)
+        *size, _ = self._amplitude.after(*size)
+        return [np.array([angle + turn, *xi, *size, 1.0])]
 
     def _step(self, context: Context, state: State) -> EventStatus:
         if self._plan.HasValue(context):
             return EventStatus.DidNothing()
-        state.get_mutable_discrete_state().set_value(self._stepped(*self._motion(context)))
+        (after,) = self.traced_update(InContext(self, context))
+        state.get_mutable_discrete_state().set_value(after)
         return EventStatus.Succeeded()
 
-    def _stepped(self, angle: Any, xi: list[Any], size: list[Any]) -> list[Any]:
-        """The state a sample later."""
-        *xi, turn = self._frequency.after(*xi)
-        *size, _ = self._amplitude.after(*size)
-        return [angle + turn, *xi, *size, 1.0]
-
     def _begin(self, context: Context, state: State) -> EventStatus:
-        has_started = self._state(context)[-1] == 1
+        has_started = context.get_continuous_state_vector()[_STATE_SIZE - 1] == 1
         if has_started or self._plan.HasValue(context):
             return EventStatus.DidNothing()
-        angle, xi, size = self._motion(context)
+        angle, xi, size = self._motion(InContext(self, context))
         values = [angle, *xi[:3], *size[:3], 1.0]
         state.get_mutable_continuous_state().SetFromVector(values)
         return EventStatus.Succeeded()
@@ -264,7 +237,7 @@ class ShapedPhase(LeafBlock):
         if self._plan.HasValue(context):
             derivatives.SetFromVector(np.zeros(_STATE_SIZE))
             return
-        _, xi, size = self._motion(context)
+        _, xi, size = self._motion(InContext(self, context))
         rates = [xi[3], *self._frequency.stage_rates(*xi[:3])]
         rates += [size[3], *self._amplitude.stage_rates(*size[:3])]
         derivatives.SetFromVector([xi[2], *rates, 0.0])

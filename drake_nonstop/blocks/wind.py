@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, InputPort
+from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.mechanics.coloured_noise import (
     Waves,
@@ -22,9 +22,9 @@ from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierS
 from drake_nonstop.mechanics.wind import LOWEST_HEIGHT, power_law, risen_share
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import LeafBlock, number
-from drake_nonstop.systems.diagram_trace import At
-from drake_nonstop.systems.tracing import after, constants
+from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.in_context import shown
+from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import (
     StrictFields,
     is_number,
@@ -106,12 +106,6 @@ class _MeanWind(LeafBlock):
         """The mean wind (k, 3) at positions (k, 3), once it has risen; m/s, in W."""
         return np.tile(self._velocity, (len(positions), 1))
 
-    def _mean(self, context: Context) -> NDArray:
-        """The velocity (3,) at the context's time, m/s, in W."""
-        if self._rises_at_once:
-            return self._velocity if number(context.get_time()) >= self._start else np.zeros(3)
-        return self._share(np.array([context.get_time()])) * self._velocity
-
     @property
     def _rises_at_once(self) -> bool:
         return not self._is_constant and self._rise_time == 0
@@ -121,7 +115,7 @@ class _MeanWind(LeafBlock):
         if self._is_constant:
             return 1.0
         if self._rises_at_once:
-            return after(time, self._start)
+            return chosen(time[0] >= self._start, np.ones(1), np.zeros(1))
         return risen_share(time, start=self._start, rise_time=self._rise_time)
 
 
@@ -148,11 +142,14 @@ class SteadyWind(_MeanWind):
         self.DeclareVectorOutputPort("wind_estimate", WIND_SIZE, self._calc_estimate, sources)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.tile(self._mean(context), output.size() // WIND_SIZE))
+        mean = self._share(np.array([context.get_time()])) * self._velocity
+        output.SetFromVector(np.tile(mean, output.size() // WIND_SIZE))
 
     def _calc_estimate(self, context: Context, output: BasicVector) -> None:
-        believed = self.believed
-        output.SetFromVector(self._mean(context) if believed is None else believed)
+        if self.believed is None:
+            self._calc(context, output)
+        else:
+            output.SetFromVector(self.believed)
 
 
 @dataclass(kw_only=True)
@@ -199,33 +196,16 @@ class _Profile(_MeanWind):
             "exponent": config.exponent,
         }
         self._ground = config.ground_height
-        self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * model.n)
-        self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
-        self._declare("wind", 3 * model.n, self._calc_wind, self._carrier_state)
-        self._declare("load_wind", WIND_SIZE, self._calc_load_wind, self._load_state)
-        self._declare("wind_estimate", WIND_SIZE, self._calc_estimate, self._load_state)
-
-    def _declare(self, name: str, size: int, calc: Any, heights: InputPort) -> None:
-        sources = {self.time_ticket(), self.input_port_ticket(heights.get_index())}
-        self.DeclareVectorOutputPort(name, size, calc, sources)
+        carriers = self.DeclareVectorInputPort("carrier_state", 6 * model.n)
+        load = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
+        for name, heights in zip(self.makes, (carriers, load, load), strict=True):
+            sources = {self.time_ticket(), self.input_port_ticket(heights.get_index())}
+            size = 3 * model.n if name == "wind" else WIND_SIZE
+            self.DeclareVectorOutputPort(name, size, shown(self, name), sources)
 
     def mean_at(self, positions: NDArray) -> NDArray:
         """The mean wind (k, 3) at positions (k, 3), once it has risen; m/s, in W."""
         return self._velocity * power_law(positions[:, 2:] - self._ground, **self._law)
-
-    def _profile(self, context: Context, positions: NDArray) -> NDArray:
-        """The mean wind at positions (k, 3), likewise."""
-        return self._mean(context) * power_law(positions[:, 2:] - self._ground, **self._law)
-
-    def _at_carriers(self, context: Context) -> NDArray:
-        """The mean wind (3n,) at the carriers."""
-        carriers = CarrierStates.view(self._carrier_state.Eval(context))
-        return self._profile(context, carriers.positions).ravel()
-
-    def _at_load(self, context: Context) -> NDArray:
-        """The mean wind (3,) at the load."""
-        load = LoadState.view(self._load_state.Eval(context))
-        return self._profile(context, load.position[None])[0]
 
     @property
     def trace_key(self) -> Any:
@@ -234,30 +214,19 @@ class _Profile(_MeanWind):
         rise = self._velocity.tobytes(), self._start, self._rise_time
         return *rise, believed, self._ground, *self._law.values()
 
-    def traced_output(self, port: str, at: At) -> NDArray:
+    def traced_output(self, port: str, at: Any) -> NDArray:
         if port == "wind_estimate" and self.believed is not None:
-            return constants(self.believed)
-        share = self._share(at.time)
+            return self.believed
         if port == "wind":
             positions = CarrierStates.view(at.input("carrier_state")).positions
         else:
             positions = LoadState.view(at.input("load_state")).position[None]
-        mean = share * self.mean_at(positions).ravel()
+        mean = self._share(at.time) * self.mean_at(positions).ravel()
         return mean + self._gusts_at(port, at)
 
-    def _gusts_at(self, port: str, at: At) -> Any:
-        """The gusts on top of what a port shows, in a trace."""
+    def _gusts_at(self, port: str, at: Any) -> Any:
+        """The gusts on top of what a port shows."""
         return 0.0
-
-    def _calc_wind(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._at_carriers(context))
-
-    def _calc_load_wind(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._at_load(context))
-
-    def _calc_estimate(self, context: Context, output: BasicVector) -> None:
-        believed = self.believed
-        output.SetFromVector(self._at_load(context) if believed is None else believed)
 
 
 class WindProfile(_Profile):
@@ -340,29 +309,15 @@ class GustyWind(_Profile):
         self._deviations = np.tile(config.gust * shares, model.n)
         self._load_waves, self.load_deviations = waves(0), config.load_gust * shares
 
-    def _gusts(self, port: str, time: Any) -> Any:
-        """The gusts on top of what a port shows, at a time, see `coloured_noise`."""
-        if port == "wind":
-            return coloured_noise(time, self._waves, self._deviations)
-        if port == "load_wind":
-            return coloured_noise(time, self._load_waves, self.load_deviations)
-        return np.zeros(WIND_SIZE)
-
-    def _gusts_at(self, port: str, at: At) -> Any:
-        return at.known(port, self.GetOutputPort(port).size())
+    def _gusts_at(self, port: str, at: Any) -> Any:
+        return 0.0 if port == "wind_estimate" else at.known(port, self.GetOutputPort(port).size())
 
     def quantities_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """The gusts on top of what ports show, (k, size), at times (k,) in s; m/s, in W."""
-        shapes = [(len(times), self.GetOutputPort(port).size()) for port in ports]
-        gusts = [self._gusts(port, times[:, None, None]) for port in ports]
-        return [np.broadcast_to(*of_port) for of_port in zip(gusts, shapes, strict=True)]
-
-    def _calc_wind(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._at_carriers(context) + self._gusts("wind", context.get_time()))
-
-    def _calc_load_wind(self, context: Context, output: BasicVector) -> None:
-        gust = self._gusts("load_wind", context.get_time())
-        output.SetFromVector(self._at_load(context) + gust)
+        waves = {"wind": self._waves, "load_wind": self._load_waves}
+        deviations = {"wind": self._deviations, "load_wind": self.load_deviations}
+        times = times[:, None, None]
+        return [coloured_noise(times, waves[port], deviations[port]) for port in ports]
 
 
 # The blocks that the box can be, the default first.

@@ -104,6 +104,7 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
         has_state_outside: as of `DiagramBlock`.
         is_for_users: whether it may be in a Diagram of the user's own, and not in a `DiagramBlock`.
         scalar: the type of its numbers: float, AutoDiffXd or Expression.
+        is_traced: whether its methods for a trace, where it has some, tell all that it does.
         trace_key: what the methods for a trace (`systems/diagram_trace.py`) depend on besides the
             class, its ports, states and parameters: two blocks with equal ones have one trace. It
             can be hashed; None: it is not known.
@@ -115,6 +116,7 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
     is_sampled = False
     has_state_outside = False
     is_for_users = True
+    is_traced = True
     scalar: ClassVar[type] = float
     _arguments: tuple[tuple[Any, ...], dict[str, Any]]
 

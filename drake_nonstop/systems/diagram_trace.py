@@ -37,7 +37,7 @@ from pydrake.systems.primitives import (
 )
 
 from drake_nonstop.systems.block import is_of_package
-from drake_nonstop.systems.tracing import object_array
+from drake_nonstop.systems.tracing import constants, object_array
 
 FOUND_SIZE = 3  # of what a search in C finds: whether it does, and two numbers
 ROWS = "known_over"  # the method of a block without inputs that gives rows of its outputs
@@ -85,7 +85,10 @@ def _has_trace(leaf: System) -> bool:
     """Whether a leaf has methods for a trace, and no class below theirs computes other values."""
     kind = type(leaf)
     is_own = is_of_package(leaf) or "traced_output" in vars(kind) or _is_one_function(leaf)
-    return getattr(leaf, "traced_output", None) is not None and is_own
+    has_trace = getattr(leaf, "traced_output", None) is not None and getattr(
+        leaf, "is_traced", True
+    )
+    return has_trace and is_own
 
 
 def _is_one_function(leaf: Any) -> bool:
@@ -244,7 +247,8 @@ class Instant:
             system, index = system.get_output_port_locator(OutputPortIndex(int(index)))
         place = (system, int(index))
         if place not in self._known:
-            self._known[place] = _output(system, int(index), At(self, system))
+            values = _output(system, int(index), At(self, system))
+            self._known[place] = values if values.dtype == object else constants(values)
         return self._known[place]
 
     def known(self, leaf: System, name: int | str, size: int) -> NDArray:

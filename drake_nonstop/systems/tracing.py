@@ -14,7 +14,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
-from pydrake.symbolic import Variable
+from pydrake.symbolic import Formula, Variable, if_then_else
 
 _MAX_TRACES = 32
 _traces: dict[Any, Any] = {}  # by their keys; the most recently used is the last
@@ -335,15 +335,26 @@ def constants(values: NDArray) -> NDArray:
     return object_array(casadi.SX(casadi.DM(values)))
 
 
-def after(time: NDArray, start: float) -> NDArray:
-    """1 where a time (1,) of symbols is not before a start, else 0."""
-    return object_array(time[0] >= start)
+_Values = NDArray | Callable[[], NDArray]
 
 
-def chosen(condition: Any, values: NDArray, others: NDArray) -> NDArray:
-    """Values where a condition of symbols holds, or others, which may then be no numbers."""
-    pairs = zip(values, others, strict=True)
-    return np.array([casadi.if_else(condition, value, other) for value, other in pairs])
+def chosen(condition: Any, values: _Values, others: _Values) -> NDArray:
+    """Values where a condition holds, or others, which may then be no numbers.
+
+    The condition is one of numbers or of symbols. Of a condition that is known, only what it
+    chooses is computed, where functions make both.
+    """
+    if isinstance(condition, Formula) and not condition.GetFreeVariables():
+        condition = condition.Evaluate()
+    if isinstance(condition, bool | np.bool_):
+        return _made(values if condition else others)
+    pairs = zip(_made(values), _made(others), strict=True)
+    if_else = if_then_else if isinstance(condition, Formula) else casadi.if_else
+    return np.array([if_else(condition, value, other) for value, other in pairs])
+
+
+def _made(values: _Values) -> NDArray:
+    return values() if callable(values) else values
 
 
 def _entry(symbol: casadi.SX) -> casadi.SX:
