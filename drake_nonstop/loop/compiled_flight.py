@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, PortDataType, System
 
-from drake_nonstop.loop.block_events import SteppedBlock, sample_times
+from drake_nonstop.loop.block_events import SteppedBlock, sample_times, times_after
 from drake_nonstop.loop.functions import Evaluation, LoopFunctions, Reading
 from drake_nonstop.loop.layout import LoopLayout, discrete_state_of
 from drake_nonstop.systems.diagram_trace import (
@@ -20,13 +20,64 @@ from drake_nonstop.systems.diagram_trace import (
     gives_rows,
     updates_in_trace,
 )
+from drake_nonstop.systems.port_state import copied_context, set_discrete_values
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
 
 _MOST_SAMPLES = 128  # for which what stands outside is evaluated at once
 
 
-class CompiledFlight:
+class LoopFlight:
+    """A flight of a loop's traced functions, and what stands outside of them.
+
+    Args:
+        layout: of the loop.
+        period: of the loop's samples, s.
+        context: of the diagram, at t = 0, which stays as it is.
+        largest: a value beyond it, in SI units, raises NotFiniteError.
+
+    Attributes:
+        samples: the number of those that it has flown.
+    """
+
+    def __init__(self, layout: LoopLayout, period: float, context: Context, largest: float):
+        self._layout, self._period, self._largest = layout, period, largest
+        self._state, self._parameters = layout.state_of(context), layout.parameters_of(context)
+        self._sources = {
+            layout.numbers[block]: _Source(block, own_context(layout, block, context))
+            for block in (*layout.outside - {*layout.held}, *layout.knowing)
+        }
+        self.samples = 0
+
+    @property
+    def state(self) -> NDArray:
+        """The states (k,) of all traced blocks at the last sample, before its updates."""
+        return self._state.copy()
+
+    @property
+    def parameters(self) -> NDArray:
+        """The parameters (p,) of all traced blocks."""
+        return self._parameters.copy()
+
+    @property
+    def time(self) -> float:
+        """That of the last sample, s."""
+        return sample_times(self.samples, self._period)
+
+    def _time_after(self, offset: float) -> float:
+        return times_after(self.samples, offset, self._period)
+
+    def _evaluated(self, function: Evaluation, *inputs: NDArray) -> list[NDArray]:
+        *results, norm = function(inputs)
+        self._require_finite(norm[0])
+        return results
+
+    def _require_finite(self, squares: float) -> None:
+        if not squares < self._largest**2:
+            raise NotFiniteError("the loop", largest=self._largest)
+
+
+class CompiledFlight(LoopFlight):
     """A flight of a `CompiledLoop`, which is advanced from sample to sample.
 
     Args:
@@ -53,8 +104,8 @@ class CompiledFlight:
         context: Context,
         largest: float,
     ):
-        self._layout, self._period, self._instants = layout, period, instants
-        self._largest = largest
+        super().__init__(layout, period, context, largest)
+        self._instants = instants
         self._at_start = Evaluation(functions.at_start, compiles)  # with memory of its own
         self._shown = Evaluation(functions.shown, compiles)
         self._after_sample = Evaluation(functions.after_sample, compiles)
@@ -62,11 +113,8 @@ class CompiledFlight:
         self._at_sample = None if at_sample is None else Evaluation(at_sample, compiles)
         self._whole = None if whole is None else Evaluation(whole, compiles)
         self._no_answers = np.zeros(FOUND_SIZE + layout.answers_size)
-        self._state, self._parameters = layout.state_of(context), layout.parameters_of(context)
-        self._sources = sources_of(layout, context)
         self._systems = [*layout.numbers]
         self._outside = _Outside([] if whole is None else whole.readings, self._sources, period)
-        self.samples = 0
         self._stepped: dict[System, SteppedBlock] = {}
         self._watched = [_watched(layout, block, context) for block in layout.of_users]
         self._fixed: dict[tuple[System, int], Any] = {}
@@ -125,6 +173,17 @@ class CompiledFlight:
         self._set(leaf, context, self._state)
         Simulator(leaf, context).Initialize()
         self._state[self._layout.places[leaf]] = discrete_state_of(context.get_discrete_state())
+
+    def fly(self, samples: int) -> NDArray:
+        """Starts, and goes on to a sample; the `signals` (1 + instants, size).
+
+        Raises:
+            NotFiniteError, NotCompilableError: as of `advance`.
+        """
+        shown = [self.start()[0][None]]
+        while self.samples < samples:
+            shown.append(self.advance(samples - self.samples)[0])
+        return np.concatenate(shown)
 
     def advance(self, samples: int = 1) -> tuple[NDArray, NDArray]:
         """Goes on by samples, and ends before the updates of the next one.
@@ -227,15 +286,7 @@ class CompiledFlight:
     def _set(self, leaf: System, context: Context, state: NDArray) -> None:
         """Sets a leaf's own context to the time of the last sample and the loop's states."""
         context.SetTime(self.time)
-        sizes = self._layout.state_sizes[leaf][1:]
-        parts = np.split(self._place_of(leaf, state), np.cumsum(sizes)[:-1])
-        for group, values in enumerate(parts):
-            context.SetDiscreteState(group, values)
-
-    @property
-    def state(self) -> NDArray:
-        """The states of all traced blocks at the last sample, before its updates, stacked."""
-        return self._state.copy()
+        set_discrete_values(context, self._place_of(leaf, state))
 
     def go_to(self, samples: int, state: NDArray) -> None:
         """Goes on from another sample; that is all of a flight where no blocks are beside it.
@@ -245,11 +296,6 @@ class CompiledFlight:
             state: as of `state`.
         """
         self.samples, self._state = samples, np.array(state)
-
-    @property
-    def time(self) -> float:
-        """That of the last sample, s."""
-        return sample_times(self.samples, self._period)
 
     def times_of(self, samples: NDArray) -> NDArray:
         """Those of samples by their numbers (k,), s."""
@@ -299,36 +345,21 @@ class CompiledFlight:
             start = end
 
     def _call(self, function: Evaluation) -> list[NDArray]:
-        now, ahead = self.time, sample_times(self.samples + 1, self._period)
-        outside = [self._value(reading, now, ahead) for reading in function.readings]
-        own = self._state, self._parameters, np.array([now])
+        outside = map(self._value, function.readings)
+        own = self._state, self._parameters, np.array([self.time])
         return self._evaluated(function, *own, *outside)
 
-    def _evaluated(self, function: Evaluation, *inputs: NDArray) -> list[NDArray]:
-        *results, norm = function(inputs)
-        self._require_finite(norm[0])
-        return results
-
-    def _require_finite(self, squares: float) -> None:
-        if not squares < self._largest**2:
-            raise NotFiniteError("the loop", largest=self._largest)
-
-    def _value(self, reading: Reading, now: float, ahead: float) -> NDArray:
+    def _value(self, reading: Reading) -> NDArray:
         number, output, offset = reading
         if number in self._sources:
-            at = ahead if offset == self._period else now + offset
-            return self._sources[number].value(output, at)
+            return self._sources[number].value(output, self._time_after(offset))
         block = self._systems[number]
         return block.get_output_port(output).Eval(self._stepped[block].context)
 
 
 def _watched(layout: LoopLayout, block: System, context: Context) -> SteppedBlock:
     """A user's own block that is not stepped by itself, to look for events; its inputs stay."""
-    own, in_loop = own_context(layout, block, context), layout.diagram.GetSubsystemContext
-    for k in range(block.num_input_ports()):
-        if layout.wires.source(block, k) is not None:
-            port = block.get_input_port(k)
-            port.FixValue(own, port.Eval(in_loop(block, context)))
+    own = copied_context(block, layout.diagram.GetSubsystemContext(block, context))
     watched = SteppedBlock(block, own, is_held=False, may_update=updates_in_trace(block))
     if block not in layout.outside:
         watched.require_declared(layout.reads_of(block))
@@ -340,14 +371,6 @@ def own_context(layout: LoopLayout, block: System, context: Context) -> Context:
     own = block.CreateDefaultContext()
     own.SetTimeStateAndParametersFrom(layout.diagram.GetSubsystemContext(block, context))
     return own
-
-
-def sources_of(layout: LoopLayout, context: Context) -> dict[int, "_Source"]:
-    """What is known beforehand of a loop, by the numbers of its systems, in a context of it."""
-    return {
-        layout.numbers[block]: _Source(block, own_context(layout, block, context))
-        for block in (*layout.outside - {*layout.held}, *layout.knowing)
-    }
 
 
 class _Source:
@@ -443,14 +466,11 @@ class _Outside:
 
     def _made(self) -> NDArray:
         """Each source is evaluated once at each time."""
-        after = sample_times(np.arange(self._first + 1, self._end + 1), self._period)
+        samples = np.arange(self._first, self._end)
         columns: list[Any] = [None] * len(self._readings)
         for number in dict.fromkeys(reading.system for reading in self._readings):
             own = [k for k, reading in enumerate(self._readings) if reading.system == number]
-            at = [
-                after if offset == self._period else self._times + offset
-                for offset in (self._readings[k].offset for k in own)
-            ]
+            at = [times_after(samples, self._readings[k].offset, self._period) for k in own]
             times, places = np.unique(np.array(at), return_inverse=True)
             places = places.reshape(len(own), -1)
             outputs = [*dict.fromkeys(self._readings[k].output for k in own)]

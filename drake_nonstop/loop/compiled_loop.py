@@ -41,6 +41,7 @@ from drake_nonstop.loop.functions import (
 )
 from drake_nonstop.loop.layout import LoopLayout
 from drake_nonstop.loop.trace import LoopTrace, Step
+from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.systems.block import is_of_package, title
 from drake_nonstop.systems.diagram_trace import (
     Wires,
@@ -342,8 +343,7 @@ class CompiledLoop:
     def seconds_of_functions(self, context: Context, samples: int) -> float:
         """The time, s, that the traced functions alone take for so many samples."""
         flight = self.fly(context)
-        flight.start()
-        flight.advance()
+        flight.fly(1)
         return flight.seconds_of_functions(samples)
 
     def run(self, context: Context, duration: float) -> tuple[NDArray, dict[str, NDArray]]:
@@ -361,14 +361,9 @@ class CompiledLoop:
             NotFiniteError: a value is not finite, or is too large.
         """
         samples = self._samples_of(duration)
-        flight = self.fly(context)
-        shown = [flight.start()[0][None]]
-        while flight.samples < samples:
-            shown.append(flight.advance(samples - flight.samples)[0])
-        rows = np.concatenate(shown)
-        ends = np.cumsum([*self.signals.values()])[:-1]
+        rows = self.fly(context).fly(samples)
         times = self.control_period / self.shown_per_sample * np.arange(len(rows))
-        return times, dict(zip(self.signals, np.split(rows, ends, axis=1), strict=True))
+        return times, by_name(self.signals, rows)
 
     def sensitivities(self, context: Context, duration: float) -> Sensitivities:
         """How the state at the end depends on that of a context, and on its parameters: exactly.

@@ -2,11 +2,10 @@
 
 import threading
 
-import numpy as np
-from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiscreteValues
 
 from drake_nonstop.loop.compiled_loop import CompiledLoop
+from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import require
 
@@ -51,29 +50,24 @@ class CompiledSystem(LeafBlock):
         for name, size in loop.signals.items():
             self._signals.append(self.DeclareDiscreteState(size))
             self.DeclareStateOutputPort(name, self._signals[-1])
-        self._ends = np.cumsum([*loop.signals.values()])[:-1]
         period = loop.control_period
         self.DeclareInitializationDiscreteUpdateEvent(self._begin)
         self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._advance)
 
     def _begin(self, context: Context, discrete_state: DiscreteValues) -> None:
-        self.require_floats("simulate the loop's diagram")
-        remedy = "start at 0"
-        require(context.get_time() == 0, "context.time", context.get_time(), remedy)
-        with self._lock:
-            self._flight.go_to(0, context.get_discrete_state(self._state).value())
-            signals, _ = self._flight.start()
-            self._show(discrete_state, signals)
+        require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
+        self._fly(context, discrete_state, 0)
 
     def _advance(self, context: Context, discrete_state: DiscreteValues) -> None:
-        self.require_floats("simulate the loop's diagram")
-        samples = round(context.get_time() / self._loop.control_period)
-        with self._lock:
-            self._flight.go_to(samples - 1, context.get_discrete_state(self._state).value())
-            signals, _ = self._flight.advance()
-            self._show(discrete_state, signals[0])
+        self._fly(context, discrete_state, round(context.get_time() / self._loop.control_period))
 
-    def _show(self, discrete_state: DiscreteValues, signals: NDArray) -> None:
-        discrete_state.set_value(self._state, self._flight.state)
-        for index, values in zip(self._signals, np.split(signals, self._ends), strict=True):
+    def _fly(self, context: Context, discrete_state: DiscreteValues, sample: int) -> None:
+        """Starts, or goes on to a sample from the last one."""
+        self.require_floats("simulate the loop's diagram")
+        with self._lock:
+            self._flight.go_to(max(0, sample - 1), context.get_discrete_state(self._state).value())
+            signals, _ = self._flight.advance() if sample else self._flight.start()
+            discrete_state.set_value(self._state, self._flight.state)
+        shown = by_name(self._loop.signals, signals.ravel())
+        for index, values in zip(self._signals, shown.values(), strict=True):
             discrete_state.set_value(index, values)

@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
-from drake_nonstop.loop.block_events import sample_times
-from drake_nonstop.loop.compiled_flight import sources_of
+from drake_nonstop.loop.compiled_flight import LoopFlight
 from drake_nonstop.loop.functions import Evaluation, LoopFunction, Symbols, Traced
 from drake_nonstop.loop.layout import LoopLayout
-from drake_nonstop.loop.trace import LoopTrace, Step
-from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+from drake_nonstop.loop.trace import LoopTrace, Step, runge_kutta3
+from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import ScenarioError
 
 
@@ -97,7 +96,7 @@ class Sensitivities:
     parameter_names: list[str]  # p, of the columns of `by_parameters`
 
 
-class DerivativeFlight:
+class DerivativeFlight(LoopFlight):
     """A flight of a loop with the derivatives of its state, from sample to sample.
 
     Args:
@@ -106,11 +105,6 @@ class DerivativeFlight:
         period: of the samples, s.
         schedule: the steps of one.
         context: of the diagram, at t = 0, which stays as it is.
-
-    Attributes:
-        state: (k,), the states of all blocks, as of `CompiledFlight`.
-        parameters: (p,), likewise.
-        samples: the number of those that it has flown.
     """
 
     def __init__(
@@ -121,16 +115,14 @@ class DerivativeFlight:
         schedule: Sequence[Step],
         context: Context,
     ):
-        self._period, self._schedule = period, schedule
-        self._functions = functions
+        super().__init__(layout, period, context, LARGEST)
+        self._schedule, self._functions = schedule, functions
         self._evaluations: dict[LoopFunction, Evaluation] = {}  # with memory of its own
-        self._sources = sources_of(layout, context)
-        self.state, self.parameters = layout.state_of(context), layout.parameters_of(context)
-        self.samples = 0
 
     def start(self, slopes: NDArray, changes: NDArray | None = None) -> NDArray:
         """Makes the initialization's updates; arguments and result as of `advance`."""
-        self.state, slopes = self._moved(self._functions.at_start, self.state, 0.0, slopes, changes)
+        state = np.column_stack([self._state, slopes])
+        self._state, slopes = _parts(self._moved(self._functions.at_start, state, 0.0, changes))
         return slopes
 
     def advance(self, slopes: NDArray, changes: NDArray | None = None) -> NDArray:
@@ -146,50 +138,43 @@ class DerivativeFlight:
         Raises:
             NotFiniteError: a value is not finite, or is too large.
         """
-        _, update, rates = self._functions
-        now, ahead = (sample_times(self.samples + k, self._period) for k in (0, 1))
-        x, dx = self.state, slopes
+
+        def rate(state: NDArray, offset: float) -> NDArray:
+            return self._moved(self._functions.rates, state, offset, changes)
+
+        state = np.column_stack([self._state, slopes])
         if self.samples > 0:
-            x, dx = self._moved(update, x, now, dx, changes)
-
-        def at(offset: float) -> float:
-            return ahead if offset == self._period else now + offset
-
-        for begin, h, _, _ in self._schedule:
-            r1, d1 = self._moved(rates, x, at(begin), dx, changes)
-            r2, d2 = self._moved(rates, x + h / 2 * r1, at(begin + h / 2), dx + h / 2 * d1, changes)
-            third = x - h * r1 + 2 * h * r2, dx - h * d1 + 2 * h * d2
-            r3, d3 = self._moved(rates, third[0], at(begin + h), third[1], changes)
-            x = x + h / 6 * r1 + 2 * h / 3 * r2 + h / 6 * r3
-            dx = dx + h / 6 * d1 + 2 * h / 3 * d2 + h / 6 * d3
-        self.state = x
+            state = self._moved(self._functions.update, state, 0.0, changes)
+        for step in self._schedule:
+            state = runge_kutta3(rate, state, step)
+        self._state, slopes = _parts(state)
         self.samples += 1
-        return dx
+        return slopes
 
     def _moved(
-        self,
-        function: _Slopes,
-        state: NDArray,
-        time: float,
-        slopes: NDArray,
-        changes: NDArray | None,
-    ) -> tuple[NDArray, NDArray]:
-        """A function's values (k,), and their derivatives (k, m)."""
-        moved = np.zeros((len(state), slopes.shape[1]))
+        self, function: _Slopes, state: NDArray, offset: float, changes: NDArray | None
+    ) -> NDArray:
+        """A function's values, and their derivatives: (k, 1 + m), as the state is."""
+        values, slopes = _parts(state)
+        moved = np.zeros(slopes.shape)
         if slopes.shape[1]:
-            by_state = self._evaluated(function.by_state, state, time)
-            moved += by_state.reshape(len(state), -1, order="F") @ slopes
+            moved += self._matrix(function.by_state, values, offset) @ slopes
         if changes is not None:
-            by_parameters = self._evaluated(function.by_parameters, state, time)
-            moved += by_parameters.reshape(len(state), -1, order="F") @ changes
-        return self._evaluated(function.values, state, time), moved
+            moved += self._matrix(function.by_parameters, values, offset) @ changes
+        return np.column_stack([self._values(function.values, values, offset), moved])
 
-    def _evaluated(self, function: LoopFunction, state: NDArray, time: float) -> NDArray:
+    def _matrix(self, function: LoopFunction, state: NDArray, offset: float) -> NDArray:
+        return self._values(function, state, offset).reshape(len(state), -1, order="F")
+
+    def _values(self, function: LoopFunction, state: NDArray, offset: float) -> NDArray:
         if function not in self._evaluations:
             self._evaluations[function] = Evaluation(function, compiles=False)
-        read = [self._sources[r.system].value(r.output, time) for r in function.readings]
-        inputs = [state, self.parameters, np.array([time]), *read]
-        result, norm = self._evaluations[function](inputs)
-        if not norm[0] < LARGEST**2:
-            raise NotFiniteError("the loop")
-        return result
+        at = self._time_after(offset)
+        read = [self._sources[r.system].value(r.output, at) for r in function.readings]
+        inputs = [state, self._parameters, np.array([at]), *read]
+        return self._evaluated(self._evaluations[function], *inputs)[0]
+
+
+def _parts(state: NDArray) -> tuple[NDArray, NDArray]:
+    """The values (k,) and the derivatives (k, m) of a state (k, 1 + m)."""
+    return np.ascontiguousarray(state[:, 0]), np.ascontiguousarray(state[:, 1:])

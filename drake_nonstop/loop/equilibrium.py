@@ -20,6 +20,7 @@ from drake_nonstop.mechanics.signals import (
     Wrench,
 )
 from drake_nonstop.systems.diagnosis import source_of_fault
+from drake_nonstop.systems.port_state import copied_context
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import (
     innermost,
@@ -181,14 +182,6 @@ def on_reference(nonstop: Diagram, context: Context) -> None:
     simulator.Initialize()
     carriers = nonstop.GetOutputPort("carrier_reference").Eval(context)
     plant.set_states(own, carrier_state=carriers)
-
-
-def copied_context(nonstop: Diagram, context: Context) -> Context:
-    """A context of the loop alone, whose inputs from a diagram around it are fixed."""
-    copy = nonstop.CreateDefaultContext()
-    copy.SetTimeStateAndParametersFrom(context)
-    nonstop.FixInputPortsFrom(nonstop, context, copy)
-    return copy
 
 
 def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> tuple[NDArray, bool]:

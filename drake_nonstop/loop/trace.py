@@ -33,6 +33,21 @@ class Step(NamedTuple):
     is_shown: bool  # whether all signals are shown at its end
 
 
+def runge_kutta3(rate: Callable[[Any, float], Any], state: Any, step: Step) -> Any:
+    """The state after a step of the third-order Runge-Kutta method, of symbols or numbers.
+
+    Args:
+        rate: of a state, at an offset in s.
+        state: before the step.
+        step: is taken.
+    """
+    begin, length, *_ = step
+    first = rate(state, begin)
+    second = rate(state + length / 2 * first, begin + length / 2)
+    third = rate(state - length * first + 2 * length * second, begin + length)
+    return state + length / 6 * first + 2 * length / 3 * second + length / 6 * third
+
+
 class LoopTrace:
     """What a loop is traced to, of the symbols of its state, its parameters and the time.
 
@@ -120,14 +135,11 @@ class LoopTrace:
 
         now = self.arguments[0] if updates is None else updates.results[0]
         signals, step_signals = [], []
-        for begin, step, end, is_shown in schedule:
-            first = rate(now, begin)
-            second = rate(now + step / 2 * first, begin + step / 2)
-            third = rate(now - step * first + 2 * step * second, begin + step)
-            now = now + step / 6 * first + 2 * step / 3 * second + step / 6 * third
-            own_signals, own_step_signals = shown(now, end, symbols)
+        for step in schedule:
+            now = runge_kutta3(rate, now, step)
+            own_signals, own_step_signals = shown(now, step.end, symbols)
             step_signals.append(own_step_signals)
-            signals += [own_signals] if is_shown else []
+            signals += [own_signals] if step.is_shown else []
         results = [now, casadi.vertcat(*signals), casadi.vertcat(*step_signals)]
         return Traced(results, self.arguments, symbols)
 

@@ -12,14 +12,24 @@ cables and coordinates are counted from one.
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drake_nonstop.validation import ScenarioError
 
 _COMPONENTS = {1: ("",), 3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
 _SIZE = re.compile(r"([134]?)([nm]?)")
 _MARKS = {*',"[]\n\r'}  # between and around the names in the first line of a table
+
+
+def by_name(sizes: Mapping[str, int], rows: NDArray) -> dict[str, NDArray]:
+    """The parts (..., size) of rows (..., k) of signals, one after the other, by their names."""
+    ends = np.cumsum([*sizes.values()])[:-1]
+    return dict(zip(sizes, np.split(rows, ends, axis=-1), strict=True)) if sizes else {}
 
 
 class Part(NamedTuple):

@@ -1,8 +1,7 @@
 """The compiled engine of a run: what it can fly of it, and how that is recorded."""
 
-import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,11 +12,12 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.loop.block_events import NotCompilableError, sample_times
 from drake_nonstop.loop.compiled_loop import CompiledFlight, CompiledLoop, reason_against
+from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor
 from drake_nonstop.simulation.recording import Recording, RecordingError
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
-from drake_nonstop.simulation.short_flights import RestorableState, SavedState
+from drake_nonstop.simulation.short_flights import RestorableState, SavedState, flown
 from drake_nonstop.systems.block import is_of_package, release
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.systems.wiring import maker_of
@@ -142,40 +142,25 @@ class CompiledRun:
         self._start = loop.diagram.CreateDefaultContext()
         self._start.SetTimeStateAndParametersFrom(loop.diagram.GetMyContextFromRoot(context))
         self._flight = loop.fly(self._start, _UNUSUAL)
-        ends = np.cumsum([0, *loop.step_signals.values()])
-        places = dict(zip(loop.step_signals, itertools.pairwise(ends), strict=True))
-        self._ending = [
-            (block, block.GetMyContextFromRoot(context), slice(*places[block.ending_signal]))
-            for block in ending
-        ]
+        self._ending = [(block, block.GetMyContextFromRoot(context)) for block in ending]
         self._signal_ends = np.arange(1, loop.shown_per_sample + 1) / loop.shown_per_sample
         self._recorded = 0, self._flight.state  # samples, and the state after them
         self._end = 0.0  # s, of what is recorded
         self._compared, self._expected = compared, np.zeros((0, 0))
 
-    def take_sample(self) -> None:
-        """Nothing: all signals of the samples are recorded at once."""
-
-    def saved_state(self) -> RestorableState:
+    def _state(self) -> RestorableState:
         """The state of the last sample, for a flight of the diagram from there."""
         if not self._loop.blocks_beside:
             return _CompiledState(self._flight.time, self._flight.state, self._flight)
-        self.write_state()
+        self._write_state()
         return SavedState.of(self._loop.diagram.GetMyContextFromRoot(self._context))
 
-    def write_state(self) -> None:
+    def _write_state(self) -> None:
         """Sets the root context to the last sample."""
         self._context.SetTime(self._flight.time)
         self._flight.write_state(self._loop.diagram.GetMyMutableContextFromRoot(self._context))
 
-    def fly(
-        self,
-        duration: float,
-        monitor: Monitor,
-        saves_at: Callable[[], float],
-        *,
-        is_begun: bool = False,
-    ) -> bool:
+    def fly(self, duration: float, monitor: Monitor) -> None:
         """As `Engine.fly`, from the start on.
 
         What is left then is less than a sample, or follows an error of a block, a value that is not
@@ -187,7 +172,7 @@ class CompiledRun:
         period = self._loop.control_period
         samples = int((duration + _ROUNDING) / period)
         if samples == 0:
-            return False
+            return
         try:
             if self._compared is not None:
                 self._expected = self._rows_of(self._compared, min(samples, _COMPARED))
@@ -196,28 +181,27 @@ class CompiledRun:
             self._recording.add([0.0], signals[None], [0.0], steps[None])
             self._recorded = 0, self._flight.state
             monitor.has_ended = self._is_over(steps[None]) is not None
-            ends = monitor.ends(0.0) or monitor.has_ended
+            ends = monitor.ends(0.0, self._state) or monitor.has_ended
             while not ends and self._flight.samples < samples:
-                to_save = math.ceil((saves_at() - self._flight.time) / period)
+                to_save = math.ceil((monitor.saved.next_time - self._flight.time) / period)
                 most = min(samples - self._flight.samples, max(1, to_save))
                 ends = self._advance(monitor, duration, most)
         except (RecordingError, NotCompilableError):
             raise
         except Exception as error:  # whatever blocks may raise: the diagram does again, at its step
-            is_begun = self._go_back()
+            self._go_back()
             tell_not_compiled(f"{one_line(error)}; from t = {self._flight.time:g} s on")
             self._end = self._flight.time
-            if not is_begun:
+            if self._flight.samples == 0:
                 if self._recording.has_steps:
                     self._recording.drop_last_step()
-                return False
+                return
         finally:
             self._context.SetTime(self._end)
         if not monitor.has_ended:
-            self.write_state()
+            self._write_state()
         if abs(self._flight.time - duration) < _ROUNDING:
             self._context.SetTime(duration)
-        return True
 
     def _advance(self, monitor: Monitor, duration: float, samples: int) -> bool:
         """Flies and records samples, not more than so many; whether the run ends with them."""
@@ -243,7 +227,7 @@ class CompiledRun:
             return True
         self._recording.add(times, signals, step_times, steps)
         self._recorded, self._end = (self._flight.samples, self._flight.state), float(ends[-1])
-        return monitor.ends(self._end)
+        return monitor.ends(self._end, self._state)
 
     def _rows_of(self, simulator: Simulator, samples: int) -> NDArray:
         """The signals (instants, size) of some samples of a diagram, as `CompiledFlight` has them.
@@ -252,17 +236,14 @@ class CompiledRun:
             simulator: of a diagram like the loop's.
             samples: so many, and the start.
         """
-        diagram, context = simulator.get_system(), simulator.get_mutable_context()
-        context.SetTimeStateAndParametersFrom(self._start)
+        simulator.get_mutable_context().SetTimeStateAndParametersFrom(self._start)
         simulator.Initialize()
-        period, rows = self._loop.control_period, []
-        for instant in np.arange(samples * len(self._signal_ends) + 1) / len(self._signal_ends):
-            whole = int(instant)
-            simulator.AdvanceTo(sample_times(whole, period) + (instant - whole) * period)
-            ports = map(diagram.GetOutputPort, self._loop.signals)
-            rows.append(np.concatenate([port.Eval(context) for port in ports]))
-        release(diagram)
-        return np.array(rows)
+        shown, period = len(self._signal_ends), self._loop.control_period
+        part, whole = np.modf(np.arange(samples * shown + 1) / shown)
+        times = sample_times(whole, period) + part * period
+        rows = flown(simulator, self._loop.signals, times)
+        release(simulator.get_system())
+        return np.hstack([*rows.values()])
 
     def _compare(self, signals: NDArray) -> None:
         """Compares the next rows of signals (instants, size) with those of the diagram.
@@ -273,13 +254,12 @@ class CompiledRun:
         if not len(self._expected):
             return
         now, self._expected = np.split(self._expected, [len(signals)])
-        ends = np.cumsum([*self._loop.signals.values()])[:-1]
         for shown, row in zip(signals, now, strict=False):
-            pairs = zip(*(np.split(values, ends) for values in (shown, row)), strict=True)
+            expected = by_name(self._loop.signals, row)
             wrong = [
                 name
-                for name, (values, expected) in zip(self._loop.signals, pairs, strict=True)
-                if name != WALL_TIME and not _is_same(values, expected)
+                for name, values in by_name(self._loop.signals, shown).items()
+                if name != WALL_TIME and not _is_same(values, expected[name])
             ]
             makers = [maker_of(self._loop.diagram, name) for name in wrong]
             found = [*zip(wrong, makers, strict=True)]
@@ -288,24 +268,22 @@ class CompiledRun:
 
     def _is_over(self, steps: NDArray) -> int | None:
         """The first step after which a block ends the run."""
-        for k, shown in enumerate(steps if self._ending else ()):
-            for block, context, place in self._ending:
-                if block.ends_run(context, shown[place]):
+        shown = by_name(self._loop.step_signals, steps)
+        for k in range(len(steps) if self._ending else 0):
+            for block, context in self._ending:
+                if block.ends_run(context, shown[block.ending_signal][k]):
                     return k
         return None
 
-    def _go_back(self) -> bool:
-        """Goes back to the last sample that is recorded; whether there is one."""
+    def _go_back(self) -> None:
+        """Goes back to the last sample that is recorded."""
         samples, state = self._recorded
         if not self._loop.blocks_beside:
             self._flight.go_to(samples, state)
-            return samples > 0
+            return
         self._flight = self._loop.fly(self._start, _UNUSUAL)
         if samples > 0:
-            self._flight.start()
-            for _ in range(samples):
-                self._flight.advance()
-        return samples > 0
+            self._flight.fly(samples)
 
 
 def _is_same(values: NDArray, expected: NDArray) -> bool:

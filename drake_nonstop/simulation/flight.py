@@ -39,9 +39,8 @@ from drake_nonstop.simulation.recording import (
     require_room,
 )
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
-from drake_nonstop.simulation.step_check import SavedStates
 from drake_nonstop.simulation.step_size import ChosenStep
-from drake_nonstop.systems.block import is_of_package, release, weakly
+from drake_nonstop.systems.block import is_of_package, release
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import nested
@@ -91,7 +90,7 @@ class Flight:
         scenario: with the configs of the replacements, and with drawn numbers.
         nonstop: the loop's diagram.
         context: of the diagram around the loop.
-        saved: states on the way.
+        monitor: what happens after its steps.
 
     Raises:
         ScenarioError: the loop cannot be built.
@@ -117,13 +116,11 @@ class Flight:
         self._simulator = Simulator(builder.Build())
         self.context = self._simulator.get_mutable_context()
         self._recording.start(self.context)
-        self.saved = SavedStates()
-        self._engine: Engine = DiagramRun(self._simulator, nonstop, self._recording)
-        self._monitor = Monitor(
+        self.monitor = Monitor(
             self._simulator,
             nonstop,
             interruption,
-            sample=weakly(self._sample),  # nothing may have to be collected for a run to be freed
+            take_sample=self._recording.take_sample,
             progress=request.progress,
             after_step=request.after_step,
             is_over=_end(nonstop, self.context),
@@ -153,21 +150,17 @@ class Flight:
 
     def fly(self, engine: str, chosen: ChosenStep) -> None:
         """Flies to the end, the compiled engine what it can, Drake's Simulator the rest."""
-        engines = [self._engine]
+        engines: list[Engine] = [DiagramRun(self._simulator, self._recording)]
         if engine == COMPILED and (compiled := self._compiled(chosen)) is not None:
             engines.insert(0, compiled)
-        duration, is_begun = self.scenario.simulation_duration, False
-        with self._monitor:
-            self._simulator.set_monitor(self._monitor)
+        with self.monitor:
+            self._simulator.set_monitor(self.monitor)
             self._start = time.perf_counter()
             if not self._is_second:
                 self._interruption.collect = lambda: self.run(self._interrupted)
             for each in engines:
-                self._engine = each
-                if not (is_begun and self._is_over):
-                    is_begun = self._engine.fly(
-                        duration, self._monitor, lambda: self.saved.next_time, is_begun=is_begun
-                    )
+                if not (self._recording.has_steps and self._is_over):
+                    each.fly(self.scenario.simulation_duration, self.monitor)
             for visualizer in self._visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(self.context))
 
@@ -189,14 +182,9 @@ class Flight:
             ApplySimulatorConfig(chosen.config, compared)
         return CompiledRun(loop, self._recording, self.context, _ending(self.nonstop), compared)
 
-    def _sample(self, now: float) -> None:
-        self._engine.take_sample()
-        if now >= self.saved.next_time:
-            self.saved.save(self._engine.saved_state())
-
     @property
     def _is_over(self) -> bool:
-        is_ended = self._monitor.has_ended or self._interruption.number > 0
+        is_ended = self.monitor.has_ended or self._interruption.number > 0
         return is_ended or self.context.get_time() >= self.scenario.simulation_duration
 
     def run(self, stopped: str = "") -> Run:
@@ -209,7 +197,7 @@ class Flight:
             self.context,
             self.scenario,
             step=self._simulator.get_integrator().get_maximum_step_size(),
-            wall_time=time.perf_counter() - self._start - self._monitor.waited,
+            wall_time=time.perf_counter() - self._start - self.monitor.waited,
             stopped=stopped,
             replacements=own | self._replacements,
         )
@@ -219,7 +207,7 @@ class Flight:
         """What has ended it before its duration, "" a block's own decision; None: nothing has."""
         if self._interruption.number:
             return self._interrupted
-        if self._monitor.has_ended:
+        if self.monitor.has_ended:
             return ""
         if self.context.get_time() < self.scenario.simulation_duration:
             return f"the run was ended at t = {self.context.get_time():.4f} s"
@@ -227,7 +215,7 @@ class Flight:
 
     @property
     def _interrupted(self) -> str:
-        return f"the run was interrupted at t = {self._monitor.time:.4f} s"
+        return f"the run was interrupted at t = {self.monitor.time:.4f} s"
 
     @contextlib.contextmanager
     def kept(self) -> Iterator[None]:

@@ -9,6 +9,7 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 
 from drake_nonstop.simulation.interruption import Interruption
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, StepAction
+from drake_nonstop.simulation.short_flights import RestorableState, SavedState, SavedStates
 from drake_nonstop.systems.block import LeafBlock
 
 _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
@@ -50,7 +51,23 @@ class SampleInstants(LeafBlock):
 
 
 class Monitor:
-    """Takes samples, reports progress, asks what to do, and ends the run where it is asked to."""
+    """Takes samples, reports progress, asks what to do, and ends the run where it is asked to.
+
+    Args:
+        simulator: of the diagram around the loop.
+        nonstop: the loop's diagram.
+        interruption: what Ctrl-C leaves.
+        take_sample: records the signals of the diagram.
+        progress: as of `simulate`.
+        after_step: likewise.
+        is_over: whether a block ends the run; None: none may.
+
+    Attributes:
+        saved: states on the way.
+        has_ended: whether a block has ended the run.
+        time: s, of the last step.
+        waited: s of wall time.
+    """
 
     def __init__(
         self,
@@ -58,7 +75,7 @@ class Monitor:
         nonstop: Diagram,
         interruption: Interruption,
         *,
-        sample: Callable[[float], None],
+        take_sample: Callable[[], None],
         progress: Callable[[float], None] | None,
         after_step: Callable[[Simulator, Diagram], StepAction] | None,
         is_over: Callable[[], bool] | None = None,
@@ -66,31 +83,40 @@ class Monitor:
         self._simulator = simulator
         self._nonstop = nonstop
         self._interruption = interruption
-        self._sample = sample
+        self._take_sample = take_sample
         self._samples = 0
         self._progress = progress
         self._after_step = after_step
         self._is_over = is_over
-        self.has_ended = False  # by a block's own decision
+        self.saved = SavedStates()
+        self.has_ended = False
         self._last_report = 0.0
-        self.time = 0.0  # s, of the last step
-        self.waited = 0.0  # s of wall time
+        self.time = self.waited = 0.0
 
     def __call__(self, root_context: Context) -> EventStatus:
         """What Drake calls after every step."""
-        if self.ends(root_context.get_time()):
+        time_ = root_context.get_time()
+        if self._is_sample(time_):
+            self._take_sample()
+        if self.ends(
+            time_, lambda: SavedState.of(self._nonstop.GetMyContextFromRoot(root_context))
+        ):
             return EventStatus.ReachedTermination(self._nonstop, "ended")
         if self._is_over is not None and self._is_over():
             self.has_ended = True
             return EventStatus.ReachedTermination(self._nonstop, "over")
         return EventStatus.DidNothing()
 
-    def ends(self, time_: float) -> bool:
-        """Takes note of a step that ends at a time in s; whether the run is to end there."""
+    def _is_sample(self, time_: float) -> bool:
+        return time_ > (self._samples - AT_SAMPLE) * SIGNAL_PERIOD
+
+    def ends(self, time_: float, state: Callable[[], RestorableState]) -> bool:
+        """Takes note of a step that ends at a time in s, in a state; whether the run ends there."""
         self.time = time_
-        if time_ > (self._samples - AT_SAMPLE) * SIGNAL_PERIOD:
-            self._sample(time_)
+        if self._is_sample(time_):
             self._samples = int(time_ / SIGNAL_PERIOD + AT_SAMPLE) + 1
+            if time_ >= self.saved.next_time:
+                self.saved.save(state())
         if self._interruption.number:
             return True
         now = time.perf_counter()

@@ -30,7 +30,7 @@ from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
-from drake_nonstop.mechanics.signal_layouts import Entry, Layout, numbered_entries
+from drake_nonstop.mechanics.signal_layouts import Entry, Layout, by_name, numbered_entries
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -299,10 +299,8 @@ def _multiplexed(builder: DiagramBuilder, ports: Mapping[str, OutputPort]) -> Ou
 
 def _columns(sizes: Mapping[str, int], log: "VectorLog | _Rows") -> dict[str, NDArray]:
     """The rows of a log in memory, by the ports' names."""
-    columns = {name: np.zeros((0, size)) for name, size in sizes.items()}
-    if log.num_samples() > 0:
-        pieces = np.split(log.data(), np.cumsum(list(sizes.values()))[:-1])
-        columns = {name: piece.T.copy() for name, piece in zip(sizes, pieces, strict=True)}
+    rows = log.data().T if log.num_samples() > 0 else np.zeros((0, sum(sizes.values())))
+    columns = {name: part.copy() for name, part in by_name(sizes, rows).items()}
     return {_Log.TIMES: log.sample_times().copy()} | columns
 
 
@@ -528,8 +526,7 @@ class _Log:
         if not self._added:
             return logged
         times, rows = (np.concatenate(parts) for parts in zip(*self._added, strict=True))
-        pieces = np.split(rows, np.cumsum([*self.sizes.values()])[:-1], axis=1)
-        added = {self.TIMES: times} | dict(zip(self.sizes, pieces, strict=True))
+        added = {self.TIMES: times} | by_name(self.sizes, rows)
         return {name: np.concatenate([added[name], values]) for name, values in logged.items()}
 
     def store(self, folder: Path) -> None:

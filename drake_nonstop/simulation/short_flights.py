@@ -1,8 +1,9 @@
 """Short flights of the loop from saved states, with its own steps and with shorter ones."""
 
 import copy
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,13 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.mechanics.signals import CarrierStates
+from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.simulation.moved_metrics import SHARE, SPEED_GRAIN, TENSION_GRAIN
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
+from drake_nonstop.systems.port_state import copied_context, set_state_values, state_values
 
+_SAVING_PERIOD = 0.5  # s; longer where there would be more states than the largest number
+_MOST_STATES = 256
 _LEAST_LOAD_SPEED = 2e-2  # m/s, of the load: off by that for a second it is off by much more
 
 
@@ -39,36 +43,45 @@ class SavedState:
     """The state of a context, without its parameters and what it has cached."""
 
     time: float
-    continuous: NDArray
-    discrete: list[NDArray]
+    values: NDArray  # of all that is numeric
     abstract: list[Any]
 
     @classmethod
     def of(cls, context: Context) -> "SavedState":
         """The state of a context as it is now."""
-        return cls(
-            context.get_time(),
-            context.get_continuous_state_vector().CopyToVector(),
-            [
-                context.get_discrete_state(i).CopyToVector()
-                for i in range(context.num_discrete_state_groups())
-            ],
-            [context.get_abstract_state(i).Clone() for i in range(context.num_abstract_states())],
-        )
+        abstract = map(context.get_abstract_state, range(context.num_abstract_states()))
+        copies = [value.Clone() for value in abstract]
+        return cls(context.get_time(), state_values(context), copies)
 
     def restore(self, context: Context) -> None:
         """Sets the state of a context of the same diagram."""
         context.SetTime(self.time)
-        if len(self.continuous):
-            context.SetContinuousState(self.continuous)
-        for i, values in enumerate(self.discrete):
-            context.SetDiscreteState(i, values)
+        set_state_values(context, self.values)
         for i, value in enumerate(self.abstract):
             context.SetAbstractState(i, value.get_value())
 
 
-@dataclass(frozen=True, kw_only=True)
-class Flight:
+class SavedStates:
+    """States of the loop during a run, some time apart."""
+
+    def __init__(self) -> None:
+        self.states: list[RestorableState] = []
+        self._period = _SAVING_PERIOD
+        self.next_time = 0.0  # s, before which there is nothing to save
+
+    def save(self, state: RestorableState) -> None:
+        """Adds a state of the loop."""
+        self.states.append(state)
+        if len(self.states) > _MOST_STATES:
+            self.states = self.states[::2]
+            self._period *= 2
+        self.next_time = self.states[-1].time + (1 - 1e-6) * self._period
+
+
+COMPARED = ("tensions", "carrier_state", "load_state")  # signals
+
+
+class FlightSamples(NamedTuple):
     """What two flights are compared by, at the same instants (k,), s."""
 
     time: NDArray
@@ -76,14 +89,29 @@ class Flight:
     speeds: NDArray  # (k, n), m/s, of the carriers
     load_velocity: NDArray  # (k, 3), m/s
 
-    def at(self, samples: NDArray) -> "Flight":
+    @classmethod
+    def of(cls, time: NDArray, signals: Mapping[str, NDArray]) -> "FlightSamples":
+        """Those of the signals that are `COMPARED`, by their names."""
+        velocities = CarrierStates.view(signals["carrier_state"]).velocities
+        speeds = np.linalg.norm(velocities, axis=2)
+        load = LoadState.view(signals["load_state"])
+        return cls(time, signals["tensions"], speeds, load.velocity)
+
+    def at(self, samples: NDArray) -> "FlightSamples":
         """The flight at some of its instants."""
-        return Flight(
-            time=self.time[samples],
-            tensions=self.tensions[samples],
-            speeds=self.speeds[samples],
-            load_velocity=self.load_velocity[samples],
-        )
+        return FlightSamples(*(values[samples] for values in self))
+
+
+def flown(simulator: Simulator, signals: Iterable[str], times: NDArray) -> dict[str, NDArray]:
+    """What signals (k, size) of its diagram show, by their names, as it flies on to times (k,)."""
+    diagram, context = simulator.get_system(), simulator.get_context()
+    ports = {name: diagram.GetOutputPort(name) for name in signals}
+    rows: dict[str, list[NDArray]] = {name: [] for name in ports}
+    for time in times.tolist():
+        simulator.AdvanceTo(time)
+        for name, port in ports.items():
+            rows[name].append(port.Eval(context).copy())
+    return {name: np.array(values) for name, values in rows.items()}
 
 
 class ShortFlights:
@@ -99,60 +127,48 @@ class ShortFlights:
     """
 
     def __init__(self, nonstop: Diagram, context: Context, config: SimulatorConfig):
-        self._nonstop, self._config = nonstop, config
-        self.context = nonstop.CreateDefaultContext()
-        self.context.SetTimeStateAndParametersFrom(context)
-        nonstop.FixInputPortsFrom(nonstop, context, self.context)
+        self._config = config
+        self.context = copied_context(nonstop, context)
         self._simulator = Simulator(nonstop, self.context)
-        self._ports = [
-            nonstop.GetOutputPort(name) for name in ("tensions", "carrier_state", "load_state")
-        ]
 
-    def fly(self, start: RestorableState, duration: float, parts: int = 1) -> Flight:
+    def fly(self, start: RestorableState, duration: float, parts: int = 1) -> FlightSamples:
         """A flight from the state on, at about 100 instants a second, with steps / `parts`."""
         first = round(start.time / SIGNAL_PERIOD) + 1
         count = max(1, round(duration / SIGNAL_PERIOD))
-        config = copy.deepcopy(self._config)
-        if config.use_error_control:
-            config.accuracy /= parts**3
-        else:
-            config.max_step_size /= parts
-        ApplySimulatorConfig(config, self._simulator)  # it sets the time, too
+        ApplySimulatorConfig(finer(self._config, parts), self._simulator)  # it sets the time, too
         start.restore(self.context)
         self._simulator.Initialize(InitializeParams(suppress_initialization_events=True))
-        rows = []
         time = SIGNAL_PERIOD * np.arange(first, first + count)
-        for instant in time:
-            self._simulator.AdvanceTo(instant)
-            rows.append([port.Eval(self.context).copy() for port in self._ports])
-        tensions, carriers, load = (np.array(column) for column in zip(*rows, strict=True))
-        return Flight(
-            time=time,
-            tensions=tensions,
-            speeds=np.linalg.norm(CarrierStates.view(carriers).velocities, axis=2),
-            load_velocity=load[:, -3:],
-        )
+        return FlightSamples.of(time, flown(self._simulator, COMPARED, time))
 
 
-def difference(flight: Flight, finer: Flight) -> float:
+def finer(config: SimulatorConfig, parts: int) -> SimulatorConfig:
+    """The configuration with steps / `parts`, and an accuracy as much finer."""
+    config = copy.deepcopy(config)
+    config.max_step_size /= parts
+    config.accuracy /= parts**3  # of a third-order scheme's error
+    return config
+
+
+def difference(flight: FlightSamples, other: FlightSamples) -> float:
     """How far two flights are apart; 1: by 2 % of a tension or speed, or by what matters."""
-    tensions = np.abs(flight.tensions - finer.tensions)
-    speeds = np.abs(flight.speeds - finer.speeds)
-    velocities = np.abs(flight.load_velocity - finer.load_velocity)
+    tensions = np.abs(flight.tensions - other.tensions)
+    speeds = np.abs(flight.speeds - other.speeds)
+    velocities = np.abs(flight.load_velocity - other.load_velocity)
     return float(
         max(
-            np.max(tensions / tolerated_tensions(finer)),
-            np.max(speeds / tolerated_speeds(finer)),
+            np.max(tensions / tolerated_tensions(other)),
+            np.max(speeds / tolerated_speeds(other)),
             np.max(velocities / _LEAST_LOAD_SPEED),
         )
     )
 
 
-def tolerated_tensions(flight: Flight) -> NDArray:
+def tolerated_tensions(flight: FlightSamples) -> NDArray:
     """By how much a tension may differ, (k, n), N."""
     return SHARE * flight.tensions + TENSION_GRAIN
 
 
-def tolerated_speeds(flight: Flight) -> NDArray:
+def tolerated_speeds(flight: FlightSamples) -> NDArray:
     """By how much a carrier's speed may differ, (k, n), m/s."""
     return SHARE * flight.speeds + SPEED_GRAIN

@@ -109,7 +109,7 @@ def _judged(run: Run, flight: Flight, chosen: ChosenStep, request: Request, engi
         return run
     if chosen.unresolved:
         return dataclasses.replace(run, unresolved=(chosen.unresolved,))
-    if is_in_doubt(run, flight.saved.states, flight.loop_context):
+    if is_in_doubt(run, flight.monitor.saved.states, flight.loop_context):
         doubt = in_doubt(run)
     elif chosen.is_in_doubt:
         doubt = growth_in_doubt(run)

@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context
 
-from drake_nonstop.mechanics.signals import CarrierStates, LoadState
+from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.moved_metrics import moved_metrics
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
 from drake_nonstop.simulation.short_flights import (
-    Flight,
+    COMPARED,
+    FlightSamples,
     RestorableState,
     ShortFlights,
     difference,
@@ -22,8 +23,6 @@ from drake_nonstop.simulation.short_flights import (
 )
 from drake_nonstop.simulation.step_size import with_step
 
-_SAVING_PERIOD = 0.5  # s; longer where there would be more states than the largest number
-_MOST_STATES = 256
 _MARGIN = 0.85  # of what a metric may move by, in a run that counts as resolved
 _FLIGHT = 0.03  # s, or longer: two samples of the controllers
 _FAR = 0.25  # a `difference` of a short flight that is in doubt
@@ -31,23 +30,6 @@ _ORDER = 3  # of the schemes whose errors fourth differences tell
 _ORDERS = {"runge_kutta3": 3, "bogacki_shampine3": 3, "radau3": 3, "runge_kutta5": 3}
 _ROUGH = 0.26  # a `difference` in 10 ms that is in doubt
 _JUMP = 2.5  # the same, had the steps 10 ms: of a jump, to which the layer may respond otherwise
-
-
-class SavedStates:
-    """States of the loop during a run, some time apart."""
-
-    def __init__(self) -> None:
-        self.states: list[RestorableState] = []
-        self._period = _SAVING_PERIOD
-        self.next_time = 0.0  # s, before which there is nothing to save
-
-    def save(self, state: RestorableState) -> None:
-        """Adds a state of the loop."""
-        self.states.append(state)
-        if len(self.states) > _MOST_STATES:
-            self.states = self.states[::2]
-            self._period *= 2
-        self.next_time = self.states[-1].time + (1 - 1e-6) * self._period
 
 
 def is_in_doubt(run: Run, states: list[RestorableState], context: Context) -> bool:
@@ -68,7 +50,7 @@ def is_in_doubt(run: Run, states: list[RestorableState], context: Context) -> bo
         return False
     if _order(run.scenario.simulator_config) < _ORDER or np.min(run.steps["tensions"]) <= 0:
         return True
-    flown = _flown(run)
+    flown = FlightSamples.of(run.time, {name: run.signal(name) for name in COMPARED})
     roughness = _roughness(run, flown)
     accumulated = (run.step / SIGNAL_PERIOD) ** _ORDER * np.max(roughness)
     if np.max(roughness) > _JUMP or accumulated > _ROUGH:
@@ -96,22 +78,10 @@ def is_in_doubt(run: Run, states: list[RestorableState], context: Context) -> bo
 
 
 def _has_all_signals(run: Run) -> bool:
-    made = {name.partition(".")[2] for name in run.signals}
-    return made >= {"tensions", "carrier_state", "load_state"}
+    return {name.partition(".")[2] for name in run.signals} >= {*COMPARED}
 
 
-def _flown(run: Run) -> Flight:
-    """The run as a flight."""
-    velocities = CarrierStates.view(run.signal("carrier_state")).velocities
-    return Flight(
-        time=run.time,
-        tensions=run.signal("tensions"),
-        speeds=np.linalg.norm(velocities, axis=2),
-        load_velocity=LoadState.view(run.signal("load_state")).velocity,
-    )
-
-
-def _roughness(run: Run, flown: Flight) -> NDArray:
+def _roughness(run: Run, flown: FlightSamples) -> NDArray:
     """The error (samples - 4,) of steps of 10 ms by fourth differences, as `difference` counts it.
 
     A step h of a third-order scheme is wrong by about h⁴ v⁗ / 24, and 10 ms of steps by h³ / 10 ms

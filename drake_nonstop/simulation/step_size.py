@@ -12,7 +12,8 @@ from drake_nonstop.loop.equilibrium import on_reference
 from drake_nonstop.mechanics.signals import CarrierStates, LoadReference, LoadState
 from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.simulation.run import SIGNAL_PERIOD
-from drake_nonstop.simulation.short_flights import SavedState, ShortFlights, difference
+from drake_nonstop.simulation.short_flights import SavedState, ShortFlights, difference, finer
+from drake_nonstop.systems.port_state import copied_context
 from drake_nonstop.validation import require
 
 SHORTEST_STEP = 1e-5  # s; with a shorter one a run would not come to an end
@@ -159,10 +160,10 @@ def _resolving(
         time = max(_TRIAL, 3 * control_period)
         flown = flights.fly(start, time)
         for halvings, step in enumerate(_halved(config.max_step_size)):
-            finer = flights.fly(start, time, 2 ** (halvings + 1))
-            if difference(flown, finer) <= _RESOLVED:
+            again = flights.fly(start, time, 2 ** (halvings + 1))
+            if difference(flown, again) <= _RESOLVED:
                 return with_step(config, step)
-            flown = finer
+            flown = again
     except Exception:  # whatever blocks may raise there: the run itself will tell
         pass
     return config
@@ -189,17 +190,13 @@ def with_step(config: SimulatorConfig, step: float) -> SimulatorConfig:
 
 def with_half_the_step(config: SimulatorConfig, step: float) -> SimulatorConfig:
     """The configuration with half a step (s) that a run took, or a finer accuracy as well."""
-    config = copy.deepcopy(config)
-    config.max_step_size = step / 2
-    config.accuracy /= 8  # of a third-order scheme's error
-    return config
+    return finer(with_step(config, step), 2)
 
 
 def _most_demanding(nonstop: Diagram, context: Context, duration: float) -> tuple[float, float]:
     """When the reference curves most (s), and by how much a carrier's path does (m/s²)."""
     port = nonstop.GetOutputPort("reference")
-    moved = nonstop.CreateDefaultContext()
-    moved.SetTimeStateAndParametersFrom(context)
+    moved = copied_context(nonstop, context)
     Simulator(nonstop, moved).Initialize()  # whatever samples or holds takes its first value
     load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(moved))
     carriers = CarrierStates.view(nonstop.GetOutputPort("carrier_state").Eval(moved))

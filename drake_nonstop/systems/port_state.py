@@ -31,10 +31,24 @@ def set_state_values(context: Context, values: NDArray) -> None:
     count = context.num_continuous_states()
     if count:
         context.SetContinuousState(values[:count])
+    set_discrete_values(context, values[count:])
+
+
+def set_discrete_values(context: Context, values: NDArray) -> None:
+    """Sets the discrete states of a system, its groups one after the other."""
+    start = 0
     for i in range(context.num_discrete_state_groups()):
-        size = context.get_discrete_state(i).size()
-        context.SetDiscreteState(i, values[count : count + size])
-        count += size
+        end = start + context.get_discrete_state(i).size()
+        context.SetDiscreteState(i, values[start:end])
+        start = end
+
+
+def copied_context(system: System, context: Context) -> Context:
+    """A context of a system by itself, whose inputs have the values of now."""
+    copy = system.CreateDefaultContext()
+    copy.SetTimeStateAndParametersFrom(context)
+    system.FixInputPortsFrom(system, context, copy)
+    return copy
 
 
 class PortState:
@@ -134,9 +148,7 @@ class PortState:
 
     def _change(self, context: Context) -> NDArray:
         """The change per second of the port in the first update of a discrete state."""
-        alone = self._system.CreateDefaultContext()
-        alone.SetTimeStateAndParametersFrom(context)
-        self._system.FixInputPortsFrom(self._system, context, alone)
+        alone = copied_context(self._system, context)
         last, last_time = self._port.Eval(alone).copy(), alone.get_time()
         updates: list[float] = []  # times in s
         changes: list[NDArray] = []
